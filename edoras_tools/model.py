@@ -1,0 +1,421 @@
+"""The values that walk through the pipeline: batches of datagrams, their columns, and what is read from them.
+
+Everything here is frozen. Arrays are numpy arrays of one length, one element a datagram; nobody writes into
+an array that was handed over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from enum import IntEnum, IntFlag
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.errors import EdorasError
+
+NO_MSG_ID = -1
+"""``Columns.msg_id`` of a datagram that holds no space packet."""
+NO_ROUTE = -1
+"""``Columns.route`` of a datagram that no configured topic claims."""
+
+
+class Link(IntEnum):
+    """Which of the three links a datagram belongs to."""
+
+    OTHER = 0
+    """None of them: the datagram is kept, and not dissected."""
+    CI = 1
+    """Ground to cFS, one space packet a datagram (Command Ingest)."""
+    TO = 2
+    """cFS to ground, one space packet a datagram (Telemetry Output)."""
+    SBN = 3
+    """Between Software Bus Network peers."""
+
+    @property
+    def label(self) -> str:
+        """The name used in files, JSON and on screen: ``ci``, ``to``, ``sbn`` or ``other``."""
+        return self.name.lower()
+
+
+class Finding(IntFlag):
+    """A departure from what the protocols say or the receivers accept; a bit each, so that a column holds them all.
+
+    The bits are recorded in ``/edoras/datagrams``: never renumber one, append.
+    """
+
+    TRUNCATED = 1 << 0
+    LENGTH_MISMATCH = 1 << 1
+    CHECKSUM_BAD = 1 << 2
+    CHECKSUM_ABSENT = 1 << 3
+    SEQUENCE_UNSET = 1 << 4
+    ENVELOPE_OVERRUN = 1 << 5
+    STALE_TAIL = 1 << 6
+    CDR_INVALID = 1 << 7
+    UNKNOWN_MSG_ID = 1 << 8
+    SBN_SIZE_MISMATCH = 1 << 9
+    SBN_UNKNOWN_TYPE = 1 << 10
+    SBN_ID_MISMATCH = 1 << 11
+    OVER_CI_BUFFER = 1 << 12
+    OVER_BRIDGE_BUFFER = 1 << 13
+    BRIDGE_DROPS_LENGTH = 1 << 14
+    HEADER_ONLY = 1 << 15
+    INVALID_MSG_ID = 1 << 16
+    WRONG_DIRECTION = 1 << 17
+    UNKNOWN_FUNCTION_CODE = 1 << 18
+    COMMAND_LENGTH = 1 << 19
+    OVER_SOFTWARE_BUS = 1 << 20
+    SBN_VERSION_MISMATCH = 1 << 21
+    SBN_NO_MESSAGE = 1 << 22
+    SBN_LEGACY_HEADER = 1 << 23
+    CDR_BIG_ENDIAN = 1 << 24
+    FRAGMENT = 1 << 25
+    CAPTURE_CUT = 1 << 26
+
+    @property
+    def label(self) -> str:
+        """The name used in files, JSON and on screen, as ``length_mismatch``."""
+        return str(self.name).lower()
+
+    @property
+    def labels(self) -> list[str]:
+        """The labels of every bit that is set, lowest bit first."""
+        return [bit.label for bit in self]
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """An IP address in text form and a UDP port."""
+
+    address: str
+    port: int
+
+    def __str__(self) -> str:
+        host = f"[{self.address}]" if ":" in self.address else self.address
+        return f"{host}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True)
+class Datagram:
+    """One captured datagram, whole.
+
+    Attributes:
+        number: place in its source, counted in frames from 1 as Wireshark does.
+        time_ns: capture time, ns since 1970-01-01 UTC.
+        link_type: pcap LINKTYPE of ``frame``.
+        frame: the frame as captured, link layer header included.
+        payload: the UDP payload; put together from fragments where there were any.
+        payload_offset: where ``payload`` starts in ``frame``; -1 when it was put together from fragments.
+        original_length: bytes of the frame on the wire; more than ``len(frame)`` when the capture cut it.
+    """
+
+    number: int
+    time_ns: int
+    link_type: int
+    frame: bytes
+    payload: bytes
+    payload_offset: int
+    original_length: int
+    source: Endpoint
+    destination: Endpoint
+    findings: Finding = Finding(0)
+
+
+@dataclass(frozen=True, slots=True)
+class PacketBatch:
+    """Datagrams in columns over one contiguous byte buffer.
+
+    All arrays have the batch's length. Offsets point into ``data``. A batch of one, or none, is a batch.
+
+    Attributes:
+        data: u8, the bytes that all offsets point into, frames whole.
+        number: i64, place of the frame in its source, from 1.
+        time_ns: i64, capture time, ns since 1970-01-01 UTC.
+        link_type: u16, pcap LINKTYPE of the frame.
+        frame_offset: i64, start of the frame, link layer header included.
+        frame_length: i32, captured bytes of the frame.
+        original_length: i32, bytes of the frame on the wire.
+        offset: i64, start of the UDP payload. It lies outside its frame when put together from fragments.
+        length: i32, bytes of the UDP payload that were captured.
+        source_address: u32, IPv4 as a number; for IPv6 an index into ``ipv6``.
+        source_port: u16.
+        destination_address: u32, as ``source_address``.
+        destination_port: u16.
+        ip_version: u8, 4 or 6.
+        capture_findings: u32, the bits that only the capture can know: ``FRAGMENT``, ``CAPTURE_CUT``.
+        ipv6: the IPv6 addresses, 16 bytes each, that the address columns index.
+    """
+
+    data: NDArray[np.uint8]
+    number: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    link_type: NDArray[np.uint16]
+    frame_offset: NDArray[np.int64]
+    frame_length: NDArray[np.int32]
+    original_length: NDArray[np.int32]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int32]
+    source_address: NDArray[np.uint32]
+    source_port: NDArray[np.uint16]
+    destination_address: NDArray[np.uint32]
+    destination_port: NDArray[np.uint16]
+    ip_version: NDArray[np.uint8]
+    capture_findings: NDArray[np.uint32]
+    ipv6: tuple[bytes, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def __getitem__(self, index: int) -> Datagram:
+        """Return one datagram, copied out of the buffer.
+
+        Raises:
+            IndexError: there is no such datagram.
+        """
+        frame_offset, offset = int(self.frame_offset[index]), int(self.offset[index])
+        frame_end = frame_offset + int(self.frame_length[index])
+        payload_end = offset + int(self.length[index])
+        inside = frame_offset <= offset and payload_end <= frame_end
+        return Datagram(
+            number=int(self.number[index]),
+            time_ns=int(self.time_ns[index]),
+            link_type=int(self.link_type[index]),
+            frame=self.data[frame_offset:frame_end].tobytes(),
+            payload=self.data[offset:payload_end].tobytes(),
+            payload_offset=offset - frame_offset if inside else -1,
+            original_length=int(self.original_length[index]),
+            source=Endpoint(self.address(int(self.source_address[index]), index), int(self.source_port[index])),
+            destination=Endpoint(
+                self.address(int(self.destination_address[index]), index), int(self.destination_port[index])
+            ),
+            findings=Finding(int(self.capture_findings[index])),
+        )
+
+    def address(self, value: int, index: int) -> str:
+        """Return an element of an address column of row ``index`` as text."""
+        import ipaddress
+
+        if self.ip_version[index] == 6:
+            return str(ipaddress.IPv6Address(self.ipv6[value]))
+        return str(ipaddress.IPv4Address(value))
+
+    def take(self, rows: NDArray[Any] | slice) -> Self:
+        """Return the rows that an index array, a mask or a slice chooses, over the same buffer."""
+        return type(self)(
+            **{
+                item.name: value if item.name in {"data", "ipv6"} else value[rows]
+                for item in fields(self)
+                for value in (getattr(self, item.name),)
+            }
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """What ``decode.columns`` reads from a batch, one element a datagram.
+
+    Offsets point into the batch's ``data``. Where a layer is absent its columns hold the stated "none".
+
+    Attributes:
+        link: u8, a ``Link``.
+        sbn_msg_type: i16, SBN MsgType; -1 where there is no SBN header.
+        processor_id: u32, SBN ProcessorID of the sender; 0 where there is none.
+        spacecraft_id: u32, SBN SpacecraftID of the sender; 0 where there is none.
+        packet_offset: i64, start of the space packet; -1 where there is none.
+        packet_length: i32, bytes of the space packet that are there; 0 where there is none.
+        msg_id: i32, cFE MsgId (the first packet word); ``NO_MSG_ID`` where there is none.
+        sequence_flags: u8, 0 to 3.
+        sequence_count: u16, 0 to 16383.
+        function_code: i16, of a command; -1 for telemetry or none.
+        mission_time_ns: i64, telemetry header time since its epoch in ns; -1 where there is none.
+        header_length: u8, cFE header bytes, primary header included; 0 where there is none.
+        cdr_offset: i64, first byte of the CDR encapsulation; -1 where there is no whole envelope.
+        cdr_length: i32, CDR bytes, encapsulation included; 0 where there is no whole envelope.
+        route: i16, index into ``Mission.routes``; ``NO_ROUTE`` where no route of this link claims the MsgId.
+        findings: u32, a set of ``Finding`` bits.
+    """
+
+    link: NDArray[np.uint8]
+    sbn_msg_type: NDArray[np.int16]
+    processor_id: NDArray[np.uint32]
+    spacecraft_id: NDArray[np.uint32]
+    packet_offset: NDArray[np.int64]
+    packet_length: NDArray[np.int32]
+    msg_id: NDArray[np.int32]
+    sequence_flags: NDArray[np.uint8]
+    sequence_count: NDArray[np.uint16]
+    function_code: NDArray[np.int16]
+    mission_time_ns: NDArray[np.int64]
+    header_length: NDArray[np.uint8]
+    cdr_offset: NDArray[np.int64]
+    cdr_length: NDArray[np.int32]
+    route: NDArray[np.int16]
+    findings: NDArray[np.uint32]
+
+    def __len__(self) -> int:
+        return len(self.link)
+
+    def take(self, rows: NDArray[Any] | slice) -> Self:
+        """Return the rows that an index array, a mask or a slice chooses."""
+        return type(self)(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
+
+
+@dataclass(frozen=True, slots=True)
+class LayerField:
+    """One named value of a layer and the bytes it was read from.
+
+    Attributes:
+        name: the standard's name, as in the tree, the filters and the JSON.
+        value: int, float, bytes, str or a plain list.
+        start: first byte, from the start of the UDP payload.
+        end: one past the last byte.
+        text: how people read it, as ``0x1827`` or ``command``.
+        doc: one line on what the field is.
+    """
+
+    name: str
+    value: Any
+    start: int
+    end: int
+    text: str = ""
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """One dissected header or body.
+
+    Attributes:
+        name: short name, as ``ccsds`` or ``sbn``.
+        title: what the tree prints.
+        start: first byte, from the start of the UDP payload.
+        end: one past the last byte.
+        fields: in wire order.
+    """
+
+    name: str
+    title: str
+    start: int
+    end: int
+    fields: tuple[LayerField, ...]
+
+    def values(self) -> dict[str, Any]:
+        """Return field names and values."""
+        return {item.name: item.value for item in self.fields}
+
+
+@dataclass(frozen=True, slots=True)
+class RosMessage:
+    """A decoded ROS message.
+
+    Attributes:
+        type: ROS type name, as ``geometry_msgs/msg/Twist``.
+        topic: the configured topic.
+        values: plain dict of the fields, nested.
+        cdr: the bytes, encapsulation included, padding cut.
+    """
+
+    type: str
+    topic: str
+    values: Mapping[str, Any]
+    cdr: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """Everything read from one datagram; what stopped the decode, if anything did, loses nothing before it.
+
+    Attributes:
+        datagram: the bytes and where they came from.
+        link: the link it was taken for.
+        layers: dissected layers, outermost first.
+        findings: all departures.
+        message: the ROS message, where one decoded.
+        stop: why decoding went no further, where it did not reach the end.
+        summary: one short line for the packet list.
+    """
+
+    datagram: Datagram
+    link: Link
+    layers: tuple[Layer, ...]
+    findings: Finding
+    message: RosMessage | None = None
+    stop: EdorasError | None = None
+    summary: str = ""
+
+    def layer(self, name: str) -> Layer | None:
+        """Return the first layer of that name, or None."""
+        return next((item for item in self.layers if item.name == name), None)
+
+
+@dataclass(slots=True)
+class SourceStatistics:
+    """What a source counts as it goes; read at any time.
+
+    Attributes:
+        frames: frames read.
+        datagrams: UDP datagrams handed over.
+        skipped: frames that are no UDP datagram.
+        bytes: frame bytes read.
+        kernel_drops: frames that the kernel or a full queue lost before the source saw them.
+        total_bytes: size of the whole input where it is known, for progress; else 0.
+        position: bytes of the input consumed so far, on the scale of ``total_bytes``.
+        warnings: one line each, for people.
+    """
+
+    frames: int = 0
+    datagrams: int = 0
+    skipped: int = 0
+    bytes: int = 0
+    kernel_drops: int = 0
+    total_bytes: int = 0
+    position: int = 0
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class SourceInfo:
+    """What a source is.
+
+    Attributes:
+        name: file path, ``-`` or interface name.
+        kind: ``pcap``, ``pcapng``, ``mcap``, ``live`` or ``udp``.
+        time_resolution_ns: 1, 1000, ...; the step of its timestamps.
+        snap_length: the capture's limit on a frame's bytes.
+        attachments: mission files and the like that the source carries, by name.
+    """
+
+    name: str
+    kind: str
+    time_resolution_ns: int = 1
+    snap_length: int = 262144
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+
+
+def concatenate(batches: Sequence[PacketBatch]) -> PacketBatch:
+    """Put batches end to end into one; the buffers are copied.
+
+    Args:
+        batches: at least one.
+    """
+    if len(batches) == 1:
+        return batches[0]
+    starts = np.cumsum([0, *(len(batch.data) for batch in batches[:-1])])
+    tables = np.cumsum([0, *(len(batch.ipv6) for batch in batches[:-1])])
+    columns: dict[str, Any] = {}
+    for item in fields(PacketBatch):
+        values = [getattr(batch, item.name) for batch in batches]
+        if item.name in {"frame_offset", "offset"}:
+            values = [value + start for value, start in zip(values, starts, strict=True)]
+        elif item.name in {"source_address", "destination_address"}:
+            values = [
+                np.where(batch.ip_version == 6, value + np.uint32(table), value)
+                for batch, value, table in zip(batches, values, tables, strict=True)
+            ]
+        columns[item.name] = sum(values, ()) if item.name == "ipv6" else np.concatenate(values)
+    return PacketBatch(**columns)
