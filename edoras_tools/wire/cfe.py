@@ -1,0 +1,162 @@
+"""cFE's headers behind the primary header, its checksum, and the core telemetry that tells of loss.
+
+Headers are big-endian; telemetry payloads are in the flight processor's order, little-endian here.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from edoras_tools.errors import FieldError
+from edoras_tools.wire import ccsds
+from edoras_tools.wire.layout import Field, Layout
+
+HIGHEST_MSG_ID: Final = 0x1FFF
+"""cFE refuses a larger MsgId (CFE_PLATFORM_SB_HIGHEST_VALID_MSGID)."""
+COMMAND_BIT: Final = 0x1000
+"""Set in the MsgId of a command; it, not the link, decides which header follows."""
+CHECKSUM_SEED: Final = 0xFF
+
+COMMAND: Final = Layout(
+    "cfe_command",
+    "cFE Command Header",
+    Field("reserved", 1, "always 0"),
+    Field("function_code", 7, "EDORAS apps: 0 no-op, 1 set"),
+    Field("checksum", 8, "0xFF XOR every byte of the packet; the bridges send 0, no app here checks it", base=16),
+)
+TELEMETRY: Final = Layout(
+    "cfe_telemetry",
+    "cFE Telemetry Header",
+    Field("seconds", 32, "mission time: whole seconds since the mission's epoch, not UTC"),
+    Field("subseconds", 16, "mission time: 1/65536 s"),
+    Field("spare", 32, "alignment", kind="bytes"),
+)
+TELEMETRY_SHORT: Final = Layout(
+    "cfe_telemetry",
+    "cFE Telemetry Header (12 bytes, older builds)",
+    *(slot.field for slot in TELEMETRY.slots[:2]),
+)
+EXTENDED: Final = Layout(
+    "cfe_extended",
+    "cFE Extended Header (version 2)",
+    Field("eds_version", 5, "electronic data sheet version"),
+    Field("endian", 1, "payload byte order", names={0: "big", 1: "little"}),
+    Field("playback", 1, "a recorded packet sent again", names={0: "original", 1: "playback"}),
+    Field("subsystem_id", 9, "APID qualifier: subsystem", base=16),
+    Field("system_id", 16, "APID qualifier: system or spacecraft", base=16),
+)
+EVENT: Final = Layout(
+    "cfe_event",
+    "cFE Event (EVS long format)",
+    Field("app_name", 160, "who reports", kind="text"),
+    Field("event_id", 16, "the app's number for it"),
+    Field("event_type", 16, "severity", names={1: "debug", 2: "info", 3: "error", 4: "critical"}),
+    Field("spacecraft_id", 32, "where", base=16),
+    Field("processor_id", 32, "on which processor"),
+    Field("message", 976, "what happened", kind="text"),
+    Field("spare", 16, "alignment", kind="bytes"),
+    byte_order="little",
+)
+"""Payload of telemetry 0x0808."""
+SOFTWARE_BUS_HOUSEKEEPING: Final = Layout(
+    "cfe_software_bus",
+    "cFE Software Bus Housekeeping",
+    Field("command_counter", 8, "ground commands accepted"),
+    Field("command_error_counter", 8, "ground commands refused"),
+    Field("no_subscribers_counter", 8, "messages sent that nobody takes"),
+    Field("message_send_error_counter", 8, "sends that failed"),
+    Field("message_receive_error_counter", 8, "receives that failed"),
+    Field("internal_error_counter", 8, "queue reads and writes that failed"),
+    Field("create_pipe_error_counter", 8, "pipes that could not be made"),
+    Field("subscribe_error_counter", 8, "subscriptions that failed"),
+    Field("pipe_options_error_counter", 8, "pipe options that failed"),
+    Field("duplicate_subscriptions_counter", 8, "subscriptions made twice"),
+    Field("get_pipe_id_by_name_error_counter", 8, "pipe names not found"),
+    Field("spare", 8, "alignment"),
+    Field("pipe_overflow_error_counter", 16, "messages lost because a pipe was full"),
+    Field("message_limit_error_counter", 16, "messages lost because too many of one MsgId waited in a pipe"),
+    Field("memory_pool_handle", 32, "the pool's handle", base=16),
+    Field("memory_in_use", 32, "bytes of the pool in use"),
+    Field("unmarked_memory", 32, "bytes of the pool never used"),
+    byte_order="little",
+)
+"""Payload of telemetry 0x0803."""
+
+COMMAND_HEADER_BYTES: Final = ccsds.PRIMARY.bytes + COMMAND.bytes
+TELEMETRY_HEADER_BYTES: Final = ccsds.PRIMARY.bytes + TELEMETRY.bytes
+EVENT_MSG_ID: Final = 0x0808
+SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: Final = 0x0803
+
+
+def checksum(packet: bytes | memoryview) -> int:
+    """Return 0xFF XOR every byte: the checksum field of a packet whose own is 0, and 0 for a packet that is right."""
+    # XOR is blind to order, so whole words fold first.
+    data = bytes(packet) + bytes(-len(packet) % 8)
+    word = 0
+    for at in range(0, len(data), 8):
+        word ^= int.from_bytes(data[at : at + 8], "big")
+    for shift in (32, 16, 8):
+        word ^= word >> shift
+    return (word ^ CHECKSUM_SEED) & 0xFF
+
+
+def is_command(msg_id: int) -> bool:
+    """Tell whether a MsgId's packet carries the command header."""
+    return bool(msg_id & COMMAND_BIT)
+
+
+def extended_msg_id(apid: int, packet_type: int, subsystem_id: int) -> int:
+    """Return the MsgId of a packet with the extended header, as cFE's ``CFE_MSG_GetMsgId`` (version 2) makes it."""
+    return (apid & 0x7F) | packet_type << 7 | (subsystem_id & 0xFF) << 8
+
+
+def emit_command(
+    msg_id: int,
+    function_code: int,
+    payload: bytes = b"",
+    *,
+    sequence_flags: int = ccsds.UNSEGMENTED,
+    sequence_count: int = 0,
+    with_checksum: bool = True,
+) -> bytes:
+    """Write a whole command packet: 8 header bytes and the payload.
+
+    The EDORAS bridges send ``sequence_flags=0`` and ``with_checksum=False``.
+
+    Raises:
+        FieldError: a value does not fit its field, or the MsgId is a telemetry one.
+    """
+    if not is_command(msg_id):
+        raise FieldError("cfe_command", "msg_id", f"0x{msg_id:04x} lacks the command bit 0x1000")
+    total = COMMAND_HEADER_BYTES + len(payload)
+    head = ccsds.emit(msg_id, total, sequence_flags=sequence_flags, sequence_count=sequence_count)
+    packet = head + COMMAND.emit({"function_code": function_code}) + payload
+    if not with_checksum:
+        return packet
+    return packet[:7] + bytes([checksum(packet)]) + packet[8:]
+
+
+def emit_telemetry(
+    msg_id: int,
+    payload: bytes = b"",
+    *,
+    seconds: int = 0,
+    subseconds: int = 0,
+    sequence_flags: int = ccsds.UNSEGMENTED,
+    sequence_count: int = 0,
+) -> bytes:
+    """Write a whole telemetry packet: 16 header bytes and the payload.
+
+    Raises:
+        FieldError: a value does not fit its field, or the MsgId is a command one.
+    """
+    if is_command(msg_id):
+        raise FieldError("cfe_telemetry", "msg_id", f"0x{msg_id:04x} has the command bit 0x1000")
+    total = TELEMETRY_HEADER_BYTES + len(payload)
+    head = ccsds.emit(msg_id, total, sequence_flags=sequence_flags, sequence_count=sequence_count)
+    return head + TELEMETRY.emit({"seconds": seconds, "subseconds": subseconds, "spare": b""}) + payload
+
+
+def mission_time_ns(seconds: int, subseconds: int) -> int:
+    """Return a telemetry header's time in ns since the mission's epoch."""
+    return seconds * 1_000_000_000 + (subseconds * 1_000_000_000 >> 16)

@@ -1,0 +1,200 @@
+"""One table per header, and the readers and the writer that are made from it.
+
+A :class:`Layout` states a header once: names, widths, signs, byte order, enumerations, a line of
+documentation and the clause. From it come the scalar :meth:`Layout.parse` and :meth:`Layout.emit`, the column
+reader :meth:`Layout.columns`, and (elsewhere) the tree view and the dissectors of other tools.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from edoras_tools.errors import FieldError, TruncatedError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+Kind = Literal["uint", "int", "text", "bytes"]
+_NO_NAMES: Mapping[int, str] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a header.
+
+    Attributes:
+        name: the standard's name, in snake case.
+        bits: width. ``text`` and ``bytes`` are whole bytes.
+        doc: one line of documentation.
+        kind: ``uint``, ``int`` (two's complement), ``text`` (NUL-terminated ASCII) or ``bytes``.
+        names: what values mean, where they are enumerated.
+        base: how people read the number: 10 or 16.
+        clause: where the standard or the source says so.
+    """
+
+    name: str
+    bits: int
+    doc: str
+    kind: Kind = "uint"
+    names: Mapping[int, str] = field(default=_NO_NAMES)
+    base: Literal[10, 16] = 10
+    clause: str = ""
+
+    def text(self, value: Any) -> str:
+        """Return a value as people read it: ``0x1827``, ``telecommand (1)``, ``42``."""
+        if self.kind in {"text", "bytes"}:
+            return value.hex() if isinstance(value, bytes) else str(value)
+        number = f"0x{value:0{(self.bits + 3) // 4}x}" if self.base == 16 else str(value)
+        name = self.names.get(value)
+        return f"{name} ({number})" if name else number
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """Where a field lies in its header.
+
+    Attributes:
+        field: the field.
+        start: its first byte, from the start of the header.
+        end: one past its last byte.
+        shift: bits to the right of it in the word ``start:end``.
+        mask: its bits, after the shift.
+    """
+
+    field: Field
+    start: int
+    end: int
+    shift: int
+    mask: int
+
+
+class Layout:
+    """The single description of a header.
+
+    Attributes:
+        name: the layer's short name, as ``ccsds``.
+        title: the layer's name for people.
+        slots: the fields with their places, in wire order.
+        bytes: the header's length.
+        byte_order: ``big`` or ``little``; bit fields are packed from the most significant bit of a big-endian
+            word, so a little-endian layout holds whole bytes only.
+    """
+
+    def __init__(
+        self, name: str, title: str, *fields: Field, byte_order: Literal["big", "little"] = "big"
+    ) -> None:
+        self.name = name
+        self.title = title
+        self.byte_order: Literal["big", "little"] = byte_order
+        slots, bit = [], 0
+        for item in fields:
+            start, end = bit // 8, (bit + item.bits + 7) // 8
+            shift = end * 8 - bit - item.bits
+            if byte_order == "little" and (shift or bit % 8):
+                raise ValueError(f"{name}.{item.name}: a little-endian layout holds whole bytes only")
+            slots.append(Slot(item, start, end, shift, (1 << item.bits) - 1))
+            bit += item.bits
+        if bit % 8:
+            raise ValueError(f"{name}: {bit} bits are no whole number of bytes")
+        self.slots: tuple[Slot, ...] = tuple(slots)
+        self.bytes = bit // 8
+
+    @cached_property
+    def by_name(self) -> Mapping[str, Slot]:
+        """The slots by field name."""
+        return {slot.field.name: slot for slot in self.slots}
+
+    def parse(self, data: bytes | memoryview, offset: int = 0) -> dict[str, Any]:
+        """Read every field at ``offset``.
+
+        Returns:
+            field name to int, str (``text``, cut at the first NUL) or bytes.
+
+        Raises:
+            TruncatedError: fewer than ``bytes`` bytes are there.
+        """
+        if len(data) - offset < self.bytes:
+            raise TruncatedError(self.name, offset, self.bytes, max(0, len(data) - offset))
+        return {slot.field.name: self.read(slot, data, offset) for slot in self.slots}
+
+    def read(self, slot: Slot, data: bytes | memoryview, offset: int = 0) -> Any:
+        """Read one field of a header that starts at ``offset``; its bytes must be there."""
+        raw = bytes(data[offset + slot.start : offset + slot.end])
+        if slot.field.kind == "bytes":
+            return raw
+        if slot.field.kind == "text":
+            return raw.split(b"\0", 1)[0].decode("utf-8", "replace")
+        value = (int.from_bytes(raw, self.byte_order) >> slot.shift) & slot.mask
+        return value - slot.mask - 1 if slot.field.kind == "int" and value > slot.mask >> 1 else value
+
+    def emit(self, values: Mapping[str, Any]) -> bytes:
+        """Write a header; fields that are not named are zero.
+
+        Raises:
+            FieldError: a name is not in this layout, or a value does not fit its field.
+        """
+        for name in values.keys() - self.by_name.keys():
+            raise FieldError(self.name, name, f"no such field; there are {', '.join(self.by_name)}")
+        out = bytearray(self.bytes)
+        for slot in self.slots:
+            value = values.get(slot.field.name, 0)
+            size = slot.end - slot.start
+            if slot.field.kind in {"text", "bytes"}:
+                raw = value.encode() if isinstance(value, str) else bytes(value or b"")
+                if len(raw) > size:
+                    raise FieldError(self.name, slot.field.name, f"{len(raw)} bytes exceed {size}")
+                out[slot.start : slot.end] = raw.ljust(size, b"\0")
+            else:
+                word = int.from_bytes(out[slot.start : slot.end], self.byte_order)
+                word |= self._bits(slot, value) << slot.shift
+                out[slot.start : slot.end] = word.to_bytes(size, self.byte_order)
+        return bytes(out)
+
+    def _bits(self, slot: Slot, value: int) -> int:
+        low, high = (-(slot.mask >> 1) - 1, slot.mask >> 1) if slot.field.kind == "int" else (0, slot.mask)
+        if not low <= value <= high:
+            raise FieldError(self.name, slot.field.name, f"{value} exceeds {slot.field.bits} bits ({low} to {high})")
+        return value & slot.mask
+
+    def column(self, name: str, window: NDArray[np.uint8], at: int = 0) -> NDArray[Any]:
+        """Read one numeric field of many headers.
+
+        Args:
+            name: the field.
+            window: u8 (n, w), a row a header.
+            at: where in a row the header starts; its bytes must be inside the row.
+
+        Returns:
+            (n,) of the smallest type of its sign that holds the field.
+        """
+        slot = self.by_name[name]
+        columns = range(slot.start, slot.end)
+        size = next(size for size in (1, 2, 4, 8) if size >= len(columns))
+        value = np.zeros(len(window), f"u{size}")
+        for column in columns if self.byte_order == "big" else reversed(columns):
+            if column != columns[0 if self.byte_order == "big" else -1]:
+                value <<= 8
+            value |= window[:, at + column]
+        if slot.shift:
+            value >>= slot.shift
+        if slot.mask != (1 << 8 * size) - 1:
+            value &= np.array(slot.mask, value.dtype)
+        if slot.field.kind == "int":
+            spare = 8 * size - slot.field.bits
+            return (value << spare).view(f"i{size}") >> spare
+        return value
+
+    def columns(self, window: NDArray[np.uint8], at: int = 0) -> dict[str, NDArray[Any]]:
+        """Read every numeric field of many headers: see :meth:`column`."""
+        return {
+            slot.field.name: self.column(slot.field.name, window, at)
+            for slot in self.slots
+            if slot.field.kind in {"uint", "int"}
+        }
