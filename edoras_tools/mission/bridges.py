@@ -1,0 +1,266 @@
+"""One node's parameters to a link and its routes, checked as the bridges use them."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.mission.fields import Fields, suggestion
+from edoras_tools.mission.model import FlightLink, GroundLink, Route
+from edoras_tools.mission.report import printable
+from edoras_tools.model import Link
+from edoras_tools.wire.envelope import EnvelopeFormat
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from edoras_tools.mission.parameters import Node
+    from edoras_tools.mission.report import Report
+
+    CheckType = Callable[[str], str | None]
+    Claims = dict[tuple[Link, int], tuple[Node, Route]]
+
+# An address, or the limits of an integer.
+_ADDRESS: Final = None
+_PORT: Final = (1, 0xFFFF)
+_ID: Final = (0, 0xFFFFFFFF)
+_GROUND: Final[dict[str, tuple[int, int] | None]] = {
+    "bridge_port": _PORT,
+    "fsw_port": _PORT,
+    "fsw_ip": _ADDRESS,
+    "telemetry_ip": _ADDRESS,
+    "bridge_ip": _ADDRESS,
+}
+_OPTIONAL: Final = {"bridge_ip"}
+_FLIGHT: Final[dict[str, tuple[int, int] | None]] = {
+    "peer_ip": _ADDRESS,
+    "peer_port": _PORT,
+    "peer_processor_id": _ID,
+    "peer_spacecraft_id": _ID,
+    "udp_receive_port": _PORT,
+    "udp_receive_ip": _ADDRESS,
+    "processor_id": _ID,
+    "spacecraft_id": _ID,
+}
+_ROUTE_KEYS: Final = ("type", "topic", "mid", "envelope")
+_DIRECTIONS: Final[tuple[Literal["command", "telemetry"], ...]] = ("command", "telemetry")
+
+HIGHEST_MSG_ID = 0x1FFF
+"""cFE refuses MsgIds above this one (``CFE_PLATFORM_SB_HIGHEST_VALID_MSGID`` as built for the demos)."""
+_COMMAND_BIT = 0x1000
+_SECONDARY_HEADER_BIT = 0x0800
+
+_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
+_OTHER_SPELLING = re.compile(r"([a-z][a-z0-9_]*)(?:/|::|\.)(?:msg(?:/|::|\.))?([A-Z][A-Za-z0-9]*)")
+_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
+
+
+def is_bridge(node: Node) -> bool:
+    """Tell whether a node's parameters are a bridge's: other nodes may share the file."""
+    return not {*node.values, *node.groups}.isdisjoint({"communication", *_DIRECTIONS})
+
+
+def read_bridge(
+    node: Node, report: Report, claims: Claims, check_type: CheckType | None
+) -> tuple[GroundLink | FlightLink | None, list[Route]]:
+    """Return a bridge's link and routes as far as they are right; the rest goes to ``report``.
+
+    Args:
+        node: its parameters.
+        report: of its file.
+        claims: who holds which MsgId on which link, over all bridges; added to.
+        check_type: tells what is wrong with a ROS type, None where nothing is.
+    """
+    fields = Fields(node, report)
+    flight, link = _communication(fields)
+    reader = _Routes(fields, flight, claims, check_type)
+    for direction in _DIRECTIONS:
+        for item in fields.keys(direction):
+            # The bridge passes over a key without a mapping; [''] is how an empty list is written for ROS 2.
+            if item.value:
+                reader.listed(str(item.value), item.line, direction)
+    reader.warn_of_unlisted()
+    return link, reader.routes
+
+
+def _communication(fields: Fields) -> tuple[bool, GroundLink | FlightLink | None]:
+    """Return whether it is a flight bridge, and its link."""
+    group, node = "communication", fields.node
+    present = node.children(group)
+    flight_keys, ground_keys = len(_FLIGHT.keys() & present), len(_GROUND.keys() & present)
+    if flight_keys == ground_keys:
+        what = "neither a ground nor a flight bridge's" if group in node.groups else "missing"
+        allowed = f"a ground bridge needs {_words(_GROUND)}; a flight bridge {_words(_FLIGHT)}"
+        fields.mistake(group, f"{what}; {allowed}")
+        return False, None
+    flight = flight_keys > ground_keys
+    keys = _FLIGHT if flight else _GROUND
+    values: dict[str, Any] = {}
+    for key, limits in keys.items():
+        name = f"{group}.{key}"
+        if key not in _OPTIONAL or fields.has(name):
+            values[key] = fields.integer(name, *limits) if limits else fields.address(name)
+    for key in present:
+        if key not in keys:
+            kind = "flight" if flight else "ground"
+            what = f"ignored; {suggestion(key, keys)}a {kind} bridge reads {_words(keys)}"
+            fields.warn(f"{group}.{key}", what)
+    if None in values.values():
+        return flight, None
+    place: dict[str, Any] = {"file": fields.report.file, "line": node.groups[group]}
+    return flight, FlightLink(**values, **place) if flight else GroundLink(**values, **place)
+
+
+class _Routes:
+    """The routes of one bridge, taken up key by key."""
+
+    def __init__(self, fields: Fields, flight: bool, claims: Claims, check_type: CheckType | None) -> None:
+        self.fields = fields
+        self.flight = flight
+        self.claims = claims
+        self.check_type = check_type
+        self.routes: list[Route] = []
+        self.keys: dict[str, int] = {}
+        self.topics: dict[str, tuple[str, int]] = {}
+
+    def listed(self, key: str, line: int, direction: Literal["command", "telemetry"]) -> None:
+        """Take up a key that ``command`` or ``telemetry`` lists on ``line``."""
+        fields, node = self.fields, self.fields.node
+        if key in self.keys:
+            fields.report.mistake(
+                line, direction, f"{printable(key)} is listed on line {self.keys[key]} already; list it once"
+            )
+            return
+        self.keys[key] = line
+        if key not in node.groups:
+            if key not in node.values:
+                near = suggestion(key, _mappings(node))
+                what = f"{near}write {printable(key)}: {{type: ..., topic: ..., mid: ...}}"
+                fields.report.mistake(line, direction, f"{printable(key)} has no mapping; {what}")
+            elif node.values[key] is not None:
+                fields.mistake(key, "no mapping; type, topic and mid are needed below it")
+            return
+        type_name, topic, msg_id = self._type(key), self._topic(key), self._msg_id(key)
+        envelope = self._envelope(key)
+        for name in node.children(key):
+            if name not in _ROUTE_KEYS:
+                fields.warn(
+                    f"{key}.{name}", f"ignored; {suggestion(name, _ROUTE_KEYS)}read are {_words(_ROUTE_KEYS)}"
+                )
+        if msg_id is None:
+            return
+        link = Link.SBN if self.flight else Link.CI if direction == "command" else Link.TO
+        route = Route(
+            topic or "",
+            type_name or "",
+            msg_id,
+            link,
+            direction,
+            key,
+            fields.report.file,
+            node.groups[key],
+            envelope,
+        )
+        if self._claim(route) and topic and type_name:
+            self._warn_of_msg_id(route)
+            self.routes.append(route)
+
+    def _type(self, key: str) -> str | None:
+        name, form = f"{key}.type", "package/msg/Name"
+        text = self.fields.text(name, f"a ROS type is needed, as {form}")
+        if text is None:
+            return None
+        if not _TYPE.fullmatch(text):
+            other = _OTHER_SPELLING.fullmatch(text)
+            allowed = f"write {other[1]}/msg/{other[2]}" if other else f"the bridge needs {form}"
+            self.fields.mistake(name, f'"{printable(text)}" is no {form}; {allowed}')
+            return None
+        wrong = self.check_type(text) if self.check_type else None
+        if wrong is not None:
+            self.fields.mistake(name, wrong)
+            return None
+        return text
+
+    def _topic(self, key: str) -> str | None:
+        name = f"{key}.topic"
+        text = self.fields.text(name, "a topic is needed, as /robot_1/cmd_vel")
+        if text is None:
+            return None
+        if not _TOPIC.fullmatch(text):
+            allowed = (
+                "letters, digits and _ between single slashes are allowed, no part starting with a digit"
+            )
+            self.fields.mistake(name, f'"{printable(text)}" is no topic; {allowed}')
+            return None
+        topic = "/" + text.removeprefix("/")
+        if topic in self.topics:
+            other, line = self.topics[topic]
+            what = f"{topic} is the topic of {printable(other)} on line {line} already"
+            self.fields.mistake(name, f"{what}; a bridge takes a topic once")
+            return None
+        self.topics[topic] = (key, self.fields.node.line_of(name))
+        return topic
+
+    def _msg_id(self, key: str) -> int | None:
+        name = f"{key}.mid"
+        allowed = f"a MsgId from 0x1 to 0x{HIGHEST_MSG_ID:X} is needed"
+        msg_id = self.fields.integer(name, allowed=allowed)
+        if msg_id is None or 1 <= msg_id <= HIGHEST_MSG_ID:
+            return msg_id
+        what = "is refused by cFE" if 0 <= msg_id <= 0xFFFF else "does not fit 16 bits"
+        self.fields.mistake(name, f"{msg_id:#x} {what}; {allowed}")
+        return None
+
+    def _envelope(self, key: str) -> str | None:
+        name = f"{key}.envelope"
+        if not self.fields.has(name):
+            return None
+        text = self.fields.text(name, "auto, 8/8, 4/4 or 1/1 is needed")
+        if text is None or text == "auto":
+            return text
+        try:
+            return str(EnvelopeFormat.named(text))
+        except ConfigError:
+            allowed = "auto, 8/8, 4/4 and 1/1 are allowed, the first numbers with le or be behind"
+            self.fields.mistake(name, f'"{printable(text)}" is no envelope; {allowed}')
+            return None
+
+    def _claim(self, route: Route) -> bool:
+        """Take the MsgId; False where it is another topic's, or another bridge has the very same route."""
+        node, other = self.claims.setdefault((route.link, route.msg_id), (self.fields.node, route))
+        if other is route:
+            return True
+        same = (other.topic, other.type) == (route.topic, route.type) and node is not self.fields.node
+        if not same:
+            place = f"{printable(other.file, 200)}:{other.line}: {printable(other.key)}"
+            what = f"0x{route.msg_id:04X} carries {other.topic or 'another topic'} already ({place})"
+            self.fields.mistake(
+                f"{route.key}.mid", f"{what}; one topic a MsgId on the {route.link.label} link"
+            )
+        return False
+
+    def _warn_of_msg_id(self, route: Route) -> None:
+        name, command = f"{route.key}.mid", bool(route.msg_id & _COMMAND_BIT)
+        if not route.msg_id & _SECONDARY_HEADER_BIT:
+            what = f"0x{route.msg_id:04X} lacks 0x0800, the secondary header bit that cFE messages have"
+            self.fields.warn(name, f"{what}; is it hexadecimal, written without 0x?")
+        elif not self.flight and command != route.to_cfs:
+            kind, usual = ("a command", "0x08xx") if command else ("a telemetry", "0x18xx")
+            what = f"0x{route.msg_id:04X} is {kind} MsgId under {route.direction}"
+            self.fields.warn(name, f"{what}; a ground bridge's {route.direction} is {usual} as a rule")
+
+    def warn_of_unlisted(self) -> None:
+        """Warn of mappings that neither list names."""
+        for key in _mappings(self.fields.node):
+            if key not in self.keys:
+                self.fields.warn(key, "ignored; a bridge reads what command or telemetry lists")
+
+
+def _mappings(node: Node) -> list[str]:
+    """Return the groups that look like a route."""
+    return [key for key in node.groups if key and {"type", "topic", "mid"} & {*node.children(key)}]
+
+
+def _words(names: Iterable[str]) -> str:
+    return ", ".join(f"{name} (optional)" if name in _OPTIONAL else name for name in names)

@@ -1,0 +1,123 @@
+"""Typed access to one node's parameters: a value of the right kind, or None and a mistake in the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from edoras_tools.mission.report import printable
+from edoras_tools.mission.scalars import read_scalar
+from edoras_tools.mission.tree import Scalar
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from edoras_tools.mission.parameters import Node
+    from edoras_tools.mission.report import Report
+
+
+def suggestion(word: str, choices: Iterable[str]) -> str:
+    """Return ``did you mean ...? `` for the nearest choice, or nothing."""
+    import difflib
+
+    near = difflib.get_close_matches(word, list(choices), n=1)
+    return f"did you mean {near[0]}? " if near else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Fields:
+    """The parameters of one node and the report of its file."""
+
+    node: Node
+    report: Report
+
+    def mistake(self, name: str, what: str) -> None:
+        """Report a mistake where the parameter, or what is around it, stands."""
+        self.report.mistake(self.node.line_of(name), name, what)
+
+    def warn(self, name: str, what: str) -> None:
+        """Report a warning where the parameter stands."""
+        self.report.warn(self.node.line_of(name), name, what)
+
+    def has(self, name: str) -> bool:
+        """Tell whether the file gives the parameter, rightly or not."""
+        return name in self.node.values or name in self.node.groups
+
+    def text(self, name: str, allowed: str) -> str | None:
+        """Return a string. The bridges throw at any other kind."""
+        scalar = self._scalar(name, allowed)
+        if scalar is None:
+            return None
+        if isinstance(scalar.value, str):
+            return scalar.value
+        self.mistake(
+            name, f'{scalar.described}; a string is needed: write "{printable(scalar.text)}" in quotes'
+        )
+        return None
+
+    def integer(
+        self, name: str, lowest: int = -(2**63), highest: int = 2**63 - 1, allowed: str = ""
+    ) -> int | None:
+        """Return an integer within limits. The bridges throw at a string, a float or a boolean."""
+        allowed = allowed or f"an integer from {lowest} to {highest} is needed"
+        scalar = self._scalar(name, allowed)
+        if scalar is None:
+            return None
+        value = scalar.value
+        if isinstance(value, bool) or not isinstance(value, int):
+            unquoted = read_scalar(scalar.text.strip())
+            if isinstance(value, str) and isinstance(unquoted, int) and not isinstance(unquoted, bool):
+                allowed = f"write {printable(scalar.text.strip())} without quotes"
+            self.mistake(name, f"{scalar.described}; {allowed}")
+            return None
+        if not lowest <= value <= highest:
+            self.mistake(name, f"{printable(scalar.text)} is out of range; {allowed}")
+            return None
+        return value
+
+    def address(self, name: str) -> str | None:
+        """Return a dotted IPv4 address. The bridges hand it to ``inet_addr``, which resolves no names."""
+        import ipaddress
+
+        text = self.text(name, allowed="an IPv4 address is needed, as 127.0.0.1")
+        if text is None:
+            return None
+        try:
+            return str(ipaddress.IPv4Address(text))
+        except ValueError:
+            what = "is no IPv4 address; the bridges resolve no host names: write it as 127.0.0.1"
+            self.mistake(name, f'"{printable(text)}" {what}')
+            return None
+
+    def keys(self, name: str) -> list[Scalar]:
+        """Return a list of strings, each with its line."""
+        allowed = "a list of keys is needed, as ['cmd_twist']"
+        value = self.node.values.get(name)
+        if isinstance(value, Scalar):
+            self.mistake(name, f"{value.described}; {allowed}")
+        elif value is None:
+            self._absent(name, allowed)
+        elif not value:
+            self.warn(name, "an empty list, which ROS 2 refuses; [''] is an empty list to a bridge")
+        elif not isinstance(value[0].value, str):
+            self.mistake(name, f"{value[0].described}; {allowed}")
+        else:
+            return list(value)
+        return []
+
+    def _scalar(self, name: str, allowed: str) -> Scalar | None:
+        value = self.node.values.get(name)
+        if isinstance(value, Scalar):
+            return value
+        if value is None:
+            self._absent(name, allowed)
+        else:
+            self.mistake(name, f"a list; {allowed}")
+        return None
+
+    def _absent(self, name: str, allowed: str) -> None:
+        """Report a parameter with no value, unless the reader of the file has done so."""
+        if name in self.node.groups:
+            self.mistake(name, f"a mapping; {allowed}")
+        elif name not in self.node.values:
+            self.mistake(name, f"missing; {allowed}")

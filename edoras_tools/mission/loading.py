@@ -1,0 +1,118 @@
+"""Mission files, from disk or from a recording's attachments, to one mission."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path, PurePath
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.mission.bridges import is_bridge, read_bridge
+from edoras_tools.mission.model import Mission
+from edoras_tools.mission.parameters import read_nodes
+from edoras_tools.mission.report import Report
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from edoras_tools.mission.bridges import CheckType, Claims
+    from edoras_tools.mission.model import FlightLink, GroundLink, Route
+
+_LARGEST = 1 << 20  # a mission file is a few KiB; a capture given by mistake is not read whole
+
+
+def load(
+    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, check_type: CheckType | None = None
+) -> Mission:
+    """Read EDORAS bridge files, ground and flight alike, into one mission.
+
+    Args:
+        paths: one file or several; none give an empty mission.
+        check_type: asked for every ROS type; returns None where it is known, else what is wrong, as
+            ``unknown type a/msg/B; did you mean a/msg/C?``.
+
+    Raises:
+        ConfigError: all mistakes of all files at once.
+    """
+    paths = [paths] if isinstance(paths, (str, os.PathLike)) else paths
+    contents = [(os.fspath(path), _read(path)) for path in paths]
+    return _mission(contents, check_type)
+
+
+def loads(files: Mapping[str, bytes], *, check_type: CheckType | None = None) -> Mission:
+    """Read bridge files that are in memory, by name, as ``Mission.files`` and the attachments of a recording.
+
+    Raises:
+        ConfigError: all mistakes of all files at once.
+    """
+    return _mission(list(files.items()), check_type)
+
+
+def _read(path: str | os.PathLike[str]) -> bytes | str:
+    """Return a file's bytes, or why there are none."""
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(_LARGEST + 1)
+    except FileNotFoundError:
+        return "no such file; give the YAML file of a bridge"
+    except IsADirectoryError:
+        return "a directory; give the YAML files in it one by one"
+    except (OSError, ValueError) as error:
+        why = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        return f"cannot be read ({why}); give a file that can"
+
+
+def _mission(contents: list[tuple[str, bytes | str]], check_type: CheckType | None) -> Mission:
+    reports = []
+    files: dict[str, bytes] = {}
+    claims: Claims = {}
+    links: list[GroundLink | FlightLink] = []
+    routes: list[Route] = []
+    for name, content in contents:
+        if content in files.values():
+            continue  # the same file given twice
+        report = Report(name)
+        reports.append(report)
+        if isinstance(content, bytes):
+            files[_free_name(PurePath(name).name, files)] = content
+        text = _text(content, report)
+        nodes = read_nodes(text, report) if text is not None else []
+        bridges = [node for node in nodes if is_bridge(node)]
+        if nodes and not bridges:
+            what = "no node here is a bridge; it needs communication, command and telemetry"
+            report.mistake(nodes[0].line, nodes[0].name, what)
+        for node in bridges:
+            link, found = read_bridge(node, report, claims, check_type)
+            routes += found
+            if link is not None and link not in links:
+                links.append(link)
+    # One wildcard may stand behind several nodes; what is wrong with it is said once.
+    mistakes = dict.fromkeys(line for report in reports for line in report.mistakes)
+    if mistakes:
+        raise ConfigError(*mistakes)
+    warnings = dict.fromkeys(line for report in reports for line in report.warnings)
+    return Mission(tuple(routes), tuple(links), MappingProxyType(files), tuple(warnings))
+
+
+def _text(content: bytes | str, report: Report) -> str | None:
+    if isinstance(content, str):
+        report.mistake(0, "", content)
+        return None
+    if len(content) > _LARGEST:
+        report.mistake(0, "", f"larger than {_LARGEST >> 20} MiB; give the YAML file of a bridge")
+        return None
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        report.mistake(line, "", f"not UTF-8 at byte {error.start}; give the YAML file of a bridge")
+        return None
+
+
+def _free_name(name: str, taken: Mapping[str, bytes]) -> str:
+    """Return the name, numbered where two files of different folders share it."""
+    path, number, free = PurePath(name or "mission.yaml"), 2, name or "mission.yaml"
+    while free in taken:
+        free, number = f"{path.stem}_{number}{path.suffix}", number + 1
+    return free

@@ -1,0 +1,171 @@
+"""The values that a mission file becomes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal
+
+from edoras_tools.errors import RouteError
+from edoras_tools.mission.scalars import read_scalar
+from edoras_tools.model import Endpoint, Link
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """One ROS topic and the MsgId that carries it.
+
+    Attributes:
+        topic: with a leading slash.
+        type: ROS type name, ``package/msg/Name``.
+        msg_id: cFE MsgId, 1 to 0x1FFF.
+        link: ``CI`` for a ground command, ``TO`` for ground telemetry, ``SBN`` for both of a flight bridge.
+        direction: named from the bridge's side, as in the file.
+        key: the name that the file gives the mapping.
+        file: the file, as it was named when loaded.
+        line: where the mapping starts, from 1.
+        envelope: ``auto`` or the name of a ``wire.envelope.EnvelopeFormat``; None where not given.
+    """
+
+    topic: str
+    type: str
+    msg_id: int
+    link: Link
+    direction: Literal["command", "telemetry"]
+    key: str = ""
+    file: str = ""
+    line: int = 0
+    envelope: str | None = None
+
+    @property
+    def to_cfs(self) -> bool:
+        """Whether the message travels towards cFS: a bridge's commands do, its telemetry comes from there."""
+        return self.direction == "command"
+
+
+@dataclass(frozen=True, slots=True)
+class GroundLink:
+    """``communication`` of a ground bridge: CI and TO of one cFS.
+
+    Attributes:
+        bridge_port: UDP port where the bridge receives telemetry.
+        fsw_port: UDP port of Command Ingest.
+        fsw_ip: IPv4 address of cFS.
+        telemetry_ip: IPv4 address that the bridge binds; ``0.0.0.0`` is any.
+        bridge_ip: IPv4 address of the bridge's machine, which Telemetry Output is told to send to.
+        file: the file, as it was named when loaded.
+        line: where ``communication`` starts, from 1.
+    """
+
+    bridge_port: int
+    fsw_port: int
+    fsw_ip: str
+    telemetry_ip: str
+    bridge_ip: str | None = None
+    file: str = ""
+    line: int = 0
+
+    @property
+    def command_ingest(self) -> Endpoint:
+        """Where commands are sent."""
+        return Endpoint(self.fsw_ip, self.fsw_port)
+
+    @property
+    def telemetry_output(self) -> Endpoint:
+        """Where telemetry arrives; address ``0.0.0.0`` is any."""
+        return Endpoint(self.bridge_ip or self.telemetry_ip, self.bridge_port)
+
+
+@dataclass(frozen=True, slots=True)
+class FlightLink:
+    """``communication`` of a flight bridge: a Software Bus Network peer of one cFS.
+
+    Attributes:
+        peer_ip: IPv4 address of cFS.
+        peer_port: UDP port of its SBN.
+        peer_processor_id: ProcessorID of cFS, 32 bits.
+        peer_spacecraft_id: SpacecraftID of cFS, 32 bits.
+        udp_receive_port: UDP port of the bridge.
+        udp_receive_ip: IPv4 address that the bridge binds; ``0.0.0.0`` is any.
+        processor_id: ProcessorID of the bridge.
+        spacecraft_id: SpacecraftID of the bridge.
+        file: the file, as it was named when loaded.
+        line: where ``communication`` starts, from 1.
+    """
+
+    peer_ip: str
+    peer_port: int
+    peer_processor_id: int
+    peer_spacecraft_id: int
+    udp_receive_port: int
+    udp_receive_ip: str
+    processor_id: int
+    spacecraft_id: int
+    file: str = ""
+    line: int = 0
+
+    @property
+    def peer(self) -> Endpoint:
+        """The SBN port of cFS."""
+        return Endpoint(self.peer_ip, self.peer_port)
+
+    @property
+    def bridge(self) -> Endpoint:
+        """The bridge's own port; address ``0.0.0.0`` is any."""
+        return Endpoint(self.udp_receive_ip, self.udp_receive_port)
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """All that the mission files say; ``Mission()`` is valid and says nothing.
+
+    Attributes:
+        routes: in the order of the files; of one link no two have the same MsgId.
+        links: one a bridge.
+        files: raw contents by base name, for attachments.
+        warnings: one line each: what a bridge accepts and nobody can mean.
+    """
+
+    routes: tuple[Route, ...] = ()
+    links: tuple[GroundLink | FlightLink, ...] = ()
+    files: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def ground(self) -> tuple[GroundLink, ...]:
+        """The links of ground bridges."""
+        return tuple(item for item in self.links if isinstance(item, GroundLink))
+
+    @property
+    def flight(self) -> tuple[FlightLink, ...]:
+        """The links of flight bridges."""
+        return tuple(item for item in self.links if isinstance(item, FlightLink))
+
+    def find(self, name: str | int) -> Route:
+        """Return the route of a topic (leading slash or not), a key, or a MsgId (as 0x827 or ``"0x827"``).
+
+        Raises:
+            RouteError: no route is called that, or several are.
+        """
+        text = str(name)
+        msg_id = read_scalar(text)
+        if isinstance(msg_id, int) and not isinstance(msg_id, bool):
+            text = f"0x{msg_id:04X}"
+            found = [route for route in self.routes if route.msg_id == msg_id]
+        else:
+            topic = "/" + text.removeprefix("/")
+            found = [route for route in self.routes if route.topic == topic]
+            found = found or [route for route in self.routes if route.key == text]
+        if len(found) == 1:
+            return found[0]
+        choices = [f"{item.topic} (0x{item.msg_id:04X}, {item.link.label})" for item in found or self.routes]
+        if found:
+            raise RouteError(
+                f"{text!r} names {len(found)} routes: {', '.join(choices)}; say which by another name"
+            )
+        if not choices:
+            raise RouteError(f"{text!r}: no topic is configured; give mission files with -c")
+        raise RouteError(f"{text!r} is not configured; there are {', '.join(choices)}")

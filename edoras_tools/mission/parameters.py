@@ -1,0 +1,195 @@
+"""ROS 2 parameter files to dotted names, as ``rcl_yaml_param_parser`` flattens them.
+
+``NODE: ros__parameters: {a: {b: 1}}`` is the parameter ``a.b`` of ``NODE``. Node names may be nested (a
+namespace a level), hold slashes, or be wildcards; several nodes and several documents may share a file. Figure 19 of the
+EDORAS paper has no node name on top: it is read as well, with a warning, though rcl refuses it.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from edoras_tools.mission.tree import Alias, Mapping, Scalar, Sequence, Tree, parse
+
+if TYPE_CHECKING:
+    from edoras_tools.mission.report import Report
+
+PARAMETERS_KEY = "ros__parameters"
+_NODE_NAME = re.compile(r"(/(\*\*?|[A-Za-z_][A-Za-z0-9_]*))+")
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """The parameters of one node.
+
+    Attributes:
+        name: fully qualified, as ``/conversion_node``; empty where the file gives none.
+        line: of its ``ros__parameters``.
+        values: dotted name to a scalar or a list of them; None where the report already has a mistake.
+        groups: dotted name of everything that has names below it, to its line.
+    """
+
+    name: str
+    line: int
+    values: dict[str, Scalar | tuple[Scalar, ...] | None] = field(default_factory=dict)
+    groups: dict[str, int] = field(default_factory=dict)
+
+    def children(self, group: str) -> list[str]:
+        """Return the last part of every name directly below a group."""
+        names = (name.rpartition(".") for name in self.values)
+        return [last for above, _, last in names if above == group]
+
+    def line_of(self, name: str) -> int:
+        """Return where a parameter, or the nearest group around it, stands."""
+        value = self.values.get(name)
+        if isinstance(value, Scalar):
+            return value.line
+        if value:
+            return value[0].line
+        if name in self.groups:
+            return self.groups[name]
+        return self.line_of(name.rpartition(".")[0]) if name else self.line
+
+
+def read_nodes(text: str, report: Report) -> list[Node]:
+    """Return the nodes of a parameter file, wildcards put into the nodes that they match.
+
+    What is wrong goes to ``report``; what can be read is returned all the same.
+    """
+    documents = parse(text, report)
+    if not documents:
+        if not report.mistakes:
+            report.mistake(1, "", f"the file is empty; a bridge's file is NODE: {PARAMETERS_KEY}: ...")
+        return []
+    reader = _Reader(report)
+    for document in documents:
+        reader.names((), document)
+    if not reader.nodes:
+        report.mistake(1, "", f"there is no {PARAMETERS_KEY}; a bridge's file is NODE: {PARAMETERS_KEY}: ...")
+    else:
+        for line, key in reader.strays:
+            report.mistake(line, key, f"a value outside {PARAMETERS_KEY}; indent it below, or remove it")
+    return _with_wildcards(list(reader.nodes.values()))
+
+
+class _Reader:
+    """Walks the names of nodes, then the names of parameters."""
+
+    def __init__(self, report: Report) -> None:
+        self.report = report
+        self.nodes: dict[str, Node] = {}
+        self.strays: list[tuple[int, str]] = []
+
+    def names(self, path: tuple[str, ...], tree: Tree) -> None:
+        if not isinstance(tree, Mapping):
+            self.strays.append((tree.line, "/".join(path)))
+            return
+        for key, line, child in self.entries(tree, "/".join(path)):
+            # rcl compares the beginning only.
+            if key.startswith(PARAMETERS_KEY):
+                self.parameters(self.node(path, line), "", child)
+            else:
+                self.names((*path, key), child)
+
+    def node(self, path: tuple[str, ...], line: int) -> Node:
+        name = "/" + "/".join(path).removeprefix("/") if path else ""
+        if not path:
+            self.report.warn(
+                line, PARAMETERS_KEY, "no name of a node stands above; a bridge refuses this file"
+            )
+        elif not _NODE_NAME.fullmatch(name):
+            allowed = "letters, digits and _ between slashes, or the wildcards * and **"
+            self.report.mistake(line, "/".join(path), f"not the name of a node; allowed are {allowed}")
+        return self.nodes.setdefault(name, Node(name, line))
+
+    def parameters(self, node: Node, name: str, tree: Tree) -> None:
+        match tree:
+            case Mapping():
+                node.groups.setdefault(name, tree.line)
+                for key, line, child in self.entries(tree, name):
+                    path = f"{name}.{key}" if name else key
+                    for end in (match.start() for match in re.finditer(r"\.", path)):
+                        node.groups.setdefault(path[:end], line)
+                    if isinstance(child, Mapping):
+                        node.groups[path] = line
+                    self.parameters(node, path, child)
+            case _ if not name:
+                self.report.mistake(
+                    tree.line,
+                    PARAMETERS_KEY,
+                    "no parameters below it; communication, command and telemetry are needed",
+                )
+            case Scalar():
+                node.values[name] = self.scalar(name, tree)
+            case Sequence():
+                items = [self.scalar(name, item) for item in tree.items]
+                known = tuple(item for item in items if item is not None)
+                if len({type(item.value) for item in known}) > 1:
+                    self.report.mistake(
+                        tree.line, name, "values of several kinds in one list; ROS 2 takes one kind"
+                    )
+                    known = ()
+                node.values[name] = known if len(known) == len(items) else None
+            case Alias():
+                node.values[name] = self.scalar(name, tree)
+
+    def scalar(self, name: str, tree: Tree) -> Scalar | None:
+        match tree:
+            case Scalar(missing=False):
+                return tree
+            case Scalar():
+                what = "no value; write one, or '' for an empty string"
+            case Alias():
+                what = "an alias (*); ROS 2 takes none: write the value out"
+            case _:
+                what = "a list or mapping inside a list; ROS 2 takes plain values there"
+        self.report.mistake(tree.line, name, what)
+        return None
+
+    def entries(self, tree: Mapping, above: str) -> list[tuple[str, int, Tree]]:
+        """Return key, line and value of each entry that can be used: keys are plain text, each once."""
+        seen: dict[str, int] = {}
+        usable = []
+        for key, child in tree.entries:
+            if not isinstance(key, Scalar) or not key.text:
+                self.report.mistake(key.line, above, "a key that is no name; write NAME: VALUE")
+            elif key.text in seen:
+                what = f"written twice, on line {seen[key.text]} before; keep one"
+                self.report.mistake(key.line, f"{above}.{key.text}" if above else key.text, what)
+            else:
+                seen[key.text] = key.line
+                # An empty value has its mark where the next token starts.
+                if isinstance(child, Scalar) and child.missing:
+                    child = Scalar("", "", key.line, missing=True)  # noqa: PLW2901
+                usable.append((key.text, key.line, child))
+        return usable
+
+
+def _with_wildcards(nodes: list[Node]) -> list[Node]:
+    """Give each named node the parameters of the wildcards that match it; as in rclcpp the last wins."""
+    named = [node for node in nodes if "*" not in node.name]
+    used: set[str] = set()
+    result = []
+    for node in named:
+        merged = Node(node.name, node.line)
+        for other in nodes:
+            if other is node or ("*" in other.name and _matches(other.name, node.name)):
+                used.add(other.name)
+                merged.values.update(other.values)
+                merged.groups.update(other.groups)
+        result.append(merged)
+    return [*result, *(node for node in nodes if node.name not in used)]
+
+
+def _matches(pattern: str, name: str) -> bool:
+    """Tell whether a wildcard fits: ``*`` is one part of a name, ``**`` any number of them."""
+    parts = name.split("/")[1:]
+    ends = {0}
+    for part in pattern.split("/")[1:]:
+        if part == "**":
+            ends = set(range(min(ends, default=len(parts) + 1), len(parts) + 1))
+        else:
+            ends = {end + 1 for end in ends if end < len(parts) and part in {"*", parts[end]}}
+    return len(parts) in ends

@@ -1,0 +1,38 @@
+"""Mistakes and warnings, gathered while files are read so that all can be told at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+def printable(text: str, limit: int = 60) -> str:
+    """Return text that fits in one line: control characters escaped, cut at ``limit`` characters."""
+    text = "".join(item if item.isprintable() else item.encode("unicode_escape").decode() for item in text)
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+@dataclass(slots=True)
+class Report:
+    """What is wrong with one file.
+
+    Attributes:
+        file: its name, as people know it.
+        mistakes: one line each, ``FILE:LINE: KEY: what is wrong; what is allowed``.
+        warnings: one line each, of the same form.
+    """
+
+    file: str
+    mistakes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def mistake(self, line: int, key: str, what: str) -> None:
+        """Note something that cannot be honoured. ``line`` counts from 1; 0 is the file as a whole."""
+        self.mistakes.append(self._line(line, key, what))
+
+    def warn(self, line: int, key: str, what: str) -> None:
+        """Note something that works and was hardly meant."""
+        self.warnings.append(self._line(line, key, what))
+
+    def _line(self, line: int, key: str, what: str) -> str:
+        place = printable(self.file, 200) + (f":{line}" if line else "")
+        return f"{place}: {printable(key)}: {what}" if key else f"{place}: {what}"

@@ -1,0 +1,89 @@
+"""What a YAML scalar means to a ROS 2 node.
+
+ROS 2 does not use YAML's own schema: ``rcl_yaml_param_parser`` tries a list of words, then C's ``strtol``
+with base 0, then ``strtod``, and takes the rest for a string. ``0x1827`` is an integer, ``010`` is 8, ``08`` and
+``1e3`` are floats, ``yes`` is true, ``0o17`` and ``1_000`` are strings, and so is anything in quotes.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+
+_WORDS = {
+    word: value
+    for value, words in ((True, "y yes true on"), (False, "n no false off"))
+    for lower in words.split()
+    for word in (lower, lower.capitalize(), lower.upper())
+}
+_SPECIALS = {
+    sign + word: float(sign + word[1:])
+    for word in (".inf", ".Inf", ".INF", ".nan", ".NaN", ".NAN")
+    for sign in (("", "+", "-") if "i" in word.lower().split("n")[0] else ("",))
+}
+# The whole text must match, after the white space that strtol and strtod skip. ASCII digits only, as in C.
+_INTEGER = re.compile(r"[ \t-\r]*([+-]?)(?:0[xX]([0-9a-fA-F]+)|(0[0-7]*)|([1-9][0-9]*))")
+_DECIMAL = re.compile(r"[ \t-\r]*[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_HEXADECIMAL = re.compile(
+    r"[ \t-\r]*[+-]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][+-]?[0-9]+)?"
+)
+_NOT_FINITE = re.compile(r"[ \t-\r]*([+-]?)(?i:(inf|infinity)|nan(?:\([0-9a-z_]*\))?)")
+
+
+def read_scalar(text: str, *, quoted: bool = False) -> bool | int | float | str:
+    """Return the value that rcl gives to a scalar.
+
+    Args:
+        text: the scalar, escapes resolved, quotes removed.
+        quoted: it stood in single or double quotes, or under the tag ``!!str``: then it is a string.
+
+    Returns:
+        A bool, an int of 64 bits, a float, or the text itself. An integer too large for 64 bits is a float,
+        and a float that a double cannot hold is a string, because C's conversions report a range error.
+    """
+    if quoted:
+        return text
+    if text in _WORDS:
+        return _WORDS[text]
+    integer = _integer(text)
+    if integer is not None:
+        return integer
+    number = _float(text)
+    return text if number is None else number
+
+
+def _integer(text: str) -> int | None:
+    match = _INTEGER.fullmatch(text)
+    if match is None:
+        return None
+    sign, hexadecimal, octal, decimal = match.groups()
+    digits, base = next((item, base) for item, base in ((hexadecimal, 16), (octal, 8), (decimal, 10)) if item)
+    if len(digits) > 64 and digits.strip("0") == digits:
+        return None  # out of range whatever the digits, and int() refuses thousands of them
+    value = int(sign + (digits.lstrip("0") or "0"), base)
+    return value if -(2**63) <= value < 2**63 else None
+
+
+def _float(text: str) -> float | None:
+    if text in _SPECIALS:
+        return _SPECIALS[text]
+    if match := _NOT_FINITE.fullmatch(text):
+        sign = -1.0 if match[1] == "-" else 1.0
+        return math.copysign(math.inf if match[2] else math.nan, sign)
+    if _HEXADECIMAL.fullmatch(text):
+        mantissa = re.split("[pP]", text.lstrip(" \t\n\v\f\r"))[0].lstrip("+-")[2:]
+        try:
+            value = float.fromhex(text)
+        except OverflowError:
+            return None
+    elif _DECIMAL.fullmatch(text):
+        mantissa = re.split("[eE]", text)[0]
+        value = float(text)
+    else:
+        return None
+    if math.isinf(value):
+        return None
+    # A subnormal result, or a zero made of other digits, is glibc's ERANGE too.
+    underflow = abs(value) < sys.float_info.min and re.search("[1-9a-fA-F]", mantissa) is not None
+    return None if underflow else value
