@@ -44,7 +44,7 @@ class Link(IntEnum):
 
 
 class Finding(IntFlag):
-    """A departure from what the protocols say or the receivers accept; a bit each, so that a column holds them all.
+    """A departure from what the protocols say or the receivers accept; a bit each, so one column holds all.
 
     The bits are recorded in ``/edoras/datagrams``: never renumber one, append.
     """
@@ -88,6 +88,9 @@ class Finding(IntFlag):
         return [bit.label for bit in self]
 
 
+NO_FINDINGS = Finding(0)
+
+
 @dataclass(frozen=True, slots=True)
 class Endpoint:
     """An IP address in text form and a UDP port."""
@@ -123,7 +126,7 @@ class Datagram:
     original_length: int
     source: Endpoint
     destination: Endpoint
-    findings: Finding = Finding(0)
+    findings: Finding = NO_FINDINGS
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +192,9 @@ class PacketBatch:
             payload=self.data[offset:payload_end].tobytes(),
             payload_offset=offset - frame_offset if inside else -1,
             original_length=int(self.original_length[index]),
-            source=Endpoint(self.address(int(self.source_address[index]), index), int(self.source_port[index])),
+            source=Endpoint(
+                self.address(int(self.source_address[index]), index), int(self.source_port[index])
+            ),
             destination=Endpoint(
                 self.address(int(self.destination_address[index]), index), int(self.destination_port[index])
             ),

@@ -50,7 +50,9 @@ def msg_id(fields: dict[str, int]) -> int:
     )
 
 
-def emit(msg_id: int, total_length: int, *, sequence_flags: int = UNSEGMENTED, sequence_count: int = 0) -> bytes:
+def emit(
+    msg_id: int, total_length: int, *, sequence_flags: int = UNSEGMENTED, sequence_count: int = 0
+) -> bytes:
     """Write a primary header.
 
     Args:

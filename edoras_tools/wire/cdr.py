@@ -16,7 +16,12 @@ ENCAPSULATION: Final = Layout(
         "representation",
         16,
         "how the body is encoded; alignment counts from the byte after this header",
-        names={CDR_BE: "CDR big-endian", CDR_LE: "CDR little-endian", 2: "PL_CDR big-endian", 3: "PL_CDR little-endian"},
+        names={
+            CDR_BE: "CDR big-endian",
+            CDR_LE: "CDR little-endian",
+            2: "PL_CDR big-endian",
+            3: "PL_CDR little-endian",
+        },
         base=16,
         clause="RTPS 10.5",
     ),

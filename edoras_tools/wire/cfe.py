@@ -22,7 +22,9 @@ COMMAND: Final = Layout(
     "cFE Command Header",
     Field("reserved", 1, "always 0"),
     Field("function_code", 7, "EDORAS apps: 0 no-op, 1 set"),
-    Field("checksum", 8, "0xFF XOR every byte of the packet; the bridges send 0, no app here checks it", base=16),
+    Field(
+        "checksum", 8, "0xFF XOR every byte of the packet; the bridges send 0, no app here checks it", base=16
+    ),
 )
 TELEMETRY: Final = Layout(
     "cfe_telemetry",
@@ -82,14 +84,14 @@ SOFTWARE_BUS_HOUSEKEEPING: Final = Layout(
 )
 """Payload of telemetry 0x0803."""
 
-COMMAND_HEADER_BYTES: Final = ccsds.PRIMARY.bytes + COMMAND.bytes
-TELEMETRY_HEADER_BYTES: Final = ccsds.PRIMARY.bytes + TELEMETRY.bytes
+COMMAND_HEADER_BYTES: Final = ccsds.PRIMARY.size + COMMAND.size
+TELEMETRY_HEADER_BYTES: Final = ccsds.PRIMARY.size + TELEMETRY.size
 EVENT_MSG_ID: Final = 0x0808
 SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: Final = 0x0803
 
 
 def checksum(packet: bytes | memoryview) -> int:
-    """Return 0xFF XOR every byte: the checksum field of a packet whose own is 0, and 0 for a packet that is right."""
+    """Return 0xFF XOR every byte: the checksum of a packet whose field is 0; 0 for a packet that is right."""
     # XOR is blind to order, so whole words fold first.
     data = bytes(packet) + bytes(-len(packet) % 8)
     word = 0
@@ -106,7 +108,7 @@ def is_command(msg_id: int) -> bool:
 
 
 def extended_msg_id(apid: int, packet_type: int, subsystem_id: int) -> int:
-    """Return the MsgId of a packet with the extended header, as cFE's ``CFE_MSG_GetMsgId`` (version 2) makes it."""
+    """Return the MsgId of a packet with the extended header, as cFE's ``CFE_MSG_GetMsgId`` makes it."""
     return (apid & 0x7F) | packet_type << 7 | (subsystem_id & 0xFF) << 8
 
 

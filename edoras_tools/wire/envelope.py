@@ -1,7 +1,8 @@
 """The EDORAS envelope: two lengths in front of the CDR, in the sender's native word size and order.
 
 A bridge copies ``buffer_length`` and ``buffer_capacity`` of an ``rcutils_uint8_array_t`` (two ``size_t``) and
-then the CDR. A 64-bit little-endian sender makes 8 + 8 bytes; a 32-bit one 4 + 4; the EDORAS paper describes 1 + 1.
+then the CDR. A 64-bit little-endian sender makes 8 + 8 bytes; a 32-bit one 4 + 4; the EDORAS paper describes
+1 + 1.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class EnvelopeFormat:
     byte_order: Literal["little", "big"] = "little"
 
     @property
-    def bytes(self) -> int:
+    def size(self) -> int:
         """Bytes in front of the CDR."""
         return 2 * self.width
 
@@ -110,7 +111,7 @@ def detect(data: bytes | memoryview, offset: int = 0) -> EnvelopeFormat | None:
             length, capacity = item.parse(data, offset)
         except TruncatedError:
             continue
-        start = offset + item.bytes
+        start = offset + item.size
         representation = int.from_bytes(data[start : start + 2], "big")
         if (
             4 <= length <= min(capacity, len(data) - start)

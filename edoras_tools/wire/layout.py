@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Kind = Literal["uint", "int", "text", "bytes"]
-_NO_NAMES: Mapping[int, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +41,7 @@ class Field:
     bits: int
     doc: str
     kind: Kind = "uint"
-    names: Mapping[int, str] = field(default=_NO_NAMES)
+    names: Mapping[int, str] = field(default_factory=dict)
     base: Literal[10, 16] = 10
     clause: str = ""
 
@@ -82,7 +80,7 @@ class Layout:
         name: the layer's short name, as ``ccsds``.
         title: the layer's name for people.
         slots: the fields with their places, in wire order.
-        bytes: the header's length.
+        size: the header's length in bytes.
         byte_order: ``big`` or ``little``; bit fields are packed from the most significant bit of a big-endian
             word, so a little-endian layout holds whole bytes only.
     """
@@ -104,7 +102,7 @@ class Layout:
         if bit % 8:
             raise ValueError(f"{name}: {bit} bits are no whole number of bytes")
         self.slots: tuple[Slot, ...] = tuple(slots)
-        self.bytes = bit // 8
+        self.size = bit // 8
 
     @cached_property
     def by_name(self) -> Mapping[str, Slot]:
@@ -118,10 +116,10 @@ class Layout:
             field name to int, str (``text``, cut at the first NUL) or bytes.
 
         Raises:
-            TruncatedError: fewer than ``bytes`` bytes are there.
+            TruncatedError: fewer than ``size`` bytes are there.
         """
-        if len(data) - offset < self.bytes:
-            raise TruncatedError(self.name, offset, self.bytes, max(0, len(data) - offset))
+        if len(data) - offset < self.size:
+            raise TruncatedError(self.name, offset, self.size, max(0, len(data) - offset))
         return {slot.field.name: self.read(slot, data, offset) for slot in self.slots}
 
     def read(self, slot: Slot, data: bytes | memoryview, offset: int = 0) -> Any:
@@ -142,7 +140,7 @@ class Layout:
         """
         for name in values.keys() - self.by_name.keys():
             raise FieldError(self.name, name, f"no such field; there are {', '.join(self.by_name)}")
-        out = bytearray(self.bytes)
+        out = bytearray(self.size)
         for slot in self.slots:
             value = values.get(slot.field.name, 0)
             size = slot.end - slot.start
@@ -160,7 +158,9 @@ class Layout:
     def _bits(self, slot: Slot, value: int) -> int:
         low, high = (-(slot.mask >> 1) - 1, slot.mask >> 1) if slot.field.kind == "int" else (0, slot.mask)
         if not low <= value <= high:
-            raise FieldError(self.name, slot.field.name, f"{value} exceeds {slot.field.bits} bits ({low} to {high})")
+            raise FieldError(
+                self.name, slot.field.name, f"{value} exceeds {slot.field.bits} bits ({low} to {high})"
+            )
         return value & slot.mask
 
     def column(self, name: str, window: NDArray[np.uint8], at: int = 0) -> NDArray[Any]:

@@ -48,7 +48,12 @@ LEGACY_HEADER: Final = Layout(
 SUBSCRIPTIONS: Final = Layout(
     "sbn_sub",
     "SBN Subscriptions",
-    Field("ident", 8 * IDENT_BYTES, "$Id of the sender's SBN; another than the receiver's is refused", kind="text"),
+    Field(
+        "ident",
+        8 * IDENT_BYTES,
+        "$Id of the sender's SBN; another than the receiver's is refused",
+        kind="text",
+    ),
     Field("count", 16, "entries that follow"),
 )
 SUBSCRIPTION: Final = Layout(
@@ -58,7 +63,9 @@ SUBSCRIPTION: Final = Layout(
     Field("priority", 8, "quality of service: priority"),
     Field("reliability", 8, "quality of service: reliability"),
 )
-PROTO: Final = Layout("sbn_proto", "SBN Protocol", Field("protocol_version", 8, "11 here; another is refused"))
+PROTO: Final = Layout(
+    "sbn_proto", "SBN Protocol", Field("protocol_version", 8, "11 here; another is refused")
+)
 
 
 class Peer(NamedTuple):
@@ -110,11 +117,12 @@ def parse_subscriptions(payload: bytes | memoryview) -> tuple[str, tuple[Subscri
         TruncatedError: fewer entries are there than the count says.
     """
     head = SUBSCRIPTIONS.parse(payload)
-    need = SUBSCRIPTIONS.bytes + head["count"] * SUBSCRIPTION.bytes
+    need = SUBSCRIPTIONS.size + head["count"] * SUBSCRIPTION.size
     if len(payload) < need:
         raise TruncatedError("sbn_sub", 0, need, len(payload))
     entries = tuple(
-        Subscription(**SUBSCRIPTION.parse(payload, at)) for at in range(SUBSCRIPTIONS.bytes, need, SUBSCRIPTION.bytes)
+        Subscription(**SUBSCRIPTION.parse(payload, at))
+        for at in range(SUBSCRIPTIONS.size, need, SUBSCRIPTION.size)
     )
     return head["ident"], entries
 
