@@ -1,0 +1,129 @@
+"""Chains of records: the place of the next record is known only from the length of the one before it.
+
+pcap records, pcapng blocks, the packets of a TPACKET_V3 block and MCAP records are all such chains. ``walk``
+follows many stretches of one chain at a time: it starts at the one place known to be a record and at
+*seeds*, places that look like records, and moves all of them on together, a numpy operation for one step of each.
+A stretch counts only when the proven chain runs into its seed, so the result is exactly that of walking from
+record to record, whatever the payloads hold; a bad seed costs time, never truth.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import DTypeLike, NDArray
+
+PADDING = 64
+"""Bytes that must be readable behind the last byte in use, so that header windows never leave a buffer."""
+_LANES = 16
+"""With fewer stretches under way than this, a step of all of them costs more than steps one by one."""
+_BLOCK = 16
+"""Steps between two looks at which stretches have arrived."""
+
+
+def gather(data: NDArray[np.uint8], positions: NDArray[np.integer[Any]], dtype: DTypeLike) -> NDArray[Any]:
+    """Read one value at each of many byte positions, aligned or not.
+
+    Args:
+        data: u8, contiguous.
+        positions: byte positions; each value must lie inside ``data``.
+        dtype: what to read, with its byte order; a structured type reads a whole header.
+
+    Returns:
+        A fresh array of ``dtype``, one element a position.
+    """
+    width = np.dtype(dtype).itemsize
+    view = np.ndarray((max(data.size - width + 1, 0),), dtype=f"V{width}", buffer=data, strides=(1,))
+    values: NDArray[Any] = view[positions].view(dtype)
+    return values
+
+
+def walk(
+    start: int,
+    end: int,
+    seeds: NDArray[np.int64],
+    successor: Callable[[NDArray[np.int64]], NDArray[np.int64]],
+    step: Callable[[int], int],
+) -> tuple[NDArray[np.int64], int]:
+    """Follow a chain of records from ``start`` as far as they are whole.
+
+    Args:
+        start: position of the first record.
+        end: one past the last byte that is there.
+        seeds: increasing positions that may be records; none is needed, good ones make it fast.
+        successor: position of the record after each of the given ones, never less than the given one; the
+            given one itself where the chain cannot go on. It is asked about positions up to ``end + 1``.
+        step: the same for one position.
+
+    Returns:
+        The positions of all whole records (those whose successor is not past ``end``), and the position
+        where the walk stopped: ``end``, or the first record that is not whole or cannot be passed.
+    """
+    seeds = seeds[(seeds > start) & (seeds < end)]
+    starts = np.concatenate((np.array([start], dtype=np.int64), seeds))
+    found, counts, landings = _march(starts, np.append(seeds, end), end, successor)
+    bases = np.cumsum(counts) - counts
+    joined = landings[:-1] == starts[1:]
+    if joined.all() and landings[-1] == end:
+        return found, end
+    # The last lane is a break too: nothing follows it.
+    breaks = np.append(np.flatnonzero(~joined), len(starts) - 1)
+    lane_at = {int(position): lane for lane, position in enumerate(starts)}
+    pieces: list[NDArray[np.int64]] = []
+    lane = 0
+    while True:
+        last = int(breaks[np.searchsorted(breaks, lane)])
+        pieces.append(found[bases[lane] : bases[last] + counts[last]])
+        position = int(landings[last])
+        singles: list[int] = []
+        while position not in lane_at or lane_at[position] <= last:
+            after = step(position) if position < end else position
+            if not position < after <= end:
+                pieces.append(np.array(singles, dtype=np.int64))
+                return np.concatenate(pieces), position
+            singles.append(position)
+            position = after
+        pieces.append(np.array(singles, dtype=np.int64))
+        lane = lane_at[position]
+
+
+def _march(
+    starts: NDArray[np.int64],
+    limits: NDArray[np.int64],
+    end: int,
+    successor: Callable[[NDArray[np.int64]], NDArray[np.int64]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Walk every stretch from its start up to its limit, all of them in step.
+
+    Returns:
+        The whole records below their stretch's limit, stretch by stretch; how many each stretch has; and
+        where each stands: at or past its limit, or short of it when it could not go on or was left behind.
+    """
+    counts = np.zeros(len(starts), dtype=np.int64)
+    landings = starts.copy()
+    lanes = np.arange(len(starts))
+    blocks: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]] = []
+    while len(lanes) >= _LANES:
+        track = np.empty((_BLOCK + 1, len(lanes)), dtype=np.int64)
+        track[0] = landings[lanes]
+        for here, there in pairwise(track):
+            np.minimum(successor(here), end + 1, out=there)
+        here, there = track[:-1], track[1:]
+        whole = (here < limits[lanes]) & (there > here) & (there <= end)
+        steps = whole.sum(axis=0)
+        blocks.append((lanes, here, whole))
+        counts[lanes] += steps
+        landings[lanes] = track[steps, np.arange(len(lanes))]
+        lanes = lanes[steps == _BLOCK]
+    found = np.empty(int(counts.sum()), dtype=np.int64)
+    bases = np.cumsum(counts) - counts
+    for number, (block_lanes, here, whole) in enumerate(blocks):
+        slots = bases[block_lanes] + (np.arange(_BLOCK) + number * _BLOCK)[:, None]
+        found[slots[whole]] = here[whole]
+    return found, counts, landings

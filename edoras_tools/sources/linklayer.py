@@ -1,0 +1,243 @@
+"""Captured frames to UDP datagrams, in columns: link layer, VLAN tags, IPv4, IPv6 and their fragments.
+
+Every source of frames ends here. One row comes out for each frame that carries UDP over IP:
+
+- A payload is what the UDP length says, at most what IP says, at most what was captured; so padding of short
+  Ethernet frames stays out. A UDP length of 0 or more than IP holds is not believed: IP's is taken.
+- ``CAPTURE_CUT`` is set where the capture cut the frame, or IP says more than the frame holds.
+- A fragment's row has no payload and ``FRAGMENT`` set, so that all frames can be written out again. The row
+  of the fragment that completes the datagram carries the whole payload, put behind the frames in the batch's
+  ``data``, and ``FRAGMENT`` is not set. Ports are 0 until the first fragment of a datagram was seen.
+
+Frames that are no UDP over IP, or whose IP header is not whole or not sound, are skipped and counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.model import Finding, PacketBatch
+from edoras_tools.sources.fragments import Fragment, Reassembler
+from edoras_tools.sources.framing import PADDING, gather
+from edoras_tools.sources.network import UDP_BYTES, UDP_HEADER, Transport, ipv4, ipv6, merge
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_PROTOCOL_FIELD = {1: (14, 12), 113: (16, 14), 276: (20, 0)}
+"""Bytes of link header, and where its EtherType is: Ethernet, Linux cooked v1 and v2."""
+_FAMILY_FIELD = (0, 108)
+"""BSD loopback: 4 bytes of address family, in the order of the capturing host (0) or the network's (108)."""
+_RAW = (12, 14, 101, 228, 229)
+"""Raw IP: no link header; the first nibble tells the version."""
+_VLAN = (0x8100, 0x88A8, 0x9100)
+_IPV4 = 0x0800
+_IPV6 = 0x86DD
+_FAMILY_VERSION = {2: 4, 10: 6, 24: 6, 28: 6, 30: 6}
+"""AF_INET is 2 everywhere; AF_INET6 differs on Linux, NetBSD and OpenBSD, FreeBSD, macOS."""
+
+LINK_TYPES = frozenset({*_PROTOCOL_FIELD, *_FAMILY_FIELD, *_RAW})
+"""pcap LINKTYPEs that can be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameBatch:
+    """Captured frames in columns over one contiguous byte buffer; all arrays have one length.
+
+    Attributes:
+        data: u8. ``PADDING`` bytes behind the last frame should be readable; if not, the buffer is copied.
+        number: i64, place of the frame in its source, from 1.
+        time_ns: i64, capture time, ns since 1970-01-01 UTC.
+        link_type: u16, pcap LINKTYPE.
+        offset: i64, start of the frame in ``data``.
+        length: i32, captured bytes.
+        original_length: i32, bytes on the wire.
+    """
+
+    data: NDArray[np.uint8]
+    number: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    link_type: NDArray[np.uint16]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int32]
+    original_length: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+def demux(frames: FrameBatch) -> PacketBatch:
+    """Turn frames into datagrams, with no memory of earlier frames; see ``Demux``."""
+    return Demux().demux(frames)
+
+
+class Demux:
+    """Turns frames into datagrams; remembers fragments from batch to batch.
+
+    Attributes:
+        skipped: frames so far that were no UDP over IP.
+        unknown_link_types: link types met that cannot be read.
+    """
+
+    def __init__(self) -> None:
+        self.skipped = 0
+        self.unknown_link_types: set[int] = set()
+        self._reassembler = Reassembler()
+
+    @property
+    def incomplete(self) -> int:
+        """Fragmented datagrams that were given up or still lack fragments."""
+        return self._reassembler.abandoned + self._reassembler.pending
+
+    def demux(self, frames: FrameBatch) -> PacketBatch:
+        """Turn frames into datagrams, one row for each frame that carries UDP or a fragment of it."""
+        data, end = frames.data, frames.offset + frames.length
+        if len(frames) and int(end.max()) + PADDING > data.size:
+            data = np.concatenate((data, np.zeros(PADDING, dtype=np.uint8)))
+        network, version = self._locate(data, frames)
+        parts = []
+        for wanted, reader in ((4, ipv4), (6, ipv6)):
+            chosen = version == wanted
+            rows = None if chosen.all() else np.flatnonzero(chosen)
+            if rows is None or len(rows):
+                parts.append((rows, reader(data, _take(network, rows), _take(end, rows))))
+        if not parts:
+            parts.append((None, ipv4(data, network[:0], end[:0])))
+        transport = merge(parts)
+        self.skipped += len(frames) - len(transport.position)
+        return self._datagrams(data, _choose(frames, transport.rows), transport)
+
+    def _locate(
+        self, data: NDArray[np.uint8], frames: FrameBatch
+    ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+        """Find where each network header starts, and the IP version; 0 where there is none."""
+        types = frames.link_type
+        if len(types) and (types == types[0]).all():
+            return self._locate_one(int(types[0]), data, frames.offset, frames.offset + frames.length)
+        network = frames.offset.copy()
+        version = np.zeros(len(frames), dtype=np.uint8)
+        for link_type in np.unique(types):
+            rows = np.flatnonzero(types == link_type)
+            offset = frames.offset[rows]
+            end = offset + frames.length[rows]
+            network[rows], version[rows] = self._locate_one(int(link_type), data, offset, end)
+        return network, version
+
+    def _locate_one(
+        self, link_type: int, data: NDArray[np.uint8], offset: NDArray[np.int64], end: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+        if link_type in _PROTOCOL_FIELD:
+            size, at = _PROTOCOL_FIELD[link_type]
+            return _untag(data, offset + size, gather(data, offset + at, ">u2").astype(np.uint16), end)
+        version = np.zeros(len(offset), dtype=np.uint8)
+        if link_type in _RAW:
+            version[:] = gather(data, offset, np.uint8) >> 4
+            return offset, version
+        if link_type not in _FAMILY_FIELD:
+            self.unknown_link_types.add(link_type)
+            return offset, version
+        family = gather(data, offset, "<u4")
+        for value, number in _FAMILY_VERSION.items():
+            version[(family == value) | (family == value << 24)] = number
+        return offset + 4, version
+
+    def _datagrams(self, data: NDArray[np.uint8], frames: FrameBatch, transport: Transport) -> PacketBatch:
+        """Read UDP headers; ``frames`` and ``transport`` go row by row."""
+        frame_end = frames.offset + frames.length
+        start = np.minimum(transport.position, frame_end)
+        have = np.minimum(transport.end, frame_end) - start
+        udp = gather(data, start, UDP_HEADER)
+        announced = transport.end - transport.position
+        length = udp["length"].astype(np.int64)
+        believed = (length >= UDP_BYTES) & (length <= announced)
+        if not believed.all():
+            length = np.where(believed, length, announced)
+        length = np.minimum(length, have) - UDP_BYTES
+        cut = (transport.end > frame_end) | (frames.length < frames.original_length)
+        batch = PacketBatch(
+            data=data,
+            number=frames.number,
+            time_ns=frames.time_ns,
+            link_type=frames.link_type,
+            frame_offset=frames.offset,
+            frame_length=frames.length,
+            original_length=frames.original_length,
+            offset=np.minimum(start + UDP_BYTES, frame_end),
+            length=np.maximum(length, 0).astype(np.int32),
+            source_address=transport.source,
+            source_port=np.where(have >= 4, udp["source_port"], 0).astype(np.uint16),
+            destination_address=transport.destination,
+            destination_port=np.where(have >= 4, udp["destination_port"], 0).astype(np.uint16),
+            ip_version=transport.version,
+            capture_findings=cut * np.uint32(Finding.CAPTURE_CUT),
+            ipv6=transport.addresses,
+        )
+        return self._assemble(batch, transport) if transport.fragment.any() else batch
+
+    def _assemble(self, batch: PacketBatch, transport: Transport) -> PacketBatch:
+        """Write the rows of fragments into the fresh columns of ``batch``, and add what became complete."""
+        data, used = [batch.data], batch.data.size
+        frame_end = batch.frame_offset + batch.frame_length
+        for row in np.flatnonzero(transport.fragment).tolist():
+            start, end = int(transport.position[row]), int(transport.end[row])
+            payload, ports = self._reassembler.add(
+                Fragment(
+                    key=_key(batch, row, int(transport.identification[row])),
+                    time_ns=int(batch.time_ns[row]),
+                    start=int(transport.fragment[row]) & 0xFFF8,
+                    more=bool(transport.fragment[row] & 1),
+                    whole=end <= frame_end[row],
+                    data=batch.data[start : min(end, int(frame_end[row]))].tobytes(),
+                )
+            )
+            batch.source_port[row], batch.destination_port[row] = ports
+            if payload is None or len(payload) < UDP_BYTES:
+                batch.length[row] = 0
+                batch.capture_findings[row] |= Finding.FRAGMENT
+                continue
+            announced = int.from_bytes(payload[4:6])
+            size = announced if UDP_BYTES <= announced <= len(payload) else len(payload)
+            data.append(np.frombuffer(payload, dtype=np.uint8)[UDP_BYTES:size])
+            batch.offset[row], batch.length[row] = used, size - UDP_BYTES
+            used += size - UDP_BYTES
+        data.append(np.zeros(PADDING, dtype=np.uint8))
+        return replace(batch, data=np.concatenate(data))
+
+
+def _untag(
+    data: NDArray[np.uint8],
+    position: NDArray[np.int64],
+    protocol: NDArray[np.uint16],
+    end: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    """Step over VLAN tags (IEEE 802.1Q, nested too) and tell the IP version from the EtherType."""
+    rows = np.flatnonzero(np.isin(protocol, _VLAN))
+    while len(rows := rows[position[rows] + 4 <= end[rows]]):
+        protocol[rows] = gather(data, position[rows] + 2, ">u2")
+        position[rows] += 4
+        rows = rows[np.isin(protocol[rows], _VLAN)]
+    version = (protocol == _IPV4) * np.uint8(4) + (protocol == _IPV6) * np.uint8(6)
+    return position, version
+
+
+def _key(batch: PacketBatch, row: int, identification: int) -> tuple[int, int, bytes, bytes]:
+    version = int(batch.ip_version[row])
+    addresses = int(batch.source_address[row]), int(batch.destination_address[row])
+    if version == 6:
+        return version, identification, batch.ipv6[addresses[0]], batch.ipv6[addresses[1]]
+    return version, identification, addresses[0].to_bytes(4), addresses[1].to_bytes(4)
+
+
+def _take(column: NDArray[np.int64], rows: NDArray[np.int64] | None) -> NDArray[np.int64]:
+    return column if rows is None else column[rows]
+
+
+def _choose(frames: FrameBatch, rows: NDArray[np.int64] | None) -> FrameBatch:
+    if rows is None:
+        return frames
+    return FrameBatch(
+        frames.data, *(getattr(frames, item.name)[rows] for item in fields(FrameBatch) if item.name != "data")
+    )
