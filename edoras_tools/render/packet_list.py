@@ -1,0 +1,235 @@
+"""One line a packet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.render import palette, units
+from edoras_tools.render.facts import facts, link_name
+from edoras_tools.render.severity import EXPLANATIONS, Severity, ranked
+from edoras_tools.render.text import clean, clip, clip_left, clip_middle, fit, fit_right
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from edoras_tools.model import Decoded, Endpoint
+
+
+class TimeFormat(StrEnum):
+    """How the packet list tells time."""
+
+    RELATIVE = "relative"
+    """Seconds since the first packet."""
+    DELTA = "delta"
+    """Seconds since the packet before."""
+    UTC = "utc"
+    """Date, where there is room, and time of day."""
+    EPOCH = "epoch"
+    """Seconds since 1970-01-01 UTC, as in flight logs."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """Cells of every column at one terminal width; 0 leaves the column out, and ``info`` has what is left."""
+
+    number: int
+    time: int
+    endpoints: int
+    kind: int
+    msg_id: int
+    name: int
+    length: int
+    info: int
+    gap: str
+
+
+_TIME_CELLS: Final = {
+    TimeFormat.RELATIVE: (9, 11, 11),
+    TimeFormat.DELTA: (9, 11, 11),
+    TimeFormat.UTC: (12, 15, 26),
+    TimeFormat.EPOCH: (17, 17, 17),
+}
+_PORTS, _COMPACT, _FULL = 11, 27, 45
+_KIND_CELLS: Final = 9
+_SHORT_KINDS: Final = {"NO_MSG": "NONE", "HEARTBEAT": "BEAT", "ANNOUNCE": "ANNC", "DISCONNECT": "DISC"}
+"""SBN message types in a column of ``_KIND_CELLS``, the link's name in front."""
+
+
+@lru_cache(maxsize=64)
+def _plan(width: int, time_format: TimeFormat) -> _Plan:
+    narrow, medium, wide = _TIME_CELLS[time_format]
+    columns = (7, wide, _FULL if width >= 180 else _COMPACT, 14, 6, 28, 5)
+    if width < 64:
+        columns = (5, narrow if width >= 48 else 0, 0, 7, 0, 0, 0)
+    elif width < 100:
+        columns = (5, narrow, 0, _KIND_CELLS, 6, width // 6 - 1, 4)
+    elif width < 140:
+        columns = (6, medium, _PORTS, _KIND_CELLS, 6, width // 6, 5)
+    gap = " " if width < 120 else "  "
+    taken = sum(cells + len(gap) for cells in columns if cells)
+    return _Plan(*columns, info=max(0, width - taken), gap=gap)
+
+
+class PacketList:
+    """Turns packets into lines that never exceed the terminal.
+
+    Args:
+        width: columns of the terminal, at least 20.
+        colour: whether to use ANSI styles.
+        time_format: how to tell time.
+        names: MsgId to a name, for packets that hold no message of a configured topic.
+        verbose: show notes too, not only warnings and errors.
+    """
+
+    def __init__(
+        self,
+        width: int,
+        *,
+        colour: bool,
+        time_format: TimeFormat = TimeFormat.RELATIVE,
+        names: Mapping[int, str] | None = None,
+        verbose: bool = False,
+    ) -> None:
+        self._paint = palette.Paint(colour)
+        self._time_format = time_format
+        self._names = names or {}
+        self._at_least = Severity.NOTE if verbose else Severity.WARNING
+        self._first_ns: int | None = None
+        self._previous_ns = 0
+        self.resize(width)
+
+    def resize(self, width: int) -> None:
+        """Lay the columns out for another width; the lines that follow have it."""
+        self._width = max(20, width)
+        self._plan = _plan(self._width, self._time_format)
+        self._endpoints: dict[tuple[Endpoint, Endpoint], str] = {}
+        self._badges: dict[Finding, tuple[str, int]] = {}
+
+    def header(self) -> str:
+        """Return the line of column names."""
+        plan = self._plan
+        parts = [fit_right("No.", plan.number)]
+        if plan.time:
+            parts.append(fit_right("UTC" if self._time_format is TimeFormat.UTC else "Time", plan.time))
+        if plan.endpoints == _FULL:
+            parts.append(fit(f"{'Source':>21} → Destination", plan.endpoints))
+        elif plan.endpoints:
+            parts.append(fit("Ports" if plan.endpoints == _PORTS else "Source → Destination", plan.endpoints))
+        parts.append(fit("Packet", plan.kind))
+        if plan.msg_id:
+            parts += [
+                fit("MsgId", plan.msg_id),
+                fit("Topic", plan.name),
+                fit_right("Bytes" if plan.length > 4 else "Len", plan.length),
+            ]
+        parts.append("Message")
+        line = clip(plan.gap.join(parts), self._width)
+        return self._paint(line, palette.STRONG)
+
+    def line(self, decoded: Decoded) -> str:
+        """Return a packet's line, without a line end."""
+        plan, paint, datagram = self._plan, self._paint, decoded.datagram
+        kind, msg_id, name = facts(decoded, self._names)
+        style = palette.LINKS[decoded.link]
+
+        number = f"{datagram.number:>{plan.number}}"
+        before = number
+        if plan.time:
+            before += plan.gap + fit_right(self._time(datagram.time_ns), plan.time)
+        if plan.endpoints:
+            before += plan.gap + self._route(datagram.source, datagram.destination)
+        if plan.kind <= _KIND_CELLS:
+            kind = _SHORT_KINDS.get(kind, kind)
+        middle = fit(f"{link_name(decoded.link)} {kind}", plan.kind)
+        if plan.msg_id:
+            label = f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else ""
+            middle += f"{plan.gap}{label:6}{plan.gap}{fit(clip_middle(clean(name), plan.name), plan.name)}"
+        after = plan.gap + f"{len(datagram.payload):>{plan.length}}" if plan.length else ""
+
+        # A number or a length beyond its column is shown whole, and the message gives the room.
+        room = plan.info - (len(number) - plan.number) - max(0, len(after) - len(plan.gap) - plan.length)
+        badge, taken = self._badge(decoded.findings, room)
+        summary = clean(decoded.summary or (str(decoded.stop) if decoded.stop else ""))
+        summary = clip(summary, room - taken)
+        if not self._paint.colour:
+            return f"{before}{plan.gap}{middle}{after}{plan.gap}{badge}{summary}".rstrip()
+        return (
+            f"{paint(before, palette.DIM)}{plan.gap}{paint(middle, style)}{paint(after, palette.DIM)}"
+            f"{plan.gap}{badge}{summary}"
+        ).rstrip()
+
+    def _time(self, time_ns: int) -> str:
+        if self._first_ns is None:
+            self._first_ns = self._previous_ns = time_ns
+        previous, self._previous_ns = self._previous_ns, time_ns
+        width = self._plan.time
+        match self._time_format:
+            case TimeFormat.RELATIVE:
+                return f"{(time_ns - self._first_ns) / 1e9:.6f}"[:width]
+            case TimeFormat.DELTA:
+                return f"{(time_ns - previous) / 1e9:.6f}"[:width]
+            case TimeFormat.EPOCH:
+                return f"{time_ns // 1_000_000_000}.{time_ns // 1000 % 1_000_000:06}"[:width]
+            case TimeFormat.UTC:
+                moment = units.utc(time_ns)
+                return moment[:width] if width == len(moment) else moment[11 : 11 + width]
+
+    def _route(self, source: Endpoint, destination: Endpoint) -> str:
+        known = self._endpoints.get((source, destination))
+        if known is None:
+            if len(self._endpoints) > 4096:
+                self._endpoints.clear()
+            known = self._endpoints[source, destination] = _endpoints(
+                source, destination, self._plan.endpoints
+            )
+        return known
+
+    def _badge(self, findings: Finding, room: int) -> tuple[str, int]:
+        """Return the painted findings that fit in at most half of the room, and the cells they take."""
+        if not findings:
+            return "", 0
+        key = findings if room == self._plan.info else None
+        if key in self._badges:
+            return self._badges[key]
+        made = self._make_badge(ranked(findings, at_least=self._at_least), room)
+        if key is not None:
+            self._badges[key] = made
+        return made
+
+    def _make_badge(self, shown: list[Finding], room: int) -> tuple[str, int]:
+        if not shown or room < 4:
+            return "", 0
+        painted, taken = "", 0
+        for index, item in enumerate(shown):
+            told = EXPLANATIONS[item]
+            label = clip(f"{told.severity.mark} {told.short}", room - 2)
+            if index and taken + 1 + len(label) > room // 2:
+                more = f" +{len(shown) - index}"
+                if taken + len(more) <= room - 2:
+                    painted, taken = painted + self._paint(more, palette.DIM), taken + len(more)
+                break
+            gap = " " if index else ""
+            painted, taken = (
+                painted + gap + self._paint(label, told.severity.style),
+                taken + len(gap) + len(label),
+            )
+        return painted + "  ", taken + 2
+
+
+def _endpoints(source: Endpoint, destination: Endpoint, width: int) -> str:
+    if width == _PORTS:
+        return fit(f"{source.port:>5}→{destination.port}", width)
+    if width == _FULL:
+        half = (width - 3) // 2
+        left, right = clip_left(clean(str(source)), half), clip_left(clean(str(destination)), half)
+        return f"{fit_right(left, half)} → {fit(right, half)}"
+    if source.address == destination.address:
+        ports = f" {source.port}→{destination.port}"
+        return fit(clip_left(clean(source.address), width - len(ports)) + ports, width)
+    half = (width - 1) // 2
+    left, right = clip_left(clean(str(source)), half), clip_left(clean(str(destination)), half)
+    return fit(f"{left}→{right}", width)

@@ -1,0 +1,82 @@
+"""Figures as people read them."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from typing import Final
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+NONE: Final = "-"
+
+
+def count(value: int | None) -> str:
+    """Return ``1,827``; ``-`` where there is none."""
+    return NONE if value is None else f"{value:,}"
+
+
+def rate(hertz: float | None) -> str:
+    """Return ``10.0 Hz``, ``250 Hz``, ``12.4 kHz``; ``-`` where there is none."""
+    if hertz is None:
+        return NONE
+    if abs(hertz) >= 9999.5:
+        return f"{hertz / 1e3:,.1f} kHz"
+    return (
+        f"{hertz:,.0f} Hz"
+        if abs(hertz) >= 99.95
+        else f"{hertz:.1f} Hz"
+        if abs(hertz) >= 1
+        else f"{hertz:.2f} Hz"
+    )
+
+
+def milliseconds(value: float | None) -> str:
+    """Return ``0.42 ms``, ``12.5 ms``, ``1.3 s``; ``-`` where there is none."""
+    if value is None:
+        return NONE
+    if abs(value) >= 999.5:
+        return f"{value / 1e3:,.1f} s"
+    return (
+        f"{value:.0f} ms"
+        if abs(value) >= 99.95
+        else f"{value:.1f} ms"
+        if abs(value) >= 9.995
+        else f"{value:.2f} ms"
+    )
+
+
+def size(octets: float) -> str:
+    """Return ``840 B``, ``12.4 MiB``."""
+    if abs(octets) < 1023.5:
+        return f"{octets:.0f} B"
+    power = next((power for power in (1, 2, 3) if abs(octets) < 1023.95 * 1024**power), 4)
+    return f"{octets / 1024**power:,.1f} {'BKMGT'[power]}iB"
+
+
+def duration(seconds: float) -> str:
+    """Return ``65.1 s``, ``3:24``, ``1:02:03``, ``2 d 1:02:03``."""
+    if seconds < 99.95:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    days, hours, minutes, whole = whole // 86400, whole // 3600 % 24, whole // 60 % 60, whole % 60
+    clock = f"{hours}:{minutes:02}:{whole:02}" if days or hours else f"{minutes}:{whole:02}"
+    return f"{days} d {clock}" if days else clock
+
+
+def utc(time_ns: int, *, digits: int = 6) -> str:
+    """Return ``2026-11-21 06:36:42.553538``.
+
+    Args:
+        time_ns: since 1970-01-01 UTC; what lies outside the years 1 to 9999 is given in seconds.
+        digits: of the second's fraction, 0 to 6.
+    """
+    try:
+        moment = _EPOCH + timedelta(microseconds=time_ns // 1000)
+    except OverflowError:
+        return f"{time_ns / 1e9:.{digits}f} s"
+    text = f"{moment:%Y-%m-%d %H:%M:%S.%f}"
+    return text[: len(text) - 6 + digits] if digits else text[:-7]
+
+
+def plural(number: int, noun: str) -> str:
+    """Return ``1 packet``, ``1,827 packets``."""
+    return f"{number:,} {noun}" + ("" if number == 1 else "s")
