@@ -1,0 +1,245 @@
+"""Recordings: MCAP files that open in Foxglove, with rosbags and with any other reader as they are."""
+
+from __future__ import annotations
+
+import json
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from edoras_tools import __version__
+from edoras_tools.errors import CaptureError
+from edoras_tools.model import Finding
+from edoras_tools.sinks.mcap_cfe import event_messages, software_bus_messages
+from edoras_tools.sinks.mcap_chunks import ChunkWriter
+from edoras_tools.sinks.mcap_clock import MissionClock
+from edoras_tools.sinks.mcap_datagrams import datagram_messages, ros_messages
+from edoras_tools.sinks.mcap_file import McapFile
+from edoras_tools.sinks.mcap_statistics import LinkStatistics
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
+    from edoras_tools.ros import TypeStore
+
+METADATA_NAME = "edoras"
+"""The metadata record of a whole recording."""
+OPENING_METADATA_NAME = "edoras_opening"
+"""What is known of it when it is opened, so that a cut-off recording says it too."""
+
+_TYPES = {
+    "/edoras/datagrams": "edoras_msgs/msg/Datagram",
+    "/edoras/events": "rcl_interfaces/msg/Log",
+    "/edoras/software_bus": "edoras_msgs/msg/SoftwareBusHousekeeping",
+    "/edoras/link_statistics": "edoras_msgs/msg/LinkStatistics",
+}
+
+_STEPS = 8
+"""When files are split by size, it is looked at so many times on the way to that size."""
+_ROW_BYTES = 200
+"""About what a datagram's messages take besides its frame."""
+
+
+class McapSink:
+    """Writes batches to an MCAP file, or to several where it is to be split.
+
+    Messages lie in the order of the batches: of each datagram first itself, whole, then the ROS message or cFE
+    message inside it. ``log_time`` is the capture time, ``publish_time`` the packet's own time mapped to UTC
+    (``MissionClock``), ``sequence`` the packet sequence count.
+
+    Args:
+        path: the file, replaced if it exists; when split ``NAME_0.mcap``, ``NAME_1.mcap`` and so on.
+        mission: its routes become channels, its files attachments.
+        types: gives the schemas.
+        info: of the source, for the metadata record.
+        filter: the filter that chose the datagrams, for the metadata record.
+        split_bytes: begin a new file before one grows larger than about this; 0 never.
+        split_ns: begin a new file when one covers this much capture time; 0 never.
+        datagrams: whether to write ``/edoras/datagrams``.
+        statistics: the source's, if its kernel drops are to show in ``/edoras/link_statistics`` as they happen.
+
+    Attributes:
+        files: what was written, one a file, with its summary.
+
+    Raises:
+        CaptureError: from every method: the file cannot be written.
+        RouteError: a route's type is not known.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        mission: Mission,
+        types: TypeStore,
+        info: SourceInfo,
+        *,
+        filter: str = "",  # noqa: A002  what the option is called everywhere
+        split_bytes: int = 0,
+        split_ns: int = 0,
+        datagrams: bool = True,
+        statistics: SourceStatistics | None = None,
+    ) -> None:
+        self._path = Path(path)
+        self._mission = mission
+        self._info = info
+        self._filter = filter
+        self._split_bytes = split_bytes
+        self._split_ns = split_ns
+        self._datagrams = datagrams
+        self._definitions = {
+            name: types.definition(name)
+            for name in [*_TYPES.values(), *dict.fromkeys(route.type for route in mission.routes)]
+        }
+        self._clock = MissionClock()
+        self._live = statistics
+        self._statistics = LinkStatistics(mission, statistics)
+        self._state: Literal["open", "failed", "closed"] = "open"
+        self.files: list[McapFile] = []
+        self._open_file()
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take a batch and what was read from it; both are copied."""
+        first = 0
+        while first < len(batch):
+            last = self._make_room(batch, first)
+            rows = slice(first, last)
+            whole = last - first == len(batch)
+            with self._failing():
+                self._append(*(batch, columns) if whole else (batch.take(rows), columns.take(rows)))
+            first = last
+
+    def flush(self) -> None:
+        """End the chunk under way and get it out of the process: a killed recorder loses only what came after."""
+        with self._failing():
+            self._chunks.flush()
+
+    def close(self, statistics: SourceStatistics) -> None:
+        """Write what is left, the metadata and the summary; after a failed write only close the file."""
+        if self._state == "open":
+            with self._failing():
+                self._chunks.append([self._statistics.finish(self._channels["/edoras/link_statistics"])], 1)
+                self._close_file(statistics)
+            self._state = "closed"
+
+    def _append(self, batch: PacketBatch, columns: Columns) -> None:
+        published = self._clock.publish_times(batch.time_ns, columns)
+        ids = self._channels
+        streams = [self._statistics.messages(batch, columns, ids["/edoras/link_statistics"])]
+        if self._datagrams:
+            streams.append(datagram_messages(batch, columns, ids["/edoras/datagrams"], published))
+        streams += [
+            ros_messages(batch, columns, self._route_ids, published),
+            event_messages(batch, columns, ids["/edoras/events"], published),
+            software_bus_messages(batch, columns, ids["/edoras/software_bus"], published),
+        ]
+        self._chunks.append(streams, len(batch))
+        self._count += len(batch)
+
+    def _make_room(self, batch: PacketBatch, first: int) -> int:
+        """Begin a new file if row ``first`` needs one; return how far the batch may go into the file."""
+        last = len(batch)
+        if self._split_ns:
+            late = np.flatnonzero(batch.time_ns[first:] - self._start_ns >= self._split_ns)
+            if self._count and len(late) and late[0] == 0:
+                self._next_file()
+            if self._count == 0:
+                self._start_ns = int(batch.time_ns[first])
+                late = np.flatnonzero(batch.time_ns[first:] - self._start_ns >= self._split_ns)
+            last = first + int(late[0]) if len(late) else last
+        if self._split_bytes:
+            if self._chunks.size_bound >= self._split_bytes:
+                self.flush()
+                if self._count and self.files[-1].size >= self._split_bytes * (1 - 1 / _STEPS):
+                    self._start_ns = int(batch.time_ns[first])
+                    self._next_file()
+            filled = np.cumsum(batch.frame_length[first:last].astype(np.int64) + _ROW_BYTES)
+            step = int(np.searchsorted(filled, self._split_bytes // _STEPS))
+            last = min(last, first + max(step, 1))
+        return last
+
+    def _next_file(self) -> None:
+        with self._failing():
+            self._close_file(self._live)
+            self._open_file()
+
+    def _open_file(self) -> None:
+        path = self._path
+        if self._split_bytes or self._split_ns:
+            path = path.with_name(f"{path.stem}_{len(self.files)}{path.suffix}")
+        file = McapFile(path)
+        self.files.append(file)
+        self._count = 0
+        self._start_ns = 0
+        schemas = {name: file.add_schema(name, text) for name, text in self._definitions.items()}
+        self._channels = {
+            topic: file.add_channel(topic, schemas[name], {})
+            for topic, name in _TYPES.items()
+            if self._datagrams or topic != "/edoras/datagrams"
+        }
+        self._route_ids = np.array(
+            [
+                file.add_channel(
+                    route.topic,
+                    schemas[route.type],
+                    {
+                        "link": route.link.label,
+                        "msg_id": f"0x{route.msg_id:04X}",
+                        "direction": route.direction,
+                    },
+                )
+                for route in self._mission.routes
+            ],
+            dtype=np.uint16,
+        )
+        file.add_metadata(OPENING_METADATA_NAME, self._opening())
+        file.flush()
+        self._chunks = ChunkWriter(file)
+
+    def _close_file(self, statistics: SourceStatistics | None) -> None:
+        file = self.files[-1]
+        self._chunks.close()
+        for name, data in self._mission.files.items():
+            file.add_attachment(name, "application/yaml", data, file.summary.start_ns or 0)
+        counted = (
+            {}
+            if statistics is None
+            else {"kernel_drops": statistics.kernel_drops, "skipped": statistics.skipped}
+        )
+        file.add_metadata(
+            METADATA_NAME,
+            {
+                **self._opening(),
+                "datagrams": str(self._count),
+                "clock_offset_ns": json.dumps(self._clock.offsets()),
+                **{key: str(value) for key, value in counted.items()},
+            },
+        )
+        file.finish()
+
+    def _opening(self) -> dict[str, str]:
+        return {
+            "tool": "edoras-tools",
+            "version": __version__,
+            "source": self._info.name,
+            "source_kind": self._info.kind,
+            "filter": self._filter,
+            "time_resolution_ns": str(self._info.time_resolution_ns),
+            "snap_length": str(self._info.snap_length),
+            "findings": json.dumps({bit.label: int(bit) for bit in Finding}),
+        }
+
+    @contextmanager
+    def _failing(self) -> Iterator[None]:
+        """After the first failed write the file is closed as it is: closing the sink must not fail again."""
+        if self._state != "open":
+            raise CaptureError(f"{self.files[-1].path}: the recording is {self._state}")
+        try:
+            yield
+        except CaptureError:
+            self._state = "failed"
+            self.files[-1].abandon()
+            raise

@@ -1,0 +1,209 @@
+"""cFE's own telemetry to messages: events for Foxglove's log panel, Software Bus housekeeping."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.model import Link
+from edoras_tools.sinks.mcap_rows import ENCAPSULATION, RECORD, Messages, copy_rows, fill_record
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns, PacketBatch
+
+_EVENT_MSG_ID = 0x0808
+_SOFTWARE_BUS_MSG_ID = 0x0803
+
+_EVENT = np.dtype(
+    [
+        ("app_name", "u1", 20),
+        ("event_id", "<u2"),
+        ("event_type", "<u2"),
+        ("spacecraft_id", "<u4"),
+        ("processor_id", "<u4"),
+        ("message", "u1", 120),
+    ]
+)
+"""CFE_EVS_LongEventTlm_Payload, without the last two bytes of its 122-byte text, which some builds do not send."""
+
+_LEVELS = np.array([30, 10, 20, 40, 50], dtype=np.uint8)
+"""rcl_interfaces/msg/Log level by EventType: unknown (as WARN), debug, info, error, critical."""
+
+_COUNTERS = [
+    "command_counter",
+    "command_error_counter",
+    "no_subscribers_counter",
+    "message_send_error_counter",
+    "message_receive_error_counter",
+    "internal_error_counter",
+    "create_pipe_error_counter",
+    "subscribe_error_counter",
+    "pipe_options_error_counter",
+    "duplicate_subscriptions_counter",
+    "get_pipe_id_by_name_error_counter",
+]
+_HOUSEKEEPING = np.dtype(
+    [
+        *((name, "u1") for name in _COUNTERS),
+        ("spare", "u1"),
+        ("pipe_overflow_error_counter", "<u2"),
+        ("message_limit_error_counter", "<u2"),
+        ("memory_pool_handle", "<u4"),
+        ("memory_in_use", "<u4"),
+        ("unmarked_memory", "<u4"),
+    ]
+)
+"""CFE_SB_HousekeepingTlm_Payload."""
+_SOFTWARE_BUS = np.dtype(
+    [
+        *RECORD,
+        ("encapsulation", "<u4"),
+        ("stamp_sec", "<i4"),
+        ("stamp_nanosec", "<u4"),
+        ("processor_id", "<u4"),
+        ("memory_pool_handle", "<u4"),
+        ("memory_in_use", "<u4"),
+        ("unmarked_memory", "<u4"),
+        ("pipe_overflow_error_counter", "<u2"),
+        ("message_limit_error_counter", "<u2"),
+        *((name, "u1") for name in _COUNTERS),
+        ("link", "u1"),
+    ]
+)
+"""``edoras_msgs/msg/SoftwareBusHousekeeping`` as a record."""
+
+_LOG = np.dtype(
+    [*RECORD, ("encapsulation", "<u4"), ("stamp_sec", "<i4"), ("stamp_nanosec", "<u4"), ("level", "u1")]
+)
+"""``rcl_interfaces/msg/Log`` as a record, up to its strings."""
+
+
+def software_bus_messages(
+    batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+) -> Messages:
+    """Return one ``edoras_msgs/msg/SoftwareBusHousekeeping`` for every whole 0x0803 packet.
+
+    Args:
+        batch: the datagrams.
+        columns: of the same rows.
+        channel_id: MCAP channel.
+        published: i64, publish time, ns since 1970.
+    """
+    rows, payload = _telemetry(batch, columns, _SOFTWARE_BUS_MSG_ID, _HOUSEKEEPING)
+    heads = np.zeros(len(rows), dtype=_SOFTWARE_BUS)
+    fill_record(heads, channel_id, 0, columns.sequence_count[rows], batch.time_ns[rows], published[rows])
+    heads["encapsulation"] = ENCAPSULATION
+    stamp(heads, published[rows])
+    heads["processor_id"] = columns.processor_id[rows]
+    heads["link"] = columns.link[rows]
+    for name in _HOUSEKEEPING.names or ():
+        if name != "spare":
+            heads[name] = payload[name]
+    nothing = np.zeros(len(rows), dtype=np.int64)
+    return Messages(rows, heads, batch.data, nothing, nothing)
+
+
+def event_messages(
+    batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+) -> Messages:
+    """Return one ``rcl_interfaces/msg/Log`` for every whole 0x0808 packet.
+
+    ``name`` is the AppName, ``msg`` the text, ``function`` the sender as ``SPACECRAFT/PROCESSOR``, ``line`` the
+    EventID, ``file`` empty.
+
+    Args:
+        batch: the datagrams.
+        columns: of the same rows.
+        channel_id: MCAP channel.
+        published: i64, publish time, ns since 1970.
+    """
+    rows, payload = _telemetry(batch, columns, _EVENT_MSG_ID, _EVENT)
+    heads = np.zeros(len(rows), dtype=_LOG)
+    data, offset, length = _log_strings(payload, heads.itemsize)
+    fill_record(heads, channel_id, length, columns.sequence_count[rows], batch.time_ns[rows], published[rows])
+    heads["encapsulation"] = ENCAPSULATION
+    stamp(heads, published[rows])
+    kinds = payload["event_type"]
+    heads["level"] = _LEVELS[np.where(kinds < len(_LEVELS), kinds, 0)]
+    return Messages(rows, heads, data, offset, length)
+
+
+def stamp(heads: NDArray[np.void], time_ns: NDArray[np.int64]) -> None:
+    """Write the ``builtin_interfaces/msg/Time`` columns ``stamp_sec`` and ``stamp_nanosec``."""
+    heads["stamp_sec"], heads["stamp_nanosec"] = np.divmod(time_ns, 1_000_000_000)
+
+
+def _telemetry(
+    batch: PacketBatch, columns: Columns, msg_id: int, payload: np.dtype[np.void]
+) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+    """Find cFE telemetry of one MsgId that is long enough, and gather its payloads."""
+    rows = np.flatnonzero(columns.msg_id == msg_id)
+    link, header = columns.link[rows], columns.header_length[rows].astype(np.int64)
+    rows = rows[
+        ((link == Link.TO) | (link == Link.SBN))
+        & (header > 0)
+        & (columns.packet_length[rows] >= header + payload.itemsize)
+    ]
+    gathered = np.empty(len(rows) * payload.itemsize, dtype=np.uint8)
+    width = np.full(len(rows), payload.itemsize)
+    offset = columns.packet_offset[rows] + columns.header_length[rows]
+    copy_rows(gathered, np.cumsum(width) - width, batch.data, offset, width)
+    return rows, gathered.view(payload)
+
+
+def _log_strings(
+    payload: NDArray[np.void], head_bytes: int
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+    """Write what follows ``level`` in a Log: name, msg, file, function, line, CDR strings with alignment."""
+    count = len(payload)
+    senders = np.stack((payload["spacecraft_id"], payload["processor_id"]), axis=1)
+    distinct, which = np.unique(senders, axis=0, return_inverse=True)
+    functions = [f"{spacecraft}/{processor}".encode() for spacecraft, processor in distinct.tolist()]
+    function_pool = np.frombuffer(b"".join(functions) or b"\0", dtype=np.uint8)
+    function_length = np.array([len(text) for text in functions], dtype=np.int64)
+    function_start = np.cumsum(function_length) - function_length
+    texts = (
+        (*_text(payload["app_name"]),),
+        (*_text(payload["message"]),),
+        (function_pool, np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)),
+        (function_pool, function_start[which.ravel()], function_length[which.ravel()]),
+    )
+    # CDR alignment counts from behind the encapsulation.
+    start = head_bytes - np.dtype(RECORD).itemsize - 4
+    cursor = np.full(count, start, dtype=np.int64)
+    places = []
+    for _, _, length in texts:
+        cursor += -cursor % 4
+        places.append(cursor.copy())
+        cursor += 4 + length + 1
+    cursor += -cursor % 4
+    size = cursor + 4 - start
+    base = np.cumsum(size) - size - start
+    out = np.zeros(int(size.sum()), dtype=np.uint8)
+    four = np.full(count, 4)
+    for (pool, offset, length), place in zip(texts, places, strict=True):
+        _put_u4(out, base + place, length + 1)
+        copy_rows(out, base + place + four, pool, offset, length)
+    _put_u4(out, base + cursor, payload["event_id"].astype(np.int64))
+    return out, base + start, size
+
+
+def _text(field: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+    """Return a pool, offsets and lengths of NUL-terminated text; bytes that are no ASCII become ``?``."""
+    count, width = field.shape
+    pool = np.where(field < 0x80, field, np.uint8(ord("?")))
+    ended = np.concatenate((pool == 0, np.ones((count, 1), dtype=np.bool_)), axis=1)
+    return pool.ravel(), np.arange(count) * width, ended.argmax(axis=1)
+
+
+def _put_u4(out: NDArray[np.uint8], positions: NDArray[np.int64], values: NDArray[np.int64]) -> None:
+    copy_rows(
+        out,
+        positions,
+        values.astype("<u4").view(np.uint8),
+        np.arange(len(values)) * 4,
+        np.full(len(values), 4),
+    )

@@ -1,0 +1,101 @@
+"""Mission time to UTC, by the capture's own clock."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.model import Link
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns
+
+_JUMP_NS = 5_000_000_000
+"""A step of a sender's offset that only a restart or a set clock explains."""
+_MAX_SENDERS = 4096
+"""Garbage could name any number of senders; the longest unseen are forgotten beyond this."""
+
+
+class MissionClock:
+    """Offset of each sender's mission clock from UTC: the least (capture time - mission time) seen so far.
+
+    Delay on the way only ever adds, so the least is the best estimate. A sender is a (link, ProcessorID). When
+    the offset jumps by more than 5 s the sender's clock started anew, and so does its estimate.
+    """
+
+    def __init__(self) -> None:
+        self._link = np.zeros(0, dtype=np.uint8)
+        self._processor = np.zeros(0, dtype=np.uint32)
+        self._least = np.zeros(0, dtype=np.int64)
+        self._last = np.zeros(0, dtype=np.int64)
+
+    def publish_times(self, time_ns: NDArray[np.int64], columns: Columns) -> NDArray[np.int64]:
+        """Return when each packet says it was made, as ns since 1970 UTC; its capture time where it says nothing.
+
+        A mission time of 0 says nothing: cFS counts from a start offset, senders that never stamp leave 0.
+
+        Args:
+            time_ns: i64, capture time.
+            columns: of the same rows.
+        """
+        rows = np.flatnonzero(columns.mission_time_ns > 0)
+        published = time_ns.copy()
+        if len(rows) == 0:
+            return published
+        mission = columns.mission_time_ns[rows]
+        # What is known of each sender walks in front of the batch as two rows: its least and its last offset.
+        known = len(self._link)
+        link = np.concatenate((self._link, self._link, columns.link[rows]))
+        processor = np.concatenate((self._processor, self._processor, columns.processor_id[rows]))
+        offset = np.concatenate((self._least, self._last, time_ns[rows] - mission))
+        order = sender_order(link, processor)
+        least = np.empty_like(offset)
+        least[order], ends = _running_least(link[order], processor[order], offset[order], order < 2 * known)
+        published[rows] = mission + least[2 * known :]
+        last = order[ends]
+        if len(last) > _MAX_SENDERS:
+            last = np.sort(last)[-_MAX_SENDERS:]
+        self._link, self._processor = link[last], processor[last]
+        self._least, self._last = least[last], offset[last]
+        return published
+
+    def offsets(self) -> dict[str, int]:
+        """Return the offset of each sender in ns, named ``LINK/PROCESSOR`` as ``to/0``."""
+        senders = zip(self._link.tolist(), self._processor.tolist(), self._least.tolist(), strict=True)
+        return {f"{Link(link).label}/{processor}": least for link, processor, least in senders}
+
+
+def sender_order(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Return the stable order that puts equal keys side by side; keys of 1, 2 or 4 unsigned bytes, radix sorted."""
+    digits: list[NDArray[np.uint16]] = []
+    for key in keys:
+        digits.append(key.astype(np.uint16))
+        if key.dtype.itemsize > 2 and int(key.max(initial=0)) > 0xFFFF:
+            digits.append((key >> 16).astype(np.uint16))
+    varying = [digit for digit in digits if len(digit) and digit.min() != digit.max()]
+    if not varying:
+        return np.arange(len(keys[0]))
+    return np.lexsort(varying)
+
+
+def _running_least(
+    link: NDArray[np.uint8],
+    processor: NDArray[np.uint32],
+    offset: NDArray[np.int64],
+    known: NDArray[np.bool_],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the running minimum of each sender's offsets, begun anew at jumps, and where each sender ends."""
+    changes = (link[1:] != link[:-1]) | (processor[1:] != processor[:-1])
+    # Between a sender's remembered least and last offset there is no jump: one followed the other slowly.
+    jumps = (np.abs(np.diff(offset)) > _JUMP_NS) & ~(known[1:] & known[:-1])
+    starts = np.concatenate(([0], np.flatnonzero(changes | jumps) + 1))
+    segment = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(offset))))
+    # One accumulate serves all segments: each is moved so far down that nothing before it can be less.
+    step = (1 << 62) // (len(starts) + 1)
+    base = offset[starts][segment]
+    moved = np.clip(offset - base, -(step // 2) + 1, step // 2 - 1) - segment * step
+    least = np.minimum.accumulate(moved) + segment * step + base
+    return least, np.append(np.flatnonzero(changes), len(offset) - 1)

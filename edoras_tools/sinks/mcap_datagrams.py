@@ -1,0 +1,128 @@
+"""A batch to the messages every datagram makes: itself whole, and the ROS message inside it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.model import Finding
+from edoras_tools.sinks.mcap_rows import ENCAPSULATION, RECORD, RECORD_BYTES, Messages, fill_record
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns, PacketBatch
+
+NO_MESSAGE = Finding.CDR_INVALID | Finding.ENVELOPE_OVERRUN | Finding.TRUNCATED | Finding.CAPTURE_CUT
+"""A datagram with any of these carries no whole ROS message."""
+
+_MAPPED = 0xFFFF0000
+"""Bytes 8 to 11 of an IPv4-mapped IPv6 address (RFC 4291 2.5.5.2) as a little-endian u32; bytes 0 to 7 are 0."""
+
+_DATAGRAM = np.dtype(
+    [
+        *RECORD,
+        ("encapsulation", "<u4"),
+        ("number", "<u8"),
+        ("findings", "<u4"),
+        ("original_length", "<u4"),
+        ("msg_id", "<i4"),
+        ("payload_offset", "<i4"),
+        ("payload_length", "<u4"),
+        ("link_type", "<u2"),
+        ("source_port", "<u2"),
+        ("destination_port", "<u2"),
+        ("link", "u1"),
+        ("ip_version", "u1"),
+        ("source_zero", "<u8"),
+        ("source_mapped", "<u4"),
+        ("source_ipv4", ">u4"),
+        ("destination_zero", "<u8"),
+        ("destination_mapped", "<u4"),
+        ("destination_ipv4", ">u4"),
+        ("frame_length", "<u4"),
+    ]
+)
+"""``edoras_msgs/msg/Datagram`` as a record, up to the bytes of its frame."""
+
+_ADDRESSES = np.dtype(
+    {
+        "names": ["source_address", "destination_address"],
+        "formats": ["V16", "V16"],
+        "offsets": [_DATAGRAM.fields[name][1] for name in ("source_zero", "destination_zero")],  # type: ignore[index]
+        "itemsize": _DATAGRAM.itemsize,
+    }
+)
+
+
+def datagram_messages(
+    batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+) -> Messages:
+    """Return one ``edoras_msgs/msg/Datagram`` for every row.
+
+    Args:
+        batch: the datagrams.
+        columns: of the same rows.
+        channel_id: MCAP channel.
+        published: i64, publish time, ns since 1970.
+    """
+    heads = np.zeros(len(batch), dtype=_DATAGRAM)
+    fill_record(heads, channel_id, batch.frame_length, columns.sequence_count, batch.time_ns, published)
+    heads["encapsulation"] = ENCAPSULATION
+    heads["number"] = batch.number
+    heads["findings"] = columns.findings | batch.capture_findings
+    heads["original_length"] = batch.original_length
+    heads["msg_id"] = columns.msg_id
+    start = batch.offset - batch.frame_offset
+    inside = (start >= 0) & (start + batch.length <= batch.frame_length)
+    heads["payload_offset"] = np.where(inside, start, -1)
+    heads["payload_length"] = batch.length
+    heads["link_type"] = batch.link_type
+    heads["source_port"] = batch.source_port
+    heads["destination_port"] = batch.destination_port
+    heads["link"] = columns.link
+    heads["ip_version"] = batch.ip_version
+    heads["source_mapped"] = heads["destination_mapped"] = _MAPPED
+    heads["source_ipv4"] = batch.source_address
+    heads["destination_ipv4"] = batch.destination_address
+    ipv6 = np.flatnonzero(batch.ip_version == 6)
+    if len(ipv6):
+        table = np.frombuffer(b"".join(batch.ipv6), dtype="V16")
+        addresses = heads.view(_ADDRESSES)
+        addresses["source_address"][ipv6] = table[batch.source_address[ipv6]]
+        addresses["destination_address"][ipv6] = table[batch.destination_address[ipv6]]
+    heads["frame_length"] = batch.frame_length
+    return Messages(np.arange(len(batch)), heads, batch.data, batch.frame_offset, batch.frame_length)
+
+
+def ros_messages(
+    batch: PacketBatch, columns: Columns, channel_ids: NDArray[np.uint16], published: NDArray[np.int64]
+) -> Messages:
+    """Return the ROS message of every row that carries a whole one on a configured topic, CDR as captured.
+
+    Args:
+        batch: the datagrams.
+        columns: of the same rows.
+        channel_ids: u16, MCAP channel of each ``Mission.routes``.
+        published: i64, publish time, ns since 1970.
+    """
+    findings = columns.findings | batch.capture_findings
+    rows = np.flatnonzero(
+        (columns.route >= 0) & (columns.cdr_length > 0) & (findings & np.uint32(NO_MESSAGE) == 0)
+    )
+    heads = np.empty(len(rows), dtype=np.dtype(RECORD))
+    length = columns.cdr_length[rows]
+    fill_record(
+        heads,
+        channel_ids[columns.route[rows]] if len(rows) else 0,
+        length,
+        columns.sequence_count[rows],
+        batch.time_ns[rows],
+        published[rows],
+    )
+    return Messages(rows, heads, batch.data, columns.cdr_offset[rows], length)
+
+
+assert np.dtype(RECORD).itemsize == RECORD_BYTES
+assert _DATAGRAM.itemsize == RECORD_BYTES + 4 + 72

@@ -1,0 +1,253 @@
+"""One MCAP file on disk: records one after the other, and the summary that makes it whole.
+
+Everything but messages and their index goes through the record classes of the ``mcap`` library.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+
+from edoras_tools import __version__
+from edoras_tools.errors import CaptureError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+_FOOTER_BYTES_IN_CRC = 9 + 8 + 8
+"""The summary's CRC covers the footer record up to the CRC itself."""
+
+
+@dataclass(slots=True)
+class Summary:
+    """What the data section holds; becomes the summary section.
+
+    Attributes:
+        counts: messages of each channel.
+        start_ns: log time of the first message in time; None before there is one.
+        end_ns: log time of the last.
+    """
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
+    start_ns: int | None = None
+    end_ns: int = 0
+
+    def add_messages(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> None:
+        """Count messages, by channel, whose log times are from ``start_ns`` to ``end_ns``."""
+        for channel_id, count in counts.items():
+            self.counts[channel_id] = self.counts.get(channel_id, 0) + count
+        self.start_ns = start_ns if self.start_ns is None else min(self.start_ns, start_ns)
+        self.end_ns = max(self.end_ns, end_ns)
+
+    @property
+    def statistics(self) -> Statistics:
+        """The Statistics record."""
+        return Statistics(
+            attachment_count=len(self.attachments),
+            channel_count=len(self.channels),
+            channel_message_counts=self.counts,
+            chunk_count=len(self.chunks),
+            message_count=sum(self.counts.values()),
+            message_end_time=self.end_ns,
+            message_start_time=self.start_ns or 0,
+            metadata_count=len(self.metadata),
+            schema_count=len(self.schemas),
+        )
+
+    def tail(self, position: int) -> bytes:
+        """Return all that follows the data section: DataEnd, summary with its CRC, footer, magic.
+
+        Args:
+            position: where the data section ends in the file.
+        """
+        end = _encode(DataEnd(0))
+        start = position + len(end)
+        builder = RecordBuilder()
+        offsets: list[SummaryOffset] = []
+        groups: list[tuple[Opcode, list[McapRecord]]] = [
+            (Opcode.SCHEMA, [*self.schemas.values()]),
+            (Opcode.CHANNEL, [*self.channels.values()]),
+            (Opcode.STATISTICS, [self.statistics]),
+            (Opcode.CHUNK_INDEX, [*self.chunks]),
+            (Opcode.ATTACHMENT_INDEX, [*self.attachments]),
+            (Opcode.METADATA_INDEX, [*self.metadata]),
+        ]
+        for opcode, records in groups:
+            before = builder.count
+            for record in records:
+                record.write(builder)
+            if records:
+                offsets.append(SummaryOffset(opcode, start + before, builder.count - before))
+        offset_start = start + builder.count
+        for offset in offsets:
+            offset.write(builder)
+        summary = builder.end()
+        unsigned = _encode(Footer(start, offset_start, 0))[:_FOOTER_BYTES_IN_CRC]
+        footer = Footer(start, offset_start, zlib.crc32(unsigned, zlib.crc32(summary)))
+        return end + summary + _encode(footer) + MCAP0_MAGIC
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedChunk:
+    """A chunk ready to be written.
+
+    Attributes:
+        record: the Chunk record's content.
+        index: its MessageIndex records, one a channel.
+        index_places: where in ``index`` each channel's record starts.
+        counts: messages of each channel.
+    """
+
+    record: Chunk
+    index: bytes
+    index_places: Mapping[int, int]
+    counts: Mapping[int, int]
+
+
+class McapFile:
+    """An MCAP file being written, front to back; no method may run while another does.
+
+    Args:
+        path: the file; an existing one is replaced.
+
+    Raises:
+        CaptureError: from every method: the file cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.summary = Summary()
+        self.size = 0
+        try:
+            self._file = path.open("wb")
+        except OSError as error:
+            raise CaptureError(f"{path}: cannot be created: {error.strerror or error}") from error
+        self._write(MCAP0_MAGIC + _encode(Header("ros2", f"edoras-tools {__version__}")))
+
+    def add_schema(self, name: str, definition: str) -> int:
+        """Write a ``ros2msg`` schema; return its id."""
+        schema = Schema(
+            id=len(self.summary.schemas) + 1, data=definition.encode(), encoding="ros2msg", name=name
+        )
+        self.summary.schemas[schema.id] = schema
+        self._write(_encode(schema))
+        return schema.id
+
+    def add_channel(self, topic: str, schema_id: int, metadata: Mapping[str, str]) -> int:
+        """Write a channel of CDR messages; return its id."""
+        # The ros2 profile of the MCAP registry requires the key; unknown is an empty string.
+        channel = Channel(
+            id=len(self.summary.channels) + 1,
+            topic=topic,
+            message_encoding="cdr",
+            metadata={"offered_qos_profiles": "", **metadata},
+            schema_id=schema_id,
+        )
+        self.summary.channels[channel.id] = channel
+        self._write(_encode(channel))
+        return channel.id
+
+    def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+        """Write an attachment, logged at ``time_ns``."""
+        record = _encode(Attachment(0, time_ns, name, media_type, data))
+        index = AttachmentIndex(self.size, len(record), time_ns, 0, len(data), name, media_type)
+        self._write(record)
+        self.summary.attachments.append(index)
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        """Write a metadata record."""
+        record = _encode(Metadata(name, values))
+        index = MetadataIndex(self.size, len(record), name)
+        self._write(record)
+        self.summary.metadata.append(index)
+
+    def add_chunk(self, chunk: FinishedChunk) -> None:
+        """Write a chunk and its message index, and get them out of the process."""
+        head = _encode(chunk.record)
+        start, index_start = self.size, self.size + len(head)
+        self._write(head + chunk.index)
+        self.flush()
+        record = chunk.record
+        self.summary.chunks.append(
+            ChunkIndex(
+                chunk_length=len(head),
+                chunk_start_offset=start,
+                compression=record.compression,
+                compressed_size=len(record.data),
+                message_end_time=record.message_end_time,
+                message_index_length=len(chunk.index),
+                message_index_offsets={key: index_start + place for key, place in chunk.index_places.items()},
+                message_start_time=record.message_start_time,
+                uncompressed_size=record.uncompressed_size,
+            )
+        )
+        self.summary.add_messages(chunk.counts, record.message_start_time, record.message_end_time)
+
+    def flush(self) -> None:
+        """Hand everything written so far to the operating system."""
+        try:
+            self._file.flush()
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def finish(self) -> None:
+        """Write the summary and close the file."""
+        self._write(self.summary.tail(self.size))
+        try:
+            self._file.close()
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def abandon(self) -> None:
+        """Close the file as it is, after an error."""
+        try:
+            self._file.close()
+        except OSError:
+            # Closing flushes, and what failed fails again; the descriptor is closed all the same.
+            return
+
+    def _write(self, data: bytes) -> None:
+        try:
+            self._file.write(data)
+        except OSError as error:
+            raise self._failure(error) from error
+        self.size += len(data)
+
+    def _failure(self, error: OSError) -> CaptureError:
+        return CaptureError(
+            f"{self.path}: cannot be written: {error.strerror or error}; "
+            f"`edoras recover {self.path}` makes whole what is there"
+        )
+
+
+def _encode(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()

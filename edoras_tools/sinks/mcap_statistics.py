@@ -1,0 +1,156 @@
+"""``/edoras/link_statistics``: once a second, what each MsgId did on each link."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.model import Link
+from edoras_tools.sinks.mcap_cfe import stamp
+from edoras_tools.sinks.mcap_clock import sender_order
+from edoras_tools.sinks.mcap_gaps import SequenceGaps
+from edoras_tools.sinks.mcap_rows import ENCAPSULATION, RECORD, Messages, fill_record
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
+
+_SECOND_NS = 1_000_000_000
+
+_GROUP = np.dtype(
+    [
+        ("second", "i8"),
+        ("flow", "i8"),
+        ("count", "i8"),
+        ("gaps", "i8"),
+        ("bytes", "i8"),
+        ("largest", "i8"),
+    ]
+)
+"""What one flow, a MsgId on a link, did in one second."""
+
+_MSG_ID_BITS = 17
+"""A flow is a number: the link, then this many bits of MsgId + 1, so that no MsgId is 0."""
+
+_MSG_ID_MASK = (1 << _MSG_ID_BITS) - 1
+
+_LINK_STATISTICS = np.dtype(
+    [
+        *RECORD,
+        ("encapsulation", "<u4"),
+        ("stamp_sec", "<i4"),
+        ("stamp_nanosec", "<u4"),
+        ("rate_hz", "<f8"),
+        ("bytes", "<u8"),
+        ("kernel_drops", "<u8"),
+        ("count", "<u4"),
+        ("gaps", "<u4"),
+        ("largest", "<u4"),
+        ("msg_id", "<i4"),
+        ("link", "u1"),
+        ("padding", "V3"),
+        ("topic_length", "<u4"),
+    ]
+)
+"""``edoras_msgs/msg/LinkStatistics`` as a record, up to the bytes of its topic."""
+
+
+class LinkStatistics:
+    """Adds up batches and gives one message a second for every (link, MsgId) that had a datagram in it.
+
+    Seconds are counted from the first datagram. Time that steps back stays in the second it fell into.
+
+    Args:
+        mission: names the topics.
+        statistics: of the source, read for its kernel drops; None where it counts none.
+    """
+
+    def __init__(self, mission: Mission, statistics: SourceStatistics | None) -> None:
+        self._topics = {(int(route.link), route.msg_id): route.topic.encode() for route in mission.routes}
+        self._statistics = statistics
+        self._gaps = SequenceGaps()
+        self._origin = -1
+        self._second = 0
+        self._end_ns = 0
+        self._open = np.zeros(0, dtype=_GROUP)
+
+    def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
+        """Add a batch of at least one row; return what the seconds that it ended amount to.
+
+        Each message belongs to the first row after its second, and comes before that row's own messages.
+        """
+        if self._origin < 0:
+            self._origin = int(batch.time_ns[0])
+        second = (batch.time_ns - self._origin) // _SECOND_NS
+        second = np.maximum(np.maximum.accumulate(second), self._second)
+        self._second, self._end_ns = int(second[-1]), int(batch.time_ns[-1])
+        groups = _merge(np.concatenate((self._open, self._count(batch, columns, second))))
+        ended = groups["second"] < self._second
+        self._open = groups[~ended]
+        rows = np.searchsorted(second, groups["second"][ended], side="right")
+        time_ns = self._origin + (groups["second"][ended] + 1) * _SECOND_NS
+        return self._write(groups[ended], rows, time_ns, channel_id)
+
+    def finish(self, channel_id: int) -> Messages:
+        """Return what the second under way amounts to, and begin anew; all belong to row 0."""
+        groups, self._open = self._open, np.zeros(0, dtype=_GROUP)
+        rows = np.zeros(len(groups), dtype=np.int64)
+        return self._write(groups, rows, rows + self._end_ns, channel_id)
+
+    def _count(self, batch: PacketBatch, columns: Columns, second: NDArray[np.int64]) -> NDArray[np.void]:
+        gaps = self._gaps.missing(columns)
+        flow = (columns.link.astype(np.uint32) << _MSG_ID_BITS) | (columns.msg_id + 1).astype(np.uint32)
+        order = sender_order(flow)
+        ordered, seconds = flow[order], second[order]
+        edge = (ordered[1:] != ordered[:-1]) | (seconds[1:] != seconds[:-1])
+        starts = np.append(0, np.flatnonzero(edge) + 1)
+        groups = np.zeros(len(starts), dtype=_GROUP)
+        groups["second"], groups["flow"] = seconds[starts], ordered[starts]
+        groups["count"] = np.diff(np.append(starts, len(order)))
+        length = batch.length[order]
+        groups["bytes"] = np.add.reduceat(length, starts, dtype=np.int64)
+        groups["largest"] = np.maximum.reduceat(length, starts)
+        groups["gaps"] = np.add.reduceat(gaps[order], starts)
+        return groups
+
+    def _write(
+        self, groups: NDArray[np.void], rows: NDArray[np.int64], time_ns: NDArray[np.int64], channel_id: int
+    ) -> Messages:
+        flows, which = np.unique(groups["flow"], return_inverse=True)
+        names = [self._name(flow) for flow in flows.tolist()]
+        length = np.array([len(name) for name in names], dtype=np.int64)
+        offset = (np.cumsum(length) - length)[which]
+        heads = np.zeros(len(groups), dtype=_LINK_STATISTICS)
+        fill_record(heads, channel_id, length[which], 0, time_ns, time_ns)
+        heads["encapsulation"] = ENCAPSULATION
+        stamp(heads, time_ns)
+        heads["rate_hz"] = groups["count"]
+        heads["kernel_drops"] = self._statistics.kernel_drops if self._statistics else 0
+        for name in ("bytes", "count", "gaps", "largest"):
+            heads[name] = groups[name]
+        heads["link"] = groups["flow"] >> _MSG_ID_BITS
+        heads["msg_id"] = (groups["flow"] & _MSG_ID_MASK) - 1
+        heads["topic_length"] = length[which]
+        pool = np.frombuffer(b"".join(names) or b"\0", dtype=np.uint8)
+        return Messages(rows, heads, pool, offset, length[which], repeats=True)
+
+    def _name(self, flow: int) -> bytes:
+        """Return topic of a route or ``LINK/MSG_ID``, NUL-terminated as CDR strings are."""
+        link, msg_id = Link(flow >> _MSG_ID_BITS), (flow & _MSG_ID_MASK) - 1
+        other = f"{link.label}/0x{msg_id:04X}" if msg_id >= 0 else link.label
+        return self._topics.get((int(link), msg_id), other.encode()) + b"\0"
+
+
+def _merge(groups: NDArray[np.void]) -> NDArray[np.void]:
+    """Add up groups of the same second and flow; the result is in that order."""
+    groups = groups[np.lexsort((groups["flow"], groups["second"]))]
+    second, flow = groups["second"], groups["flow"]
+    starts = np.append(0, np.flatnonzero((second[1:] != second[:-1]) | (flow[1:] != flow[:-1])) + 1)
+    merged = groups[starts]
+    for name in ("count", "gaps", "bytes"):
+        merged[name] = np.add.reduceat(groups[name], starts)
+    merged["largest"] = np.maximum.reduceat(groups["largest"], starts)
+    return merged
