@@ -1,0 +1,287 @@
+"""A plan walked over many messages at once: every step is a few numpy operations, whatever the number of rows.
+
+A position is one number while all rows agree on it, which is the common case (the messages of a topic have one
+shape), and an array once they differ. Rows that turn out not to be valid leave the walk at once, so that what
+remains can be read without further care.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+
+import numpy as np
+
+from edoras_tools.ros.plan import Plan, Repeat, Run, Text
+from edoras_tools.ros.reader import ENCAPSULATION, PADDING
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Position = int | NDArray[np.int64]
+
+CHUNK: Final = 16_384
+"""Rows of one walk of ``valid``: few enough that its arrays stay in the processor's cache."""
+_LITTLE: Final = 0x0100
+_BIG: Final = 0x0000
+"""The first two bytes of a message, 00 01 and 00 00, as they read little-endian."""
+
+
+class Bytes:
+    """Reads fixed-size pieces at many offsets of one buffer.
+
+    Args:
+        data: u8, contiguous.
+    """
+
+    def __init__(self, data: NDArray[np.uint8]) -> None:
+        self.data = data
+
+    def gather(self, start: NDArray[np.int64], size: int) -> NDArray[np.void]:
+        """Return ``size`` bytes from each offset; all must lie inside the buffer."""
+        windows = np.ndarray((len(self.data) - size + 1,), f"V{size}", self.data, 0, (1,))
+        return windows[start]
+
+    def numbers(self, start: NDArray[np.int64], code: str, count: int, swap: NDArray[np.bool_] | None) -> NDArray[Any]:
+        """Return ``count`` numbers from each offset, shape (offsets, count).
+
+        Args:
+            start: i64, byte offsets.
+            code: ``struct`` code of a number.
+            count: at least 1.
+            swap: rows that are big-endian; None for no row.
+        """
+        dtype = np.dtype("u1" if code == "?" else "<" + code)
+        if not len(start):
+            return np.empty((0, count), bool if code == "?" else dtype)
+        found = self.gather(start, dtype.itemsize * count).view(dtype).reshape(-1, count)
+        if swap is not None and dtype.itemsize > 1:
+            found[swap] = found[swap].byteswap()
+        return found != 0 if code == "?" else found
+
+
+class Collector(Protocol):
+    """What takes the places of values as a walk comes across them. Positions are those of the cursor's rows."""
+
+    def run(self, prefix: str, run: Run, cursor: Cursor) -> None:
+        """Take a run that starts at the cursor's position."""
+
+    def block(self, prefix: str, run: Run, cursor: Cursor, count: Position) -> None:
+        """Take ``count`` runs that follow each other from the cursor's position."""
+
+    def text(self, name: str, text: Text, cursor: Cursor, length: Position) -> None:
+        """Take a string of ``length`` units that start at the cursor's position."""
+
+
+class Cursor:
+    """A position in each of many messages.
+
+    Attributes:
+        rows: i64, which message of the batch each row is.
+        base: i64, offset of each body in the buffer.
+        end: i64, bytes of each body.
+        swap: rows that are big-endian; None for no row.
+        position: from the start of the body; one number while all rows agree.
+        parent: the rows of the cursor that this one was taken from.
+    """
+
+    __slots__ = ("base", "bytes", "end", "parent", "position", "room", "rows", "swap")
+
+    def __init__(
+        self,
+        source: Bytes,
+        rows: NDArray[np.int64],
+        base: NDArray[np.int64],
+        end: NDArray[np.int64],
+        swap: NDArray[np.bool_] | None,
+        position: Position = 0,
+    ) -> None:
+        self.bytes = source
+        self.rows = rows
+        self.base = base
+        self.end = end
+        self.swap = swap
+        self.position = position
+        self.parent = rows
+        self.room = int(end.min()) if len(end) else 0
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def start(self) -> NDArray[np.int64]:
+        """The offset of each row's position in the buffer."""
+        return self.base + self.position
+
+    def take(self, chosen: NDArray[np.int64]) -> Self:
+        """Return a cursor over some rows, told by index."""
+        position = self.position if isinstance(self.position, int) else self.position[chosen]
+        swap = None if self.swap is None else self.swap[chosen]
+        taken = type(self)(self.bytes, self.rows[chosen], self.base[chosen], self.end[chosen], swap, position)
+        taken.parent = chosen
+        return taken
+
+    def keep(self, good: NDArray[np.bool_], carried: Position = 0) -> Position:
+        """Drop the rows that are not good; return a carried column without them."""
+        if good.all():
+            return carried
+        self.rows, self.base, self.end, self.parent = (
+            self.rows[good],
+            self.base[good],
+            self.end[good],
+            self.parent[good],
+        )
+        self.swap = None if self.swap is None else self.swap[good]
+        self.position = self.position if isinstance(self.position, int) else self.position[good]
+        self.room = int(self.end.min()) if len(self.end) else 0
+        return carried if isinstance(carried, int) else carried[good]
+
+    def need(self, size: Position, carried: Position = 0) -> Position:
+        """Drop the rows that have fewer bytes left; return a carried column without them."""
+        end = self.position + size
+        if isinstance(end, int) and end <= self.room:
+            return carried
+        return self.keep(end <= self.end, carried)
+
+    def align(self, alignment: int) -> None:
+        """Move on to a multiple of the alignment."""
+        if alignment > 1:
+            self.position = (self.position + (alignment - 1)) & -alignment
+
+    def count(self) -> Position:
+        """Read a u32 and move past it; the result is one number where all rows agree."""
+        self.align(4)
+        self.need(4)
+        if not len(self):
+            return 0
+        values = self.bytes.gather(self.start, 4).view("<u4")
+        if self.swap is not None:
+            values = np.where(self.swap, values.byteswap(), values)
+        self.position = self.position + 4
+        first = values[0]
+        return int(first) if (values == first).all() else values.astype(np.int64)
+
+
+def valid(plan: Plan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Tell which messages ``reader.decode`` accepts.
+
+    Args:
+        plan: of their type.
+        data: u8, the buffer.
+        offset: i64, first byte of each message, encapsulation included; any value.
+        length: i32, bytes of each message; any value.
+    """
+    data = np.ascontiguousarray(data)
+    found = np.zeros(len(offset), bool)
+    for first in range(0, len(offset), CHUNK):
+        cursor = start(plan, data, offset[first : first + CHUNK], length[first : first + CHUNK])
+        walk(plan, cursor, None)
+        left = cursor.end - cursor.position
+        cursor.keep((left >= 0) & (left <= PADDING))
+        found[first + cursor.rows] = True
+    return found
+
+
+def start(plan: Plan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> Cursor:
+    """Return a cursor at the start of every body that lies in the buffer, may be long enough, and is CDR."""
+    offset, size = np.asarray(offset, np.int64), np.asarray(length, np.int64)
+    inside = (offset >= 0) & (size >= ENCAPSULATION + plan.least) & (offset <= len(data) - size)
+    rows = np.flatnonzero(inside)
+    source = Bytes(data)
+    if not len(rows):
+        return Cursor(source, rows, rows, rows, None)
+    offset, size = offset[rows], size[rows]
+    kind = source.gather(offset, 2).view("<u2")
+    swap = kind == _BIG
+    cursor = Cursor(source, rows, offset + ENCAPSULATION, size - ENCAPSULATION, swap if swap.any() else None)
+    cursor.keep(swap | (kind == _LITTLE))
+    return cursor
+
+
+def joined(prefix: str, name: str) -> str:
+    """Return a dotted name; the elements of a sequence of primitives or strings have none of their own."""
+    return f"{prefix}.{name}" if prefix and name else prefix or name
+
+
+def walk(plan: Plan, cursor: Cursor, collector: Collector | None, prefix: str = "") -> None:
+    """Move a cursor past one plan, dropping the rows that do not fit it.
+
+    Args:
+        plan: what the bytes at the cursor are.
+        cursor: moved.
+        collector: is told where every value is. It must only be given rows that are valid.
+        prefix: before every name that the collector is told.
+    """
+    for step in plan.steps:
+        if not len(cursor):
+            return
+        if isinstance(step, Run):
+            cursor.align(step.alignment)
+            cursor.need(step.size)
+            if collector is not None:
+                collector.run(prefix, step, cursor)
+            cursor.position = cursor.position + step.size
+        elif isinstance(step, Text):
+            _walk_text(step, cursor, collector, prefix)
+        else:
+            _walk_repeat(step, cursor, collector, prefix)
+
+
+def _walk_text(step: Text, cursor: Cursor, collector: Collector | None, prefix: str) -> None:
+    length = cursor.count()
+    narrow = step.width == 1
+    length = cursor.need(length * step.width, length)
+    if step.bound:
+        length = cursor.keep(np.broadcast_to(length - narrow <= step.bound, len(cursor)), length)
+    if narrow:
+        last = cursor.bytes.data[cursor.start + (np.maximum(length, 1) - 1)]
+        length = cursor.keep((last == 0) | np.equal(length, 0), length)
+    if collector is not None:
+        collector.text(joined(prefix, step.name), step, cursor, length)
+    cursor.position = cursor.position + length * step.width
+
+
+def _walk_repeat(step: Repeat, cursor: Cursor, collector: Collector | None, prefix: str) -> None:
+    plan, run = step.plan, step.plan.uniform
+    count: Position = step.count if step.count is not None else cursor.count()
+    if step.bound:
+        count = cursor.keep(np.broadcast_to(count <= step.bound, len(cursor)), count)
+    count = cursor.need(count * plan.least, count)
+    if run is None:
+        _walk_elements(plan, cursor, collector, joined(prefix, step.name), count)
+        return
+    if isinstance(count, int):
+        if count == 0:
+            return
+        cursor.align(run.alignment)
+    else:
+        aligned = (cursor.position + (run.alignment - 1)) & -run.alignment
+        cursor.position = np.where(count > 0, aligned, cursor.position)
+    count = cursor.need(count * run.size, count)
+    if collector is not None:
+        collector.block(joined(prefix, step.name), run, cursor, count)
+    cursor.position = cursor.position + count * run.size
+
+
+def _walk_elements(plan: Plan, cursor: Cursor, collector: Collector | None, name: str, count: Position) -> None:
+    """Walk elements whose sizes may differ, by element index: the loop is as long as the longest row."""
+    if isinstance(count, int):
+        for _ in range(count):
+            if not len(cursor):
+                return
+            walk(plan, cursor, collector, name)
+        return
+    position = np.array(np.broadcast_to(cursor.position, len(cursor)))
+    whole = count == 0
+    running = cursor.take(np.flatnonzero(~whole))
+    index = 0
+    while len(running):
+        walk(plan, running, collector, name)
+        index += 1
+        done = count[running.parent] == index
+        if done.any():
+            rows = running.parent[done]
+            whole[rows] = True
+            position[rows] = running.position if isinstance(running.position, int) else running.position[done]
+            running.keep(~done)
+    cursor.position = position
+    cursor.keep(whole)

@@ -1,0 +1,199 @@
+"""Where definitions come from: folders, an MCAP's schemas, this package, a ROS 2 distribution, a sourced ROS 2.
+
+Nothing is read before it is asked for, but for the names in the folders that the user gave.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.ros.grammar import Section, parse, sections
+from edoras_tools.ros.schema import TYPE_NAME, Constant, Definition, Field, Shape, full_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from rosbags.interfaces.typing import FieldDesc, Typesdict
+
+OWN: Final = Path(__file__).parent / "definitions"
+"""The definitions of this package's own messages, ``PACKAGE/msg/NAME.msg``."""
+PLACEHOLDER: Final = "structure_needs_at_least_one_member"
+"""The byte that an empty message travels as; rosbags lists it as a field."""
+_STANDARD_DEFAULTS: Final = {("geometry_msgs/msg/Quaternion", "w"): 1.0}
+"""rosbags keeps no defaults; of the standard packages' only this one differs from zero."""
+_PREFIX: Final = "ros2_"
+
+
+class Library:
+    """Finds definitions by type name; the first place that has one wins.
+
+    Args:
+        distro: ROS 2 distribution whose standard messages are known.
+        msg_paths: folders (searched to the bottom) or files, laid out ``PACKAGE/msg/NAME.msg`` or ``.idl``.
+        schemas: complete ``ros2msg`` texts by type, as an MCAP holds them.
+
+    Raises:
+        ConfigError: there is no such distribution or folder, or a folder holds no definition.
+    """
+
+    def __init__(self, distro: str, msg_paths: Iterable[str | os.PathLike[str]], schemas: Mapping[str, str]) -> None:
+        self.distro = distro
+        self._store = _store_name(distro)
+        self._files = _index(msg_paths)
+        self._sections: dict[str, tuple[str, Section]] = {}
+        for name, text in schemas.items():
+            for section in sections(full_name(name), text):
+                self._sections.setdefault(section.name, (f"schema of {name}", section))
+        self._found: dict[str, Definition] = {}
+
+    def find(self, name: str) -> Definition | None:
+        """Return the definition of a type, or None where no place has it.
+
+        Raises:
+            ConfigError: the definition was found and holds mistakes.
+        """
+        if name not in self._found and TYPE_NAME.fullmatch(name):
+            for place in (self._from_files, self._from_schemas, self._from_package, self._from_distro, self._sourced):
+                if found := place(name):
+                    self._found[name] = found
+                    break
+        return self._found.get(name)
+
+    def names(self) -> list[str]:
+        """Return the name of every type that any place has, sorted."""
+        folders = [OWN, *_sourced_folders()]
+        listed = {_type_of(file) for folder in folders for file in folder.glob("*/msg/*.msg")}
+        return sorted(listed | self._files.keys() | self._sections.keys() | self._standard.keys())
+
+    def _from_files(self, name: str) -> Definition | None:
+        file = self._files.get(name)
+        return _read(name, file) if file else None
+
+    def _from_schemas(self, name: str) -> Definition | None:
+        if name not in self._sections:
+            return None
+        label, section = self._sections[name]
+        return parse(name, section.text, label, section.line)
+
+    def _from_package(self, name: str) -> Definition | None:
+        file = OWN / f"{name}.msg"
+        return _read(name, file) if file.is_file() else None
+
+    def _from_distro(self, name: str) -> Definition | None:
+        return _converted(name, self._standard) if name in self._standard else None
+
+    def _sourced(self, name: str) -> Definition | None:
+        for folder in _sourced_folders():
+            if (file := folder / f"{name}.msg").is_file():
+                return _read(name, file)
+        return None
+
+    @cached_property
+    def _standard(self) -> Typesdict:
+        from rosbags.typesys import Stores, get_typestore
+
+        return get_typestore(Stores(self._store)).fielddefs
+
+
+def _store_name(distro: str) -> str:
+    """Return the name of rosbags' store; its modules are listed, not imported, which is what costs."""
+    if distro in {"latest", "rolling"}:
+        return "latest"
+    from importlib.util import find_spec
+
+    spec = find_spec("rosbags")
+    roots = (spec.submodule_search_locations or ()) if spec else ()
+    stores = [file for root in roots for file in Path(root, "typesys", "stores").glob(f"{_PREFIX}*.py")]
+    known = sorted(file.stem.removeprefix(_PREFIX) for file in stores)
+    if distro not in known:
+        raise ConfigError(f"--distro: {distro!r} is no ROS 2 distribution; known: {', '.join(known)}, latest, rolling")
+    return _PREFIX + distro
+
+
+def _index(paths: Iterable[str | os.PathLike[str]]) -> dict[str, Path]:
+    """List the definitions below some folders by type name; the first of a name wins."""
+    index: dict[str, Path] = {}
+    mistakes = []
+    for given in map(Path, paths):
+        path = given.absolute()
+        if not path.exists():
+            mistakes.append(f"--msg-path: {given}: no such file or folder")
+            continue
+        candidates = [path] if path.is_file() else [*sorted(path.rglob("*.msg")), *sorted(path.rglob("*.idl"))]
+        found = {_type_of(file): file for file in reversed(candidates) if file.parent.name in {"msg", "srv", "action"}}
+        if not found:
+            mistakes.append(f"--msg-path: {given}: no definition there; expected PACKAGE/msg/NAME.msg or NAME.idl")
+        index = found | index
+    if mistakes:
+        raise ConfigError(*mistakes)
+    return index
+
+
+def _type_of(file: Path) -> str:
+    return f"{file.parent.parent.name}/{file.parent.name}/{file.stem}"
+
+
+def _sourced_folders() -> Iterator[Path]:
+    """Yield the ``share`` folder of every prefix of a sourced ROS 2."""
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix, "share")
+
+
+def _read(name: str, file: Path) -> Definition:
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: cannot be read: {getattr(error, 'strerror', None) or 'not UTF-8'}") from error
+    return parse(name, text, str(file)) if file.suffix == ".msg" else _read_idl(name, text, file)
+
+
+def _read_idl(name: str, text: str, file: Path) -> Definition:
+    from rosbags.typesys import TypesysError, get_types_from_idl
+
+    try:
+        types = get_types_from_idl(text)
+    except (TypesysError, ValueError, KeyError, RecursionError, AssertionError, TypeError, AttributeError) as error:
+        raise ConfigError(f"{file}:{_idl_line(error)}: not the IDL that ROS 2 writes") from error
+    if name not in types:
+        raise ConfigError(f"{file}:1: defines {', '.join(types) or 'no type'}, not {name}")
+    return _converted(name, types)
+
+
+def _idl_line(error: Exception) -> int:
+    """Return the line that rosbags' IDL parser stopped at: its message holds the text's repr, then the position."""
+    from ast import literal_eval
+
+    parts = str(error).split("\n")
+    try:
+        return str(literal_eval(parts[1])).count("\n", 0, int(parts[2])) + 1
+    except (IndexError, ValueError, SyntaxError):
+        return 1
+
+
+def _converted(name: str, types: Typesdict) -> Definition:
+    constants, fields = types[name]
+    return Definition(
+        name,
+        tuple(_field(name, item, description) for item, description in fields if item != PLACEHOLDER),
+        tuple(Constant(item, kind, value) for item, kind, value in constants),
+    )
+
+
+def _field(owner: str, name: str, description: FieldDesc) -> Field:
+    """Turn rosbags' description of a field into ours: nested pairs of a node kind and its arguments."""
+    from rosbags.interfaces import Nodetype
+
+    kind: Any
+    arguments: Any
+    kind, arguments = description
+    shape, size = Shape.SCALAR, 0
+    if kind in {Nodetype.ARRAY, Nodetype.SEQUENCE}:
+        shape = Shape.ARRAY if kind == Nodetype.ARRAY else Shape.SEQUENCE
+        (kind, arguments), size = arguments
+    base, bound = arguments if kind == Nodetype.BASE else (arguments, 0)
+    return Field(name, base, bound, shape, size, _STANDARD_DEFAULTS.get((owner, name)))

@@ -1,0 +1,174 @@
+"""The one place to ask about ROS messages: types, their definitions, CDR to values and back, one or many."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from edoras_tools.errors import ConfigError, RouteError
+from edoras_tools.ros import bulk, columns, reader
+from edoras_tools.ros.library import Library
+from edoras_tools.ros.plan import Compiler
+from edoras_tools.ros.schema import complete_text, full_name
+from edoras_tools.ros.writer import Writer
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterable, Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from edoras_tools.ros.columns import MessageColumns
+    from edoras_tools.ros.plan import Plan
+    from edoras_tools.ros.reader import Span
+    from edoras_tools.ros.schema import Definition
+
+_WIDE_OF_OLD = frozenset({"dashing", "eloquent", "foxy", "galactic", "humble", "iron"})
+"""Distributions whose Fast CDR sends a ``wstring`` as 4 bytes a UTF-16 unit; later ones send 2."""
+
+
+class TypeStore:
+    """Knows message types, and reads and writes their CDR.
+
+    Cheap to create: a distribution's messages are loaded when the first type is asked for. ``pkg/Name`` may be
+    written for ``pkg/msg/Name``. Methods that take a type raise ``RouteError`` where it is not known, with the
+    nearest names, and ``ConfigError`` where its definition holds mistakes.
+
+    Args:
+        distro: ROS 2 distribution, as ``humble``; ``rolling`` and ``latest`` are the newest known.
+        msg_paths: folders or files with more definitions, laid out ``PACKAGE/msg/NAME.msg`` or ``.idl``.
+        definitions: complete ``ros2msg`` texts by type, as an MCAP's schemas.
+
+    Raises:
+        ConfigError: the distribution or a folder does not exist, or a folder holds no definition.
+    """
+
+    def __init__(
+        self,
+        distro: str = "humble",
+        msg_paths: Iterable[str | os.PathLike[str]] = (),
+        definitions: Mapping[str, str] | None = None,
+    ) -> None:
+        self.distro = distro
+        self._library = Library(distro, msg_paths, definitions or {})
+        self._wide = 4 if distro in _WIDE_OF_OLD else 2
+        self._compiler = Compiler(self._definition, self._wide)
+        self._writers = tuple(Writer(self._definition, self._wide, big_endian=big) for big in (False, True))
+        self._plans: dict[str, tuple[str, Plan]] = {}
+
+    def has(self, type_name: str) -> bool:
+        """Tell whether a type is known and, with all that it uses, free of mistakes."""
+        return self.check(type_name) is None
+
+    def check(self, type_name: str) -> str | None:
+        """Return why a type cannot be used, in one sentence; None where it can."""
+        try:
+            self._plan(type_name)
+        except (ConfigError, RouteError) as error:
+            return str(error).partition("\n")[0]
+        return None
+
+    def nearest(self, type_name: str) -> list[str]:
+        """Return the most similar names that are known, best first, three at most."""
+        from difflib import get_close_matches
+
+        package, _, last = type_name.rpartition("/")
+        by_last: dict[str, list[str]] = {}
+        for name in self.types():
+            by_last.setdefault(name.rpartition("/")[2].lower(), []).append(name)
+        close = get_close_matches(last.lower(), by_last, 3, 0.6)
+        package = package.partition("/")[0] + "/"
+        return [name for part in close for name in sorted(by_last[part], key=lambda name: package not in name)][:3]
+
+    def types(self) -> list[str]:
+        """Return the name of every type that can be found, sorted."""
+        return self._library.names()
+
+    def definition(self, type_name: str) -> str:
+        """Return a type's ``ros2msg`` text, complete with the types that it uses, as MCAP and Foxglove want it."""
+        self._plan(type_name)
+        found: dict[str, Definition] = {}
+        self._collect(full_name(type_name), found)
+        return complete_text(found.values())
+
+    def decode(self, type_name: str, cdr: bytes) -> dict[str, Any]:
+        """Return a message as plain values: dicts, lists, int, float, bool, str.
+
+        Args:
+            type_name: what the message is.
+            cdr: encapsulation and body, either byte order.
+
+        Raises:
+            WireError: the message is not valid; says which field, where, and what it needs.
+        """
+        name, plan = self._plan(type_name)
+        value: dict[str, Any] = reader.decode(name, plan, bytes(cdr))
+        return value
+
+    def spans(self, type_name: str, cdr: bytes) -> list[Span]:
+        """Return every leaf of a message as (dotted path, value, start, end), offsets from the start of ``cdr``.
+
+        An array of primitives is one leaf; its count belongs to it.
+
+        Raises:
+            WireError: as ``decode``.
+        """
+        return reader.spans(*self._plan(type_name), bytes(cdr))
+
+    def encode(self, type_name: str, values: Mapping[str, Any], *, big_endian: bool = False) -> bytes:
+        """Return a message from plain values, encapsulation included.
+
+        Missing fields take their defaults. Lists may be tuples or numpy arrays, and bytes where bytes are meant.
+
+        Raises:
+            FieldError: a value does not fit or a field does not exist; names the path and what it takes.
+        """
+        name, _ = self._plan(type_name)
+        return self._writers[big_endian].encode(name, values)
+
+    def fixed_size(self, type_name: str) -> int | None:
+        """Return the bytes of every message of a type, encapsulation included; None where they vary."""
+        size = self._plan(type_name)[1].fixed_size
+        return None if size is None else reader.ENCAPSULATION + size
+
+    def valid(
+        self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+    ) -> NDArray[np.bool_]:
+        """Tell which of many messages ``decode`` accepts.
+
+        Args:
+            type_name: what the messages are.
+            data: u8, the buffer that holds them.
+            offset: i64, first byte of each message, encapsulation included; any value is safe.
+            length: i32, bytes of each message; any value is safe.
+        """
+        return bulk.valid(self._plan(type_name)[1], data, offset, length)
+
+    def columns(
+        self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+    ) -> MessageColumns:
+        """Return many messages as columns, one a field; arguments as ``valid``."""
+        return columns.columns(*self._plan(type_name), data, offset, length)
+
+    def _plan(self, type_name: str) -> tuple[str, Plan]:
+        found = self._plans.get(type_name)
+        if found is None:
+            name = full_name(type_name)
+            found = self._plans[type_name] = name, self._compiler.plan(name)
+        return found
+
+    def _definition(self, name: str) -> Definition:
+        found = self._library.find(name)
+        if found is None:
+            near = " or ".join(self.nearest(name))
+            hint = f"did you mean {near}?" if near else "give its definition with --msg-path"
+            raise RouteError(f"type {name!r} is not known to ROS 2 {self.distro}; {hint}")
+        return found
+
+    def _collect(self, name: str, found: dict[str, Definition]) -> None:
+        """Add a type, then all that it uses, each once."""
+        if name not in found:
+            found[name] = self._definition(name)
+            for field in found[name].fields:
+                if "/" in field.type:
+                    self._collect(field.type, found)
