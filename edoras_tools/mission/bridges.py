@@ -56,9 +56,13 @@ _OTHER_SPELLING = re.compile(r"([a-z][a-z0-9_]*)(?:/|::|\.)(?:msg(?:/|::|\.))?([
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
-def is_bridge(node: Node) -> bool:
-    """Tell whether a node's parameters are a bridge's: other nodes may share the file."""
-    return not {*node.values, *node.groups}.isdisjoint({"communication", *_DIRECTIONS})
+def find_bridges(nodes: list[Node]) -> list[Node]:
+    """Return the nodes that are bridges; others may share their file, and even their ``communication``."""
+
+    def having(*names: str) -> list[Node]:
+        return [node for node in nodes if not {*names}.isdisjoint(node.lines)]
+
+    return having(*_DIRECTIONS) or having("communication")
 
 
 def read_bridge(
@@ -108,7 +112,7 @@ def _communication(fields: Fields) -> tuple[bool, GroundLink | FlightLink | None
             fields.warn(f"{group}.{key}", what)
     if None in values.values():
         return flight, None
-    place: dict[str, Any] = {"file": fields.report.file, "line": node.groups[group]}
+    place: dict[str, Any] = {"file": fields.report.file, "line": node.lines[group]}
     return flight, FlightLink(**values, **place) if flight else GroundLink(**values, **place)
 
 
@@ -159,7 +163,7 @@ class _Routes:
             direction,
             key,
             fields.report.file,
-            node.groups[key],
+            node.lines[key],
             envelope,
         )
         if self._claim(route) and topic and type_name:
@@ -259,7 +263,9 @@ class _Routes:
 
 def _mappings(node: Node) -> list[str]:
     """Return the groups that look like a route."""
-    return [key for key in node.groups if key and {"type", "topic", "mid"} & {*node.children(key)}]
+    return [
+        key for key in node.lines if key in node.groups and {"type", "topic", "mid"} & {*node.children(key)}
+    ]
 
 
 def _words(names: Iterable[str]) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from operator import itemgetter
 from pathlib import Path, PurePath
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.mission.bridges import is_bridge, read_bridge
+from edoras_tools.mission.bridges import find_bridges, read_bridge
 from edoras_tools.mission.model import Mission
 from edoras_tools.mission.parameters import read_nodes
 from edoras_tools.mission.report import Report
@@ -78,8 +79,8 @@ def _mission(contents: list[tuple[str, bytes | str]], check_type: CheckType | No
             files[_free_name(PurePath(name).name, files)] = content
         text = _text(content, report)
         nodes = read_nodes(text, report) if text is not None else []
-        bridges = [node for node in nodes if is_bridge(node)]
-        if nodes and not bridges:
+        bridges = find_bridges(nodes)
+        if nodes and not bridges and not report.mistakes:
             what = "no node here is a bridge; it needs communication, command and telemetry"
             report.mistake(nodes[0].line, nodes[0].name, what)
         for node in bridges:
@@ -87,12 +88,16 @@ def _mission(contents: list[tuple[str, bytes | str]], check_type: CheckType | No
             routes += found
             if link is not None and link not in links:
                 links.append(link)
-    # One wildcard may stand behind several nodes; what is wrong with it is said once.
-    mistakes = dict.fromkeys(line for report in reports for line in report.mistakes)
+    mistakes = _in_order(report.mistakes for report in reports)
     if mistakes:
         raise ConfigError(*mistakes)
-    warnings = dict.fromkeys(line for report in reports for line in report.warnings)
+    warnings = _in_order(report.warnings for report in reports)
     return Mission(tuple(routes), tuple(links), MappingProxyType(files), tuple(warnings))
+
+
+def _in_order(found: Iterable[list[tuple[int, str]]]) -> list[str]:
+    """Return what was said of each file by line; once, though a wildcard may stand behind several nodes."""
+    return list(dict.fromkeys(text for lines in found for _, text in sorted(lines, key=itemgetter(0))))
 
 
 def _text(content: bytes | str, report: Report) -> str | None:

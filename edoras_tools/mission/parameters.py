@@ -1,8 +1,8 @@
 """ROS 2 parameter files to dotted names, as ``rcl_yaml_param_parser`` flattens them.
 
 ``NODE: ros__parameters: {a: {b: 1}}`` is the parameter ``a.b`` of ``NODE``. Node names may be nested (a
-namespace a level), hold slashes, or be wildcards; several nodes and several documents may share a file. Figure 19 of the
-EDORAS paper has no node name on top: it is read as well, with a warning, though rcl refuses it.
+namespace a level), hold slashes, or be wildcards; several nodes and several documents may share a file.
+Figure 19 of the EDORAS paper has no node name on top: it is read too, with a warning, though rcl refuses it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from edoras_tools.mission.tree import Alias, Mapping, Scalar, Sequence, Tree, parse
+from edoras_tools.mission.tree import FORM, Alias, Mapping, Scalar, Sequence, Tree, parse
 
 if TYPE_CHECKING:
     from edoras_tools.mission.report import Report
@@ -28,13 +28,15 @@ class Node:
         name: fully qualified, as ``/conversion_node``; empty where the file gives none.
         line: of its ``ros__parameters``.
         values: dotted name to a scalar or a list of them; None where the report already has a mistake.
-        groups: dotted name of everything that has names below it, to its line.
+        groups: dotted name of everything that has names below it.
+        lines: dotted name, of parameter or group, to the line of its key.
     """
 
     name: str
     line: int
     values: dict[str, Scalar | tuple[Scalar, ...] | None] = field(default_factory=dict)
-    groups: dict[str, int] = field(default_factory=dict)
+    groups: set[str] = field(default_factory=set)
+    lines: dict[str, int] = field(default_factory=dict)
 
     def children(self, group: str) -> list[str]:
         """Return the last part of every name directly below a group."""
@@ -43,14 +45,9 @@ class Node:
 
     def line_of(self, name: str) -> int:
         """Return where a parameter, or the nearest group around it, stands."""
-        value = self.values.get(name)
-        if isinstance(value, Scalar):
-            return value.line
-        if value:
-            return value[0].line
-        if name in self.groups:
-            return self.groups[name]
-        return self.line_of(name.rpartition(".")[0]) if name else self.line
+        while name and name not in self.lines:
+            name = name.rpartition(".")[0]
+        return self.lines[name] if name else self.line
 
 
 def read_nodes(text: str, report: Report) -> list[Node]:
@@ -61,13 +58,13 @@ def read_nodes(text: str, report: Report) -> list[Node]:
     documents = parse(text, report)
     if not documents:
         if not report.mistakes:
-            report.mistake(1, "", f"the file is empty; a bridge's file is NODE: {PARAMETERS_KEY}: ...")
+            report.mistake(1, "", f"the file is empty; {FORM}")
         return []
     reader = _Reader(report)
     for document in documents:
         reader.names((), document)
     if not reader.nodes:
-        report.mistake(1, "", f"there is no {PARAMETERS_KEY}; a bridge's file is NODE: {PARAMETERS_KEY}: ...")
+        report.mistake(1, "", f"there is no {PARAMETERS_KEY}; {FORM}")
     else:
         for line, key in reader.strays:
             report.mistake(line, key, f"a value outside {PARAMETERS_KEY}; indent it below, or remove it")
@@ -107,13 +104,14 @@ class _Reader:
     def parameters(self, node: Node, name: str, tree: Tree) -> None:
         match tree:
             case Mapping():
-                node.groups.setdefault(name, tree.line)
                 for key, line, child in self.entries(tree, name):
                     path = f"{name}.{key}" if name else key
-                    for end in (match.start() for match in re.finditer(r"\.", path)):
-                        node.groups.setdefault(path[:end], line)
+                    node.lines.setdefault(path, line)
+                    for above in (path[: dot.start()] for dot in re.finditer(r"\.", path)):
+                        node.groups.add(above)
+                        node.lines.setdefault(above, line)
                     if isinstance(child, Mapping):
-                        node.groups[path] = line
+                        node.groups.add(path)
                     self.parameters(node, path, child)
             case _ if not name:
                 self.report.mistake(
@@ -179,6 +177,7 @@ def _with_wildcards(nodes: list[Node]) -> list[Node]:
                 used.add(other.name)
                 merged.values.update(other.values)
                 merged.groups.update(other.groups)
+                merged.lines.update(other.lines)
         result.append(merged)
     return [*result, *(node for node in nodes if node.name not in used)]
 

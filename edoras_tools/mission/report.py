@@ -17,22 +17,22 @@ class Report:
 
     Attributes:
         file: its name, as people know it.
-        mistakes: one line each, ``FILE:LINE: KEY: what is wrong; what is allowed``.
-        warnings: one line each, of the same form.
+        mistakes: line number and ``FILE:LINE: KEY: what is wrong; what is allowed``, in the order found.
+        warnings: the same of what works and was hardly meant.
     """
 
     file: str
-    mistakes: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
+    mistakes: list[tuple[int, str]] = field(default_factory=list)
+    warnings: list[tuple[int, str]] = field(default_factory=list)
 
     def mistake(self, line: int, key: str, what: str) -> None:
         """Note something that cannot be honoured. ``line`` counts from 1; 0 is the file as a whole."""
-        self.mistakes.append(self._line(line, key, what))
+        self.mistakes.append((line, self._text(line, key, what)))
 
     def warn(self, line: int, key: str, what: str) -> None:
         """Note something that works and was hardly meant."""
-        self.warnings.append(self._line(line, key, what))
+        self.warnings.append((line, self._text(line, key, what)))
 
-    def _line(self, line: int, key: str, what: str) -> str:
+    def _text(self, line: int, key: str, what: str) -> str:
         place = printable(self.file, 200) + (f":{line}" if line else "")
         return f"{place}: {printable(key)}: {what}" if key else f"{place}: {what}"

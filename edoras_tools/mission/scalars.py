@@ -1,8 +1,8 @@
 """What a YAML scalar means to a ROS 2 node.
 
 ROS 2 does not use YAML's own schema: ``rcl_yaml_param_parser`` tries a list of words, then C's ``strtol``
-with base 0, then ``strtod``, and takes the rest for a string. ``0x1827`` is an integer, ``010`` is 8, ``08`` and
-``1e3`` are floats, ``yes`` is true, ``0o17`` and ``1_000`` are strings, and so is anything in quotes.
+with base 0, then ``strtod``, and takes the rest for a string. ``0x1827`` is an integer, ``010`` is 8, ``08``
+and ``1e3`` are floats, ``yes`` is true, ``0o17`` and ``1_000`` are strings, and so is anything in quotes.
 """
 
 from __future__ import annotations
@@ -18,10 +18,9 @@ _WORDS = {
     for word in (lower, lower.capitalize(), lower.upper())
 }
 _SPECIALS = {
-    sign + word: float(sign + word[1:])
-    for word in (".inf", ".Inf", ".INF", ".nan", ".NaN", ".NAN")
-    for sign in (("", "+", "-") if "i" in word.lower().split("n")[0] else ("",))
+    f"{sign}.{word}": float(sign + word) for word in ("inf", "Inf", "INF") for sign in ("", "+", "-")
 }
+_SPECIALS |= dict.fromkeys((".nan", ".NaN", ".NAN"), math.nan)
 # The whole text must match, after the white space that strtol and strtod skip. ASCII digits only, as in C.
 _INTEGER = re.compile(r"[ \t-\r]*([+-]?)(?:0[xX]([0-9a-fA-F]+)|(0[0-7]*)|([1-9][0-9]*))")
 _DECIMAL = re.compile(r"[ \t-\r]*[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -58,10 +57,11 @@ def _integer(text: str) -> int | None:
     if match is None:
         return None
     sign, hexadecimal, octal, decimal = match.groups()
-    digits, base = next((item, base) for item, base in ((hexadecimal, 16), (octal, 8), (decimal, 10)) if item)
-    if len(digits) > 64 and digits.strip("0") == digits:
-        return None  # out of range whatever the digits, and int() refuses thousands of them
-    value = int(sign + (digits.lstrip("0") or "0"), base)
+    digits, base = (hexadecimal, 16) if hexadecimal else (octal, 8) if octal else (decimal, 10)
+    digits = digits.lstrip("0") or "0"
+    if len(digits) > 64:
+        return None  # out of range in any base, and int() refuses thousands of digits
+    value = int(sign + digits, base)
     return value if -(2**63) <= value < 2**63 else None
 
 

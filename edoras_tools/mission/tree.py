@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission.report import Report
 
+FORM = "a bridge's file is NODE: ros__parameters: ..."
+"""What a file that is nothing of the kind is told."""
+
 _DEEPEST = 50
 _QUOTES = {"'", '"'}
 _STRING_TAG = "tag:yaml.org,2002:str"
@@ -81,21 +84,21 @@ def parse(text: str, report: Report) -> list[Tree]:
         events = list(YAML(pure=True).parse(spaced))
     except ReaderError as error:
         line = spaced.count("\n", 0, error.position) + 1
-        report.mistake(line, "", f"character {error.character:#x} is not allowed in YAML")
+        report.mistake(line, "", f"character {error.character:#x} is not allowed in YAML; remove it")
         return []
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         why = ", ".join(filter(None, (error.context, error.problem)))
-        report.mistake(mark.line + 1 if mark else 1, "", f"not YAML: {printable(why, 200)}")
+        report.mistake(mark.line + 1 if mark else 1, "", f"not YAML: {printable(why, 200)}; {FORM}")
         return []
     except Exception as error:  # noqa: BLE001  ruamel lets errors of its own out of broken directives and escapes
-        report.mistake(1, "", f"not YAML: {printable(str(error), 200) or type(error).__name__}")
+        report.mistake(1, "", f"not YAML: {printable(str(error), 200) or type(error).__name__}; {FORM}")
         return []
     depth = 0
     for event in events:
         depth += _step(event)
         if depth > _DEEPEST:
-            report.mistake(event.start_mark.line + 1, "", f"nested more than {_DEEPEST} levels deep")
+            report.mistake(event.start_mark.line + 1, "", f"nested more than {_DEEPEST} levels deep; {FORM}")
             return []
     return list(_documents(iter(events)))
 
