@@ -9,9 +9,7 @@ from edoras_tools.wire.cfe import is_command
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from edoras_tools.model import Decoded
+    from edoras_tools.model import Decoded, Layer
 
 
 class Facts(NamedTuple):
@@ -20,7 +18,7 @@ class Facts(NamedTuple):
     Attributes:
         kind: ``cmd``, ``tlm``, an SBN message type as ``SUB`` or ``APP``, or nothing.
         msg_id: the space packet's MsgId; ``NO_MSG_ID`` where there is none.
-        name: the topic, else what ``names`` calls the MsgId, else nothing.
+        name: the topic, else what the MsgId is called, else nothing.
     """
 
     kind: str
@@ -28,28 +26,29 @@ class Facts(NamedTuple):
     name: str
 
 
-def facts(decoded: Decoded, names: Mapping[int, str]) -> Facts:
-    """Read the facts of a packet.
-
-    Args:
-        decoded: the packet.
-        names: MsgId to a name, for packets that hold no message of a configured topic.
-    """
+def facts(decoded: Decoded) -> Facts:
+    """Read the facts of a packet."""
     payload = decoded.datagram.payload
-    kind, msg_id = "", NO_MSG_ID
+    kind, name, msg_id = "", "", NO_MSG_ID
     for layer in decoded.layers:
         if layer.name == "ccsds":
-            word = payload[layer.start : layer.start + 2]
-            if len(word) == 2:
-                msg_id = word[0] << 8 | word[1]
-                kind = kind or ("cmd" if is_command(msg_id) else "tlm")
+            word = int.from_bytes(payload[layer.start : layer.start + 2], "big")
+            kind = kind or ("cmd" if is_command(word) else "tlm")
+            msg_id, name = _msg_id(layer, word)
             break
         if layer.name == "sbn":
-            octet = payload[layer.start + 2 : layer.start + 3]
-            if octet:
-                kind = MSG_TYPE_NAMES.get(octet[0], f"0x{octet[0]:02x}")
-    name = decoded.message.topic if decoded.message else names.get(msg_id, "")
-    return Facts(kind, msg_id, name)
+            octet = payload[layer.start + 2] if layer.end <= len(payload) else 0
+            kind = MSG_TYPE_NAMES.get(octet, f"0x{octet:02x}")
+    return Facts(kind, msg_id, decoded.message.topic if decoded.message else name)
+
+
+def _msg_id(layer: Layer, word: int) -> tuple[int, str]:
+    """Return the MsgId and what follows it in its text: the name of the packet."""
+    for item in layer.fields:
+        # With the extended header the MsgId is not the first word.
+        if item.name == "msg_id":
+            return item.value, item.text.partition(" ")[2]
+    return word, ""
 
 
 def link_name(link: Link) -> str:

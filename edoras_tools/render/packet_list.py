@@ -14,8 +14,6 @@ from edoras_tools.render.severity import EXPLANATIONS, Severity, ranked
 from edoras_tools.render.text import clean, clip, clip_left, clip_middle, fit, fit_right
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from edoras_tools.model import Decoded, Endpoint
 
 
@@ -81,7 +79,6 @@ class PacketList:
         width: columns of the terminal, at least 20.
         colour: whether to use ANSI styles.
         time_format: how to tell time.
-        names: MsgId to a name, for packets that hold no message of a configured topic.
         verbose: show notes too, not only warnings and errors.
     """
 
@@ -91,12 +88,10 @@ class PacketList:
         *,
         colour: bool,
         time_format: TimeFormat = TimeFormat.RELATIVE,
-        names: Mapping[int, str] | None = None,
         verbose: bool = False,
     ) -> None:
         self._paint = palette.Paint(colour)
         self._time_format = time_format
-        self._names = names or {}
         self._at_least = Severity.NOTE if verbose else Severity.WARNING
         self._first_ns: int | None = None
         self._previous_ns = 0
@@ -133,7 +128,7 @@ class PacketList:
     def line(self, decoded: Decoded) -> str:
         """Return a packet's line, without a line end."""
         plan, paint, datagram = self._plan, self._paint, decoded.datagram
-        kind, msg_id, name = facts(decoded, self._names)
+        kind, msg_id, name = facts(decoded)
         style = palette.LINKS[decoded.link]
 
         number = f"{datagram.number:>{plan.number}}"

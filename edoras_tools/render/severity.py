@@ -115,8 +115,9 @@ EXPLANATIONS: Final = {
     ),
     Finding.SBN_ID_MISMATCH: Explanation(
         _ERROR,
-        "wrong $Id",
-        "SUB or UNSUB carries another $Id than this SBN's; the receiver refuses it as a version mismatch.",
+        "SBN identity",
+        "Not the peer that is known here: another $Id in SUB or UNSUB, or SpacecraftID and ProcessorID of "
+        "an unknown peer; the receiver refuses it.",
     ),
     Finding.OVER_CI_BUFFER: Explanation(
         _ERROR,

@@ -86,7 +86,7 @@ def _packet(decoded: Decoded) -> Iterator[Row]:
     length = f"{units.plural(len(datagram.payload), 'byte')} in a {frame}"
     value = f"{units.utc(datagram.time_ns)} UTC  {length}"
     yield Row("packet", 0, f"Packet {datagram.number}", value, style=style)
-    fact = facts(decoded, {})
+    fact = facts(decoded)
     msg_id = f"0x{fact.msg_id:04x}" if fact.msg_id != NO_MSG_ID else ""
     what = " ".join(word for word in (link_name(decoded.link), fact.kind, msg_id, fact.name) if word)
     yield Row("packet", 0, "", clean(f"{what}  {datagram.source} → {datagram.destination}"), style=style)

@@ -1,0 +1,101 @@
+"""A progress bar for work on files: bytes, packets per second, time left."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Final, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from edoras_tools.render import palette, units
+from edoras_tools.render.text import clean, clip_left
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from edoras_tools.model import SourceStatistics
+    from edoras_tools.render.watch import Report
+
+_REFRESH_S: Final = 0.1
+_PATIENCE_S: Final = 0.3
+"""Work that is done sooner shows no bar."""
+_LABEL: Final = 32
+
+
+class FileProgress:
+    """Shows how far a source is read; a context manager with an ``update`` that is cheap to call.
+
+    It draws from the caller's thread, at most ten times a second, and nothing at all where the console is no
+    terminal or the work is done at once. The bar vanishes at the end.
+
+    Args:
+        label: what is read, as a file's name.
+        console: where to draw; standard error by default.
+        quiet: draw nothing.
+        clock: monotonic time in s.
+    """
+
+    def __init__(
+        self,
+        label: str,
+        *,
+        console: Console | None = None,
+        quiet: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        console = console or Console(stderr=True)
+        self._clock = clock
+        self._began = self._drawn = clock()
+        self._progress: Progress | None = None
+        if not quiet and console.is_terminal:
+            self._progress = Progress(
+                TextColumn("{task.description}", markup=False),
+                BarColumn(None, complete_style="cyan", finished_style="green"),
+                TextColumn("{task.fields[figures]}", style=palette.DIM, markup=False),
+                console=console,
+                auto_refresh=False,
+                transient=True,
+                expand=True,
+            )
+            label = clip_left(clean(label), min(_LABEL, console.width // 4))
+            self._task = self._progress.add_task(label, total=None, figures="")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._progress:
+            self._progress.stop()
+
+    def update(self, report: Report) -> None:
+        """Draw how far the source is, if the last drawing is long enough ago."""
+        now = self._clock()
+        if self._progress is None or now - self._drawn < _REFRESH_S or now - self._began < _PATIENCE_S:
+            return
+        self._drawn = now
+        statistics = report.source.statistics
+        self._progress.start()
+        self._progress.update(
+            self._task,
+            total=statistics.total_bytes or None,
+            completed=min(statistics.position, statistics.total_bytes) if statistics.total_bytes else 0,
+            figures=figures(statistics, now - self._began),
+        )
+        self._progress.refresh()
+
+
+def figures(statistics: SourceStatistics, elapsed: float) -> str:
+    """Return ``41%  12.4 MiB  310,000 packets/s  3.2 s left``, as far as it is known.
+
+    Args:
+        statistics: of the source.
+        elapsed: s since the source was opened, more than 0.
+    """
+    position, total = statistics.position, statistics.total_bytes
+    words = [units.size(position or statistics.bytes), f"{statistics.datagrams / elapsed:,.0f} packets/s"]
+    if total:
+        words.insert(0, f"{100 * min(position, total) / total:.0f}%")
+        if position:
+            words.append(f"{units.duration(max(0, total - position) * elapsed / position)} left")
+    return "  ".join(words)
