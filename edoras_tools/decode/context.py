@@ -134,6 +134,10 @@ class Context:
             self.any_route_of[route.msg_id] = index
             self.known[route.msg_id] = True
 
+    def capture_ports(self) -> tuple[int, ...]:
+        """Return every UDP port that belongs to a link, for a filter in the kernel."""
+        return tuple(int(port) for port in np.flatnonzero(self.port_links))
+
     def is_cfs(self, endpoint: Endpoint) -> bool:
         """Tell whether an endpoint's address is that of a cFS that a ground mission names."""
         return (

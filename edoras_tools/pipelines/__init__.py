@@ -1,0 +1,1 @@
+"""Where sources, decoders and sinks meet: each file is what one command does, without its command line."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 PROTOCOL_VERSION: Final = 11
-IDENT: Final = "$Id: dccf623909d39c4c93531e140c15b61a95d8fc37 $"
+IDENT: Final = "$Id: dccf6239093d99c4c9351e140c15b61a95d8fc37 $"
 """What SUB and UNSUB carry: a literal of the SBN sources; a peer that sends another is refused."""
 IDENT_BYTES: Final = 48
 LARGEST_PAYLOAD: Final = 32767

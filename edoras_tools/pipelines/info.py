@@ -1,0 +1,29 @@
+"""What is in a capture or a recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from edoras_tools.errors import EdorasError
+from edoras_tools.pipelines.accounts import Ledger
+from edoras_tools.pipelines.record import Report
+
+if TYPE_CHECKING:
+    from edoras_tools.pipelines.record import Watcher
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.sources import Source
+
+
+def inspect(source: Source, bench: Workbench, *, watcher: Watcher | None = None) -> Report:
+    """Read a source to its end and count; ``Report.failure`` says why it ended early, if it did."""
+    report = Report(Ledger(bench.mission), source)
+    try:
+        for batch in source.batches():
+            report.ledger.add(batch, bench.columns.decode(batch))
+            if watcher is not None:
+                watcher.update(report)
+    except EdorasError as error:
+        report.failure = error
+    finally:
+        source.close()
+    return report

@@ -1,0 +1,198 @@
+"""A source into a recording: MCAP, rosbag2, pcapng or pcap, told by the suffix."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.pipelines.accounts import Ledger
+from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.selection import Selection
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from edoras_tools.errors import EdorasError
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.sinks import Sink
+    from edoras_tools.sources import Source
+
+_KINDS = (".mcap", ".pcapng", ".pcap")
+_FLUSH_NS = 500_000_000
+"""A killed recorder loses at most a second; flushed twice as often, it has time to write."""
+
+
+class Watcher(Protocol):
+    """What looks on while a recording grows: a progress bar or a live table."""
+
+    def update(self, report: Report) -> None:
+        """Show where things are; called once a batch."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What to write.
+
+    Attributes:
+        path: the file, or the rosbag2 directory.
+        rosbag2: write a rosbag2 directory.
+        split_bytes: begin another file at so many bytes; 0 never.
+        split_ns: begin another file after so long; 0 never.
+    """
+
+    path: Path
+    rosbag2: bool = False
+    split_bytes: int = 0
+    split_ns: int = 0
+
+
+@dataclass(slots=True)
+class Report:
+    """What was recorded.
+
+    Attributes:
+        ledger: counts by route.
+        source: the source, for its statistics.
+        interrupted: ended by Ctrl-C.
+        failure: why the source ended early, if it did; all before it is written.
+    """
+
+    ledger: Ledger
+    source: Source
+    interrupted: bool = False
+    failure: EdorasError | None = None
+
+    @property
+    def lost(self) -> int:
+        """Frames that the kernel or a full queue lost."""
+        return self.source.statistics.kernel_drops
+
+    def summary(self) -> dict[str, Any]:
+        """Return the report in the shape of ``info --json``."""
+        statistics = self.source.statistics
+        return {
+            "source": self.source.info.name,
+            "kind": self.source.info.kind,
+            "datagrams": self.ledger.datagrams,
+            "skipped": statistics.skipped,
+            "start_ns": self.ledger.start_ns,
+            "end_ns": self.ledger.end_ns,
+            "capture_drops": statistics.kernel_drops,
+            "routes": self.ledger.routes(),
+            "findings": dict(sorted(self.ledger.findings.items())),
+            "warnings": [*self.ledger.mission.warnings, *statistics.warnings],
+        }
+
+
+def check_target(target: Target, inputs: Sequence[Path]) -> None:
+    """Refuse a target that would overwrite what is being read, or an unknown kind, before anything is opened.
+
+    Raises:
+        ConfigError: it would.
+    """
+    if not target.rosbag2 and target.path.suffix.lower() not in _KINDS:
+        raise ConfigError(
+            f"{target.path}: {target.path.suffix or 'no suffix'} names no kind of recording; "
+            f"there are {', '.join(_KINDS)}, and --rosbag2"
+        )
+    if target.path.suffix.lower() != ".mcap" and (target.split_bytes or target.split_ns):
+        raise ConfigError(f"{target.path}: only MCAP recordings are split; name it .mcap, or leave --split-* out")
+    for item in inputs:
+        if item.exists() and target.path.exists() and item.samefile(target.path):
+            raise ConfigError(f"{target.path}: would overwrite its own input; name another output")
+
+
+def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str = "") -> Sink:
+    """Open what a checked target's suffix names.
+
+    Raises:
+        CaptureError: it cannot be written.
+    """
+    path, info = target.path, source.info
+    suffix = path.suffix.lower()
+    if target.rosbag2:
+        from edoras_tools.sinks.rosbag2 import Rosbag2Sink
+
+        return Rosbag2Sink(path, bench.mission, bench.types, info, filter=chosen)
+    if suffix == ".mcap":
+        from edoras_tools.sinks.mcap import McapSink
+
+        return McapSink(
+            path,
+            bench.mission,
+            bench.types,
+            info,
+            filter=chosen,
+            split_bytes=target.split_bytes,
+            split_ns=target.split_ns,
+        )
+    if suffix == ".pcapng":
+        from edoras_tools.sinks.pcapng import PcapngSink
+
+        return PcapngSink(path, nanosecond=info.time_resolution_ns < 1000, snap_length=info.snap_length)
+    from edoras_tools.sinks.pcap import PcapSink
+
+    return PcapSink(path, nanosecond=info.time_resolution_ns < 1000, snap_length=info.snap_length)
+
+
+def record(
+    source: Source,
+    bench: Workbench,
+    target: Target,
+    *,
+    selection: Selection | None = None,
+    clock: Callable[[], int],
+    duration_ns: int = 0,
+    count: int = 0,
+    watcher: Watcher | None = None,
+) -> Report:
+    """Write everything that a source gives until it ends, Ctrl-C, or a limit.
+
+    Args:
+        source: where datagrams come from; it is closed.
+        bench: mission, types and decoders.
+        target: what to write.
+        selection: which datagrams; all by default.
+        clock: monotonic time in ns, for flushing and ``duration_ns``.
+        duration_ns: stop after so long; 0 never.
+        count: stop after so many datagrams; 0 never.
+        watcher: shown the report after every batch.
+
+    Raises:
+        CaptureError: the recording cannot be written.
+        RouteError: the selection names a topic that is not configured.
+    """
+    selection = selection or Selection()
+    report = Report(Ledger(bench.mission), source)
+    sink = open_sink(target, source, bench, chosen=str(selection))
+    stop = getattr(source, "stop", None)
+    began = flushed = clock()
+    try:
+        with on_interrupt(stop or (lambda: None)) as asked:
+            for batch in source.batches():
+                if len(batch):
+                    columns = bench.columns.decode(batch)
+                    batch, columns = selection.apply(batch, columns, bench.mission)
+                    if count and report.ledger.datagrams + len(batch) > count:
+                        keep = slice(0, count - report.ledger.datagrams)
+                        batch, columns = batch.take(keep), columns.take(keep)
+                    sink.write(batch, columns)
+                    report.ledger.add(batch, columns)
+                now = clock()
+                if now - flushed >= _FLUSH_NS:
+                    sink.flush()
+                    flushed = now
+                if watcher is not None:
+                    watcher.update(report)
+                full = bool(count) and report.ledger.datagrams >= count
+                if full or (duration_ns and now - began >= duration_ns) or (asked.is_set() and stop is None):
+                    break
+            report.interrupted = asked.is_set()
+    except CaptureError as error:
+        report.failure = error
+    finally:
+        source.close()
+        sink.close(source.statistics)
+    return report

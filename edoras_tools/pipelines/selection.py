@@ -1,0 +1,83 @@
+"""Which datagrams a command looks at: by link, MsgId and topic, over columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.errors import RouteError
+from edoras_tools.model import Link
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, PacketBatch
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """A choice of datagrams; an empty choice is all of them.
+
+    Attributes:
+        links: of these links.
+        msg_ids: with these MsgIds.
+        topics: of these topics; shell patterns hold.
+        notable: with one of these finding bits.
+    """
+
+    links: Sequence[Link] = ()
+    msg_ids: Sequence[int] = ()
+    topics: Sequence[str] = ()
+    notable: int = 0
+
+    def __bool__(self) -> bool:
+        return bool(self.links or self.msg_ids or self.topics or self.notable)
+
+    def __str__(self) -> str:
+        words = [f"link={link.label}" for link in self.links]
+        words += [f"msg_id=0x{item:04x}" for item in self.msg_ids]
+        words += [f"topic={item}" for item in self.topics]
+        return " ".join(words + ["findings"] * bool(self.notable))
+
+    def mask(self, columns: Columns, mission: Mission) -> NDArray[np.bool_]:
+        """Return which rows are chosen.
+
+        Raises:
+            RouteError: a topic pattern fits no configured topic.
+        """
+        chosen = np.ones(len(columns), bool)
+        if self.links:
+            chosen &= np.isin(columns.link, [int(link) for link in self.links])
+        if self.msg_ids:
+            chosen &= np.isin(columns.msg_id, list(self.msg_ids))
+        if self.topics:
+            chosen &= np.isin(columns.route, self._routes(mission))
+        if self.notable:
+            chosen &= (columns.findings & np.uint32(self.notable)) != 0
+        return chosen
+
+    def apply(
+        self, batch: PacketBatch, columns: Columns, mission: Mission
+    ) -> tuple[PacketBatch, Columns]:
+        """Return the chosen rows of both."""
+        if not self:
+            return batch, columns
+        rows = np.flatnonzero(self.mask(columns, mission))
+        return batch.take(rows), columns.take(rows)
+
+    def _routes(self, mission: Mission) -> list[int]:
+        routes = []
+        for pattern in self.topics:
+            wanted = pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
+            fits = [index for index, route in enumerate(mission.routes) if fnmatchcase(route.topic, wanted)]
+            if not fits:
+                there = ", ".join(route.topic for route in mission.routes) or "none; name a mission with -c"
+                raise RouteError(f"no configured topic fits {pattern!r}; there are: {there}")
+            routes += fits
+        return routes

@@ -1,0 +1,121 @@
+"""Single packets out of a source, in order, for people and for JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.pipelines.interrupt import on_interrupt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from edoras_tools.model import Decoded
+    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.sources import Source
+
+
+def sniff(
+    source: Source,
+    bench: Workbench,
+    *,
+    selection: Selection,
+    count: int = 0,
+    clock: Callable[[], int],
+    duration_ns: int = 0,
+) -> Iterator[Decoded]:
+    """Yield the chosen packets of a source, decoded; the source is closed at the end.
+
+    Args:
+        source: where datagrams come from.
+        bench: mission, types and decoders.
+        selection: which packets.
+        count: stop after so many; 0 never.
+        clock: monotonic time in ns.
+        duration_ns: stop after so long; 0 never.
+
+    Raises:
+        CaptureError: the source ended early; everything before was yielded.
+    """
+    shown, began = 0, clock()
+    stop = getattr(source, "stop", None)
+    try:
+        with on_interrupt(stop or (lambda: None)) as asked:
+            for batch in source.batches():
+                columns = bench.columns.decode(batch)
+                chosen = selection.apply(batch, columns, bench.mission)[0]
+                for row in range(len(chosen)):
+                    if asked.is_set() and stop is None:
+                        return
+                    yield bench.dissector.dissect(chosen[row])
+                    shown += 1
+                    if count and shown >= count:
+                        return
+                if duration_ns and clock() - began >= duration_ns:
+                    return
+    finally:
+        source.close()
+
+
+def find(source: Source, bench: Workbench, number: int) -> Decoded:
+    """Return one packet, decoded in the light of all before it.
+
+    Args:
+        source: a file.
+        bench: mission, types and decoders.
+        number: the frame's number, from 1, as ``sniff`` and Wireshark show it.
+
+    Raises:
+        CaptureError: there is no such datagram.
+    """
+    last = 0
+    try:
+        for batch in source.batches():
+            bench.columns.decode(batch)
+            rows = (batch.number == number).nonzero()[0]
+            if len(rows):
+                return bench.dissector.dissect(batch[int(rows[0])])
+            last = int(batch.number[-1]) if len(batch) else last
+            if last > number:
+                break
+    finally:
+        source.close()
+    what = "is no UDP datagram" if number <= last else f"is not there: the last datagram is number {last}"
+    raise CaptureError(f"{source.info.name}: packet {number} {what}")
+
+
+def as_json(decoded: Decoded) -> dict[str, Any]:
+    """Return a packet in the shape of ``sniff --json``: plain values, bytes as hex, not-a-number as null."""
+    packet = decoded.layer("ccsds")
+    message = decoded.message
+    record = {
+        "number": decoded.datagram.number,
+        "time_ns": decoded.datagram.time_ns,
+        "link": decoded.link.label,
+        "source": str(decoded.datagram.source),
+        "destination": str(decoded.datagram.destination),
+        "length": len(decoded.datagram.payload),
+        "layers": {layer.name: layer.values() for layer in decoded.layers if layer.name != "ros"},
+        "msg_id": f"0x{packet.values()['msg_id']:04x}" if packet else None,
+        "topic": message.topic if message else None,
+        "type": message.type if message else None,
+        "message": message.values if message else None,
+        "findings": decoded.findings.labels,
+        "stop": str(decoded.stop) if decoded.stop else None,
+    }
+    plain: dict[str, Any] = _plain(record)
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (bytes, bytearray)):
+        return value.hex()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,81 @@
+"""What every pipeline is set up with: the mission, the types and the decoders that share them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.mission import Mission, load, loads
+from edoras_tools.ros import TypeStore
+from edoras_tools.sources import open_file
+from edoras_tools.sources.merge import merge
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from edoras_tools.sources import Source
+
+
+@dataclass(frozen=True, slots=True)
+class Workbench:
+    """A mission, its types, and one decoder of each kind over the same context.
+
+    Attributes:
+        mission: the routes and links.
+        types: the ROS types.
+        columns: decodes batches.
+        dissector: decodes single packets, with every field's bytes.
+    """
+
+    mission: Mission
+    types: TypeStore
+    columns: ColumnDecoder
+    dissector: Dissector
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the command line says of missions, types and decoding.
+
+    Attributes:
+        configs: mission files.
+        distro: ROS distribution whose message definitions hold.
+        msg_paths: folders with further ``.msg`` and ``.idl`` files.
+        options: how to read the bytes.
+    """
+
+    configs: Sequence[Path] = ()
+    distro: str = "humble"
+    msg_paths: Sequence[Path] = ()
+    options: Options = Options()  # noqa: RUF009  frozen, and the same for all
+
+    def workbench(self, attachments: Mapping[str, bytes] | None = None) -> Workbench:
+        """Set up.
+
+        Args:
+            attachments: mission files that a recording carries; they hold where no mission is named.
+
+        Raises:
+            ConfigError: a mission, a type folder or an option has mistakes.
+        """
+        types = TypeStore(self.distro, self.msg_paths)
+        if self.configs:
+            mission = load(self.configs, check_type=types.check)
+        elif attachments:
+            mission = loads(attachments, check_type=types.check)
+        else:
+            mission = Mission()
+        context = Context(mission, types, self.options)
+        return Workbench(mission, types, ColumnDecoder(context), Dissector(context))
+
+
+def open_files(paths: Sequence[Path]) -> Source:
+    """Open captures and recordings as one source, in time order.
+
+    Raises:
+        CaptureError: one cannot be opened.
+    """
+    sources = [open_file(path) for path in paths]
+    return sources[0] if len(sources) == 1 else merge(sources)
