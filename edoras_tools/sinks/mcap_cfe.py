@@ -159,17 +159,17 @@ def _log_strings(
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
     """Write what follows ``level`` in a Log: name, msg, file, function, line, CDR strings with alignment."""
     count = len(payload)
-    senders = np.stack((payload["spacecraft_id"], payload["processor_id"]), axis=1)
-    distinct, which = np.unique(senders, axis=0, return_inverse=True)
-    functions = [f"{spacecraft}/{processor}".encode() for spacecraft, processor in distinct.tolist()]
+    senders = payload["spacecraft_id"].astype(np.uint64) << np.uint64(32) | payload["processor_id"]
+    distinct, which = np.unique(senders, return_inverse=True)
+    functions = [f"{sender >> 32}/{sender & 0xFFFFFFFF}".encode() for sender in distinct.tolist()]
     function_pool = np.frombuffer(b"".join(functions) or b"\0", dtype=np.uint8)
     function_length = np.array([len(text) for text in functions], dtype=np.int64)
     function_start = np.cumsum(function_length) - function_length
     texts = (
-        (*_text(payload["app_name"]),),
-        (*_text(payload["message"]),),
+        _text(payload["app_name"]),
+        _text(payload["message"]),
         (function_pool, np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)),
-        (function_pool, function_start[which.ravel()], function_length[which.ravel()]),
+        (function_pool, function_start[which], function_length[which]),
     )
     # CDR alignment counts from behind the encapsulation.
     start = head_bytes - np.dtype(RECORD).itemsize - 4

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
 RECORD = [
@@ -31,8 +29,10 @@ PREFIX_BYTES = 9
 OPCODE_MESSAGE = 0x05
 ENCAPSULATION = 0x00000100
 """The CDR encapsulation ``00 01 00 00`` (little-endian CDR, no options) as a little-endian u32."""
-_FEW_WIDTHS = 48
-"""Up to so many distinct lengths are moved width by width; more go in two overlapping moves a row."""
+_LARGE = 17
+"""The group of rows of 64 KiB and more: few, and worth a step of Python each."""
+_GROUPS = np.frexp(np.arange((1 << 16) + 1.0))[1].astype(np.uint8)
+"""The group of a length up to 64 KiB: the number of its bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,36 +98,26 @@ def copy_rows(
     offsets: NDArray[np.int64],
     lengths: NDArray[np.integer[Any]],
 ) -> None:
-    """Copy ``lengths[i]`` bytes from ``source[offsets[i]]`` to ``target[positions[i]]``, for every i."""
-    for width, rows in _widths(lengths):
-        writable, readable = _at_every_byte(target, width), _at_every_byte(source, width)
-        writable[positions[rows]] = readable[offsets[rows]]
-        rest = lengths[rows] - width
-        longer = rows[rest > 0]
-        if len(longer):
-            # The last `width` bytes of the row: together with the first they cover it, as it has 2 x width at most.
-            rest = lengths[longer] - width
-            writable[positions[longer] + rest] = readable[offsets[longer] + rest]
+    """Copy ``lengths[i]`` bytes from ``source[offsets[i]]`` to ``target[positions[i]]``, for every i.
+
+    Rows go in groups whose lengths share their highest bit: the first ``width`` bytes of a row and its last
+    ``width`` cover it, whatever its length, so the number of moves does not grow with that of lengths.
+    """
+    groups = _GROUPS[np.minimum(lengths, len(_GROUPS) - 1)]
+    for group in np.flatnonzero(np.bincount(groups)).tolist():
+        rows = np.flatnonzero(groups == group)
+        to, start, length = positions[rows], offsets[rows], lengths[rows]
+        if group == _LARGE:
+            for here, there, size in zip(to.tolist(), start.tolist(), length.tolist(), strict=True):
+                target[here : here + size] = source[there : there + size]
+        elif group:
+            width = 1 << (group - 1)
+            writable, readable = _at_every_byte(target, width), _at_every_byte(source, width)
+            writable[to] = readable[start]
+            rest = length - width
+            if rest.any():
+                writable[to + rest] = readable[start + rest]
 
 
 def _at_every_byte(buffer: NDArray[np.uint8], width: int) -> NDArray[Any]:
     return np.ndarray((max(len(buffer) - width + 1, 0),), dtype=f"V{width}", buffer=buffer, strides=(1,))
-
-
-def _widths(lengths: NDArray[np.integer[Any]]) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """Group rows so that in each group ``width <= length <= 2 * width``; rows of length 0 are in none."""
-    if len(lengths) == 0:
-        return
-    if int(lengths.max()) <= 0xFFFF:
-        keys = lengths.astype(np.uint16)
-        order = np.argsort(keys, kind="stable")  # radix sort: linear in 16 bits
-        edges = np.flatnonzero(np.diff(keys[order])) + 1
-        if len(edges) < _FEW_WIDTHS:
-            for rows in np.split(order, edges):
-                width = int(lengths[rows[0]])
-                if width:
-                    yield width, rows
-            return
-    exponents = np.frexp(lengths.astype(np.float64))[1]
-    for exponent in np.unique(exponents[lengths > 0]):
-        yield 1 << (int(exponent) - 1), np.flatnonzero((exponents == exponent) & (lengths > 0))

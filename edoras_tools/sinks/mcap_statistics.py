@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.model import Link
+from edoras_tools.model import Finding, Link
 from edoras_tools.sinks.mcap_cfe import stamp
 from edoras_tools.sinks.mcap_clock import sender_order
 from edoras_tools.sinks.mcap_gaps import SequenceGaps
@@ -101,19 +101,22 @@ class LinkStatistics:
         return self._write(groups, rows, rows + self._end_ns, channel_id)
 
     def _count(self, batch: PacketBatch, columns: Columns, second: NDArray[np.int64]) -> NDArray[np.void]:
-        gaps = self._gaps.missing(columns)
         flow = (columns.link.astype(np.uint32) << _MSG_ID_BITS) | (columns.msg_id + 1).astype(np.uint32)
-        order = sender_order(flow)
-        ordered, seconds = flow[order], second[order]
-        edge = (ordered[1:] != ordered[:-1]) | (seconds[1:] != seconds[:-1])
-        starts = np.append(0, np.flatnonzero(edge) + 1)
+        order = sender_order(columns.processor_id, flow)
+        flow, second, length = flow[order], second[order], batch.length[order]
+        starts = np.append(0, np.flatnonzero((flow[1:] != flow[:-1]) | (second[1:] != second[:-1])) + 1)
         groups = np.zeros(len(starts), dtype=_GROUP)
-        groups["second"], groups["flow"] = seconds[starts], ordered[starts]
+        groups["second"], groups["flow"] = second[starts], flow[starts]
         groups["count"] = np.diff(np.append(starts, len(order)))
-        length = batch.length[order]
         groups["bytes"] = np.add.reduceat(length, starts, dtype=np.int64)
         groups["largest"] = np.maximum.reduceat(length, starts)
-        groups["gaps"] = np.add.reduceat(gaps[order], starts)
+        counted = (columns.msg_id >= 0) & (columns.findings & np.uint32(Finding.SEQUENCE_UNSET) == 0)
+        rows = np.flatnonzero(counted[order])
+        chosen = order[rows]
+        sender = (flow[rows].astype(np.int64) << 32) | columns.processor_id[chosen]
+        gaps = np.zeros(len(order), dtype=np.int64)
+        gaps[rows] = self._gaps.missing(sender, columns.sequence_count[chosen])
+        groups["gaps"] = np.add.reduceat(gaps, starts)
         return groups
 
     def _write(
