@@ -9,6 +9,8 @@ from edoras_tools.wire.cfe import is_command
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from edoras_tools.model import Decoded, Layer
 
 
@@ -26,8 +28,13 @@ class Facts(NamedTuple):
     name: str
 
 
-def facts(decoded: Decoded) -> Facts:
-    """Read the facts of a packet."""
+def facts(decoded: Decoded, names: Mapping[int, str] | None = None) -> Facts:
+    """Read the facts of a packet.
+
+    Args:
+        decoded: the packet.
+        names: MsgId to a name, where neither a message nor the layers have one.
+    """
     payload = decoded.datagram.payload
     kind, name, msg_id = "", "", NO_MSG_ID
     for layer in decoded.layers:
@@ -39,7 +46,9 @@ def facts(decoded: Decoded) -> Facts:
         if layer.name == "sbn":
             octet = payload[layer.start + 2] if layer.end <= len(payload) else 0
             kind = MSG_TYPE_NAMES.get(octet, f"0x{octet:02x}")
-    return Facts(kind, msg_id, decoded.message.topic if decoded.message else name)
+    if decoded.message:
+        name = decoded.message.topic
+    return Facts(kind, msg_id, name or (names or {}).get(msg_id, ""))
 
 
 def _msg_id(layer: Layer, word: int) -> tuple[int, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.table import Table
@@ -15,13 +16,13 @@ from edoras_tools.render.table import Column, build, plain
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from rich.console import Console, ConsoleOptions, RenderResult
+    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
 _LINK_STYLES: Final = {link.label: style for link, style in palette.LINKS.items()}
 
 
-class Info:
-    """A rich renderable of the object that ``info --json`` prints.
+def capture_summary(summary: Mapping[str, Any], *, explain: bool = True) -> RenderableType:
+    """Return the view of the object that ``info --json`` prints.
 
     Args:
         summary: the object. Beyond its fixed keys it may hold ``source`` (a name), ``kind``, ``bytes``,
@@ -29,23 +30,24 @@ class Info:
             ``processor_id``, ``bytes_min`` and ``findings`` (label to count). Routes keep their order.
         explain: say what every finding means.
     """
+    return _CaptureSummary(summary, explain)
 
-    def __init__(self, summary: Mapping[str, Any], *, explain: bool = True) -> None:
-        self._summary = summary
-        self._explain = explain
+
+@dataclass(frozen=True, slots=True)
+class _CaptureSummary:
+    summary: Mapping[str, Any]
+    explain: bool
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield the totals and the tables, with the columns that the width has room for."""
-        yield totals(self._summary)
-        if self._summary.get("routes"):
+        yield totals(self.summary)
+        if self.summary.get("routes"):
             yield Text()
-            yield routes(self._summary["routes"], options.max_width)
-        if self._summary.get("findings"):
+            yield routes(self.summary["routes"], options.max_width)
+        if self.summary.get("findings"):
             yield Text()
-            yield findings(
-                self._summary["findings"], self._summary.get("datagrams", 0), meaning=self._explain
-            )
-        for line in self._summary.get("warnings", ()):
+            yield findings(self.summary["findings"], self.summary.get("datagrams", 0), meaning=self.explain)
+        for line in self.summary.get("warnings", ()):
             yield plain(f"! {line}", Severity.WARNING.style)
 
 
@@ -144,7 +146,7 @@ _COLUMNS: Final = (
 
 def routes(rows: Sequence[Mapping[str, Any]], width: int) -> Table:
     """Return the table of routes, with the columns that ``width`` has room for."""
-    return build(_COLUMNS, rows, width, apart=lambda row: (bool(row.get("topic")), row.get("link")))
+    return build(_COLUMNS, rows, width, apart=lambda row: "topic" if row.get("topic") else row.get("link"))
 
 
 def findings(counts: Mapping[str, int], datagrams: int, *, meaning: bool = True) -> Table:
@@ -164,6 +166,8 @@ def findings(counts: Mapping[str, int], datagrams: int, *, meaning: bool = True)
     told = [(label, count, explain(label)) for label, count in counts.items()]
     for label, count, it in sorted(told, key=lambda item: (-item[2].severity, -item[1])):
         name = plain(f"{it.severity.mark} {label}", it.severity.style)
-        share = f"{100 * count / datagrams:.0f}%" if datagrams else ""
+        share = (
+            "" if not datagrams else "<1%" if 200 * count < datagrams else f"{100 * count / datagrams:.0f}%"
+        )
         table.add_row(name, units.count(count), share, *([Text(it.meaning)] if meaning else []))
     return table

@@ -14,6 +14,7 @@ from edoras_tools.render import palette, units
 from edoras_tools.render.info import departures, link_of, msg_id_of, name_of
 from edoras_tools.render.severity import Severity
 from edoras_tools.render.table import Column, build, plain
+from edoras_tools.render.watch import size_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -75,7 +76,11 @@ class LiveTable:
         self._began = self._drawn = clock()
         self._last: Report | None = None
         # Only update() draws: rich's own thread would read the counts while they change.
-        self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
+        self._live = (
+            Live(console=self._console, auto_refresh=False, redirect_stdout=False)
+            if self._console.is_terminal
+            else None
+        )
 
     def __enter__(self) -> Self:
         if self._live:
@@ -104,7 +109,7 @@ class LiveTable:
         counts: dict[object, int] = {_key(row): row.get("count", 0) for row in summary.get("routes", ())}
         counts[None] = summary.get("datagrams", 0)
         rates = self._rates.add(now, counts)
-        size = _size(self._output) if self._output else None
+        size = size_of(self._output) if self._output else None
         view = Snapshot(self._title, summary, rates, now - self._began, size, self._console.height)
         self._live.update(view, refresh=True)
 
@@ -175,6 +180,7 @@ _COLUMNS: Final = (
     Column("Link", link_of, justify="left"),
     Column("MsgId", msg_id_of, justify="left"),
     Column("Topic", name_of, justify="left", elastic=True),
+    Column("CPU", lambda row: plain(row.get("processor_id") or ""), rank=2),
     Column("Count", lambda row: Text(units.count(row.get("count")), palette.STRONG)),
     Column("Mean", lambda row: Text(units.rate(row.get("rate_hz") or None), palette.DIM), rank=3),
     Column(
@@ -192,11 +198,3 @@ def _key(row: Mapping[str, Any]) -> object:
 def _one_line(text: Text) -> Text:
     text.no_wrap, text.overflow = True, "ellipsis"
     return text
-
-
-def _size(path: Path) -> int:
-    """Return the bytes of a file, or of a directory's files; 0 while there is none."""
-    try:
-        return sum(item.stat().st_size for item in path.iterdir()) if path.is_dir() else path.stat().st_size
-    except OSError:
-        return 0

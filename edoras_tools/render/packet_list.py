@@ -14,6 +14,8 @@ from edoras_tools.render.severity import EXPLANATIONS, Severity, ranked
 from edoras_tools.render.text import clean, clip, clip_left, clip_middle, fit, fit_right
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from edoras_tools.model import Decoded, Endpoint
 
 
@@ -79,6 +81,7 @@ class PacketList:
         width: columns of the terminal, at least 20.
         colour: whether to use ANSI styles.
         time_format: how to tell time.
+        names: MsgId to a name, where neither a message nor the layers have one.
         verbose: show notes too, not only warnings and errors.
     """
 
@@ -88,8 +91,10 @@ class PacketList:
         *,
         colour: bool,
         time_format: TimeFormat = TimeFormat.RELATIVE,
+        names: Mapping[int, str] | None = None,
         verbose: bool = False,
     ) -> None:
+        self._names = names
         self._paint = palette.Paint(colour)
         self._time_format = time_format
         self._at_least = Severity.NOTE if verbose else Severity.WARNING
@@ -128,7 +133,7 @@ class PacketList:
     def line(self, decoded: Decoded) -> str:
         """Return a packet's line, without a line end."""
         plan, paint, datagram = self._plan, self._paint, decoded.datagram
-        kind, msg_id, name = facts(decoded)
+        kind, msg_id, name = facts(decoded, self._names)
         style = palette.LINKS[decoded.link]
 
         number = f"{datagram.number:>{plan.number}}"
@@ -148,7 +153,9 @@ class PacketList:
         # A number or a length beyond its column is shown whole, and the message gives the room.
         room = plan.info - (len(number) - plan.number) - max(0, len(after) - len(plan.gap) - plan.length)
         badge, taken = self._badge(decoded.findings, room)
-        summary = clean(decoded.summary or (str(decoded.stop) if decoded.stop else ""))
+        told = decoded.summary or (str(decoded.stop) if decoded.stop else "")
+        # A packet that is known by name only has said all in the column of names.
+        summary = clean(told) if told != name else ""
         summary = clip(summary, room - taken)
         if not self._paint.colour:
             return f"{before}{plan.gap}{middle}{after}{plan.gap}{badge}{summary}".rstrip()

@@ -24,7 +24,7 @@ _LAYERS: Final = {
     "ccsds": "cyan",
     "cfe": "blue",
     "edoras": "yellow",
-    "cdr": "bright_magenta",
+    "cdr": "bright_cyan",
     "ethernet": "bright_black",
     "ip": "bright_black",
     "ipv4": "bright_black",

@@ -56,6 +56,7 @@ class FileProgress:
                 console=console,
                 auto_refresh=False,
                 transient=True,
+                redirect_stdout=False,
                 expand=True,
             )
             label = clip_left(clean(label), min(_LABEL, console.width // 4))

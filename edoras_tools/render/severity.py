@@ -202,6 +202,11 @@ EXPLANATIONS: Final = {
 }
 """Every finding; :func:`explain` looks one up."""
 
+NOTABLE: Final = Finding(
+    sum(item for item, told in EXPLANATIONS.items() if told.severity >= Severity.WARNING)
+)
+"""Every finding that is more than a note."""
+
 _BY_LABEL: Final = {item.label: item for item in Finding}
 
 
