@@ -12,15 +12,13 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 import numpy as np
 
 from edoras_tools.ros.plan import Plan, Repeat, Run, Text
-from edoras_tools.ros.reader import ENCAPSULATION, PADDING
+from edoras_tools.ros.reader import ENCAPSULATION
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Position = int | NDArray[np.int64]
 
-CHUNK: Final = 16_384
-"""Rows of one walk of ``valid``: few enough that its arrays stay in the processor's cache."""
 _LITTLE: Final = 0x0100
 _BIG: Final = 0x0000
 """The first two bytes of a message, 00 01 and 00 00, as they read little-endian."""
@@ -82,9 +80,10 @@ class Cursor:
         swap: rows that are big-endian; None for no row.
         position: from the start of the body; one number while all rows agree.
         parent: the rows of the cursor that this one was taken from.
+        seen: where set, the walk of a single row notes the bytes (first, one past last) that it decided by.
     """
 
-    __slots__ = ("base", "bytes", "end", "parent", "position", "room", "rows", "swap")
+    __slots__ = ("base", "bytes", "end", "parent", "position", "room", "rows", "seen", "swap")
 
     def __init__(
         self,
@@ -102,6 +101,7 @@ class Cursor:
         self.swap = swap
         self.position = position
         self.parent = rows
+        self.seen: list[tuple[int, int]] | None = None
         self.room = int(end.min()) if len(end) else 0
 
     def __len__(self) -> int:
@@ -156,29 +156,11 @@ class Cursor:
         values = self.bytes.gather(self.start, 4).view("<u4")
         if self.swap is not None:
             values = np.where(self.swap, values.byteswap(), values)
+        if self.seen is not None:
+            self.seen.append((int(self.position), int(self.position) + 4))
         self.position = self.position + 4
         first = values[0]
         return int(first) if (values == first).all() else values.astype(np.int64)
-
-
-def valid(plan: Plan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Tell which messages ``reader.decode`` accepts.
-
-    Args:
-        plan: of their type.
-        data: u8, the buffer.
-        offset: i64, first byte of each message, encapsulation included; any value.
-        length: i32, bytes of each message; any value.
-    """
-    data = np.ascontiguousarray(data)
-    found = np.zeros(len(offset), bool)
-    for first in range(0, len(offset), CHUNK):
-        cursor = start(plan, data, offset[first : first + CHUNK], length[first : first + CHUNK])
-        walk(plan, cursor, None)
-        left = cursor.end - cursor.position
-        cursor.keep((left >= 0) & (left <= PADDING))
-        found[first + cursor.rows] = True
-    return found
 
 
 def start(plan: Plan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> Cursor:
@@ -233,8 +215,11 @@ def _walk_text(step: Text, cursor: Cursor, collector: Collector | None, prefix: 
     if step.bound:
         length = cursor.keep(np.broadcast_to(length - narrow <= step.bound, len(cursor)), length)
     if narrow:
-        last = cursor.bytes.data[cursor.start + (np.maximum(length, 1) - 1)]
-        length = cursor.keep((last == 0) | np.equal(length, 0), length)
+        last = length - 1  # where the length is 0 that is a byte of the length itself, and not asked
+        if cursor.seen is not None and len(cursor):
+            cursor.seen.append((int(cursor.position + last), int(cursor.position + last) + 1))
+        ends = cursor.bytes.data[cursor.start + last] == 0
+        length = cursor.keep(ends | np.equal(length, 0), length)
     if collector is not None:
         collector.text(joined(prefix, step.name), step, cursor, length)
     cursor.position = cursor.position + length * step.width

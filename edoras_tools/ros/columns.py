@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from edoras_tools.ros import bulk, reader
+from edoras_tools.ros import bulk, reader, validity
 from edoras_tools.ros.plan import Leaf, Plan, Repeat, Run, Text
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def columns(
         length: i32, bytes of each message; any value.
     """
     data = np.ascontiguousarray(data)
-    valid = bulk.valid(plan, data, offset, length)
+    valid = validity.valid(plan, data, offset, length)
     rows = np.flatnonzero(valid)
     cursor = bulk.start(plan, data, offset[rows], length[rows])
     cursor.rows = rows

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.ros import bulk, columns, reader
+from edoras_tools.ros import columns, reader, validity
 from edoras_tools.ros.library import Library
 from edoras_tools.ros.plan import Compiler
 from edoras_tools.ros.schema import complete_text, full_name
@@ -142,7 +142,7 @@ class TypeStore:
             offset: i64, first byte of each message, encapsulation included; any value is safe.
             length: i32, bytes of each message; any value is safe.
         """
-        return bulk.valid(self._plan(type_name)[1], data, offset, length)
+        return validity.valid(self._plan(type_name)[1], data, offset, length)
 
     def columns(
         self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
