@@ -8,13 +8,15 @@ forward jumps only. A load past the end of the packet ends the program with "dro
 
 from __future__ import annotations
 
+import ctypes
+import socket
 import struct
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
 ETHERNET: Final = 1
 """LINKTYPE_ETHERNET."""
@@ -59,6 +61,7 @@ MAXIMUM_TAGS: Final = 2
 MAXIMUM_EXTENSIONS: Final = 4
 """IPv6 extension headers that are looked behind."""
 
+_SO_ATTACH_FILTER: Final = 26
 _VLAN_TYPES: Final = (0x8100, 0x88A8, 0x9100)
 _IPV4, _IPV6 = 0x0800, 0x86DD
 _UDP, _FRAGMENT = 17, 44
@@ -79,6 +82,10 @@ class Instruction(NamedTuple):
     then: int
     otherwise: int
     k: int
+
+
+NOTHING: Final = (Instruction(RET, 0, 0, 0),)
+"""The program that lets nothing in."""
 
 
 class Assembler:
@@ -175,6 +182,19 @@ def port_filter(
 def pack(program: Iterable[Instruction]) -> bytes:
     """Return the program as an array of ``struct sock_filter``, in native byte order."""
     return b"".join(struct.pack("=HBBI", *instruction) for instruction in program)
+
+
+def attach(target: socket.socket, program: Sequence[Instruction]) -> None:
+    """Put a program before a socket, in place of the one there is.
+
+    Raises:
+        OSError: the kernel does not take it.
+    """
+    packed = pack(program)
+    # struct sock_fprog holds an address, which the socket module has no way to give.
+    buffer = ctypes.create_string_buffer(packed, len(packed))
+    argument = struct.pack("HP", len(program), ctypes.addressof(buffer))
+    target.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, argument)
 
 
 def _ethertype(program: Assembler, end: int) -> None:

@@ -105,6 +105,7 @@ class DeviceSource:
         self._taken = 0  # written by the consumer only
         self._room = threading.Event()
         self._stopping = False
+        self._deadline = 0.0  # once stopping: until when the device may take
         self._closed = False
         self._wake, self._waker = socket.socketpair()
         self._waker.setblocking(False)
@@ -182,39 +183,43 @@ class DeviceSource:
         for fileno in (*device.filenos(), self._wake.fileno()):
             poll.register(fileno, select.POLLIN)
         failure = None
-        deadline = 0.0
         while not self._closed:
-            if (self._stopping or failure) and not deadline:
+            if (self._stopping or failure) and not self._deadline:
                 device.refuse()
-                deadline = time.monotonic() + _DRAIN_S
+                self._deadline = time.monotonic() + _DRAIN_S
                 poll.unregister(self._wake.fileno())
-            more = self._drain(deadline)
+            more = self._drain()
             device.count()
             failure = failure or device.failure()
-            if deadline and (device.drained() or time.monotonic() > deadline):
+            if self._deadline and (device.drained() or self._late()):
                 break
-            if not more and (deadline or not failure):
-                poll.poll(5 if deadline else 100)
-                time.sleep(0 if deadline else device.linger_s)
+            if not more and (self._deadline or not failure):
+                poll.poll(5 if self._deadline else 100)
+                time.sleep(0 if self._deadline else device.linger_s)
         if failure:
             raise CaptureError(failure)
 
-    def _drain(self, deadline: float) -> bool:
-        """Queue what the device holds; return whether there may be more, the time being up."""
+    def _drain(self) -> bool:
+        """Queue what the device holds; return whether there may be more, something else being due."""
         while (frames := self._device.read()) is not None:
             self._queued += frames.data.size
             self._queue.put(frames)
             self._wait_for_room()
-            if self._closed or (deadline and time.monotonic() > deadline):
-                return True
-            if self._stopping and not deadline:
+            if self._closed or self._late() or (self._stopping and not self._deadline):
                 return True
         return False
 
     def _wait_for_room(self) -> None:
+        """Wait while the queue is full; the time that takes is the consumer's and not the device's."""
         while self._queued - self._taken > self._queue_bytes and not self._closed:
             self._room.wait(self._idle_s)
             self._room.clear()
+            if self._deadline:
+                self._deadline = time.monotonic() + _DRAIN_S
+
+    def _late(self) -> bool:
+        """Tell whether the device has had its time to give up what it holds."""
+        return bool(self._deadline) and time.monotonic() > self._deadline
 
 
 def _nothing() -> PacketBatch:

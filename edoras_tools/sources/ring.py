@@ -20,7 +20,7 @@ import numpy as np
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import SourceInfo
 from edoras_tools.sources import tpacket
-from edoras_tools.sources.bpf import ETHERNET, LINUX_SLL2, RAW, RET, Instruction, pack, port_filter
+from edoras_tools.sources.bpf import ETHERNET, LINUX_SLL2, NOTHING, RAW, Instruction, attach, port_filter
 from edoras_tools.sources.framing import PADDING
 from edoras_tools.sources.interfaces import ANY, Interface, denied, find, loopback_index
 
@@ -37,7 +37,6 @@ _PACKET_VERSION: Final = 10
 _PACKET_IGNORE_OUTGOING: Final = 23
 _PACKET_MR_PROMISC: Final = 1
 _TPACKET_V3: Final = 2
-_SO_ATTACH_FILTER: Final = 26
 _ETH_P_ALL: Final = 3
 _STATUS_USER: Final = 1
 _STATUS_KERNEL: Final = 0
@@ -120,7 +119,7 @@ class Ring:
         promiscuous: bool,
     ) -> None:
         """Filter, ring, bind: in that order, so that the first packet in the ring is already a wanted one."""
-        self._attach(program)
+        attach(self._socket, program)
         self._socket.setsockopt(_SOL_PACKET, _PACKET_VERSION, _TPACKET_V3)
         blocks = self._allocate(blocks, retire_ms)
         self._map = mmap.mmap(self._socket.fileno(), blocks * self._block_size)
@@ -157,13 +156,6 @@ class Ring:
                 blocks //= 2
             else:
                 return blocks
-
-    def _attach(self, program: Sequence[Instruction]) -> None:
-        packed = pack(program)
-        # struct sock_fprog holds an address, which the socket module has no way to give.
-        buffer = ctypes.create_string_buffer(packed, len(packed))
-        argument = struct.pack("HP", len(program), ctypes.addressof(buffer))
-        self._socket.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, argument)
 
     def filenos(self) -> tuple[int, ...]:
         """Return the file descriptors that become readable when a block is there."""
@@ -205,7 +197,7 @@ class Ring:
 
     def refuse(self) -> None:
         """Let no further packet in; what is in the ring stays."""
-        self._attach([Instruction(RET, 0, 0, 0)])
+        attach(self._socket, NOTHING)
 
     def drained(self) -> bool:
         """Tell whether all that the kernel put into the ring has been read."""

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: GPL-2.0-only
 """Capture through scapy, for systems without Linux packet sockets.
 
-scapy is GPL-2.0-only, so this file is too; the project is MIT. It is imported here only, when a source is made.
+scapy is GPL-2.0-only, so this file is too; the project is MIT. It is imported when a source is made.
 Slower than the ring by far: every packet passes through Python.
 """
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import struct
 import time
@@ -17,7 +16,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import Finding, SourceInfo
-from edoras_tools.sources.bpf import ETHERNET, LINUX_SLL2, RAW
+from edoras_tools.sources.bpf import ETHERNET, LINUX_SLL2, NOTHING, RAW, attach
 from edoras_tools.sources.device import DeviceSource
 from edoras_tools.sources.framing import PADDING
 from edoras_tools.sources.interfaces import denied, find, interfaces, missing
@@ -44,6 +43,7 @@ _LINUX: Final = hasattr(socket, "AF_PACKET")
 _UNKNOWN: Final = 0xFFFF
 """A LINKTYPE that nobody reads: such frames count as skipped."""
 _LARGEST: Final = 65600
+_RECEIVE_BUFFER: Final = 16 << 20
 _AT_ONCE: Final = 4096
 """Frames that one read takes at most."""
 
@@ -74,11 +74,12 @@ class Sniffer:
         self._number = 1
         self._failure: str | None = None
         self._socket = _listen(interface, _expression(ports))
-        if _LINUX:
-            # A loopback packet would come twice: on its way out, and in.
-            with contextlib.suppress(OSError):
-                if find(interface).loopback:
-                    self._socket.ins.setsockopt(_SOL_PACKET, _PACKET_IGNORE_OUTGOING, 1)
+        inner = getattr(self._socket, "ins", None)
+        self._packet_socket = inner if _LINUX and isinstance(inner, socket.socket) else None
+        if self._packet_socket is not None:
+            self._packet_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            if find(interface).loopback:  # a packet would come twice: on its way out, and in
+                self._packet_socket.setsockopt(_SOL_PACKET, _PACKET_IGNORE_OUTGOING, 1)
 
     def filenos(self) -> tuple[int, ...]:
         """Return the file descriptor that becomes readable when a frame is there."""
@@ -118,13 +119,14 @@ class Sniffer:
 
     def count(self) -> None:
         """Ask the kernel what it dropped, where there is a way."""
-        if _LINUX:
-            with contextlib.suppress(OSError):
-                counters = self._socket.ins.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
-                self.drops += struct.unpack("=2I", counters)[1]
+        if self._packet_socket is not None:
+            counters = self._packet_socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
+            self.drops += struct.unpack("=2I", counters)[1]
 
     def refuse(self) -> None:
-        """Leave the socket open: what comes in later is lost with it."""
+        """Let nothing more in, where there is a way."""
+        if self._packet_socket is not None:
+            attach(self._packet_socket, NOTHING)
 
     def drained(self) -> bool:
         """Tell that a read that found nothing has found everything."""

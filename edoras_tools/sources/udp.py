@@ -189,7 +189,10 @@ class Sockets:
             self.drops = sum(_drops(bound.socket) for bound in self._bound)
 
     def refuse(self) -> None:
-        """Leave the sockets open: what comes in later is lost with them."""
+        """Let nothing more in: a connected socket hears its peer only, and each gets itself as peer."""
+        for bound in self._bound:
+            with contextlib.suppress(OSError):
+                bound.socket.connect(bound.socket.getsockname())
 
     def drained(self) -> bool:
         """Tell that a read that found nothing has found everything."""

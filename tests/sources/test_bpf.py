@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import socket
 import struct
 
@@ -14,7 +13,6 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.sources import bpf
 
 SNAP = 262144
-SO_ATTACH_FILTER = 26
 
 
 class StopError(Exception):
@@ -308,11 +306,8 @@ def test_garbage_has_a_verdict(link_type, packet, ports, protocol):
 
 @given(LINK_TYPES, PORT_SETS, st.none() | st.just(1))
 def test_the_kernel_takes_the_program(link_type, ports, loopback):
-    packed = bpf.pack(bpf.port_filter(link_type, ports, loopback=loopback))
-    buffer = ctypes.create_string_buffer(packed, len(packed))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        argument = struct.pack("HP", len(packed) // 8, ctypes.addressof(buffer))
-        any_socket.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, argument)
+        bpf.attach(any_socket, bpf.port_filter(link_type, ports, loopback=loopback))
 
 
 @pytest.fixture(scope="module")
@@ -327,13 +322,7 @@ def pair():
 def test_the_kernel_agrees(pair, packet, ports):
     # A Unix datagram socket runs its filter on exactly the bytes that were sent.
     left, right = pair
-    packed = bpf.pack(bpf.port_filter(bpf.ETHERNET, ports))
-    buffer = ctypes.create_string_buffer(packed, len(packed))
-    right.setsockopt(
-        socket.SOL_SOCKET,
-        SO_ATTACH_FILTER,
-        struct.pack("HP", len(packed) // 8, ctypes.addressof(buffer)),
-    )
+    bpf.attach(right, bpf.port_filter(bpf.ETHERNET, ports))
     left.send(packet)
     try:
         seen = right.recv(65536)
