@@ -185,19 +185,20 @@ class _Pass:
         )
         endpoint |= batch.ip_version[rows]
         places, where = np.unique(endpoint, return_inverse=True)
-        expected = np.empty(len(places), np.uint64)
+        foreign = np.zeros(len(rows), bool)
         for place in range(len(places)):
             members = np.flatnonzero(where == place)
-            first = rows[members[0]]
-            address = batch.address(int(batch.source_address[first]), int(first))
-            key = (address, int(batch.source_port[first]))
-            candidates = members[trusted[members]]
-            if len(candidates):
-                known = peers.introduce(key, divmod(int(identity[candidates[0]]), 1 << 32))
-            else:
-                known = peers.known(key) or divmod(int(identity[members[0]]), 1 << 32)
-            expected[place] = known[0] << 32 | known[1]
-        foreign = identity != expected[where]
+            first = int(rows[members[0]])
+            key = (batch.address(int(batch.source_address[first]), first), int(batch.source_port[first]))
+            known = peers.known(key, int(batch.number[first]))
+            if known is None:
+                # Nothing is foreign before someone has introduced himself.
+                members = members[np.logical_or.accumulate(trusted[members])]
+                if not len(members):
+                    continue
+                introduction = int(batch.number[rows[members[0]]])
+                known = peers.introduce(key, divmod(int(identity[members[0]]), 1 << 32), introduction)
+            foreign[members] = identity[members] != np.uint64(known[0] << 32 | known[1])
         for spacecraft, processor in self.context.identities:
             foreign &= identity != np.uint64(spacecraft << 32 | processor)
         self.flag(Finding.SBN_ID_MISMATCH, rows[foreign])

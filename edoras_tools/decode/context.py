@@ -68,20 +68,22 @@ class Peers:
     """
 
     def __init__(self) -> None:
-        self._first: dict[tuple[str, int], tuple[int, int]] = {}
+        self._first: dict[tuple[str, int], tuple[tuple[int, int], int]] = {}
 
-    def introduce(self, endpoint: tuple[str, int], identity: tuple[int, int]) -> tuple[int, int]:
+    def introduce(self, endpoint: tuple[str, int], identity: tuple[int, int], number: int) -> tuple[int, int]:
         """Return the identity an endpoint is known by, which is this one if it has none yet.
 
         Args:
             endpoint: address as text and port.
             identity: SpacecraftID and ProcessorID.
+            number: of the datagram that gives it.
         """
-        return self._first.setdefault(endpoint, identity)
+        return self._first.setdefault(endpoint, (identity, number))[0]
 
-    def known(self, endpoint: tuple[str, int]) -> tuple[int, int] | None:
-        """Return the identity an endpoint is known by, or None."""
-        return self._first.get(endpoint)
+    def known(self, endpoint: tuple[str, int], number: int) -> tuple[int, int] | None:
+        """Return the identity an endpoint was known by when a datagram came, or None."""
+        identity, since = self._first.get(endpoint, ((0, 0), number + 1))
+        return identity if since <= number else None
 
 
 class Context:

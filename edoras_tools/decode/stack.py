@@ -164,8 +164,10 @@ class _Dissection:
 
     def _identity(self, identity: tuple[int, int], *, trusted: bool) -> None:
         source = (self.datagram.source.address, self.datagram.source.port)
-        peers = self.context.peers
-        known = peers.introduce(source, identity) if trusted else peers.known(source)
+        peers, number = self.context.peers, self.datagram.number
+        if trusted:
+            peers.introduce(source, identity, number)
+        known = peers.known(source, number)
         if known is not None and known != identity and identity not in self.context.identities:
             self.findings |= Finding.SBN_ID_MISMATCH
 

@@ -40,9 +40,9 @@ def gather(data: NDArray[np.uint8], offset: NDArray[np.int64], width: int) -> ND
 def by_value(values: NDArray[np.int32]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     """Yield each distinct value with the indices that hold it, so that rows of one length go together."""
     order = np.argsort(values, kind="stable")
-    starts = np.flatnonzero(np.diff(values[order], prepend=values[order[:1]] - 1 if len(order) else 0))
-    for start, end in zip(starts, [*starts[1:], len(order)], strict=True):
-        yield int(values[order[start]]), order[start:end]
+    ends = np.flatnonzero(np.diff(values[order])) + 1
+    for rows in np.split(order, ends) if len(order) else ():
+        yield int(values[rows[0]]), rows
 
 
 def xor_bytes(

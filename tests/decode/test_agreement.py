@@ -1,0 +1,222 @@
+"""Columns and stack are held to one answer: on every packet of the samples, and on any bytes."""
+
+import dataclasses
+import struct
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.mission import Mission, load
+from edoras_tools.model import NO_MSG_ID, Columns, Finding, Link, PacketBatch
+from edoras_tools.ros import TypeStore
+from edoras_tools.sources import open_file
+from edoras_tools.wire import cfe, sbn
+
+ROOT = Path(__file__).parents[2]
+SHARED = ROOT.parent / "shared" / "captures"
+CAPTURES = sorted(
+    {
+        path.name: path for folder in (SHARED, ROOT / "samples/captures") for path in folder.glob("*.pcap")
+    }.values()
+)
+MISSIONS = {
+    "none": (),
+    "rover": ("rover_ground",),
+    "arm": ("single_arm_ground",),
+    "two rovers": ("two_rovers_ground", "two_rovers_flight"),
+    "two arms": ("two_arms_ground", "two_arms_flight"),
+}
+TYPES = TypeStore()
+
+
+def mission(name):
+    files = [ROOT / f"samples/missions/{item}.yaml" for item in MISSIONS[name]]
+    return load(files) if files else Mission()
+
+
+def row_of_stack(decoded):
+    """What columns say of a packet, read off its layers."""
+    packet, head, command = (decoded.layer(name) for name in ("ccsds", "sbn", "cfe_command"))
+    time, cdr = decoded.layer("cfe_telemetry"), decoded.layer("cdr")
+    envelope = decoded.layer("edoras")
+    ccsds, network = (layer.values() if layer else {} for layer in (packet, head))
+    seconds = time.values() if time else None
+    headers = [layer for layer in (packet, decoded.layer("cfe_extended"), command, time) if layer]
+    secondary = command or time
+    return {
+        "link": decoded.link,
+        "sbn_msg_type": network.get("msg_type", -1),
+        "processor_id": network.get("processor_id", 0),
+        "spacecraft_id": network.get("spacecraft_id", 0),
+        "packet_offset": packet.start if packet else -1,
+        "packet_length": len(decoded.datagram.payload) - packet.start if packet else 0,
+        "msg_id": ccsds.get("msg_id", NO_MSG_ID),
+        "sequence_flags": ccsds.get("sequence_flags", 0),
+        "sequence_count": ccsds.get("packet_sequence_count", 0),
+        "function_code": command.values()["function_code"] if command else -1,
+        "mission_time_ns": cfe.mission_time_ns(seconds["seconds"], seconds["subseconds"]) if seconds else -1,
+        "header_length": (sum(item.end - item.start for item in headers) if secondary else 6)
+        if packet
+        else 0,
+        "cdr_offset": cdr.start if cdr else -1,
+        "cdr_length": envelope.values()["buffer_length"] if cdr else 0,
+        "findings": decoded.findings.labels,
+    }
+
+
+def row_of_columns(batch, columns, index):
+    row = {item.name: int(getattr(columns, item.name)[index]) for item in dataclasses.fields(Columns)}
+    for name in ("packet_offset", "cdr_offset"):
+        row[name] -= int(batch.offset[index]) if row[name] >= 0 else 0
+    row["findings"] = Finding(row["findings"]).labels
+    del row["route"]
+    return row
+
+
+def agree(batch, context):
+    columns = ColumnDecoder(context).decode(batch)
+    dissector = Dissector(context)
+    for index in range(len(batch)):
+        decoded = dissector.dissect(batch[index])
+        assert row_of_columns(batch, columns, index) == row_of_stack(decoded), (index, decoded.stop)
+        route = int(columns.route[index])
+        if route >= 0:
+            assert context.mission.routes[route].link == decoded.link
+            assert context.mission.routes[route].msg_id == columns.msg_id[index]
+        clean = not decoded.findings & (Finding.CDR_INVALID | Finding.CAPTURE_CUT)
+        if route >= 0 and columns.cdr_length[index] and clean:
+            start = int(columns.cdr_offset[index])
+            assert decoded.message.cdr == batch.data[start : start + int(columns.cdr_length[index])].tobytes()
+    return columns
+
+
+def test_the_captures_are_there():
+    assert len(CAPTURES) >= 4
+
+
+@pytest.mark.parametrize("name", MISSIONS)
+@pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.stem)
+def test_on_every_packet_of_every_capture(path, name):
+    context = Context(mission(name), TYPES)
+    total = 0
+    with closing(open_file(path)) as source:
+        for batch in source.batches():
+            agree(batch, context)
+            total += len(batch)
+    assert total == source.statistics.datagrams > 900
+
+
+def batch_of(rows):
+    """Make a batch of (payload, source port, destination port, findings)."""
+    payloads = [row[0] for row in rows]
+    lengths = np.array([len(payload) for payload in payloads], np.int32)
+    offsets = (
+        np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(np.int64) if rows else np.zeros(0, np.int64)
+    )
+    count = len(rows)
+    return PacketBatch(
+        data=np.frombuffer(b"".join(payloads) or b"\0", np.uint8),
+        number=np.arange(1, count + 1),
+        time_ns=np.arange(count) * 1000,
+        link_type=np.full(count, 101, np.uint16),
+        frame_offset=offsets,
+        frame_length=lengths,
+        original_length=lengths,
+        offset=offsets,
+        length=lengths,
+        source_address=np.full(count, 0x7F000001, np.uint32),
+        source_port=np.array([row[1] for row in rows], np.uint16),
+        destination_address=np.full(count, 0x7F000001, np.uint32),
+        destination_port=np.array([row[2] for row in rows], np.uint16),
+        ip_version=np.full(count, 4, np.uint8),
+        capture_findings=np.array([row[3] for row in rows], np.uint32),
+    )
+
+
+CDR = bytes.fromhex("00010000") + struct.pack("<6d", 1, 2, 3, 4, 5, 6)
+ENVELOPE = struct.pack("<QQ", len(CDR), len(CDR)) + CDR
+GOOD = [
+    cfe.emit_command(0x1827, 1, ENVELOPE),
+    cfe.emit_command(0x1827, 1, ENVELOPE, sequence_flags=0, with_checksum=False),
+    cfe.emit_command(0x1880, 6, b"127.0.0.1".ljust(16, b"\0")),
+    cfe.emit_command(0x1806, 0),
+    cfe.emit_telemetry(0x0827, ENVELOPE + bytes(40), seconds=7, subseconds=9, sequence_count=5),
+    cfe.emit_telemetry(0x0808, bytes(156)),
+    sbn.emit(3, sbn.Peer(66, 3), cfe.emit_command(0x1829, 1, ENVELOPE)),
+    sbn.emit(3, sbn.Peer(66, 2), cfe.emit_telemetry(0x082A, ENVELOPE)),
+    sbn.emit(1, sbn.Peer(66, 3), sbn.emit_subscriptions([sbn.Subscription(0x82A)])),
+    sbn.emit(4, sbn.Peer(66, 3), sbn.emit_proto()),
+    sbn.emit(0xA0, sbn.Peer(66, 3)),
+    bytes.fromhex("0827c00000010000"),
+]
+
+
+@st.composite
+def payloads(draw):
+    """Bytes at random, and good packets with a few bytes changed, cut or added."""
+    if draw(st.booleans()):
+        return draw(st.binary(max_size=120))
+    data = bytearray(draw(st.sampled_from(GOOD)))
+    for _ in range(draw(st.integers(0, 3))):
+        data[draw(st.integers(0, len(data) - 1))] = draw(st.integers(0, 255))
+    cut = draw(st.integers(0, len(data)))
+    return bytes(data[:cut]) + draw(st.binary(max_size=30)) if draw(st.booleans()) else bytes(data)
+
+
+ROWS = st.lists(
+    st.tuples(
+        payloads(),
+        st.sampled_from([40000, 1235, 2234, 2235, 2236]),
+        st.sampled_from([1234, 1235, 1236, 2234, 2235, 2236, 9]),
+        st.sampled_from([0, 0, 0, int(Finding.CAPTURE_CUT)]),
+    ),
+    max_size=12,
+)
+OPTIONS = st.builds(
+    Options,
+    extended_header=st.booleans(),
+    telemetry_header=st.sampled_from([12, 16]),
+    envelope=st.sampled_from(["8/8", "4/4 be", "1/1", "auto"]),
+)
+
+
+@settings(max_examples=400)
+@given(rows=ROWS, name=st.sampled_from(sorted(MISSIONS)), options=OPTIONS)
+@example(rows=[], name="none", options=Options())
+@example(
+    rows=[(good, 2236, port, 0) for good in GOOD for port in (1234, 1235, 2234)],
+    name="rover",
+    options=Options(),
+)
+def test_on_any_bytes(rows, name, options):
+    agree(batch_of(rows), Context(mission(name), TYPES, options))
+
+
+@settings(max_examples=60)
+@given(rows=ROWS, name=st.sampled_from(sorted(MISSIONS)))
+def test_a_batch_of_one_says_the_same_as_a_batch_of_many(rows, name):
+    whole = batch_of(rows)
+    together = ColumnDecoder(Context(mission(name), TYPES)).decode(whole)
+    context = Context(mission(name), TYPES)
+    for index in range(len(whole)):
+        alone = ColumnDecoder(context).decode(whole.take(slice(index, index + 1)))
+        for item in dataclasses.fields(Columns):
+            assert getattr(alone, item.name)[0] == getattr(together, item.name)[index], item.name
+
+
+def test_what_the_capture_cut_is_not_blamed():
+    cut = batch_of([(GOOD[0][:30], 1235, 1234, int(Finding.CAPTURE_CUT))])
+    columns = ColumnDecoder(Context(mission("rover"), TYPES)).decode(cut)
+    assert Finding(int(columns.findings[0])) == Finding.CAPTURE_CUT
+
+
+def test_fragments_without_a_payload_belong_to_no_link():
+    rows = batch_of([(b"", 0, 0, int(Finding.FRAGMENT)), (GOOD[3], 1235, 1234, 0)])
+    columns = ColumnDecoder(Context(Mission(), TYPES)).decode(rows)
+    assert list(columns.link) == [Link.OTHER, Link.CI]
+    assert Finding(int(columns.findings[0])) == Finding.FRAGMENT

@@ -1,0 +1,150 @@
+"""Both directions from one case list, on bytes that a running cFS and the bridges sent."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edoras_tools.errors import ConfigError, FieldError, TruncatedError, WireError
+from edoras_tools.wire import ccsds, cfe, sbn, window
+from edoras_tools.wire.envelope import DEFAULT, FORMATS, EnvelopeFormat, detect
+
+COMMANDS = [
+    ("1806c00000010020", (0x1806, 0, b""), {}),
+    ("1803c00000010227", (0x1803, 2, b""), {}),
+    ("1884c000000500a261626364", (0x1884, 0, b"abcd"), {}),
+    (
+        "18800000001106003132372e302e302e3100000000000000",
+        (0x1880, 6, b"127.0.0.1".ljust(16, b"\0")),
+        {"sequence_flags": 0, "with_checksum": False},
+    ),
+    ("18fac00000010ad6", (0x18FA, 10, b""), {}),
+]
+
+
+@pytest.mark.parametrize(("raw", "arguments", "keywords"), COMMANDS)
+def test_commands(raw, arguments, keywords):
+    packet = bytes.fromhex(raw)
+    head = ccsds.PRIMARY.parse(packet)
+    assert head["packet_data_length"] + ccsds.LENGTH_BIAS == len(packet)
+    assert cfe.is_command(ccsds.msg_id(head))
+    assert cfe.emit_command(*arguments, **keywords) == packet
+    assert (cfe.checksum(packet) == 0) == keywords.get("with_checksum", True)
+
+
+def test_telemetry_header():
+    packet = bytes.fromhex("0803c0020025000f462ab0ae00000000") + bytes(28)
+    head, rest = ccsds.PRIMARY.parse(packet), cfe.TELEMETRY.parse(packet, 6)
+    assert (ccsds.msg_id(head), head["packet_sequence_count"]) == (0x803, 2)
+    assert rest == {"seconds": 0x000F462A, "subseconds": 0xB0AE, "spare": bytes(4)}
+    assert (
+        cfe.emit_telemetry(0x803, bytes(28), seconds=0x000F462A, subseconds=0xB0AE, sequence_count=2)
+        == packet
+    )
+    assert cfe.mission_time_ns(1, 0x8000) == 1_500_000_000
+
+
+def test_the_type_bit_decides_the_header():
+    with pytest.raises(FieldError, match="lacks the command bit"):
+        cfe.emit_command(0x0827, 1)
+    with pytest.raises(FieldError, match="has the command bit"):
+        cfe.emit_telemetry(0x1827)
+
+
+@given(st.binary(max_size=100))
+def test_checksum_is_plain_xor(data):
+    plain = 0xFF
+    for byte in data:
+        plain ^= byte
+    assert cfe.checksum(data) == plain
+
+
+def test_extended_msg_id():
+    assert cfe.extended_msg_id(0x027, 1, 0x18) == 0x18A7
+    fields = cfe.EXTENDED.parse(bytes.fromhex("0c180042"))
+    assert fields == {"eds_version": 1, "endian": 1, "playback": 0, "subsystem_id": 0x18, "system_id": 0x42}
+
+
+def test_sbn_datagrams():
+    peer = sbn.Peer(0x42, 3)
+    assert sbn.emit(sbn.MsgType.PROTO, peer, sbn.emit_proto()).hex() == "00010400000003000000420b"
+    assert sbn.emit(sbn.MsgType.HEARTBEAT, peer).hex() == "0000a00000000300000042"
+    raw = sbn.emit(
+        sbn.MsgType.SUB,
+        peer,
+        sbn.emit_subscriptions([sbn.Subscription(0x82A), sbn.Subscription(0x82B, 1, 2)]),
+    )
+    assert len(raw) == 11 + 50 + 12
+    assert sbn.HEADER.parse(raw) == {"msg_size": 62, "msg_type": 1, "processor_id": 3, "spacecraft_id": 0x42}
+    assert sbn.parse_subscriptions(raw[11:]) == (sbn.IDENT, ((0x82A, 0, 0), (0x82B, 1, 2)))
+    with pytest.raises(TruncatedError, match="needs 62 bytes, 61 are there"):
+        sbn.parse_subscriptions(raw[11:-1])
+    with pytest.raises(FieldError, match="32768 exceeds"):
+        sbn.emit(sbn.MsgType.APP, peer, bytes(32768))
+
+
+@given(st.binary(max_size=120))
+def test_subscriptions_of_garbage(data):
+    try:
+        _, entries = sbn.parse_subscriptions(data)
+    except TruncatedError:
+        return
+    assert len(entries) * 6 + 50 <= len(data)
+
+
+CDR = bytes.fromhex("00010000") + bytes(48)
+
+
+@pytest.mark.parametrize("item", FORMATS, ids=str)
+def test_envelopes_both_ways_and_told_from_the_bytes(item):
+    raw = item.emit(CDR)
+    assert item.parse(raw) == (52, 52)
+    assert raw[item.size :] == CDR
+    assert detect(b"\xa5" * 8 + raw + bytes(16), 8) == item
+    assert EnvelopeFormat.named(str(item)) == item
+
+
+def test_envelope_of_the_captures():
+    raw = bytes.fromhex("34000000000000003400000000000000")
+    assert DEFAULT.parse(raw) == (52, 52)
+    assert DEFAULT.emit(CDR, capacity=52)[:16] == raw
+    assert EnvelopeFormat.named("8/8") == DEFAULT
+    assert EnvelopeFormat.named("4/4 BE") == EnvelopeFormat(4, "big")
+    for wrong in ("", "2/2", "8", "8/8 middle"):
+        with pytest.raises(ConfigError, match="not known"):
+            EnvelopeFormat.named(wrong)
+
+
+@given(st.binary(max_size=64), st.integers(0, 70))
+def test_detect_never_raises_and_never_runs_over(data, offset):
+    found = detect(data, offset)
+    if found is not None:
+        length, capacity = found.parse(data, offset)
+        assert 4 <= length <= capacity
+        assert offset + found.size + length <= len(data)
+
+
+def test_one_byte_lengths_hold_small_messages_only():
+    with pytest.raises(WireError):
+        FORMATS[4].emit(bytes(256))
+
+
+@given(st.binary(min_size=1, max_size=80), st.data())
+def test_windows_are_the_bytes_and_zeros_beyond(data, draw):
+    offsets = draw.draw(st.lists(st.integers(0, len(data)), max_size=8))
+    width = draw.draw(st.integers(1, 90))
+    rows = window.gather(np.frombuffer(data, np.uint8), np.array(offsets, np.int64), width)
+    assert [bytes(row) for row in rows] == [data[at : at + width].ljust(width, b"\0") for at in offsets]
+
+
+@given(st.binary(min_size=1, max_size=60), st.data())
+def test_ranges_are_folded_like_the_loop_would(data, draw):
+    ranges = draw.draw(st.lists(st.tuples(st.integers(0, len(data)), st.integers(0, 20)), max_size=8))
+    ranges = [(at, min(size, len(data) - at)) for at, size in ranges]
+    array = np.frombuffer(data, np.uint8)
+    offset, length = np.array([r[0] for r in ranges], np.int64), np.array([r[1] for r in ranges], np.int32)
+    pieces = [data[at : at + size] for at, size in ranges]
+    assert list(window.any_nonzero(array, offset, length)) == [any(piece) for piece in pieces]
+    assert [0xFF ^ int(x) for x in window.xor_bytes(array, offset, length)] == [
+        cfe.checksum(p) for p in pieces
+    ]
