@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission.bridges import CheckType, Claims
     from edoras_tools.mission.model import FlightLink, GroundLink, Route
 
-_LARGEST = 1 << 20  # a mission file is a few KiB; a capture given by mistake is not read whole
+_LARGEST = 1 << 18  # a mission file is a few KiB; a capture given by mistake is not read whole
 
 
 def load(
@@ -105,7 +105,7 @@ def _text(content: bytes | str, report: Report) -> str | None:
         report.mistake(0, "", content)
         return None
     if len(content) > _LARGEST:
-        report.mistake(0, "", f"larger than {_LARGEST >> 20} MiB; give the YAML file of a bridge")
+        report.mistake(0, "", f"larger than {_LARGEST >> 10} KiB; give the YAML file of a bridge")
         return None
     try:
         return content.decode("utf-8-sig")

@@ -80,8 +80,17 @@ def parse(text: str, report: Report) -> list[Tree]:
 
     # ruamel refuses a tab between tokens; libyaml, and so the bridges, take it for a space.
     spaced = _INNER_TABS.sub(lambda match: " " * len(match[0]), text)
+    events: list[Any] = []
+    depth = 0
     try:
-        events = list(YAML(pure=True).parse(spaced))
+        for event in YAML(pure=True).parse(spaced):
+            depth += _step(event)
+            if depth > _DEEPEST:  # at once: ruamel takes minutes over thousands of brackets
+                report.mistake(
+                    event.start_mark.line + 1, "", f"nested more than {_DEEPEST} levels deep; {FORM}"
+                )
+                return []
+            events.append(event)
     except ReaderError as error:
         line = spaced.count("\n", 0, error.position) + 1
         report.mistake(line, "", f"character {error.character:#x} is not allowed in YAML; remove it")
@@ -94,12 +103,6 @@ def parse(text: str, report: Report) -> list[Tree]:
     except Exception as error:  # noqa: BLE001  ruamel lets errors of its own out of broken directives and escapes
         report.mistake(1, "", f"not YAML: {printable(str(error), 200) or type(error).__name__}; {FORM}")
         return []
-    depth = 0
-    for event in events:
-        depth += _step(event)
-        if depth > _DEEPEST:
-            report.mistake(event.start_mark.line + 1, "", f"nested more than {_DEEPEST} levels deep; {FORM}")
-            return []
     return list(_documents(iter(events)))
 
 

@@ -178,7 +178,8 @@ def test_dotted_names_are_nested_names():
         "n:\n  ros__parameters:\n"
         "    communication.bridge_port: 1235\n    communication.fsw_port: 1234\n"
         "    communication.fsw_ip: 127.0.0.1\n    communication.telemetry_ip: 0.0.0.0\n"
-        "    command: [a]\n    telemetry: ['']\n    a.type: geometry_msgs/msg/Twist\n    a.topic: x\n    a.mid: 0x1827\n"
+        "    command: [a]\n    telemetry: ['']\n"
+        "    a.type: geometry_msgs/msg/Twist\n    a.topic: x\n    a.mid: 0x1827\n"
     )
     assert mission.routes == (Route("/x", TWIST, 0x1827, Link.CI, "command", "a", "m.yaml", 9),)
 

@@ -124,6 +124,7 @@ WHOLE = [
     ("a:\n  b: [\n", "3: not YAML: while parsing a flow node, expected the node content, but found '<stream end>'; a bridge's file is NODE: ros__parameters: ..."),
     ("a: 1\n\tb: 2\n", "2: not YAML: while scanning for the next token, found character '\\t' that cannot start any token; a bridge's file is NODE: ros__parameters: ..."),
     ("a: \x01", "1: character 0x1 is not allowed in YAML; remove it"),
+    ("[" * 5000, "1: nested more than 50 levels deep; a bridge's file is NODE: ros__parameters: ..."),
     (b"a: 1\nb: \xff", "2: not UTF-8 at byte 8; give the YAML file of a bridge"),
     ("{a: " * 60 + "1" + "}" * 60, "1: nested more than 50 levels deep; a bridge's file is NODE: ros__parameters: ..."),
 ]  # fmt: skip
@@ -135,7 +136,9 @@ def test_a_file_that_is_no_mission(text, line):
 
 
 def test_a_file_too_large_is_not_read():
-    assert mistakes(b"#" * (1 << 20) + b"\n") == ["m.yaml: larger than 1 MiB; give the YAML file of a bridge"]
+    assert mistakes(b"#" * (1 << 18) + b"\n") == [
+        "m.yaml: larger than 256 KiB; give the YAML file of a bridge"
+    ]
 
 
 def test_two_topics_on_one_msg_id():
