@@ -97,6 +97,8 @@ class Sockets:
         self.info = SourceInfo(", ".join(str(endpoint) for endpoint in self.endpoints), "udp")
 
     def _bind(self, endpoint: Endpoint, receive_buffer: int) -> Endpoint:
+        if not 0 <= endpoint.port <= 0xFFFF:  # getaddrinfo takes some numbers beyond modulo 65536
+            raise CaptureError(f"{endpoint}: {endpoint.port} is not a UDP port: 0 to 65535")
         try:
             family, _, _, _, wanted = socket.getaddrinfo(
                 endpoint.address, endpoint.port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
@@ -110,7 +112,7 @@ class Sockets:
             except BaseException:
                 opened.close()
                 raise
-        except (OSError, OverflowError, UnicodeError) as error:
+        except (OSError, UnicodeError) as error:
             raise CaptureError(f"{endpoint}: {_reason(error, endpoint.port)}") from error
         address, port = opened.getsockname()[:2]
         self._bound.append(_Bound(opened, version, self._pack(version, address), port))
@@ -297,8 +299,8 @@ def _drops(opened: socket.socket) -> int:
 
 def _reason(error: Exception, port: int) -> str:
     """Say why an endpoint could not be bound, and what to do."""
-    if isinstance(error, (OverflowError, UnicodeError)):
-        return "not an address and a UDP port: HOST:PORT, the port from 0 to 65535"
+    if isinstance(error, (socket.gaierror, UnicodeError)):
+        return "neither an address nor the name of a host that is known: use an address of this machine"
     match getattr(error, "errno", None):
         case errno.EADDRINUSE:
             return (
