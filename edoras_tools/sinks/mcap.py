@@ -49,9 +49,9 @@ _ROW_BYTES = 200
 class McapSink:
     """Writes batches to an MCAP file, or to several where it is to be split.
 
-    Messages lie in the order of the batches: of each datagram first itself, whole, then the ROS message or cFE
-    message inside it. ``log_time`` is the capture time, ``publish_time`` the packet's own time mapped to UTC
-    (``MissionClock``), ``sequence`` the packet sequence count.
+    Messages lie in the order of the batches: of each datagram itself, whole, then the message inside it.
+    ``log_time`` is the capture time, ``publish_time`` the packet's own time mapped to UTC (``MissionClock``),
+    ``sequence`` the packet sequence count.
 
     Args:
         path: the file, replaced if it exists; when split ``NAME_0.mcap``, ``NAME_1.mcap`` and so on.
@@ -62,7 +62,7 @@ class McapSink:
         split_bytes: begin a new file before one grows larger than about this; 0 never.
         split_ns: begin a new file when one covers this much capture time; 0 never.
         datagrams: whether to write ``/edoras/datagrams``.
-        statistics: the source's, if its kernel drops are to show in ``/edoras/link_statistics`` as they happen.
+        statistics: the source's, if ``/edoras/link_statistics`` is to show its kernel drops as they happen.
 
     Attributes:
         files: what was written, one a file, with its summary.
@@ -99,9 +99,11 @@ class McapSink:
         self._clock = MissionClock()
         self._live = statistics
         self._statistics = LinkStatistics(mission, statistics)
+        self._count = 0
+        self._start_ns = 0
         self._state: Literal["open", "failed", "closed"] = "open"
         self.files: list[McapFile] = []
-        self._open_file()
+        self._chunks = self._open_file()
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch and what was read from it; both are copied."""
@@ -115,7 +117,7 @@ class McapSink:
             first = last
 
     def flush(self) -> None:
-        """End the chunk under way and get it out of the process: a killed recorder loses only what came after."""
+        """End the chunk under way and get it out of the process: killed later, it loses what came after."""
         with self._failing():
             self._chunks.flush()
 
@@ -128,6 +130,7 @@ class McapSink:
             self._state = "closed"
 
     def _append(self, batch: PacketBatch, columns: Columns) -> None:
+        self._attach(int(batch.time_ns[0]))
         published = self._clock.publish_times(batch.time_ns, columns)
         ids = self._channels
         streams = [self._statistics.messages(batch, columns, ids["/edoras/link_statistics"])]
@@ -144,20 +147,19 @@ class McapSink:
     def _make_room(self, batch: PacketBatch, first: int) -> int:
         """Begin a new file if row ``first`` needs one; return how far the batch may go into the file."""
         last = len(batch)
+        now = int(batch.time_ns[first])
+        if self._split_ns and self._count and now - self._start_ns >= self._split_ns:
+            self._next_file()
+        if self._split_bytes and self._count and self._chunks.size_bound >= self._split_bytes:
+            self.flush()
+            if self.files[-1].size >= self._split_bytes * (1 - 1 / _STEPS):
+                self._next_file()
+        if self._count == 0:
+            self._start_ns = now
         if self._split_ns:
             late = np.flatnonzero(batch.time_ns[first:] - self._start_ns >= self._split_ns)
-            if self._count and len(late) and late[0] == 0:
-                self._next_file()
-            if self._count == 0:
-                self._start_ns = int(batch.time_ns[first])
-                late = np.flatnonzero(batch.time_ns[first:] - self._start_ns >= self._split_ns)
             last = first + int(late[0]) if len(late) else last
         if self._split_bytes:
-            if self._chunks.size_bound >= self._split_bytes:
-                self.flush()
-                if self._count and self.files[-1].size >= self._split_bytes * (1 - 1 / _STEPS):
-                    self._start_ns = int(batch.time_ns[first])
-                    self._next_file()
             filled = np.cumsum(batch.frame_length[first:last].astype(np.int64) + _ROW_BYTES)
             step = int(np.searchsorted(filled, self._split_bytes // _STEPS))
             last = min(last, first + max(step, 1))
@@ -166,16 +168,15 @@ class McapSink:
     def _next_file(self) -> None:
         with self._failing():
             self._close_file(self._live)
-            self._open_file()
+            self._chunks = self._open_file()
 
-    def _open_file(self) -> None:
+    def _open_file(self) -> ChunkWriter:
         path = self._path
         if self._split_bytes or self._split_ns:
             path = path.with_name(f"{path.stem}_{len(self.files)}{path.suffix}")
         file = McapFile(path)
         self.files.append(file)
         self._count = 0
-        self._start_ns = 0
         schemas = {name: file.add_schema(name, text) for name, text in self._definitions.items()}
         self._channels = {
             topic: file.add_channel(topic, schemas[name], {})
@@ -199,13 +200,12 @@ class McapSink:
         )
         file.add_metadata(OPENING_METADATA_NAME, self._opening())
         file.flush()
-        self._chunks = ChunkWriter(file)
+        return ChunkWriter(file)
 
     def _close_file(self, statistics: SourceStatistics | None) -> None:
         file = self.files[-1]
         self._chunks.close()
-        for name, data in self._mission.files.items():
-            file.add_attachment(name, "application/yaml", data, file.summary.start_ns or 0)
+        self._attach(0)
         counted = (
             {}
             if statistics is None
@@ -221,6 +221,13 @@ class McapSink:
             },
         )
         file.finish()
+
+    def _attach(self, time_ns: int) -> None:
+        """Write the mission files before the first chunk of a file, so that a cut-off recording has them."""
+        file = self.files[-1]
+        if self._count == 0 and not file.summary.attachments:
+            for name, data in self._mission.files.items():
+                file.add_attachment(name, "application/yaml", data, time_ns)
 
     def _opening(self) -> dict[str, str]:
         return {

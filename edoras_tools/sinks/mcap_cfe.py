@@ -27,7 +27,7 @@ _EVENT = np.dtype(
         ("message", "u1", 120),
     ]
 )
-"""CFE_EVS_LongEventTlm_Payload, without the last two bytes of its 122-byte text, which some builds do not send."""
+"""CFE_EVS_LongEventTlm_Payload, without the last 2 of 122 bytes of text, which some builds lack."""
 
 _LEVELS = np.array([30, 10, 20, 40, 50], dtype=np.uint8)
 """rcl_interfaces/msg/Log level by EventType: unknown (as WARN), debug, info, error, critical."""
@@ -111,8 +111,8 @@ def event_messages(
 ) -> Messages:
     """Return one ``rcl_interfaces/msg/Log`` for every whole 0x0808 packet.
 
-    ``name`` is the AppName, ``msg`` the text, ``function`` the sender as ``SPACECRAFT/PROCESSOR``, ``line`` the
-    EventID, ``file`` empty.
+    ``name`` is the AppName, ``msg`` the text, ``function`` the sender as ``SPACECRAFT/PROCESSOR``,
+    ``line`` the EventID, ``file`` empty.
 
     Args:
         batch: the datagrams.

@@ -6,6 +6,7 @@ import struct
 import zlib
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 
 from edoras_tools.sinks.mcap_file import FinishedChunk
-from edoras_tools.sinks.mcap_rows import PREFIX_BYTES, Messages, copy_rows, put_rows
+from edoras_tools.sinks.mcap_rows import Messages, copy_rows, put_rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -64,7 +65,7 @@ class ChunkWriter:
     """Appends messages to a file, chunk by chunk.
 
     Args:
-        file: where the chunks go; until ``close`` it belongs to this writer's thread while chunks are pending.
+        file: where the chunks go; while chunks are pending it belongs to this writer's thread.
 
     Raises:
         CaptureError: from every method: the file cannot be written.
@@ -145,7 +146,7 @@ class ChunkWriter:
 
     def _store(self, chunk: _OpenChunk) -> None:
         """Compress, index and write a chunk; runs in the thread."""
-        raw = memoryview(chunk.buffer)[: chunk.used]
+        raw = chunk.buffer[: chunk.used].data
         channel, log_time, position = (np.concatenate(column) for column in zip(*chunk.placed, strict=True))
         index, places, counts = message_index(channel, log_time, position)
         record = Chunk(
@@ -172,21 +173,22 @@ def message_index(
     order = np.argsort(channel, kind="stable")
     entries = np.empty(len(order), dtype=_INDEX_ENTRY)
     entries["log_time"], entries["offset"] = log_time[order], position[order]
-    ordered = channel[order]
+    ordered = channel[order].astype(np.int64)
     index = bytearray()
     places: dict[int, int] = {}
     counts: dict[int, int] = {}
-    for group in np.split(np.arange(len(order)), np.flatnonzero(np.diff(ordered)) + 1):
-        channel_id, count = int(ordered[group[0]]), len(group)
+    starts = np.flatnonzero(np.diff(ordered, prepend=-1)).tolist()
+    for start, end in pairwise([*starts, len(order)]):
+        channel_id, count = int(ordered[start]), end - start
         places[channel_id], counts[channel_id] = len(index), count
         size = count * entries.itemsize
         index += struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, channel_id, size)
-        index += entries[group[0] : group[0] + count].tobytes()
+        index += entries[start:end].tobytes()
     return bytes(index), places, counts
 
 
 def _within_rows(stream: Messages, total: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where in its row each message starts, after what ``total`` holds already; add its bytes to it."""
+    """Return where in its row each message starts, after what ``total`` holds; add its bytes to that."""
     size = stream.heads.itemsize + stream.length.astype(np.int64)
     rows = stream.rows
     if len(rows) == len(total) and not stream.repeats:
@@ -200,6 +202,3 @@ def _within_rows(stream: Messages, total: NDArray[np.int64]) -> NDArray[np.int64
         inside = total[rows] + before - before[np.searchsorted(rows, rows)]
         np.add.at(total, rows, size)
     return inside
-
-
-assert PREFIX_BYTES == struct.calcsize("<BQ")

@@ -22,8 +22,8 @@ _MAX_SENDERS = 4096
 class MissionClock:
     """Offset of each sender's mission clock from UTC: the least (capture time - mission time) seen so far.
 
-    Delay on the way only ever adds, so the least is the best estimate. A sender is a (link, ProcessorID). When
-    the offset jumps by more than 5 s the sender's clock started anew, and so does its estimate.
+    Delay on the way only ever adds, so the least is the best estimate. A sender is a (link, ProcessorID).
+    When the offset jumps by more than 5 s the sender's clock started anew, and so does its estimate.
     """
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class MissionClock:
         self._last = np.zeros(0, dtype=np.int64)
 
     def publish_times(self, time_ns: NDArray[np.int64], columns: Columns) -> NDArray[np.int64]:
-        """Return when each packet says it was made, as ns since 1970 UTC; its capture time where it says nothing.
+        """Return when each packet says it was made, ns since 1970 UTC; its capture time where it does not.
 
         A mission time of 0 says nothing: cFS counts from a start offset, senders that never stamp leave 0.
 
@@ -69,7 +69,7 @@ class MissionClock:
 
 
 def sender_order(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Return the stable order that puts equal keys side by side; keys of 1, 2 or 4 unsigned bytes, radix sorted."""
+    """Return the stable order that puts equal keys side by side; keys are u8, u16 or u32, radix sorted."""
     digits: list[NDArray[np.uint16]] = []
     for key in keys:
         digits.append(key.astype(np.uint16))
@@ -87,7 +87,7 @@ def _running_least(
     offset: NDArray[np.int64],
     known: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the running minimum of each sender's offsets, begun anew at jumps, and where each sender ends."""
+    """Return the running least of each sender's offsets, begun anew at jumps, and where each sender ends."""
     changes = (link[1:] != link[:-1]) | (processor[1:] != processor[:-1])
     # Between a sender's remembered least and last offset there is no jump: one followed the other slowly.
     jumps = (np.abs(np.diff(offset)) > _JUMP_NS) & ~(known[1:] & known[:-1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ NO_MESSAGE = Finding.CDR_INVALID | Finding.ENVELOPE_OVERRUN | Finding.TRUNCATED 
 """A datagram with any of these carries no whole ROS message."""
 
 _MAPPED = 0xFFFF0000
-"""Bytes 8 to 11 of an IPv4-mapped IPv6 address (RFC 4291 2.5.5.2) as a little-endian u32; bytes 0 to 7 are 0."""
+"""Bytes 8 to 11 of an IPv4-mapped IPv6 address (RFC 4291 2.5.5.2), little-endian; all before are 0."""
 
 _DATAGRAM = np.dtype(
     [
@@ -46,14 +46,7 @@ _DATAGRAM = np.dtype(
 )
 """``edoras_msgs/msg/Datagram`` as a record, up to the bytes of its frame."""
 
-_ADDRESSES = np.dtype(
-    {
-        "names": ["source_address", "destination_address"],
-        "formats": ["V16", "V16"],
-        "offsets": [_DATAGRAM.fields[name][1] for name in ("source_zero", "destination_zero")],  # type: ignore[index]
-        "itemsize": _DATAGRAM.itemsize,
-    }
-)
+_ADDRESS_BYTES = 16
 
 
 def datagram_messages(
@@ -88,10 +81,14 @@ def datagram_messages(
     heads["destination_ipv4"] = batch.destination_address
     ipv6 = np.flatnonzero(batch.ip_version == 6)
     if len(ipv6):
-        table = np.frombuffer(b"".join(batch.ipv6), dtype="V16")
-        addresses = heads.view(_ADDRESSES)
-        addresses["source_address"][ipv6] = table[batch.source_address[ipv6]]
-        addresses["destination_address"][ipv6] = table[batch.destination_address[ipv6]]
+        table = np.frombuffer(b"".join(batch.ipv6), dtype=f"V{_ADDRESS_BYTES}")
+        places: Any = _DATAGRAM.fields
+        for name, address in (
+            ("source_zero", batch.source_address),
+            ("destination_zero", batch.destination_address),
+        ):
+            whole = heads.getfield(f"V{_ADDRESS_BYTES}", places[name][1])
+            whole[ipv6] = table[address[ipv6]]
     heads["frame_length"] = batch.frame_length
     return Messages(np.arange(len(batch)), heads, batch.data, batch.frame_offset, batch.frame_length)
 

@@ -108,7 +108,7 @@ class Summary:
         offset_start = start + builder.count
         for offset in offsets:
             offset.write(builder)
-        summary = builder.end()
+        summary = _built(builder)
         unsigned = _encode(Footer(start, offset_start, 0))[:_FOOTER_BYTES_IN_CRC]
         footer = Footer(start, offset_start, zlib.crc32(unsigned, zlib.crc32(summary)))
         return end + summary + _encode(footer) + MCAP0_MAGIC
@@ -136,12 +136,13 @@ class McapFile:
 
     Args:
         path: the file; an existing one is replaced.
+        header: what it starts with; magic and a header record of the ``ros2`` profile by default.
 
     Raises:
         CaptureError: from every method: the file cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, header: bytes | None = None) -> None:
         self.path = path
         self.summary = Summary()
         self.size = 0
@@ -149,7 +150,7 @@ class McapFile:
             self._file = path.open("wb")
         except OSError as error:
             raise CaptureError(f"{path}: cannot be created: {error.strerror or error}") from error
-        self._write(MCAP0_MAGIC + _encode(Header("ros2", f"edoras-tools {__version__}")))
+        self.add_bytes(_opening() if header is None else header)
 
     def add_schema(self, name: str, definition: str) -> int:
         """Write a ``ros2msg`` schema; return its id."""
@@ -157,7 +158,7 @@ class McapFile:
             id=len(self.summary.schemas) + 1, data=definition.encode(), encoding="ros2msg", name=name
         )
         self.summary.schemas[schema.id] = schema
-        self._write(_encode(schema))
+        self.add_bytes(_encode(schema))
         return schema.id
 
     def add_channel(self, topic: str, schema_id: int, metadata: Mapping[str, str]) -> int:
@@ -171,28 +172,28 @@ class McapFile:
             schema_id=schema_id,
         )
         self.summary.channels[channel.id] = channel
-        self._write(_encode(channel))
+        self.add_bytes(_encode(channel))
         return channel.id
 
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment, logged at ``time_ns``."""
         record = _encode(Attachment(0, time_ns, name, media_type, data))
         index = AttachmentIndex(self.size, len(record), time_ns, 0, len(data), name, media_type)
-        self._write(record)
+        self.add_bytes(record)
         self.summary.attachments.append(index)
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
         record = _encode(Metadata(name, values))
         index = MetadataIndex(self.size, len(record), name)
-        self._write(record)
+        self.add_bytes(record)
         self.summary.metadata.append(index)
 
     def add_chunk(self, chunk: FinishedChunk) -> None:
         """Write a chunk and its message index, and get them out of the process."""
         head = _encode(chunk.record)
         start, index_start = self.size, self.size + len(head)
-        self._write(head + chunk.index)
+        self.add_bytes(head + chunk.index)
         self.flush()
         record = chunk.record
         self.summary.chunks.append(
@@ -219,7 +220,7 @@ class McapFile:
 
     def finish(self) -> None:
         """Write the summary and close the file."""
-        self._write(self.summary.tail(self.size))
+        self.add_bytes(self.summary.tail(self.size))
         try:
             self._file.close()
         except OSError as error:
@@ -233,7 +234,8 @@ class McapFile:
             # Closing flushes, and what failed fails again; the descriptor is closed all the same.
             return
 
-    def _write(self, data: bytes) -> None:
+    def add_bytes(self, data: bytes) -> None:
+        """Write bytes that need no entry in the summary."""
         try:
             self._file.write(data)
         except OSError as error:
@@ -247,7 +249,16 @@ class McapFile:
         )
 
 
+def _opening() -> bytes:
+    return MCAP0_MAGIC + _encode(Header("ros2", f"edoras-tools {__version__}"))
+
+
 def _encode(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    return builder.end()
+    return _built(builder)
+
+
+def _built(builder: RecordBuilder) -> bytes:
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data

@@ -16,7 +16,7 @@ _MAX_FLOWS = 65536
 
 
 class SequenceGaps:
-    """Counts the sequence counts that are missing before each packet of a flow: one MsgId of one sender on a link.
+    """Counts what is missing before each packet of a flow: one MsgId of one sender on a link.
 
     A count that steps back, by less than half the 14 bits, is a late or repeated packet and no gap.
     """

@@ -152,7 +152,7 @@ def _merge(groups: NDArray[np.void]) -> NDArray[np.void]:
     groups = groups[np.lexsort((groups["flow"], groups["second"]))]
     second, flow = groups["second"], groups["flow"]
     starts = np.append(0, np.flatnonzero((second[1:] != second[:-1]) | (flow[1:] != flow[:-1])) + 1)
-    merged = groups[starts]
+    merged: NDArray[np.void] = groups[starts]
     for name in ("count", "gaps", "bytes"):
         merged[name] = np.add.reduceat(groups[name], starts)
     merged["largest"] = np.maximum.reduceat(groups["largest"], starts)
