@@ -46,6 +46,6 @@ def open_file(path: str | Path) -> Source:
     Raises:
         CaptureError: there is nothing at ``path`` that can be read.
     """
-    from edoras_tools.sources import files
+    from edoras_tools.sources.files import open_capture
 
-    return files.open_file(path)
+    return open_capture(path)

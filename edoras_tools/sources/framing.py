@@ -2,7 +2,8 @@
 
 pcap records, pcapng blocks, the packets of a TPACKET_V3 block and MCAP records are all such chains. ``walk``
 follows many stretches of one chain at a time: it starts at the one place known to be a record and at
-*seeds*, places that look like records, and moves all of them on together, a numpy operation for one step of each.
+*seeds*, places that look like records, and moves all of them on together, one numpy operation for a step of
+each.
 A stretch counts only when the proven chain runs into its seed, so the result is exactly that of walking from
 record to record, whatever the payloads hold; a bad seed costs time, never truth.
 """

@@ -1,0 +1,114 @@
+"""pcapng files, written a batch at a time (draft-ietf-opsawg-pcapng): one interface for each link type."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.sinks.pcap import CaptureFile, copy, scatter
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
+
+_ENHANCED_PACKET = 6
+_HEAD_BYTES = 28
+_TAIL_BYTES = 4
+
+
+class PcapngSink:
+    """Writes the frames of batches to a pcapng file, bit for bit."""
+
+    def __init__(
+        self, path_or_file: str | Path | BinaryIO, *, nanosecond: bool = True, snap_length: int = 262144
+    ) -> None:
+        """Open the file and begin its section.
+
+        Args:
+            path_or_file: where to write; a file that is handed over is not closed.
+            nanosecond: write ns, else us, rounded down.
+            snap_length: the capture's limit on a frame's bytes.
+
+        Raises:
+            CaptureError: it cannot be opened or written.
+        """
+        self._file = CaptureFile(path_or_file)
+        self._exponent, self._unit_ns = (9, 1) if nanosecond else (6, 1000)
+        self._snap_length = snap_length
+        self._interfaces: dict[int, int] = {}
+        self._closed = False
+        self._file.write(struct.pack("<IIIHHqI", 0x0A0D0D0A, 28, 0x1A2B3C4D, 1, 0, -1, 28))
+
+    def write(self, batch: PacketBatch, columns: Columns | None = None) -> None:
+        """Append the frames of a batch.
+
+        Args:
+            batch: its frames are written, in its order.
+            columns: not needed.
+
+        Raises:
+            CaptureError: the file cannot be written, or cannot hold a time.
+        """
+        del columns
+        if not len(batch):
+            return
+        if batch.time_ns.min() < 0:
+            raise CaptureError(
+                f"{self._file.name}: a time before 1970 does not fit pcapng; write an .mcap file instead"
+            )
+        ticks = batch.time_ns // self._unit_ns
+        padded = batch.frame_length.astype(np.int64) + 3 & ~3
+        sizes = padded + (_HEAD_BYTES + _TAIL_BYTES)
+        starts = np.cumsum(sizes) - sizes
+        head = np.empty((len(batch), 7), dtype="<u4")
+        head[:, 0] = _ENHANCED_PACKET
+        head[:, 1] = sizes
+        for link_type in np.unique(batch.link_type).tolist():
+            head[batch.link_type == link_type, 2] = self._interface(link_type)
+        head[:, 3] = ticks >> 32
+        head[:, 4] = ticks & 0xFFFFFFFF
+        head[:, 5] = batch.frame_length
+        head[:, 6] = batch.original_length.view(np.uint32)
+        out = np.empty(int(sizes.sum()), dtype=np.uint8)
+        scatter(out, starts, head.view(np.uint8))
+        # The last word of the frame first as zeros, so that padding needs no step of its own.
+        tail = np.zeros((len(batch), 2), dtype="<u4")
+        tail[:, 1] = sizes
+        scatter(out, starts + sizes - 8, tail.view(np.uint8))
+        copy(batch.data, batch.frame_offset, batch.frame_length, out, starts + _HEAD_BYTES)
+        # An empty frame has no last word of its own.
+        empty = batch.frame_length == 0
+        if empty.any():
+            scatter(out, starts[empty], head[empty].view(np.uint8))
+        self._file.write(out)
+
+    def flush(self) -> None:
+        """Get everything taken so far to the file."""
+        self._file.flush()
+
+    def close(self, statistics: SourceStatistics | None = None) -> None:
+        """Close the file.
+
+        Args:
+            statistics: not needed.
+        """
+        del statistics
+        if not self._closed:
+            self._closed = True
+            self._file.close()
+
+    def _interface(self, link_type: int) -> int:
+        """Return the number of a link type's interface, described in the file when it is new."""
+        if link_type not in self._interfaces:
+            self._interfaces[link_type] = len(self._interfaces)
+            resolution = struct.pack("<HHB3xI", 9, 1, self._exponent, 0)
+            self._file.write(
+                struct.pack("<IIHHI", 1, 32, link_type, 0, self._snap_length)
+                + resolution
+                + struct.pack("<I", 32)
+            )
+        return self._interfaces[link_type]

@@ -1,0 +1,232 @@
+"""Bytes of a file, a pipe or what is compressed in them, a window at a time."""
+
+from __future__ import annotations
+
+import select
+import stat
+import zlib
+from os import fstat
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.sources.framing import PADDING
+
+if TYPE_CHECKING:
+    import io
+
+    from numpy.typing import NDArray
+
+FIRST = 256 << 10
+"""Bytes of the first window: small, so that the first datagrams come at once."""
+SLICE = 4 << 20
+"""Bytes of every other window: its columns stay in the processor's cache."""
+_LINGER_MS = 1
+"""How long to wait for more of a pipe before handing over what came."""
+
+
+class Stream(Protocol):
+    """A source of bytes.
+
+    Attributes:
+        name: what people call it.
+        total_bytes: size of the file; 0 for a pipe.
+    """
+
+    name: str
+    total_bytes: int
+
+    @property
+    def position(self) -> int:
+        """Bytes of the file consumed, compressed where it is."""
+        ...
+
+    def fill(self, view: memoryview) -> int:
+        """Write bytes into ``view``, all that it takes or all that is there now; 0 at the end.
+
+        Raises:
+            CaptureError: the bytes cannot be read; after all that could be.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close the file."""
+        ...
+
+
+class FileStream:
+    """A file or a pipe, as it is. A pipe is waited for only while there is nothing to hand over."""
+
+    def __init__(self, file: io.FileIO, name: str) -> None:
+        self.name = name
+        self.position = 0
+        status = fstat(file.fileno())
+        self.total_bytes = status.st_size if stat.S_ISREG(status.st_mode) else 0
+        self._file = file
+        self._poll: select.poll | None = None
+        if not stat.S_ISREG(status.st_mode):
+            self._poll = select.poll()
+            self._poll.register(file, select.POLLIN)
+
+    def fill(self, view: memoryview) -> int:
+        """See ``Stream.fill``."""
+        filled = 0
+        while filled < len(view):
+            if filled and self._poll is not None and not self._poll.poll(_LINGER_MS):
+                break
+            try:
+                count = self._file.readinto(view[filled:])
+            except OSError as error:
+                raise CaptureError(f"{self.name}: cannot be read: {error.strerror}") from error
+            if not count:
+                break
+            filled += count
+        self.position += filled
+        return filled
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class CompressedStream:
+    """What a gzip or zstd stream holds; several members or frames one after another are one."""
+
+    def __init__(self, inner: Stream, kind: str, head: bytes) -> None:
+        """Open it.
+
+        Args:
+            inner: the compressed bytes, from after ``head``.
+            kind: ``gzip`` or ``zstd``.
+            head: compressed bytes that were read already.
+        """
+        self.name = inner.name
+        self.total_bytes = inner.total_bytes
+        self._inner = inner
+        self._kind = kind
+        self._input = head
+        self._inflater: Any = None
+        self._ready = b""
+        self._failure: CaptureError | None = None
+        # zstd has no bound on what one call may give, so it gets little at a time.
+        self._buffer = memoryview(bytearray(1 << 16 if kind == "gzip" else 1 << 12))
+
+    @property
+    def position(self) -> int:
+        """Compressed bytes consumed."""
+        return self._inner.position
+
+    def fill(self, view: memoryview) -> int:
+        """See ``Stream.fill``."""
+        filled = 0
+        while filled < len(view):
+            if not self._ready and not self._inflate(wait=not filled, room=len(view) - filled):
+                break
+            count = min(len(view) - filled, len(self._ready))
+            view[filled : filled + count] = self._ready[:count]
+            self._ready = self._ready[count:]
+            filled += count
+        if not filled and self._failure is not None:
+            raise self._failure
+        return filled
+
+    def close(self) -> None:
+        """Close the file."""
+        self._inner.close()
+
+    def _inflate(self, *, wait: bool, room: int) -> bool:
+        """Make some bytes ready; False at the end, on a failure, or when it had to wait and must not."""
+        while not self._ready and self._failure is None:
+            if not self._input:
+                # Only a first byte is worth waiting for; a pipe's later ones come with the next call.
+                if not wait and not self.total_bytes:
+                    return False
+                count = self._inner.fill(self._buffer)
+                if not count:
+                    if self._inflater is not None:
+                        self._fail("ends early; it was probably cut off while being written or copied")
+                    return False
+                self._input = bytes(self._buffer[:count])
+            self._step(room)
+        return bool(self._ready)
+
+    def _step(self, room: int) -> None:
+        if self._inflater is None:
+            self._inflater = self._begin()
+        size = len(self._buffer)
+        try:
+            if self._kind == "gzip":
+                self._ready = self._inflater.decompress(self._input, room)
+                rest = self._inflater.unconsumed_tail
+            else:
+                self._ready = self._inflater.decompress(self._input[:size])
+                rest = self._input[size:]
+        except _errors() as error:
+            self._fail(f"is corrupt ({error}); copy or unpack it again")
+            return
+        self._input = rest
+        if self._inflater.eof:
+            self._input = self._inflater.unused_data + rest
+            self._inflater = None
+
+    def _begin(self) -> Any:
+        if self._kind == "gzip":
+            return zlib.decompressobj(wbits=31)
+        import zstandard
+
+        return zstandard.ZstdDecompressor().decompressobj()
+
+    def _fail(self, what: str) -> None:
+        self._failure = CaptureError(f"{self.name}: the {self._kind} data {what}")
+
+
+def _errors() -> tuple[type[Exception], ...]:
+    import zstandard
+
+    return zlib.error, zstandard.ZstdError
+
+
+class Window:
+    """The part of a stream that is being read: one buffer, and where in the stream it is.
+
+    Attributes:
+        stream: where the bytes come from.
+        data: u8, the buffer; ``PADDING`` zero bytes follow those in use. Never written again once advanced.
+        end: bytes of it in use.
+        base: place of its first byte in the stream.
+    """
+
+    def __init__(self, stream: Stream, head: bytes = b"") -> None:
+        """Start reading.
+
+        Args:
+            stream: where the bytes come from.
+            head: bytes of it that were read already.
+        """
+        self.stream = stream
+        self.base = 0
+        self.end = len(head)
+        self.data: NDArray[np.uint8] = np.frombuffer(head + bytes(PADDING), dtype=np.uint8)
+        self._size = FIRST
+
+    def advance(self, start: int) -> bool:
+        """Move on: keep what is from ``start`` on, read more behind it into a fresh buffer.
+
+        Returns:
+            False when the stream has ended; the window stays as it is then.
+
+        Raises:
+            CaptureError: the stream cannot be read any further.
+        """
+        kept = self.end - start
+        data = np.empty(kept + self._size + PADDING, dtype=np.uint8)
+        count = self.stream.fill(memoryview(data.data)[kept : kept + self._size])
+        if not count:
+            return False
+        data[:kept] = self.data[start : self.end]
+        data[kept + count : kept + count + PADDING] = 0
+        self.base += start
+        self.data, self.end = data[: kept + count + PADDING], kept + count
+        self._size = SLICE
+        return True
