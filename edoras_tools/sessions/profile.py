@@ -20,10 +20,11 @@ MILLISECOND: Final = 1_000_000
 SECOND: Final = 1_000_000_000
 
 TO_TABLE: Final = {
-    0x0800: 4, 0x0801: 4, 0x0803: 4, 0x0804: 4, 0x0805: 4, 0x0806: 4, 0x0808: 32, 0x080A: 4, 0x080B: 4,
-    0x0880: 4, 0x0881: 4, 0x0884: 4, 0x08FA: 4,
-}  # fmt: skip
-"""The telemetry table without the EDORAS MIDs: MsgId to the messages of it that may wait in TO's pipe."""
+    **dict.fromkeys((0x0800, 0x0801, 0x0803, 0x0804, 0x0805, 0x0806, 0x080A, 0x080B, 0x080C, 0x0810), 4),
+    **dict.fromkeys((0x0827, 0x0880, 0x0881, 0x0884, 0x08FA), 4),
+    0x0808: 32,
+}
+"""Telemetry Output's table: MsgId to the messages of it that may wait. An application's own MIDs are added."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ class SimProfile:
         to_source_port: UDP port that telemetry comes from; 0 lets the operating system choose.
         to_wake_ns: Telemetry Output's delay between two rounds.
         to_pipe_depth: of its telemetry pipe.
-        to_limits: its table: MsgId to the messages of it that may wait; the EDORAS MIDs are added to it.
+        to_limits: its table: MsgId to the messages of it that may wait; the application's are added.
         to_default_limit: limit of a MsgId that the table or an add-packet command leaves open.
         app_pipe_depth: of an application's pipe.
         app_msg_limit: messages of one MsgId that may wait in it.

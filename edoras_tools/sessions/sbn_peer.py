@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 
 NAME: Final = "SBN"
 COMMAND_MSG_ID: Final = 0x18FA
-NOT_REPORTED: Final = frozenset({cfe.EVENT_MSG_ID, COMMAND_MSG_ID})
-"""Subscriptions that SBN keeps to itself: its own command, and events, which its filter holds back."""
+HOUSEKEEPING_MSG_ID: Final = 0x08FA
+NOT_REPORTED: Final = frozenset({cfe.EVENT_MSG_ID, COMMAND_MSG_ID, HOUSEKEEPING_MSG_ID})
+"""Subscriptions that no peer hears of: SBN's own, and events, which its filter holds back."""
 _BUFFER_BYTES: Final = 65536
 
 

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from edoras_tools.sim.cfs import Cfs
     from edoras_tools.sim.scheduler import Task
 
-HOUSEKEEPING_MSG_ID = 0x08FA
 _HOUSEKEEPING = 10
 
 
@@ -107,4 +106,5 @@ class SbnApp:
     def _command(self, packet: bytes) -> None:
         if packet[6] & 0x7F == _HOUSEKEEPING and software_bus.length(packet) == len(packet):
             self._cfs.say(sbn_peer.NAME, 7, "hk command")
-            self._cfs.telemetry(HOUSEKEEPING_MSG_ID, bytes([_HOUSEKEEPING]).ljust(9, b"\0"), sbn_peer.NAME)
+            body = bytes([_HOUSEKEEPING]).ljust(9, b"\0")
+            self._cfs.telemetry(sbn_peer.HOUSEKEEPING_MSG_ID, body, sbn_peer.NAME)

@@ -69,7 +69,7 @@ class Simulation:
             state_rate_hz: robot states per second and robot on the SBN link.
 
         Raises:
-            ConfigError: there is no such scenario, a rate is below 0, or the profile has no peer for the bridge.
+            ConfigError: there is no such scenario, a rate is below 0, or the profile lacks the bridge's peer.
         """
         if scenario not in SCENARIOS:
             raise ConfigError(f"scenario {scenario!r} is not known; there are {', '.join(SCENARIOS)}")
