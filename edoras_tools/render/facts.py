@@ -44,7 +44,7 @@ def facts(decoded: Decoded, names: Mapping[int, str] | None = None) -> Facts:
             msg_id, name = _msg_id(layer, word)
             break
         if layer.name == "sbn":
-            octet = payload[layer.start + 2] if layer.end <= len(payload) else 0
+            octet = int.from_bytes(payload[layer.start + 2 : layer.start + 3], "big")
             kind = MSG_TYPE_NAMES.get(octet, f"0x{octet:02x}")
     if decoded.message:
         name = decoded.message.topic

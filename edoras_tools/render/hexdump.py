@@ -104,8 +104,8 @@ def lines(
     per_line = 16 if width >= WIDTH else 8
     styles = [palette.DIM] * len(data)
     for item in shown:
-        start, end = max(0, item.start), min(len(data), item.end)
-        styles[start:end] = [item.style] * max(0, end - start)
+        for at in range(max(0, item.start), min(len(data), item.end)):
+            styles[at] = item.style
     first, last = chosen or (0, 0)
     if paint.colour:
         for at in range(max(0, first), min(len(data), last)):
@@ -171,7 +171,7 @@ class _Rows:
         return f"{self.data[place]:02x}"
 
     def _gap(self, at: int, place: int) -> str:
-        return (" " if self.per_line == 16 and place - at == 8 else "") + self._bracket(place)
-
-    def _bracket(self, place: int) -> str:
-        return "[" if place == self.brackets[0] else "]" if place == self.brackets[1] else " "
+        # A bracket that closes at the end of a line stands there, not before the next.
+        closes = place == self.brackets[1] and place > at
+        bracket = "[" if place == self.brackets[0] else "]" if closes else " "
+        return " " + bracket if self.per_line == 16 and place - at == 8 else bracket

@@ -57,10 +57,8 @@ def totals(summary: Mapping[str, Any]) -> Table:
     grid.add_column(style=palette.DIM, no_wrap=True)
     grid.add_column(overflow="fold")
     if summary.get("source"):
-        name = plain(summary["source"], palette.STRONG)
-        grid.add_row(
-            "source", name.append(f"  {summary['kind']}", palette.DIM) if summary.get("kind") else name
-        )
+        kind = plain(summary.get("kind") or "", palette.DIM)
+        grid.add_row("source", Text.assemble(plain(summary["source"], palette.STRONG), "  ", kind))
     count = summary.get("datagrams", 0)
     line = Text(units.plural(count, "datagram"))
     if summary.get("bytes"):

@@ -62,13 +62,15 @@ _SHORT_KINDS: Final = {"NO_MSG": "NONE", "HEARTBEAT": "BEAT", "ANNOUNCE": "ANNC"
 @lru_cache(maxsize=64)
 def _plan(width: int, time_format: TimeFormat) -> _Plan:
     narrow, medium, wide = _TIME_CELLS[time_format]
-    columns = (7, wide, _FULL if width >= 180 else _COMPACT, 14, 6, 28, 5)
+    columns = (7, wide, _FULL, 14, 6, 28, 5)
     if width < 64:
         columns = (5, narrow if width >= 48 else 0, 0, 7, 0, 0, 0)
     elif width < 100:
         columns = (5, narrow, 0, _KIND_CELLS, 6, width // 6 - 1, 4)
-    elif width < 140:
+    elif width < 150:
         columns = (6, medium, _PORTS, _KIND_CELLS, 6, width // 6, 5)
+    elif width < 190:
+        columns = (7, medium, _COMPACT, _KIND_CELLS, 6, 24, 5)
     gap = " " if width < 120 else "  "
     taken = sum(cells + len(gap) for cells in columns if cells)
     return _Plan(*columns, info=max(0, width - taken), gap=gap)

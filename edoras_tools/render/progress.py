@@ -76,13 +76,13 @@ class FileProgress:
             return
         self._drawn = now
         statistics = report.source.statistics
-        self._progress.start()
         self._progress.update(
             self._task,
             total=statistics.total_bytes or None,
             completed=min(statistics.position, statistics.total_bytes) if statistics.total_bytes else 0,
             figures=figures(statistics, now - self._began),
         )
+        self._progress.start()
         self._progress.refresh()
 
 

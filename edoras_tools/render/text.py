@@ -94,7 +94,7 @@ def wrap(text: str, width: int) -> list[str]:
             lines[-1] = joined
         else:
             lines += chop_cells(word, width)
-    return [line for line in lines if line] or [""]
+    return [line.rstrip() for line in lines if line] or [""]
 
 
 def plain_cells(line: str) -> int:

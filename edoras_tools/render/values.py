@@ -22,8 +22,8 @@ def field_text(item: LayerField) -> str:
     plain = value_text(item.value)
     if not item.text or item.text == plain or isinstance(item.value, (str, bytes)):
         return plain
-    # A text with brackets has its number in them already: ``telecommand (1)``.
-    return f"{item.text} ({plain})" if isinstance(item.value, int) and "(" not in item.text else item.text
+    # One word is the number in another base; a text of several words has said what the number means.
+    return f"{item.text} ({plain})" if isinstance(item.value, int) and " " not in item.text else item.text
 
 
 def value_text(value: Any) -> str:
