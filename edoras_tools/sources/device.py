@@ -89,7 +89,7 @@ class DeviceSource:
         *,
         ready: Callable[[], None] | None = None,
         idle_s: float = 0.1,
-        queue_bytes: int = 64 << 20,
+        queue_bytes: int = 128 << 20,
     ) -> None:
         self.info = device.info
         self.statistics = SourceStatistics()
@@ -129,6 +129,7 @@ class DeviceSource:
                 self.statistics.kernel_drops = self._device.drops
                 yield nothing
                 continue
+            self.statistics.kernel_drops = self._device.drops
             if item is None:
                 return
             if isinstance(item, BaseException):
@@ -153,6 +154,7 @@ class DeviceSource:
         self.stop()
         self._room.set()
         self._thread.join()
+        self.statistics.kernel_drops = self._device.drops
         self._device.close()
         self._wake.close()
         self._waker.close()
@@ -165,7 +167,6 @@ class DeviceSource:
         statistics.bytes += int(frames.length.sum())
         statistics.datagrams += len(batch)
         statistics.skipped = self._demux.skipped
-        statistics.kernel_drops = self._device.drops
         return batch
 
     def _run(self) -> None:

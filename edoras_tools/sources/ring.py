@@ -7,6 +7,7 @@ and given back at once.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import mmap
@@ -126,7 +127,8 @@ class Ring:
         self._ring = np.frombuffer(self._map, dtype=np.uint8).reshape(blocks, self._block_size)
         self._headers = self._ring[:, : tpacket.BLOCK_HEADER].view(np.uint32)
         if interface.loopback:
-            self._socket.setsockopt(_SOL_PACKET, _PACKET_IGNORE_OUTGOING, 1)
+            with contextlib.suppress(OSError):  # before Linux 4.20 the filter alone does it
+                self._socket.setsockopt(_SOL_PACKET, _PACKET_IGNORE_OUTGOING, 1)
         elif promiscuous and interface.index:
             member = struct.pack("=iHH8s", interface.index, _PACKET_MR_PROMISC, 0, b"")
             self._socket.setsockopt(_SOL_PACKET, _PACKET_ADD_MEMBERSHIP, member)

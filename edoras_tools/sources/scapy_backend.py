@@ -40,8 +40,6 @@ _SOL_PACKET: Final = 263
 _PACKET_STATISTICS: Final = 6
 _PACKET_IGNORE_OUTGOING: Final = 23
 _LINUX: Final = hasattr(socket, "AF_PACKET")
-_UNKNOWN: Final = 0xFFFF
-"""A LINKTYPE that nobody reads: such frames count as skipped."""
 _LARGEST: Final = 65600
 _RECEIVE_BUFFER: Final = 16 << 20
 _AT_ONCE: Final = 4096
@@ -96,9 +94,14 @@ class Sniffer:
                 layer, frame, seconds = self._socket.recv_raw(_LARGEST)
                 if not frame:
                     break
+                if layer.__name__ not in _LINK_TYPES:
+                    self._failure = (
+                        f"{self.info.name}: {layer.__name__} frames cannot be read: use another interface"
+                    )
+                    break
                 frames.append(frame[: self.info.snap_length])
                 lengths.append(len(frame))
-                types.append(_LINK_TYPES.get(layer.__name__, _UNKNOWN))
+                types.append(_LINK_TYPES[layer.__name__])
                 times.append(round(seconds * 1e6) * 1000 if seconds else time.time_ns())
         except OSError as error:
             self._failure = f"{self.info.name}: {error.strerror}; what came before is kept"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.model import Endpoint, SourceInfo
 from edoras_tools.sources.bpf import RAW
 from edoras_tools.sources.device import DeviceSource
@@ -237,6 +237,25 @@ class UdpSource(DeviceSource):
         sockets = Sockets(endpoints, receive_buffer)
         self.endpoints = sockets.endpoints
         super().__init__(sockets, ready=ready)
+
+
+def parse_endpoint(text: str) -> Endpoint:
+    """Read ``HOST:PORT``, ``[IPV6]:PORT``, or ``PORT`` alone for every IPv4 address of this machine.
+
+    Raises:
+        ConfigError: it is none of them.
+    """
+    host, _, number = text.rpartition(":")
+    try:
+        port = int(number, 0)
+    except ValueError:
+        port = -1
+    bare = ":" in host and not (host.startswith("[") and host.endswith("]"))
+    if bare or not 0 <= port <= 0xFFFF or (":" in text and not host):
+        raise ConfigError(
+            f"--listen {text}: not an endpoint: HOST:PORT, [IPV6]:PORT or PORT, from 0 to 65535"
+        )
+    return Endpoint(host.strip("[]") or "0.0.0.0", port)  # noqa: S104  what PORT alone promises
 
 
 def _configure(opened: socket.socket, version: int, receive_buffer: int) -> None:

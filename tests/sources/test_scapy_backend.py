@@ -132,6 +132,15 @@ def test_what_scapy_raises_becomes_one_line(capture, monkeypatch, error, why):
     assert "\n" not in str(caught.value)
 
 
+def test_frames_of_a_kind_that_nobody_reads(capture, monkeypatch, pair):
+    sender, port = pair
+    source = capture("lo", [port])
+    monkeypatch.delitem(scapy_backend._LINK_TYPES, "Ether")
+    sender.send(b"x")
+    with pytest.raises(CaptureError, match="Ether frames cannot be read"):
+        list(source.batches())
+
+
 def test_the_filter_in_words():
     assert scapy_backend._expression([]) is None
     assert scapy_backend._expression([1234, 1235]).startswith("udp port 1234 or udp port 1235 or ")

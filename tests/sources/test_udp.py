@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import struct
 import time
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.model import Endpoint
 from edoras_tools.sources import udp
-from edoras_tools.sources.udp import Sockets, UdpSource
+from edoras_tools.sources.udp import Sockets, UdpSource, parse_endpoint
 
 LOCAL = Endpoint("127.0.0.1", 0)
 LOCAL6 = Endpoint("::1", 0)
@@ -174,6 +177,35 @@ def test_an_endpoint_that_cannot_be(listen, endpoint, why):
     assert str(caught.value).startswith(f"{endpoint}: ")
     assert why in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "endpoint"),
+    [
+        ("127.0.0.1:1235", Endpoint("127.0.0.1", 1235)),
+        ("localhost:0x4d3", Endpoint("localhost", 1235)),
+        ("1235", Endpoint("0.0.0.0", 1235)),
+        ("[::1]:1235", Endpoint("::1", 1235)),
+        ("[fe80::1%lo]:0", Endpoint("fe80::1%lo", 0)),
+    ],
+)
+def test_endpoints_as_text(text, endpoint):
+    assert parse_endpoint(text) == endpoint
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", ":", ":1235", "localhost", "localhost:", "a:b", "::1:1235", "[::1]", "h:65536", "h:-1", "010"],
+)
+def test_text_that_is_no_endpoint(text):
+    with pytest.raises(ConfigError, match="HOST:PORT"):
+        parse_endpoint(text)
+
+
+@given(st.text(max_size=30) | st.from_regex(r"[\[\]:.0-9a-f]{0,20}"))
+def test_any_text_is_an_endpoint_or_refused(text):
+    with contextlib.suppress(ConfigError):
+        assert 0 <= parse_endpoint(text).port <= 65535
 
 
 def test_no_endpoint():
