@@ -8,7 +8,8 @@ A block starts with a descriptor and holds a chain of packets, each under a head
              28 rxhash  32 vlan_tci  36 vlan_tpid(2)  48 sockaddr_ll(20)  ... mac: the frame
 
 Between the ``sockaddr_ll`` and the frame there is room. A VLAN tag that the kernel took out, or a cooked
-header that it never wrote, goes there, so that frames need not be moved. (SLL2 has no place for a tag; there it is left out.)
+header that it never wrote, goes there, so that frames need not be moved. (A cooked header has no place for a
+tag: there it is left out.)
 """
 
 from __future__ import annotations
