@@ -24,7 +24,7 @@ TO_TABLE: Final = {
     **dict.fromkeys((0x0827, 0x0880, 0x0881, 0x0884, 0x08FA), 4),
     0x0808: 32,
 }
-"""Telemetry Output's table: MsgId to the messages of it that may wait. An application's own MIDs are added."""
+"""Telemetry Output's table: MsgId to how many of it may wait. An application's own MIDs are added."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -196,7 +196,7 @@ def test_any_bytes_are_survived(datagrams):
 
 
 class PeerMachine(RuleBasedStateMachine):
-    """Any order of datagrams and rounds: a peer is connected while it is heard from, and gets what it wants."""
+    """Any order of calls: a peer is connected while it is heard from, and gets what it wants."""
 
     msg_ids = st.sampled_from([0x082A, 0x082B])
 
