@@ -1,8 +1,8 @@
-"""A plan walked over many messages at once: every step is a few numpy operations, whatever the number of rows.
+"""A plan walked over many messages at once: every step is a few numpy operations, however many rows.
 
-A position is one number while all rows agree on it, which is the common case (the messages of a topic have one
-shape), and an array once they differ. Rows that turn out not to be valid leave the walk at once, so that what
-remains can be read without further care.
+A position is one number while all rows agree on it, which is the common case (the messages of a topic have
+one shape), and an array once they differ. Rows that turn out not to be valid leave the walk at once, so that
+what remains can be read without further care.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 import numpy as np
 
 from edoras_tools.ros.plan import Plan, Repeat, Run, Text
-from edoras_tools.ros.reader import ENCAPSULATION
+from edoras_tools.ros.reader import ENCAPSULATION, skip
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 _LITTLE: Final = 0x0100
 _BIG: Final = 0x0000
 """The first two bytes of a message, 00 01 and 00 00, as they read little-endian."""
+
+
+FEW: Final = 8
+"""Rows so few that it is quicker to read them one by one."""
+MOST_SEEN: Final = 256
+"""Deciding bytes of one row after which noting them is given up."""
 
 
 class Bytes:
@@ -39,7 +45,9 @@ class Bytes:
         windows = np.ndarray((len(self.data) - size + 1,), f"V{size}", self.data, 0, (1,))
         return windows[start]
 
-    def numbers(self, start: NDArray[np.int64], code: str, count: int, swap: NDArray[np.bool_] | None) -> NDArray[Any]:
+    def numbers(
+        self, start: NDArray[np.int64], code: str, count: int, swap: NDArray[np.bool_] | None
+    ) -> NDArray[Any]:
         """Return ``count`` numbers from each offset, shape (offsets, count).
 
         Args:
@@ -58,7 +66,7 @@ class Bytes:
 
 
 class Collector(Protocol):
-    """What takes the places of values as a walk comes across them. Positions are those of the cursor's rows."""
+    """What is told the places of values as a walk comes across them; it must not change the cursor."""
 
     def run(self, prefix: str, run: Run, cursor: Cursor) -> None:
         """Take a run that starts at the cursor's position."""
@@ -142,6 +150,20 @@ class Cursor:
             return carried
         return self.keep(end <= self.end, carried)
 
+    def body(self, row: int) -> tuple[int, bytes]:
+        """Return the byte order of one row, 0 for little-endian and 1 for big, and its body."""
+        base = int(self.base[row])
+        return int(self.swap is not None and self.swap[row]), self.bytes.data[
+            base : base + self.end[row]
+        ].tobytes()
+
+    def note(self, position: Position, size: int) -> None:
+        """Note bytes that decide over a single row; too many of them end its walk."""
+        if self.seen is not None and len(self):
+            self.seen.append((int(position), int(position) + size))
+            if len(self.seen) > MOST_SEEN:
+                self.keep(np.zeros(len(self), bool))
+
     def align(self, alignment: int) -> None:
         """Move on to a multiple of the alignment."""
         if alignment > 1:
@@ -156,14 +178,15 @@ class Cursor:
         values = self.bytes.gather(self.start, 4).view("<u4")
         if self.swap is not None:
             values = np.where(self.swap, values.byteswap(), values)
-        if self.seen is not None:
-            self.seen.append((int(self.position), int(self.position) + 4))
+        self.note(self.position, 4)
         self.position = self.position + 4
         first = values[0]
         return int(first) if (values == first).all() else values.astype(np.int64)
 
 
-def start(plan: Plan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> Cursor:
+def start(
+    plan: Plan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+) -> Cursor:
     """Return a cursor at the start of every body that lies in the buffer, may be long enough, and is CDR."""
     offset, size = np.asarray(offset, np.int64), np.asarray(length, np.int64)
     inside = (offset >= 0) & (size >= ENCAPSULATION + plan.least) & (offset <= len(data) - size)
@@ -216,8 +239,7 @@ def _walk_text(step: Text, cursor: Cursor, collector: Collector | None, prefix: 
         length = cursor.keep(np.broadcast_to(length - narrow <= step.bound, len(cursor)), length)
     if narrow:
         last = length - 1  # where the length is 0 that is a byte of the length itself, and not asked
-        if cursor.seen is not None and len(cursor):
-            cursor.seen.append((int(cursor.position + last), int(cursor.position + last) + 1))
+        cursor.note(cursor.position + last, 1)
         ends = cursor.bytes.data[cursor.start + last] == 0
         length = cursor.keep(ends | np.equal(length, 0), length)
     if collector is not None:
@@ -247,7 +269,9 @@ def _walk_repeat(step: Repeat, cursor: Cursor, collector: Collector | None, pref
     cursor.position = cursor.position + count * run.size
 
 
-def _walk_elements(plan: Plan, cursor: Cursor, collector: Collector | None, name: str, count: Position) -> None:
+def _walk_elements(
+    plan: Plan, cursor: Cursor, collector: Collector | None, name: str, count: Position
+) -> None:
     """Walk elements whose sizes may differ, by element index: the loop is as long as the longest row."""
     if isinstance(count, int):
         for _ in range(count):
@@ -260,6 +284,11 @@ def _walk_elements(plan: Plan, cursor: Cursor, collector: Collector | None, name
     running = cursor.take(np.flatnonzero(~whole))
     index = 0
     while len(running):
+        if collector is None and len(running) <= FEW:
+            _finish_elements(plan, running, count[running.parent] - index)
+            whole[running.parent] = True
+            position[running.parent] = running.position
+            break
         walk(plan, running, collector, name)
         index += 1
         done = count[running.parent] == index
@@ -270,3 +299,11 @@ def _walk_elements(plan: Plan, cursor: Cursor, collector: Collector | None, name
             running.keep(~done)
     cursor.position = position
     cursor.keep(whole)
+
+
+def _finish_elements(plan: Plan, cursor: Cursor, left: NDArray[np.int64]) -> None:
+    """Move few rows past their remaining elements one by one, so that one long row costs little."""
+    position = np.broadcast_to(cursor.position, len(cursor))
+    ends = [skip(plan, *cursor.body(row), int(position[row]), int(left[row])) for row in range(len(cursor))]
+    cursor.position = np.array([-1 if end is None else end for end in ends], np.int64)
+    cursor.keep(cursor.position >= 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,9 +50,6 @@ class Ragged:
         return self.values[self.offsets[row] : self.offsets[row + 1]]
 
 
-Column = "NDArray[Any] | Ragged"
-
-
 @dataclass(frozen=True, slots=True)
 class MessageColumns:
     """Many messages of one type, a row each.
@@ -59,9 +57,10 @@ class MessageColumns:
     Attributes:
         type: ROS type name.
         valid: rows whose CDR ``TypeStore.decode`` accepts.
-        fields: dotted name to column, in wire order. A field of one value is an array of its own type (``object``
-            for strings); a fixed array of primitives has shape (rows, elements); every other array or sequence, and
-            all that lies inside one, is ``Ragged``. Rows that are not valid hold zeros, empty strings and no elements.
+        fields: dotted name to column, in wire order. A field of one value is an array of its own type
+            (``object`` for strings); a fixed array of primitives has shape (rows, elements); every other
+            array or sequence, and all that lies inside one, is ``Ragged``. Rows that are not valid hold
+            zeros, empty strings and no elements.
     """
 
     type: str
@@ -119,8 +118,12 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
     def run(self, prefix: str, run: Run, cursor: Cursor) -> None:
         """Take a run that starts at the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
+
+        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], NDArray[Any]]:
+            return rows, _read(source, leaf, start, swap)
+
         for leaf in run.leaves:
-            self._add(bulk.joined(prefix, leaf.name), lambda leaf=leaf: (rows, _read(source, leaf, start, swap)))
+            self._add(bulk.joined(prefix, leaf.name), partial(gather, leaf))
 
     def block(self, prefix: str, run: Run, cursor: Cursor, count: Position) -> None:
         """Take runs that follow each other from the cursor's position."""
@@ -132,15 +135,19 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
                 return np.repeat(rows, each), source.numbers(start, leaf.code, count, swap).reshape(-1)
             within = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
             places = np.repeat(start, each) + within * run.size
-            return np.repeat(rows, each), _read(source, leaf, places, None if swap is None else np.repeat(swap, each))
+            return np.repeat(rows, each), _read(
+                source, leaf, places, None if swap is None else np.repeat(swap, each)
+            )
 
         for leaf in run.leaves:
-            self._add(bulk.joined(prefix, leaf.name), lambda leaf=leaf: gather(leaf))
+            self._add(bulk.joined(prefix, leaf.name), partial(gather, leaf))
 
     def text(self, name: str, text: Text, cursor: Cursor, length: Position) -> None:
         """Take a string whose characters start at the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
-        self._add(name, lambda: (rows, _strings(source, text, start, np.broadcast_to(length, len(rows)), swap)))
+        self._add(
+            name, lambda: (rows, _strings(source, text, start, np.broadcast_to(length, len(rows)), swap))
+        )
 
     def _add(self, name: str, piece: Piece) -> None:
         self._pieces[name].append(piece)
@@ -168,7 +175,10 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
             return column
         if not pieces:
             return Ragged(column, np.zeros(self._rows + 1, np.int64))
-        pairs = [(np.repeat(rows, values[0].size), values.reshape(-1)) if values.ndim > 1 else (rows, values) for rows, values in pieces]
+        pairs = [
+            (np.repeat(rows, values[0].size), values.reshape(-1)) if values.ndim > 1 else (rows, values)
+            for rows, values in pieces
+        ]
         rows = np.concatenate([rows for rows, _ in pairs])
         values = np.concatenate([values for _, values in pairs])
         if len(pairs) > 1:
@@ -185,8 +195,10 @@ def _zeros(item: Leaf | Text, rows: int, *, flat: bool) -> NDArray[Any]:
     return np.zeros(rows if flat or item.count is None else (rows, item.count), dtype)
 
 
-def _read(source: bulk.Bytes, leaf: Leaf, start: NDArray[np.int64], swap: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Read one leaf of the runs at some offsets: shape (offsets,), or (offsets, elements) for a fixed array."""
+def _read(
+    source: bulk.Bytes, leaf: Leaf, start: NDArray[np.int64], swap: NDArray[np.bool_] | None
+) -> NDArray[Any]:
+    """Read one leaf of the runs at some offsets: shape (offsets,), or (offsets, elements) for an array."""
     values = source.numbers(start + leaf.offset, leaf.code, leaf.count or 1, swap)
     return values.reshape(-1) if leaf.count is None else values
 

@@ -10,7 +10,16 @@ import struct
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.schema import PRIMITIVES, STRINGS, TYPE_NAME, Constant, Definition, Field, Shape, full_name
+from edoras_tools.ros.schema import (
+    PRIMITIVES,
+    STRINGS,
+    TYPE_NAME,
+    Constant,
+    Definition,
+    Field,
+    Shape,
+    full_name,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -112,7 +121,9 @@ def _line(owner: str, code: str) -> Field | Constant:
     if default:
         if base not in PRIMITIVES and base not in STRINGS:
             _refuse(f"{field_name}: a field of a message type takes no default")
-        value = _value(base, default, field_name) if shape is Shape.SCALAR else _values(base, default, field_name)
+        value = (
+            _value(base, default, field_name) if shape is Shape.SCALAR else _values(base, default, field_name)
+        )
         if shape is Shape.ARRAY and len(value) != size:
             _refuse(f"{field_name}: the default holds {len(value)} values, {size} are declared")
     return Field(field_name, base, bound, shape, size, value)

@@ -1,4 +1,4 @@
-"""Where definitions come from: folders, an MCAP's schemas, this package, a ROS 2 distribution, a sourced ROS 2.
+"""Where definitions come from: folders, an MCAP's schemas, this package, a distribution, a sourced ROS 2.
 
 Nothing is read before it is asked for, but for the names in the folders that the user gave.
 """
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.grammar import Section, parse, sections
-from edoras_tools.ros.schema import TYPE_NAME, Constant, Definition, Field, Shape, full_name
+from edoras_tools.ros.schema import PLACEHOLDER, TYPE_NAME, Constant, Definition, Field, Shape, full_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 OWN: Final = Path(__file__).parent / "definitions"
 """The definitions of this package's own messages, ``PACKAGE/msg/NAME.msg``."""
-PLACEHOLDER: Final = "structure_needs_at_least_one_member"
-"""The byte that an empty message travels as; rosbags lists it as a field."""
 _STANDARD_DEFAULTS: Final = {("geometry_msgs/msg/Quaternion", "w"): 1.0}
 """rosbags keeps no defaults; of the standard packages' only this one differs from zero."""
 _PREFIX: Final = "ros2_"
@@ -40,7 +38,9 @@ class Library:
         ConfigError: there is no such distribution or folder, or a folder holds no definition.
     """
 
-    def __init__(self, distro: str, msg_paths: Iterable[str | os.PathLike[str]], schemas: Mapping[str, str]) -> None:
+    def __init__(
+        self, distro: str, msg_paths: Iterable[str | os.PathLike[str]], schemas: Mapping[str, str]
+    ) -> None:
         self.distro = distro
         self._store = _store_name(distro)
         self._files = _index(msg_paths)
@@ -57,7 +57,13 @@ class Library:
             ConfigError: the definition was found and holds mistakes.
         """
         if name not in self._found and TYPE_NAME.fullmatch(name):
-            for place in (self._from_files, self._from_schemas, self._from_package, self._from_distro, self._sourced):
+            for place in (
+                self._from_files,
+                self._from_schemas,
+                self._from_package,
+                self._from_distro,
+                self._sourced,
+            ):
                 if found := place(name):
                     self._found[name] = found
                     break
@@ -110,7 +116,9 @@ def _store_name(distro: str) -> str:
     stores = [file for root in roots for file in Path(root, "typesys", "stores").glob(f"{_PREFIX}*.py")]
     known = sorted(file.stem.removeprefix(_PREFIX) for file in stores)
     if distro not in known:
-        raise ConfigError(f"--distro: {distro!r} is no ROS 2 distribution; known: {', '.join(known)}, latest, rolling")
+        raise ConfigError(
+            f"--distro: {distro!r} is no ROS 2 distribution; known: {', '.join(known)}, latest, rolling"
+        )
     return _PREFIX + distro
 
 
@@ -123,10 +131,18 @@ def _index(paths: Iterable[str | os.PathLike[str]]) -> dict[str, Path]:
         if not path.exists():
             mistakes.append(f"--msg-path: {given}: no such file or folder")
             continue
-        candidates = [path] if path.is_file() else [*sorted(path.rglob("*.msg")), *sorted(path.rglob("*.idl"))]
-        found = {_type_of(file): file for file in reversed(candidates) if file.parent.name in {"msg", "srv", "action"}}
+        candidates = (
+            [path] if path.is_file() else [*sorted(path.rglob("*.msg")), *sorted(path.rglob("*.idl"))]
+        )
+        found = {
+            _type_of(file): file
+            for file in reversed(candidates)
+            if file.parent.name in {"msg", "srv", "action"}
+        }
         if not found:
-            mistakes.append(f"--msg-path: {given}: no definition there; expected PACKAGE/msg/NAME.msg or NAME.idl")
+            mistakes.append(
+                f"--msg-path: {given}: no definition there; expected PACKAGE/msg/NAME.msg or NAME.idl"
+            )
         index = found | index
     if mistakes:
         raise ConfigError(*mistakes)
@@ -148,7 +164,9 @@ def _read(name: str, file: Path) -> Definition:
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read: {getattr(error, 'strerror', None) or 'not UTF-8'}") from error
+        raise ConfigError(
+            f"{file}: cannot be read: {getattr(error, 'strerror', None) or 'not UTF-8'}"
+        ) from error
     return parse(name, text, str(file)) if file.suffix == ".msg" else _read_idl(name, text, file)
 
 
@@ -157,7 +175,15 @@ def _read_idl(name: str, text: str, file: Path) -> Definition:
 
     try:
         types = get_types_from_idl(text)
-    except (TypesysError, ValueError, KeyError, RecursionError, AssertionError, TypeError, AttributeError) as error:
+    except (
+        TypesysError,
+        ValueError,
+        KeyError,
+        RecursionError,
+        AssertionError,
+        TypeError,
+        AttributeError,
+    ) as error:
         raise ConfigError(f"{file}:{_idl_line(error)}: not the IDL that ROS 2 writes") from error
     if name not in types:
         raise ConfigError(f"{file}:1: defines {', '.join(types) or 'no type'}, not {name}")
@@ -165,7 +191,7 @@ def _read_idl(name: str, text: str, file: Path) -> Definition:
 
 
 def _idl_line(error: Exception) -> int:
-    """Return the line that rosbags' IDL parser stopped at: its message holds the text's repr, then the position."""
+    """Return the line that rosbags' parser stopped at: its message holds the text, then the position."""
     from ast import literal_eval
 
     parts = str(error).split("\n")

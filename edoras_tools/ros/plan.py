@@ -1,9 +1,9 @@
 """A message type as the few steps that its CDR takes, shared by every reader and writer of this package.
 
 CDR aligns each primitive to its own size, counted from the byte after the encapsulation, and knows nothing of
-nesting (OMG CDR, formal/02-06-51, 15.3). So a type is a flat list of steps: a ``Run`` of primitives whose layout
-is fixed once its start is aligned, a ``Text``, or a ``Repeat`` of another plan. A run ends before the first
-primitive that is wider than its first one; that is the only place where alignment can depend on what came before.
+nesting (OMG CDR, formal/02-06-51, 15.3). So a type is a flat list of steps: a ``Run`` of primitives whose
+layout is fixed once its start is aligned, a ``Text``, or a ``Repeat`` of another plan. A run ends before the
+first primitive that is wider than its first one: only there can alignment depend on what came before.
 """
 
 from __future__ import annotations
@@ -15,17 +15,16 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.schema import PRIMITIVES, STRINGS, Definition, Field, Shape
+from edoras_tools.ros.schema import PLACEHOLDER, PRIMITIVES, STRINGS, Definition, Field, Shape
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-MOST_STEPS: Final = 65_536
+MOST_STEPS: Final = 16_384
 """Most primitives and steps of one type; a definition that spells out more is hostile."""
 MOST_BYTES: Final = 1 << 24
 """Largest smallest message of a type."""
 MOST_DEPTH: Final = 64
-PLACEHOLDER: Final = "structure_needs_at_least_one_member"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +65,6 @@ class Run:
     size: int
     leaves: tuple[Leaf, ...]
     structs: tuple[struct.Struct, struct.Struct]
-
-    @property
-    def values(self) -> int:
-        """How many values ``structs`` reads."""
-        return sum(1 if leaf.count is None else leaf.count for leaf in self.leaves)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +117,8 @@ class Plan:
     def least(self) -> int:
         """Bytes that no message of this type is shorter than."""
         return sum(
-            step.size if isinstance(step, Run) else 4 if isinstance(step, Text) else _least(step) for step in self.steps
+            step.size if isinstance(step, Run) else 4 if isinstance(step, Text) else _least(step)
+            for step in self.steps
         )
 
     @cached_property
@@ -199,7 +194,9 @@ class Compiler:
         self._open.append(name)
         try:
             definition = self._find(name)
-            parts = [(item.name, self._field(item, prefix + item.name, name, steps)) for item in definition.fields]
+            parts = [
+                (item.name, self._field(item, prefix + item.name, name, steps)) for item in definition.fields
+            ]
         finally:
             self._open.pop()
         if not parts:
@@ -207,7 +204,9 @@ class Compiler:
             return _empty
         names = tuple(item for item, _ in parts)
         if all(build is next for _, build in parts):
-            return lambda values: dict(zip(names, values, strict=False))  # takes from values only while names last
+            return lambda values: dict(
+                zip(names, values, strict=False)
+            )  # takes from values only while names last
         return lambda values: {item: build(values) for item, build in parts}
 
     def _field(self, field: Field, name: str, owner: str, steps: _Steps) -> Callable[[Iterator[Any]], Any]:
@@ -262,7 +261,9 @@ class _Steps:
         self._close_run()
         plan = Plan(tuple(self._steps), build)
         if plan.least > MOST_BYTES:
-            raise ConfigError(f"{self._owner}: its smallest message takes {plan.least} bytes; {MOST_BYTES} is the most")
+            raise ConfigError(
+                f"{self._owner}: its smallest message takes {plan.least} bytes; {MOST_BYTES} is the most"
+            )
         return plan
 
     def _count(self) -> None:
@@ -275,7 +276,9 @@ class _Steps:
             return
         size = self._leaves[-1].end
         if size > MOST_BYTES:
-            raise ConfigError(f"{self._owner}: its smallest message takes {size} bytes; {MOST_BYTES} is the most")
+            raise ConfigError(
+                f"{self._owner}: its smallest message takes {size} bytes; {MOST_BYTES} is the most"
+            )
         layout, position = "", 0
         for leaf in self._leaves:
             layout += f"{leaf.offset - position}x{'' if leaf.count is None else leaf.count}{leaf.code}"

@@ -8,12 +8,12 @@ UTF-8 mistakes are replaced, and any non-zero ``bool`` is true.
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from edoras_tools.errors import FieldError, TruncatedError, WireError
 from edoras_tools.ros.plan import Plan, Repeat, Run, Text
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE
-
 
 ENCAPSULATION: Final = 4
 """Bytes before the body: representation and options (DDSI-RTPS 10.2)."""
@@ -51,21 +51,19 @@ def decode(name: str, plan: Plan, cdr: bytes) -> Any:
     """
     order = _order(name, cdr)
     values: list[Any] = []
-    try:
+    end = None
+    with suppress(_Misfit):
         end = _read(plan, order, cdr[ENCAPSULATION:], 0, values)
-        if len(cdr) - ENCAPSULATION - end <= PADDING:
-            return plan.build(iter(values))
-    except _Misfit:
-        pass
-    spans(name, plan, cdr)
-    raise WireError(f"{name}: the message is not consistent")
+    if end is None or len(cdr) - ENCAPSULATION - end > PADDING:
+        spans(name, plan, cdr)  # raises, and says where
+    return plan.build(iter(values))
 
 
 def spans(name: str, plan: Plan, cdr: bytes) -> list[Span]:
     """Return every leaf of a message, in wire order.
 
     Raises:
-        TruncatedError: a field needs more bytes than there are; offsets count from the encapsulation's first byte.
+        TruncatedError: a field needs more bytes than there are; offsets count from the start of ``cdr``.
         FieldError: a string without NUL, or more elements than the type allows.
         WireError: the representation is not CDR, or more than padding follows.
     """
@@ -73,10 +71,35 @@ def spans(name: str, plan: Plan, cdr: bytes) -> list[Span]:
     found: list[Span] = []
     end = _Walk(name, cdr, order, found).plan(plan, "", ENCAPSULATION)
     if len(cdr) - end > PADDING:
+        left = len(cdr) - end
         raise WireError(
-            f"{name}: {len(cdr) - end} bytes follow the last field, which ends at byte {end}; at most {PADDING} may"
+            f"{name}: {left} bytes follow the last field, which ends at byte {end}; at most {PADDING} may"
         )
     return found
+
+
+def skip(plan: Plan, order: int, body: bytes, position: int, times: int) -> int | None:
+    """Return where a number of elements that start at a position end; None where they do not fit.
+
+    Args:
+        plan: of one element.
+        order: 0 for little-endian, 1 for big-endian.
+        body: without the encapsulation.
+        position: from the start of the body.
+        times: how many elements.
+    """
+    try:
+        for _ in range(times):
+            position = _read(plan, order, body, position, [])
+    except _Misfit:
+        return None
+    return position
+
+
+def accepts(plan: Plan, order: int, body: bytes) -> bool:
+    """Tell whether a body is valid; arguments as ``skip``."""
+    end = skip(plan, order, body, 0, 1)
+    return end is not None and len(body) - end <= PADDING
 
 
 def _order(name: str, cdr: bytes) -> int:
@@ -84,7 +107,9 @@ def _order(name: str, cdr: bytes) -> int:
         raise TruncatedError(f"{name} encapsulation", 0, ENCAPSULATION, len(cdr))
     representation = int.from_bytes(cdr[:2], "big")
     if representation not in _ORDERS:
-        raise WireError(f"{name}: representation 0x{representation:04x} is not supported; CDR is 0x0000 or 0x0001")
+        raise WireError(
+            f"{name}: representation 0x{representation:04x} is not supported; CDR is 0x0000 or 0x0001"
+        )
     return _ORDERS[representation]
 
 
@@ -198,7 +223,9 @@ class _Walk:
             start, end = position + leaf.offset, position + leaf.end
             self._need(path + leaf.name, start, end)
             values = _numbers(leaf.code, self._order, self._cdr[start:end])
-            self._found.append(Span(path + leaf.name, values[0] if leaf.count is None else values, start, end))
+            self._found.append(
+                Span(path + leaf.name, values[0] if leaf.count is None else values, start, end)
+            )
         return position + step.size
 
     def _text(self, step: Text, path: str, position: int) -> int:
@@ -259,5 +286,3 @@ def _unnamed(plan: Plan) -> bool:
 
 def _first_name(step: Run | Text | Repeat) -> str:
     return step.leaves[0].name if isinstance(step, Run) else step.name
-
-

@@ -28,7 +28,8 @@ PRIMITIVES: Final = {
 }
 """``struct`` codes of the fixed-size ROS types; ROS 2's ``byte`` and ``char`` are both unsigned."""
 STRINGS: Final = frozenset({"string", "wstring"})
-
+PLACEHOLDER: Final = "structure_needs_at_least_one_member"
+"""The name of the byte that an empty message travels as; it is part of no definition and of no value."""
 SEPARATOR: Final = "=" * 80
 """The line between the definitions of a complete ``ros2msg`` text."""
 

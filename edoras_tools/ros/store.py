@@ -30,9 +30,9 @@ _WIDE_OF_OLD = frozenset({"dashing", "eloquent", "foxy", "galactic", "humble", "
 class TypeStore:
     """Knows message types, and reads and writes their CDR.
 
-    Cheap to create: a distribution's messages are loaded when the first type is asked for. ``pkg/Name`` may be
-    written for ``pkg/msg/Name``. Methods that take a type raise ``RouteError`` where it is not known, with the
-    nearest names, and ``ConfigError`` where its definition holds mistakes.
+    Cheap to create: a distribution's messages are loaded when the first type is asked for. ``pkg/Name`` may
+    be written for ``pkg/msg/Name``. Methods that take a type raise ``RouteError`` where it is not known, with
+    the nearest names, and ``ConfigError`` where its definition holds mistakes.
 
     Args:
         distro: ROS 2 distribution, as ``humble``; ``rolling`` and ``latest`` are the newest known.
@@ -78,14 +78,16 @@ class TypeStore:
             by_last.setdefault(name.rpartition("/")[2].lower(), []).append(name)
         close = get_close_matches(last.lower(), by_last, 3, 0.6)
         package = package.partition("/")[0] + "/"
-        return [name for part in close for name in sorted(by_last[part], key=lambda name: package not in name)][:3]
+        return [
+            name for part in close for name in sorted(by_last[part], key=lambda name: package not in name)
+        ][:3]
 
     def types(self) -> list[str]:
         """Return the name of every type that can be found, sorted."""
         return self._library.names()
 
     def definition(self, type_name: str) -> str:
-        """Return a type's ``ros2msg`` text, complete with the types that it uses, as MCAP and Foxglove want it."""
+        """Return a type's ``ros2msg`` text, complete with the types that it uses, as MCAP wants it."""
         self._plan(type_name)
         found: dict[str, Definition] = {}
         self._collect(full_name(type_name), found)
@@ -106,9 +108,9 @@ class TypeStore:
         return value
 
     def spans(self, type_name: str, cdr: bytes) -> list[Span]:
-        """Return every leaf of a message as (dotted path, value, start, end), offsets from the start of ``cdr``.
+        """Return every leaf of a message as (dotted path, value, start, end).
 
-        An array of primitives is one leaf; its count belongs to it.
+        Offsets count from the start of ``cdr``. An array of primitives is one leaf; its count belongs to it.
 
         Raises:
             WireError: as ``decode``.
@@ -118,7 +120,7 @@ class TypeStore:
     def encode(self, type_name: str, values: Mapping[str, Any], *, big_endian: bool = False) -> bytes:
         """Return a message from plain values, encapsulation included.
 
-        Missing fields take their defaults. Lists may be tuples or numpy arrays, and bytes where bytes are meant.
+        Missing fields take their defaults. Tuples and arrays do as lists, and bytes where bytes are meant.
 
         Raises:
             FieldError: a value does not fit or a field does not exist; names the path and what it takes.

@@ -1,6 +1,6 @@
 """Which of many messages are valid: most are told by their likeness to another one, the rest are walked.
 
-What decides over a message is few bytes: counts, string lengths, and the NUL of each string. Messages of the same
+Few bytes decide over a message: counts, string lengths, and the NUL of each string. Messages of the same
 length and byte order that agree with one on those bytes share its fate, and a topic's messages mostly do.
 """
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.ros.bulk import Cursor, start, walk
-from edoras_tools.ros.reader import PADDING
+from edoras_tools.ros.bulk import FEW, MOST_SEEN, Cursor, start, walk
+from edoras_tools.ros.reader import PADDING, accepts
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,12 +56,12 @@ class _Pattern:
         body = cursor.bytes.data[cursor.base[0] :]
         self.valid = bool(len(_finish(plan, row)))
         joined = _joined(row.seen)
-        self._usable = sum(end - first for first, end in joined) <= _MOST
+        self._usable = len(row.seen) <= MOST_SEEN and sum(end - first for first, end in joined) <= _MOST
         self._windows = [_window(body, first, end, row.seen) for first, end in joined] if self._usable else []
 
     def matches(self, cursor: Cursor) -> NDArray[np.bool_]:
         """Tell which rows share this verdict for certain."""
-        alike = cursor.end == self._end
+        alike: NDArray[np.bool_] = cursor.end == self._end
         alike &= (cursor.swap if cursor.swap is not None else False) == bool(self._swap)
         alike &= self._usable
         for window in self._windows:
@@ -80,7 +80,9 @@ class _Pattern:
         return alike
 
 
-def valid(plan: Plan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> NDArray[np.bool_]:
+def valid(
+    plan: Plan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+) -> NDArray[np.bool_]:
     """Tell which messages ``reader.decode`` accepts.
 
     Args:
@@ -96,7 +98,7 @@ def valid(plan: Plan, data: NDArray[np.uint8], offset: NDArray[np.int64], length
         cursor = start(plan, data, offset[first : first + CHUNK], length[first : first + CHUNK])
         if not len(cursor):
             continue
-        if pattern is None and patience:
+        if pattern is None and patience and len(cursor) > FEW:
             pattern, patience = _Pattern(plan, cursor), patience - 1
         if pattern is not None:
             alike = pattern.matches(cursor)
@@ -111,6 +113,11 @@ def valid(plan: Plan, data: NDArray[np.uint8], offset: NDArray[np.int64], length
 
 def _finish(plan: Plan, cursor: Cursor) -> NDArray[np.int64]:
     """Walk a cursor to the end; return the rows that are valid."""
+    if len(cursor) <= FEW and cursor.seen is None:
+        cursor.keep(
+            np.fromiter((accepts(plan, *cursor.body(row)) for row in range(len(cursor))), bool, len(cursor))
+        )
+        return cursor.rows
     walk(plan, cursor, None)
     left = cursor.end - cursor.position
     cursor.keep((left >= 0) & (left <= PADDING))
