@@ -121,7 +121,9 @@ Listen = Annotated[
         "--listen", metavar="[HOST:]PORT", help="Bind a UDP port and take what arrives: no privilege; repeatable."
     ),
 ]
-Count = Annotated[int, typer.Option("--count", "-n", metavar="N", parser=number, help="Stop after N datagrams.")]
+Count = Annotated[
+    int | None, typer.Option("--count", "-n", metavar="N", parser=number, help="Stop after N datagrams.")
+]
 Duration = Annotated[
     int | None, typer.Option("--duration", metavar="TIME", parser=duration, help="Stop after so long, as 30, 10m.")
 ]

@@ -35,7 +35,7 @@ def record(
         int | None,
         typer.Option(metavar="TIME", parser=options.duration, help="Begin another file after so long, as 10m."),
     ] = None,
-    count: options.Count = 0,
+    count: options.Count = None,
     duration: options.Duration = None,
     every: Annotated[bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")] = False,
     json: options.Json = False,
@@ -66,7 +66,7 @@ def record(
             selection=selection,
             clock=monotonic_ns,
             duration_ns=duration or 0,
-            count=count,
+            count=count or 0,
             watcher=watch,
         )
     if json:

@@ -37,7 +37,7 @@ def sniff(
     time: Annotated[Time, typer.Option("--time", "-t", help="How to tell time.")] = Time.RELATIVE,
     findings: Annotated[bool, typer.Option("--findings", help="Only packets with a warning or an error.")] = False,
     every: Annotated[bool, typer.Option("--all", "-a", help="Also UDP that belongs to no link.")] = False,
-    count: options.Count = 0,
+    count: options.Count = None,
     duration: options.Duration = None,
     verbose: options.Verbose = False,
 ) -> None:
@@ -80,7 +80,7 @@ def sniff(
     if json:
         from json import dumps
     for decoded in packets(
-        source, bench, selection=chosen, count=count, clock=monotonic_ns, duration_ns=duration or 0
+        source, bench, selection=chosen, count=count or 0, clock=monotonic_ns, duration_ns=duration or 0
     ):
         if json:
             out.write(dumps(as_json(decoded), ensure_ascii=False, separators=(",", ":")) + "\n")

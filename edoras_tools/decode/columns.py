@@ -16,15 +16,17 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, Finding, Link, Pack
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.envelope import DEFAULT, FORMATS, EnvelopeFormat
 from edoras_tools.wire.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, CI_BUFFER, SOFTWARE_BUS_MAXIMUM
-from edoras_tools.wire.window import any_nonzero, gather, xor_bytes
+from edoras_tools.wire.window import any_nonzero, by_value, gather, xor_bytes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
 
-_WINDOW: Final = 64
-"""Bytes that hold every header of a datagram, and a subscription's $Id and count."""
+_SBN_WINDOW: Final = 64
+"""Bytes that hold an SBN header, and a subscription's $Id and count."""
+_PACKET_WINDOW: Final = 24
+"""Bytes that hold every header of a space packet."""
 _IDENT: Final = np.frombuffer(sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0"), np.uint8)
 _KNOWN_TYPES: Final = np.isin(np.arange(256), list(sbn.MsgType))
 _BLANK: Final = {
@@ -98,61 +100,58 @@ class _Pass:
     def columns(self) -> Columns:
         """Go through the layers, outermost first."""
         link, length = self.out["link"], self.batch.length
-        window = gather(self.batch.data, self.batch.offset, _WINDOW)
-        self.flag(Finding.OVER_CI_BUFFER, (link == Link.CI) & (length > CI_BUFFER))
-        self.flag(Finding.OVER_BRIDGE_BUFFER, (link == Link.TO) & (length > BRIDGE_BUFFER))
-        start = self.software_bus_network(window)
-        self.space_packet(window, start)
+        every = np.arange(len(link))
+        self.flag(Finding.OVER_CI_BUFFER, every, (link == Link.CI) & (length > CI_BUFFER))
+        self.flag(Finding.OVER_BRIDGE_BUFFER, every, (link == Link.TO) & (length > BRIDGE_BUFFER))
+        self.space_packet(self.software_bus_network())
         cut = (self.batch.capture_findings & Finding.CAPTURE_CUT) != 0
         self.out["findings"][cut] &= np.uint32(~UNKNOWABLE & 0xFFFFFFFF)
         return Columns(**self.out)
 
-    def flag(self, finding: Finding, rows: NDArray[Any]) -> None:
-        """Set a finding's bit where a mask, or at the indices where an index array, says so."""
-        if rows.dtype == bool:
-            self.out["findings"] |= rows * np.uint32(finding)
-        else:
-            self.out["findings"][rows] |= np.uint32(finding)
+    def flag(self, finding: Finding, rows: NDArray[np.intp], chosen: NDArray[np.bool_]) -> None:
+        """Set a finding's bit in those of ``rows`` that are chosen."""
+        if chosen.any():
+            self.out["findings"][rows[chosen]] |= np.uint32(finding)
 
-    def software_bus_network(self, window: NDArray[np.uint8]) -> NDArray[np.int32]:
+    def software_bus_network(self) -> NDArray[np.int32]:
         """Read SBN headers; return where in each datagram a space packet starts, -1 where none does."""
-        start = np.zeros(len(window), np.int32)
+        start = np.zeros(len(self.batch), np.int32)
         rows = np.flatnonzero(self.out["link"] == Link.SBN)
         if not len(rows):
             return start
         start[rows] = -1
-        length, head = self.batch.length[rows], window[rows]
+        length, head = self.batch.length[rows], gather(self.batch.data, self.batch.offset[rows], _SBN_WINDOW)
         legacy = self._legacy(head, length)
         header = np.where(legacy, sbn.LEGACY_HEADER.size, sbn.HEADER.size).astype(np.int32)
         whole = length >= header
-        self.flag(Finding.TRUNCATED, rows[~whole])
-        self.flag(Finding.SBN_LEGACY_HEADER, rows[legacy])
-        modulo = (length >= sbn.HEADER.size) & (length % BRIDGE_LENGTH_MODULUS < sbn.HEADER.size)
-        self.flag(
-            Finding.BRIDGE_DROPS_LENGTH,
-            rows[modulo & self.context.bridge_ports[self.batch.destination_port[rows]]],
-        )
+        self.flag(Finding.TRUNCATED, rows, ~whole)
+        self.flag(Finding.SBN_LEGACY_HEADER, rows, legacy)
+        dropped = (length >= sbn.HEADER.size) & (length % BRIDGE_LENGTH_MODULUS < sbn.HEADER.size)
+        dropped &= self.context.bridge_ports[self.batch.destination_port[rows]]
+        self.flag(Finding.BRIDGE_DROPS_LENGTH, rows, dropped)
 
-        rows, head, length, header, legacy = (value[whole] for value in (rows, head, length, header, legacy))
+        if not whole.all():
+            rows, head, length, header, legacy = (
+                value[whole] for value in (rows, head, length, header, legacy)
+            )
         kind = sbn.HEADER.column("msg_type", head)
         payload = length - header
         mismatch = sbn.HEADER.column("msg_size", head) != payload
         self.out["sbn_msg_type"][rows] = kind
         self.out["processor_id"][rows] = sbn.HEADER.column("processor_id", head)
         self.out["spacecraft_id"][rows] = np.where(legacy, 0, sbn.HEADER.column("spacecraft_id", head))
-        self.flag(Finding.SBN_SIZE_MISMATCH, rows[mismatch])
-        self.flag(Finding.SBN_UNKNOWN_TYPE, rows[~_KNOWN_TYPES[kind]])
-        self.flag(Finding.SBN_NO_MESSAGE, rows[kind == sbn.MsgType.NO_MSG])
+        self.flag(Finding.SBN_SIZE_MISMATCH, rows, mismatch)
+        self.flag(Finding.SBN_UNKNOWN_TYPE, rows, ~_KNOWN_TYPES[kind])
+        self.flag(Finding.SBN_NO_MESSAGE, rows, kind == sbn.MsgType.NO_MSG)
         self._identities(rows, trusted=_KNOWN_TYPES[kind] & ~mismatch)
 
         proto = kind == sbn.MsgType.PROTO
         version = np.where(legacy, head[:, sbn.LEGACY_HEADER.size], head[:, sbn.HEADER.size])
-        self.flag(Finding.TRUNCATED, rows[proto & (payload < sbn.PROTO.size)])
-        self.flag(
-            Finding.SBN_VERSION_MISMATCH,
-            rows[proto & (payload >= sbn.PROTO.size) & (version != sbn.PROTOCOL_VERSION)],
-        )
-        self._subscriptions(rows, kind, head, payload, legacy)
+        told = payload >= sbn.PROTO.size
+        self.flag(Finding.TRUNCATED, rows, proto & ~told)
+        self.flag(Finding.SBN_VERSION_MISMATCH, rows, proto & told & (version != sbn.PROTOCOL_VERSION))
+        listed = np.flatnonzero((kind == sbn.MsgType.SUB) | (kind == sbn.MsgType.UNSUB))
+        self._subscriptions(rows[listed], head[listed], payload[listed], legacy[listed])
         app = kind == sbn.MsgType.APP
         start[rows[app]] = header[app]
         return start
@@ -161,19 +160,21 @@ class _Pass:
     def _legacy(head: NDArray[np.uint8], length: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Tell the older 7-byte header: its size fits, and so does what then follows it."""
         at = sbn.LEGACY_HEADER.size
+        fits: NDArray[np.bool_] = (length >= at) & (sbn.HEADER.column("msg_size", head) == length - at)
+        rows = np.flatnonzero(fits)
+        head, length = head[rows], length[rows]
         kind = sbn.HEADER.column("msg_type", head)
-        fits = (length >= at) & (sbn.HEADER.column("msg_size", head) == length - at) & _KNOWN_TYPES[kind]
         packet = ccsds.PRIMARY.column("packet_data_length", head, at).astype(np.int32) + ccsds.LENGTH_BIAS
-        bare = length == at
         app = kind == sbn.MsgType.APP
         proto = kind == sbn.MsgType.PROTO
         listed = (kind == sbn.MsgType.SUB) | (kind == sbn.MsgType.UNSUB)
         follows = np.select(
             [app, proto, listed],
             [packet == length - at, length == at + sbn.PROTO.size, head[:, at] == ord("$")],
-            bare,
+            length == at,
         )
-        return fits & follows
+        fits[rows] = _KNOWN_TYPES[kind] & follows
+        return fits
 
     def _identities(self, rows: NDArray[np.intp], trusted: NDArray[np.bool_]) -> None:
         """Compare every sender's identity with the one its endpoint is known by."""
@@ -184,10 +185,8 @@ class _Pass:
             | batch.source_port[rows].astype(np.uint64) << 8
         )
         endpoint |= batch.ip_version[rows]
-        places, where = np.unique(endpoint, return_inverse=True)
         foreign = np.zeros(len(rows), bool)
-        for place in range(len(places)):
-            members = np.flatnonzero(where == place)
+        for _, members in by_value(endpoint):
             first = int(rows[members[0]])
             key = (batch.address(int(batch.source_address[first]), first), int(batch.source_port[first]))
             known = peers.known(key, int(batch.number[first]))
@@ -201,63 +200,59 @@ class _Pass:
             foreign[members] = identity[members] != np.uint64(known[0] << 32 | known[1])
         for spacecraft, processor in self.context.identities:
             foreign &= identity != np.uint64(spacecraft << 32 | processor)
-        self.flag(Finding.SBN_ID_MISMATCH, rows[foreign])
+        self.flag(Finding.SBN_ID_MISMATCH, rows, foreign)
 
     def _subscriptions(
         self,
         rows: NDArray[np.intp],
-        kind: NDArray[np.uint8],
         head: NDArray[np.uint8],
         payload: NDArray[np.int32],
         legacy: NDArray[np.bool_],
     ) -> None:
-        listed = (kind == sbn.MsgType.SUB) | (kind == sbn.MsgType.UNSUB)
+        """Judge SUB and UNSUB: the $Id, and whether all entries are there."""
         whole = payload >= sbn.SUBSCRIPTIONS.size
-        self.flag(Finding.TRUNCATED, rows[listed & ~whole])
+        self.flag(Finding.TRUNCATED, rows, ~whole)
         for old, at in ((False, sbn.HEADER.size), (True, sbn.LEGACY_HEADER.size)):
-            pick = listed & whole & (legacy == old)
+            pick = whole & (legacy == old)
             foreign = (head[pick, at : at + sbn.IDENT_BYTES] != _IDENT).any(axis=1)
-            self.flag(Finding.SBN_ID_MISMATCH, rows[pick][foreign])
+            self.flag(Finding.SBN_ID_MISMATCH, rows[pick], foreign)
             count = sbn.SUBSCRIPTIONS.column("count", head[pick], at).astype(np.int32)
             short = payload[pick] < sbn.SUBSCRIPTIONS.size + count * sbn.SUBSCRIPTION.size
-            self.flag(Finding.TRUNCATED, rows[pick][short])
+            self.flag(Finding.TRUNCATED, rows[pick], short)
 
-    def space_packet(self, window: NDArray[np.uint8], start: NDArray[np.int32]) -> None:
+    def space_packet(self, start: NDArray[np.int32]) -> None:
         """Read the primary header, and all that lies behind it."""
         rows = np.flatnonzero(start >= 0)
         length = self.batch.length[rows] - start[rows]
         offset = self.batch.offset[rows] + start[rows]
         whole = length >= ccsds.PRIMARY.size
-        self.flag(Finding.TRUNCATED, rows[~whole])
-        rows, offset, length = rows[whole], offset[whole], length[whole]
+        if not whole.all():
+            self.flag(Finding.TRUNCATED, rows, ~whole)
+            rows, offset, length = rows[whole], offset[whole], length[whole]
         if not len(rows):
             return
-        if start[rows].any():
-            head = gather(self.batch.data, offset, _WINDOW)
-        else:
-            head = window if len(rows) == len(window) else window[rows]
+        head = gather(self.batch.data, offset, _PACKET_WINDOW)
         total = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int32) + ccsds.LENGTH_BIAS
-        word = head[:, 0].astype(np.int32) << 8 | head[:, 1]
+        word = head[:, :2].view(">u2")[:, 0].astype(np.int32)
+        sequence = head[:, 2:4].view(">u2")[:, 0].astype(np.uint16)
         command = (word & cfe.COMMAND_BIT) != 0
         msg_id = self._msg_id(word, head, length)
-        sequence = head[:, 2].astype(np.uint16) << 8 | head[:, 3]
+        link = self.out["link"][rows]
         self.out["packet_offset"][rows] = offset
         self.out["packet_length"][rows] = length
         self.out["msg_id"][rows] = msg_id
         self.out["sequence_flags"][rows] = sequence >> 14
         self.out["sequence_count"][rows] = sequence & 0x3FFF
+        self.out["route"][rows] = self.context.route_of[link, msg_id]
         valid = (msg_id > 0) & (msg_id <= cfe.HIGHEST_MSG_ID)
-        link = self.out["link"][rows]
-        self.flag(Finding.LENGTH_MISMATCH, rows[total != length])
-        self.flag(Finding.SEQUENCE_UNSET, rows[sequence == 0])
-        self.flag(Finding.OVER_SOFTWARE_BUS, rows[total > SOFTWARE_BUS_MAXIMUM])
-        self.flag(Finding.INVALID_MSG_ID, rows[~valid])
-        self.flag(Finding.UNKNOWN_MSG_ID, rows[valid & ~self.context.known[msg_id]])
+        self.flag(Finding.LENGTH_MISMATCH, rows, total != length)
+        self.flag(Finding.SEQUENCE_UNSET, rows, sequence == 0)
+        self.flag(Finding.OVER_SOFTWARE_BUS, rows, total > SOFTWARE_BUS_MAXIMUM)
+        self.flag(Finding.INVALID_MSG_ID, rows, ~valid)
+        self.flag(Finding.UNKNOWN_MSG_ID, rows, valid & ~self.context.known[msg_id])
         self.flag(
-            Finding.WRONG_DIRECTION, rows[((link == Link.CI) & ~command) | ((link == Link.TO) & command)]
+            Finding.WRONG_DIRECTION, rows, ((link == Link.CI) & ~command) | ((link == Link.TO) & command)
         )
-        route = self.context.route_of[link, msg_id]
-        self.out["route"][rows] = route
         self._secondary(rows, head, offset, length, total, command, msg_id)
         self._envelopes(rows, length, msg_id)
 
@@ -287,47 +282,32 @@ class _Pass:
         bare = ~command & (length == as_command) & (total == length)
         header = np.where(command | bare, as_command, as_telemetry).astype(np.uint8)
         whole = length >= header
-        self.flag(Finding.HEADER_ONLY, rows[bare])
-        self.flag(Finding.TRUNCATED, rows[~whole])
+        self.flag(Finding.HEADER_ONLY, rows, bare)
+        self.flag(Finding.TRUNCATED, rows, ~whole)
         self.out["header_length"][rows] = np.where(whole, header, ccsds.PRIMARY.size)
 
         at = ccsds.PRIMARY.size + extra
-        timed = whole & ~command & ~bare
-        seconds = cfe.TELEMETRY.column("seconds", head[timed], at).astype(np.int64)
-        subseconds = cfe.TELEMETRY.column("subseconds", head[timed], at).astype(np.int64)
+        timed = np.flatnonzero(whole & ~command & ~bare)
+        times = head[timed]
+        seconds = cfe.TELEMETRY.column("seconds", times, at).astype(np.int64)
+        subseconds = cfe.TELEMETRY.column("subseconds", times, at).astype(np.int64)
         self.out["mission_time_ns"][rows[timed]] = seconds * 1_000_000_000 + (
             subseconds * 1_000_000_000 >> 16
         )
 
-        coded = whole & (command | bare)
-        self.out["function_code"][rows[coded]] = cfe.COMMAND.column("function_code", head[coded], at)
-        summed = np.flatnonzero(whole & command)
-        present = head[summed, at + 1] != 0
-        bad = (
-            xor_bytes(self.batch.data, offset[summed], np.minimum(length, total)[summed]) != cfe.CHECKSUM_SEED
-        )
-        self.flag(Finding.CHECKSUM_BAD, rows[summed[bad & present]])
-        self.flag(Finding.CHECKSUM_ABSENT, rows[summed[bad & ~present]])
-        self._function_codes(rows[summed], msg_id[summed], length[summed])
-
-    def _function_codes(
-        self, rows: NDArray[np.intp], msg_id: NDArray[np.int32], length: NDArray[np.int32]
-    ) -> None:
-        """Hold commands against what their apps take, one (MsgId, function code) after the other."""
-        code = self.out["function_code"][rows].astype(np.int32)
-        pairs, where = np.unique(msg_id << 8 | code, return_inverse=True)
-        for index, pair in enumerate(pairs):
-            commands = self.context.commands(int(pair) >> 8)
-            if commands is None:
-                continue
-            chosen = where == index
-            command = commands.get(int(pair) & 0xFF)
-            if command is None:
-                self.flag(Finding.UNKNOWN_FUNCTION_CODE, rows[chosen])
-            elif command.lengths:
-                extra = cfe.EXTENDED.size if self.context.options.extended_header else 0
-                fits = np.isin(length, np.array(command.lengths) + extra)
-                self.flag(Finding.COMMAND_LENGTH, rows[chosen & ~fits])
+        coded = np.flatnonzero(whole & (command | bare))
+        code = cfe.COMMAND.column("function_code", head[coded], at)
+        self.out["function_code"][rows[coded]] = code
+        if bare.any():
+            coded, code = coded[~bare[coded]], code[~bare[coded]]
+        chosen, length, total = rows[coded], length[coded], total[coded]
+        present = head[coded, at + 1] != 0
+        bad = xor_bytes(self.batch.data, offset[coded], np.minimum(length, total)) != cfe.CHECKSUM_SEED
+        self.flag(Finding.CHECKSUM_BAD, chosen, bad & present)
+        self.flag(Finding.CHECKSUM_ABSENT, chosen, bad & ~present)
+        unknown, misfit = self.context.command_table.judge(msg_id[coded], code, length - extra)
+        self.flag(Finding.UNKNOWN_FUNCTION_CODE, chosen, unknown)
+        self.flag(Finding.COMMAND_LENGTH, chosen, misfit)
 
     def _envelopes(
         self, rows: NDArray[np.intp], length: NDArray[np.int32], msg_id: NDArray[np.int32]
@@ -336,19 +316,18 @@ class _Pass:
         route = self.context.any_route_of[msg_id]
         exact = self.out["route"][rows]
         route = np.where(exact == NO_ROUTE, route, exact)
-        findings = self.out["findings"][rows]
-        header = self.out["header_length"][rows].astype(np.int32)
         unread = np.uint32(Finding.HEADER_ONLY | Finding.TRUNCATED)
-        for index in np.unique(route[route != NO_ROUTE]):
-            claimed = (route == index) & ((findings & unread) == 0)
-            bare = claimed & (length == header)
+        claimed = np.flatnonzero((route != NO_ROUTE) & ((self.out["findings"][rows] & unread) == 0))
+        rows, length, route = rows[claimed], length[claimed], route[claimed]
+        bare = length == self.out["header_length"][rows]
+        if bare.any():
+            mismatched = (self.out["findings"][rows] & np.uint32(Finding.LENGTH_MISMATCH)) != 0
             quiet = self.out["function_code"][rows] == 0
-            mismatched = (findings & np.uint32(Finding.LENGTH_MISMATCH)) != 0
-            self.flag(Finding.HEADER_ONLY, rows[bare & ~quiet & ~mismatched])
-            self.flag(Finding.TRUNCATED, rows[bare & mismatched])
-            picked = rows[claimed & ~bare]
-            if len(picked):
-                self._envelope(int(index), picked)
+            self.flag(Finding.HEADER_ONLY, rows, bare & ~quiet & ~mismatched)
+            self.flag(Finding.TRUNCATED, rows, bare & mismatched)
+            rows, route = rows[~bare], route[~bare]
+        for index, picked in by_value(route):
+            self._envelope(index, rows[picked])
 
     def _envelope(self, route: int, rows: NDArray[np.intp]) -> None:
         chosen = self.context.envelope(route)
@@ -386,13 +365,13 @@ class _Pass:
         """
         size = envelope.size
         whole = have >= size
-        self.flag(Finding.TRUNCATED, rows[~whole])
+        self.flag(Finding.TRUNCATED, rows, ~whole)
         claimed = envelope.layout.column("buffer_length", head).astype(np.uint64)
         capacity = envelope.layout.column("buffer_capacity", head).astype(np.uint64)
         space = np.maximum(have - size, 0).astype(np.uint64)
         over = claimed > space
-        self.flag(Finding.ENVELOPE_OVERRUN, rows[whole & (over | (capacity < claimed))])
-        self.flag(Finding.CDR_INVALID, rows[whole & ~over & (claimed < 4)])
+        self.flag(Finding.ENVELOPE_OVERRUN, rows, whole & (over | (capacity < claimed)))
+        self.flag(Finding.CDR_INVALID, rows, whole & ~over & (claimed < 4))
         read = whole & ~over & (claimed >= 4)
         rows, offset, head = rows[read], offset[read] + size, head[read]
         length, space = claimed[read].astype(np.int32), space[read].astype(np.int32)
@@ -403,10 +382,10 @@ class _Pass:
         types, name = self.context.types, self.context.mission.routes[route].type
         if types is not None and types.has(name):
             valid = known & types.valid(name, self.batch.data, offset, length)
-        self.flag(Finding.CDR_INVALID, rows[~valid])
-        self.flag(Finding.CDR_BIG_ENDIAN, rows[known & (head[:, size + 1] == 0)])
+        self.flag(Finding.CDR_INVALID, rows, ~valid)
+        self.flag(Finding.CDR_BIG_ENDIAN, rows, known & (head[:, size + 1] == 0))
         stale = any_nonzero(self.batch.data, offset + length, space - length)
-        self.flag(Finding.STALE_TAIL, rows[stale])
+        self.flag(Finding.STALE_TAIL, rows, stale)
 
 
 def _fits(head: NDArray[np.uint8], have: NDArray[np.int32], envelope: EnvelopeFormat) -> NDArray[np.bool_]:

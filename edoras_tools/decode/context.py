@@ -86,6 +86,37 @@ class Peers:
         return identity if since <= number else None
 
 
+class CommandTable:
+    """What apps take, as arrays: for many commands at once.
+
+    Args:
+        commands: function codes and their commands by MsgId.
+    """
+
+    def __init__(self, commands: Mapping[int, Mapping[int, names.Command]]) -> None:
+        self._app = np.zeros(65536, np.uint8)
+        self._taken = np.zeros((len(commands) + 1, 128), bool)
+        self._lengths = np.zeros((2, len(commands) + 1, 128), np.int32)
+        for app, (msg_id, codes) in enumerate(commands.items(), 1):
+            self._app[msg_id] = app
+            for code, command in codes.items():
+                self._taken[app, code] = True
+                for choice, length in enumerate(
+                    command.lengths * 2 if len(command.lengths) == 1 else command.lengths
+                ):
+                    self._lengths[choice, app, code] = length
+
+    def judge(
+        self, msg_id: NDArray[np.int32], code: NDArray[np.uint8], length: NDArray[np.int32]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Tell which commands have a function code that their app refuses, and which have a wrong length."""
+        app = self._app[msg_id]
+        one, other = self._lengths[:, app, code]
+        unknown: NDArray[np.bool_] = (app != 0) & ~self._taken[app, code]
+        misfit: NDArray[np.bool_] = (one != 0) & (length != one) & (length != other)
+        return unknown, misfit
+
+
 class Context:
     """The lookups that both decoders share, compiled once from the mission and the options.
 
@@ -101,6 +132,7 @@ class Context:
         route_of: i16 (4, 65536), route by link and MsgId.
         any_route_of: i16 (65536,), a route of any link by MsgId: what a packet seen on another link carries.
         known: bool (65536,), MsgIds that cFE or the mission names.
+        command_table: what apps take, for columns.
     """
 
     def __init__(
@@ -135,6 +167,10 @@ class Context:
             self.route_of[route.link, route.msg_id] = index
             self.any_route_of[route.msg_id] = index
             self.known[route.msg_id] = True
+        named = {*names.COMMANDS, *(route.msg_id for route in self.mission.routes)}
+        self.command_table = CommandTable(
+            {msg_id: commands for msg_id in named if (commands := self.commands(msg_id)) is not None}
+        )
 
     def capture_ports(self) -> tuple[int, ...]:
         """Return every UDP port that belongs to a link, for a filter in the kernel."""

@@ -9,7 +9,6 @@ from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.mission import Mission, load, loads
 from edoras_tools.ros import TypeStore
 from edoras_tools.sources import open_file
-from edoras_tools.sources.merge import merge
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -78,4 +77,8 @@ def open_files(paths: Sequence[Path]) -> Source:
         CaptureError: one cannot be opened.
     """
     sources = [open_file(path) for path in paths]
-    return sources[0] if len(sources) == 1 else merge(sources)
+    if len(sources) == 1:
+        return sources[0]
+    from edoras_tools.sources.merge import merge
+
+    return merge(sources)

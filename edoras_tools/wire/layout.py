@@ -91,12 +91,15 @@ class Layout:
         self.name = name
         self.title = title
         self.byte_order: Literal["big", "little"] = byte_order
-        slots, bit = [], 0
+        slots: list[Slot] = []
+        bit = 0
         for item in fields:
             start, end = bit // 8, (bit + item.bits + 7) // 8
             shift = end * 8 - bit - item.bits
             if byte_order == "little" and (shift or bit % 8):
                 raise ValueError(f"{name}.{item.name}: a little-endian layout holds whole bytes only")
+            if item.kind in {"uint", "int"} and end - start not in {1, 2, 4, 8}:
+                raise ValueError(f"{name}.{item.name}: lies across {end - start} bytes, not in a word")
             slots.append(Slot(item, start, end, shift, (1 << item.bits) - 1))
             bit += item.bits
         if bit % 8:
@@ -175,13 +178,11 @@ class Layout:
             (n,) of the smallest type of its sign that holds the field.
         """
         slot = self.by_name[name]
-        columns = range(slot.start, slot.end)
-        size = next(size for size in (1, 2, 4, 8) if size >= len(columns))
-        value = np.zeros(len(window), f"u{size}")
-        for column in columns if self.byte_order == "big" else reversed(columns):
-            if column != columns[0 if self.byte_order == "big" else -1]:
-                value <<= 8
-            value |= window[:, at + column]
+        size = slot.end - slot.start
+        order = ">" if self.byte_order == "big" else "<"
+        # Every numeric field lies in a word of 1, 2, 4 or 8 bytes, so that one strided read takes it.
+        word = window[:, at + slot.start : at + slot.end].view(f"{order}u{size}")
+        value: NDArray[Any] = word[:, 0].astype(f"u{size}")
         if slot.shift:
             value >>= slot.shift
         if slot.mask != (1 << 8 * size) - 1:

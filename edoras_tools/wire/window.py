@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,7 +37,7 @@ def gather(data: NDArray[np.uint8], offset: NDArray[np.int64], width: int) -> ND
     return rows
 
 
-def by_value(values: NDArray[np.int32]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     """Yield each distinct value with the indices that hold it, so that rows of one length go together."""
     order = np.argsort(values, kind="stable")
     ends = np.flatnonzero(np.diff(values[order])) + 1
