@@ -24,7 +24,7 @@ _BIG: Final = 0x0000
 """The first two bytes of a message, 00 01 and 00 00, as they read little-endian."""
 
 
-FEW: Final = 8
+FEW: Final = 16
 """Rows so few that it is quicker to read them one by one."""
 MOST_SEEN: Final = 256
 """Deciding bytes of one row after which noting them is given up."""

@@ -8,7 +8,6 @@ UTF-8 mistakes are replaced, and any non-zero ``bool`` is true.
 from __future__ import annotations
 
 import struct
-from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from edoras_tools.errors import FieldError, TruncatedError, WireError
@@ -51,10 +50,11 @@ def decode(name: str, plan: Plan, cdr: bytes) -> Any:
     """
     order = _order(name, cdr)
     values: list[Any] = []
-    end = None
-    with suppress(_Misfit):
+    try:
         end = _read(plan, order, cdr[ENCAPSULATION:], 0, values)
-    if end is None or len(cdr) - ENCAPSULATION - end > PADDING:
+    except _Misfit:
+        end = -1
+    if end < 0 or len(cdr) - ENCAPSULATION - end > PADDING:
         spans(name, plan, cdr)  # raises, and says where
     return plan.build(iter(values))
 

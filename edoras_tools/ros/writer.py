@@ -203,8 +203,11 @@ def _takes(type_name: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a numpy scalar as the plain value it stands for; any other value as it is."""
-    return value.item() if isinstance(value, np.generic) else value
+    """Return the plain number that a numpy scalar, an enum or a YAML scalar is; any other value as it is."""
+    if isinstance(value, np.generic):
+        return value.item()
+    kind = next((kind for kind in (bool, int, float) if isinstance(value, kind)), None)
+    return kind(value) if kind else value
 
 
 def _shown(value: Any) -> str:

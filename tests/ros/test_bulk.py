@@ -262,3 +262,12 @@ def test_a_string_without_length_at_the_very_end(store):
     assert store.valid("std_msgs/msg/String", data, offset, length).tolist() == [True, True]
     assert store.columns("std_msgs/msg/String", data, offset, length).fields["data"].tolist() == ["", ""]
     assert store.decode("std_msgs/msg/String", cdr) == {"data": ""}
+
+
+def test_messages_with_more_deciding_bytes_than_are_noted(store):
+    good = store.encode("sensor_msgs/msg/JointState", {"name": ["joint"] * (bulk.MOST_SEEN + 1)})
+    bad = good[:-20] + b"\1" + good[-19:]
+    cdrs = [good] * 20 + [bad, good[:-4]] + [good] * 3
+    verdict = store.valid("sensor_msgs/msg/JointState", *laid_out(cdrs))
+    assert verdict.tolist() == [accepted(store, "sensor_msgs/msg/JointState", cdr) for cdr in cdrs]
+    assert verdict.sum() == 23

@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import re
 import struct
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -288,6 +289,21 @@ def test_refused_values_name_their_path(store, name, values, message):
     with pytest.raises(FieldError, match=re.escape(message)) as caught:
         store.encode(name, values)
     assert "\n" not in str(caught.value)
+
+
+def test_numbers_of_other_kinds(store):
+    class Level(IntEnum):
+        HIGH = 3
+
+    class Metres(float):
+        __slots__ = ()
+
+    assert store.decode("std_msgs/msg/Int8", store.encode("std_msgs/msg/Int8", {"data": Level.HIGH})) == {
+        "data": 3
+    }
+    assert store.decode(
+        "std_msgs/msg/Float32", store.encode("std_msgs/msg/Float32", {"data": Metres(1.5)})
+    ) == {"data": 1.5}
 
 
 def test_values_of_numpy(store):
