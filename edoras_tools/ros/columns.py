@@ -99,7 +99,7 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
     def __init__(self, plan: Plan, rows: int) -> None:
         self._rows = rows
         self._ragged: dict[str, bool] = {}
-        self._empty: dict[str, NDArray[Any]] = {}
+        self._items: dict[str, Leaf | Text] = {}
         self._pieces: dict[str, list[Piece]] = {}
         self._columns: dict[str, NDArray[Any] | Ragged] = {}
         self._declare(plan, "", ragged=False)
@@ -162,21 +162,21 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
                 name = bulk.joined(prefix, item.name)
                 self._pieces[name] = []
                 self._ragged[name] = ragged
-                self._empty[name] = _zeros(item, 0 if ragged else self._rows, flat=ragged)
+                self._items[name] = item
 
     def _gather(self, name: str) -> NDArray[Any] | Ragged:
         pieces = [piece() for piece in self._pieces[name]]
-        column = self._empty[name]
         if not self._ragged[name]:
+            if pieces and len(pieces[0][0]) == self._rows:
+                return pieces[0][1]
+            column = _zeros(self._items[name], self._rows, flat=False)
             for rows, values in pieces:
-                if len(rows) == self._rows:
-                    return values
                 column[rows] = values
             return column
         if not pieces:
-            return Ragged(column, np.zeros(self._rows + 1, np.int64))
+            return Ragged(_zeros(self._items[name], 0, flat=True), np.zeros(self._rows + 1, np.int64))
         pairs = [
-            (np.repeat(rows, values[0].size), values.reshape(-1)) if values.ndim > 1 else (rows, values)
+            (np.repeat(rows, values.shape[1]), values.reshape(-1)) if values.ndim > 1 else (rows, values)
             for rows, values in pieces
         ]
         rows = np.concatenate([rows for rows, _ in pairs])
