@@ -98,14 +98,13 @@ class Demux:
         if len(frames) and int(end.max()) + PADDING > data.size:
             data = np.concatenate((data, np.zeros(PADDING, dtype=np.uint8)))
         network, version = self._locate(data, frames)
-        parts = []
+        parts: list[tuple[NDArray[np.int64] | None, Transport]] = []
         for wanted, reader in ((4, ipv4), (6, ipv6)):
-            chosen = version == wanted
-            rows = None if chosen.all() else np.flatnonzero(chosen)
-            if rows is None or len(rows):
-                parts.append((rows, reader(data, _take(network, rows), _take(end, rows))))
-        if not parts:
-            parts.append((None, ipv4(data, network[:0], end[:0])))
+            rows = np.flatnonzero(version == wanted)
+            if len(rows) == len(frames):
+                parts = [(None, reader(data, network, end))]
+                break
+            parts.append((rows, reader(data, network[rows], end[rows])))
         transport = merge(parts)
         self.skipped += len(frames) - len(transport.position)
         return self._datagrams(data, _choose(frames, transport.rows), transport)
@@ -229,10 +228,6 @@ def _key(batch: PacketBatch, row: int, identification: int) -> tuple[int, int, b
     if version == 6:
         return version, identification, batch.ipv6[addresses[0]], batch.ipv6[addresses[1]]
     return version, identification, addresses[0].to_bytes(4), addresses[1].to_bytes(4)
-
-
-def _take(column: NDArray[np.int64], rows: NDArray[np.int64] | None) -> NDArray[np.int64]:
-    return column if rows is None else column[rows]
 
 
 def _choose(frames: FrameBatch, rows: NDArray[np.int64] | None) -> FrameBatch:

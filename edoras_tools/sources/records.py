@@ -58,6 +58,7 @@ class RecordSource(ABC):
             yield from self._batches()
         finally:
             self._warn()
+            self.close()
 
     def close(self) -> None:
         """Close the file."""
