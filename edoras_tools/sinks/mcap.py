@@ -176,6 +176,15 @@ class McapSink:
             path = path.with_name(f"{path.stem}_{len(self.files)}{path.suffix}")
         file = McapFile(path)
         self.files.append(file)
+        try:
+            self._begin(file)
+        except CaptureError:
+            file.abandon()
+            raise
+        return ChunkWriter(file)
+
+    def _begin(self, file: McapFile) -> None:
+        """Write what comes before the messages."""
         self._count = 0
         schemas = {name: file.add_schema(name, text) for name, text in self._definitions.items()}
         self._channels = {
@@ -199,8 +208,6 @@ class McapSink:
             dtype=np.uint16,
         )
         file.add_metadata(OPENING_METADATA_NAME, self._opening())
-        file.flush()
-        return ChunkWriter(file)
 
     def _close_file(self, statistics: SourceStatistics | None) -> None:
         file = self.files[-1]
@@ -250,5 +257,6 @@ class McapSink:
             yield
         except CaptureError:
             self._state = "failed"
+            self._chunks.abandon()
             self.files[-1].abandon()
             raise

@@ -132,6 +132,10 @@ class ChunkWriter:
         finally:
             self._thread.shutdown()
 
+    def abandon(self) -> None:
+        """End the thread, and forget what it has not begun to write."""
+        self._thread.shutdown(cancel_futures=True)
+
     def _hand_over(self) -> None:
         """Give the chunk to the thread; go on with a new one, or with the buffer of one that is done."""
         self._pending.append((self._thread.submit(self._store, self._chunk), self._chunk))

@@ -147,10 +147,14 @@ class McapFile:
         self.summary = Summary()
         self.size = 0
         try:
-            self._file = path.open("wb")
+            self._file = path.open("wb", buffering=0)
         except OSError as error:
             raise CaptureError(f"{path}: cannot be created: {error.strerror or error}") from error
-        self.add_bytes(_opening() if header is None else header)
+        try:
+            self.add_bytes(_opening() if header is None else header)
+        except CaptureError:
+            self.abandon()
+            raise
 
     def add_schema(self, name: str, definition: str) -> int:
         """Write a ``ros2msg`` schema; return its id."""
@@ -194,7 +198,6 @@ class McapFile:
         head = _encode(chunk.record)
         start, index_start = self.size, self.size + len(head)
         self.add_bytes(head + chunk.index)
-        self.flush()
         record = chunk.record
         self.summary.chunks.append(
             ChunkIndex(
@@ -211,33 +214,21 @@ class McapFile:
         )
         self.summary.add_messages(chunk.counts, record.message_start_time, record.message_end_time)
 
-    def flush(self) -> None:
-        """Hand everything written so far to the operating system."""
-        try:
-            self._file.flush()
-        except OSError as error:
-            raise self._failure(error) from error
-
     def finish(self) -> None:
         """Write the summary and close the file."""
         self.add_bytes(self.summary.tail(self.size))
-        try:
-            self._file.close()
-        except OSError as error:
-            raise self._failure(error) from error
+        self.abandon()
 
     def abandon(self) -> None:
-        """Close the file as it is, after an error."""
-        try:
-            self._file.close()
-        except OSError:
-            # Closing flushes, and what failed fails again; the descriptor is closed all the same.
-            return
+        """Close the file as it is."""
+        self._file.close()
 
     def add_bytes(self, data: bytes) -> None:
-        """Write bytes that need no entry in the summary."""
+        """Write bytes that need no entry in the summary; they are out of the process when this returns."""
+        rest = memoryview(data)
         try:
-            self._file.write(data)
+            while rest:
+                rest = rest[self._file.write(rest) :]
         except OSError as error:
             raise self._failure(error) from error
         self.size += len(data)

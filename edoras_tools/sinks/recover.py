@@ -54,7 +54,7 @@ class Recovery:
         whole: the recording was whole already; nothing was written.
         messages: messages in the result, by topic.
         chunks: chunks in the result.
-        salvaged: messages of these that were taken out of chunks cut off or damaged.
+        salvaged: messages of these that were taken out of a chunk cut off.
         kept_bytes: bytes of the file that were kept.
         lost_bytes: bytes of the file that could not be kept, those of a summary cut off not counted.
     """
@@ -81,8 +81,9 @@ class Recovery:
 def recover(source: str | Path, target: str | Path) -> Recovery:
     """Make a cut-off MCAP file whole, whoever wrote it.
 
-    Whole records are kept byte for byte. Of a chunk that is cut off or damaged the messages that can still be
-    decompressed are kept. Message index, chunk index, statistics and summary are built anew where they lack.
+    Whole records are kept byte for byte. Of a chunk that is cut off the messages that can still be
+    decompressed are kept; one that is damaged is left out. Message index, chunk index, statistics and summary
+    are built anew.
 
     Args:
         source: the file that was cut off; it is only read.
@@ -121,7 +122,7 @@ class _Reader:
             raise CaptureError(f"{path}: is no MCAP file, or one without even its first 8 bytes")
 
     def bytes(self, start: int, end: int) -> bytes:
-        self._file.seek(start)
+        self._file.seek(max(start, 0))
         data: bytes = self._file.read(max(end - start, 0))
         return data
 
@@ -140,7 +141,7 @@ class _Reader:
         if self.bytes(self.size - len(MCAP0_MAGIC), self.size) != MCAP0_MAGIC:
             return None
         self._file.seek(0)
-        with suppress(McapError, struct.error, ValueError, OverflowError, MemoryError):
+        with suppress(McapError, struct.error, OSError, ValueError, OverflowError, MemoryError):
             summary = make_reader(self._file, validate_crcs=True).get_summary()
             if summary is not None and summary.statistics is not None:
                 counts = summary.statistics.channel_message_counts
@@ -214,8 +215,13 @@ class _Rebuild:
                 after = reader.size
                 break
             after = record[2]
+        whole = end <= reader.size
+        if whole and not sound:
+            # Nothing tells which of its bytes are wrong.
+            self._lost += after - position
+            return after
         index, places, counts, used, log_times = self._index(raw)
-        if sound and end <= reader.size:
+        if whole:
             chunk = Chunk.read(ReadDataStream(BytesIO(content)))
         else:
             self._lost += len(content) + (start - position)

@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edoras_tools.sinks.mcap_rows import copy_rows, put_rows
+
+LENGTHS = st.lists(
+    st.one_of(st.integers(0, 40), st.integers(250, 260), st.sampled_from([1, 127, 128, 1024])), max_size=40
+)
+
+
+@given(LENGTHS, st.integers(0, 2**32 - 1))
+def test_every_row_arrives_and_nothing_else_changes(lengths, seed):
+    random = np.random.default_rng(seed)
+    length = np.array(lengths, dtype=np.int32)
+    source = random.integers(0, 256, 2000, dtype=np.uint8)
+    offsets = random.integers(0, 2001 - length) if lengths else np.zeros(0, dtype=np.int64)
+    gaps = random.integers(0, 5, len(lengths))
+    positions = np.cumsum(length + gaps) - length
+    target = np.full(int(positions[-1] + length[-1]) if lengths else 0, 0xA5, dtype=np.uint8)
+    expected = target.copy()
+    for position, offset, size in zip(positions, offsets, lengths, strict=True):
+        expected[position : position + size] = source[offset : offset + size]
+    copy_rows(target, positions, source, offsets, length)
+    assert np.array_equal(target, expected)
+
+
+@pytest.mark.parametrize("size", [0xFFFF, 0x10000, 0x10001, 300_000])
+def test_large_rows(size):
+    source = np.random.default_rng(size).integers(0, 256, size, dtype=np.uint8)
+    target = np.zeros(size + 2, dtype=np.uint8)
+    copy_rows(target, np.array([1]), source, np.array([0]), np.array([size]))
+    assert np.array_equal(target[1:-1], source)
+    assert target[0] == target[-1] == 0
+
+
+def test_a_row_outside_its_buffer_is_refused_not_read():
+    with pytest.raises(IndexError):
+        copy_rows(np.zeros(8, np.uint8), np.array([0]), np.zeros(8, np.uint8), np.array([5]), np.array([4]))
+
+
+def test_structures_are_put_byte_by_byte():
+    rows = np.array([(1, 2), (3, 4)], dtype=[("a", "u1"), ("b", ">u2")])
+    target = np.zeros(9, dtype=np.uint8)
+    put_rows(target, np.array([5, 1]), rows)
+    assert target.tolist() == [0, 3, 0, 4, 0, 1, 0, 2, 0]
