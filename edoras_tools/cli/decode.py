@@ -18,11 +18,16 @@ if TYPE_CHECKING:
 def decode(
     settings: Settings,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="pcap, pcapng or MCAP; - is stdin.")],
-    number: Annotated[int, typer.Argument(metavar="N", parser=options.number, help="The packet's number, from 1.")],
+    number: Annotated[
+        int, typer.Argument(metavar="N", parser=options.number, help="The packet's number, from 1.")
+    ],
     layer: Annotated[
-        str, typer.Option("--layer", "-l", metavar="NAME", help="Point at a layer, or LAYER.FIELD, in the bytes.")
+        str,
+        typer.Option("--layer", "-l", metavar="NAME", help="Point at a layer, or LAYER.FIELD, in the bytes."),
     ] = "",
-    frame: Annotated[bool, typer.Option("--frame", help="Dump the whole frame, not only the UDP payload.")] = False,
+    frame: Annotated[
+        bool, typer.Option("--frame", help="Dump the whole frame, not only the UDP payload.")
+    ] = False,
     json: options.Json = False,
 ) -> None:
     """Take one packet apart: every layer and field, and which bytes they are."""

@@ -42,13 +42,14 @@ def _show_version(wanted: bool) -> None:
 @app.callback()
 def _edoras(
     _version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
     """Hold the options of no command."""
 
 
-def _alone(function: typer.models.CommandFunctionType, name: str) -> typer.Typer:  # type: ignore[type-var]
+def _alone(function: typer.models.CommandFunctionType, name: str) -> typer.Typer:
     """Make a program of one command."""
     program = typer.Typer(
         name=name, add_completion=False, pretty_exceptions_enable=False, context_settings=_SETTINGS

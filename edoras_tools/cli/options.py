@@ -95,7 +95,9 @@ Envelope = Annotated[
     str, typer.Option(metavar="FORMAT", help="EDORAS envelope: 8/8, 4/4, 1/1, with le or be; or auto.")
 ]
 ExtendedHeader = Annotated[bool, typer.Option(help="Packets carry cFE's extended (version 2) header.")]
-TelemetryHeader = Annotated[int, typer.Option(metavar="BYTES", help="cFE telemetry header: 16, or 12 in older builds.")]
+TelemetryHeader = Annotated[
+    int, typer.Option(metavar="BYTES", help="cFE telemetry header: 16, or 12 in older builds.")
+]
 LinkChoice = Annotated[
     list[str] | None,
     typer.Option("--link", metavar="LINK", parser=link_name, help="Only ci, to, sbn or other; repeatable."),
@@ -110,7 +112,9 @@ TopicChoice = Annotated[
 ]
 Read = Annotated[
     list[Path] | None,
-    typer.Option("--read", "-r", metavar="FILE", help="pcap, pcapng (.gz, .zst) or MCAP; - is stdin; repeatable."),
+    typer.Option(
+        "--read", "-r", metavar="FILE", help="pcap, pcapng (.gz, .zst) or MCAP; - is stdin; repeatable."
+    ),
 ]
 Interface = Annotated[
     str | None, typer.Option("--interface", "-i", metavar="IFACE", help="Capture live from an interface.")
@@ -118,14 +122,17 @@ Interface = Annotated[
 Listen = Annotated[
     list[str] | None,
     typer.Option(
-        "--listen", metavar="[HOST:]PORT", help="Bind a UDP port and take what arrives: no privilege; repeatable."
+        "--listen",
+        metavar="[HOST:]PORT",
+        help="Bind a UDP port and take what arrives: no privilege; repeatable.",
     ),
 ]
 Count = Annotated[
     int | None, typer.Option("--count", "-n", metavar="N", parser=number, help="Stop after N datagrams.")
 ]
 Duration = Annotated[
-    int | None, typer.Option("--duration", metavar="TIME", parser=duration, help="Stop after so long, as 30, 10m.")
+    int | None,
+    typer.Option("--duration", metavar="TIME", parser=duration, help="Stop after so long, as 30, 10m."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no summary.")]
@@ -159,7 +166,9 @@ def choice(link: LinkChoice = None, msg_id: MsgIdChoice = None, topic: TopicChoi
     from edoras_tools.model import Link
     from edoras_tools.pipelines.selection import Selection
 
-    return Selection(tuple(Link[item.upper()] for item in link or ()), tuple(msg_id or ()), tuple(topic or ()))
+    return Selection(
+        tuple(Link[item.upper()] for item in link or ()), tuple(msg_id or ()), tuple(topic or ())
+    )
 
 
 def gathered(name: str, gather: Callable[..., object]) -> Callable[[Command], Command]:
@@ -186,7 +195,7 @@ def gathered(name: str, gather: Callable[..., object]) -> Callable[[Command], Co
 
 
 def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:
-    """Return a function's parameters, by keyword and with their annotations as values, as typer wants them."""
+    """Return a function's parameters, by keyword, their annotations as values: as typer wants them."""
     unimported = {"Settings": object, "Selection": object}
     hints = get_type_hints(function, localns=unimported, include_extras=True)
     return [

@@ -22,22 +22,29 @@ def record(
     selection: Selection,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="What to write; .mcap, .pcapng or .pcap tells the kind."),
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="What to write; .mcap, .pcapng or .pcap tells the kind."
+        ),
     ] = None,
     read: options.Read = None,
     interface: options.Interface = None,
     listen: options.Listen = None,
     rosbag2: Annotated[bool, typer.Option("--rosbag2", help="Write a rosbag2 directory.")] = False,
     split_size: Annotated[
-        int | None, typer.Option(metavar="SIZE", parser=options.size, help="Begin another file at this size, as 500M.")
+        int | None,
+        typer.Option(metavar="SIZE", parser=options.size, help="Begin another file at this size, as 500M."),
     ] = None,
     split_time: Annotated[
         int | None,
-        typer.Option(metavar="TIME", parser=options.duration, help="Begin another file after so long, as 10m."),
+        typer.Option(
+            metavar="TIME", parser=options.duration, help="Begin another file after so long, as 10m."
+        ),
     ] = None,
     count: options.Count = None,
     duration: options.Duration = None,
-    every: Annotated[bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")] = False,
+    every: Annotated[
+        bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")
+    ] = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:

@@ -14,7 +14,10 @@ from edoras_tools.cli import options
 def recover(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A cut-off MCAP recording.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="What to write; FILE.recovered.mcap if not said.")
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="What to write; FILE.recovered.mcap if not said."
+        ),
     ] = None,
     json: options.Json = False,
 ) -> None:

@@ -21,6 +21,7 @@ class Time(StrEnum):
     RELATIVE = "relative"
     DELTA = "delta"
     UTC = "utc"
+    EPOCH = "epoch"
 
 
 @options.takes_decoding
@@ -35,7 +36,9 @@ def sniff(
     hexdump: Annotated[bool, typer.Option("-x", "--hex", help="The bytes of each packet.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
     time: Annotated[Time, typer.Option("--time", "-t", help="How to tell time.")] = Time.RELATIVE,
-    findings: Annotated[bool, typer.Option("--findings", help="Only packets with a warning or an error.")] = False,
+    findings: Annotated[
+        bool, typer.Option("--findings", help="Only packets with a warning or an error.")
+    ] = False,
     every: Annotated[bool, typer.Option("--all", "-a", help="Also UDP that belongs to no link.")] = False,
     count: options.Count = None,
     duration: options.Duration = None,
@@ -52,7 +55,8 @@ def sniff(
     from edoras_tools.model import Link
     from edoras_tools.pipelines.sniff import as_json
     from edoras_tools.pipelines.sniff import sniff as packets
-    from edoras_tools.render import packet, tree as tree_view
+    from edoras_tools.render import packet
+    from edoras_tools.render import tree as tree_view
     from edoras_tools.render.packet_list import PacketList, TimeFormat
     from edoras_tools.render.palette import Paint
     from edoras_tools.render.severity import NOTABLE

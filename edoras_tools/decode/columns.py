@@ -131,9 +131,8 @@ class _Pass:
         self.flag(Finding.BRIDGE_DROPS_LENGTH, rows, dropped)
 
         if not whole.all():
-            rows, head, length, header, legacy = (
-                value[whole] for value in (rows, head, length, header, legacy)
-            )
+            rows, head, length = rows[whole], head[whole], length[whole]
+            header, legacy = header[whole], legacy[whole]
         kind = sbn.HEADER.column("msg_type", head)
         payload = length - header
         mismatch = sbn.HEADER.column("msg_size", head) != payload
@@ -192,12 +191,14 @@ class _Pass:
             known = peers.known(key, int(batch.number[first]))
             if known is None:
                 # Nothing is foreign before someone has introduced himself.
-                members = members[np.logical_or.accumulate(trusted[members])]
-                if not len(members):
+                after = members[np.logical_or.accumulate(trusted[members])]
+                if not len(after):
                     continue
-                introduction = int(batch.number[rows[members[0]]])
-                known = peers.introduce(key, divmod(int(identity[members[0]]), 1 << 32), introduction)
-            foreign[members] = identity[members] != np.uint64(known[0] << 32 | known[1])
+                introduction = int(batch.number[rows[after[0]]])
+                known = peers.introduce(key, divmod(int(identity[after[0]]), 1 << 32), introduction)
+            else:
+                after = members
+            foreign[after] = identity[after] != np.uint64(known[0] << 32 | known[1])
         for spacecraft, processor in self.context.identities:
             foreign &= identity != np.uint64(spacecraft << 32 | processor)
         self.flag(Finding.SBN_ID_MISMATCH, rows, foreign)

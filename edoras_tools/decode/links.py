@@ -74,7 +74,7 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
     for address in context.cfs_addresses:
         index |= (ipv4 & (batch.destination_address == address)) * np.uint8(32)
         index |= (ipv4 & (batch.source_address == address)) * np.uint8(64)
-    link = _TABLE[index]
+    link: NDArray[np.uint8] = _TABLE[index]
     link[(batch.capture_findings & Finding.FRAGMENT) != 0] = Link.OTHER
     return link
 

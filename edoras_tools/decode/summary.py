@@ -72,8 +72,9 @@ def _packet(decoded: Decoded) -> str:
 
 
 def short_values(values: Mapping[str, Any]) -> str:
-    """Return a message in a few words: its scalars by dotted name, zeros left out, long arrays cut."""
-    words = [f"{path}={_short(value)}" for path, value in _leaves(values) if _says_something(value)]
+    """Return a message in a few words: zeros left out, long arrays cut, the header last."""
+    leaves = sorted(_leaves(values), key=lambda leaf: leaf[0].startswith("header."))
+    words = [f"{path}={_short(value)}" for path, value in leaves if _says_something(value)]
     shown = words[:_MOST_FIELDS]
     return " ".join(shown) + (" ..." if len(words) > len(shown) else "") if words else "all zero"
 

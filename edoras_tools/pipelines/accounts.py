@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _MODULUS: Final = 1 << 14
 _FORWARD: Final = _MODULUS // 2
-"""A step of the sequence count beyond half its range is a step back: reordering, or a count that started anew."""
+"""A step of the sequence count beyond half its range is a step back: reordering, or a count begun anew."""
 
 
 @dataclass(slots=True)
@@ -63,7 +63,9 @@ class Account:
         for finding in Finding(int(np.bitwise_or.reduce(findings))):
             there = int(np.count_nonzero(findings & np.uint32(finding)))
             self.findings[finding.label] = self.findings.get(finding.label, 0) + there
-        counted = rows[((findings & np.uint32(Finding.SEQUENCE_UNSET)) == 0) & (columns.msg_id[rows] != NO_MSG_ID)]
+        counted = rows[
+            ((findings & np.uint32(Finding.SEQUENCE_UNSET)) == 0) & (columns.msg_id[rows] != NO_MSG_ID)
+        ]
         if len(counted):
             self._sequence(columns.sequence_count[counted].astype(np.int64))
 
@@ -78,7 +80,9 @@ class Account:
     @property
     def rate_hz(self) -> float:
         """Messages per second between the first and the last."""
-        return (self.count - 1) / (self.last_ns - self.first_ns) * 1e9 if self.last_ns > self.first_ns else 0.0
+        return (
+            (self.count - 1) / (self.last_ns - self.first_ns) * 1e9 if self.last_ns > self.first_ns else 0.0
+        )
 
     @property
     def jitter_ms(self) -> float:
@@ -137,7 +141,13 @@ class Ledger:
         """Return a row for every stream, in the shape of ``info --json``: configured topics first."""
         accounts = sorted(
             self.accounts.values(),
-            key=lambda item: (item.route < 0, item.link == Link.OTHER, item.link, item.msg_id, item.processor_id),
+            key=lambda item: (
+                item.route < 0,
+                item.link == Link.OTHER,
+                item.link,
+                item.msg_id,
+                item.processor_id,
+            ),
         )
         return [self._row(account) for account in accounts]
 

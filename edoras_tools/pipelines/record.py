@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.errors import EdorasError
+    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sinks import Sink
     from edoras_tools.sources import Source
@@ -98,7 +99,9 @@ def check_target(target: Target, inputs: Sequence[Path]) -> None:
             f"there are {', '.join(_KINDS)}, and --rosbag2"
         )
     if target.path.suffix.lower() != ".mcap" and (target.split_bytes or target.split_ns):
-        raise ConfigError(f"{target.path}: only MCAP recordings are split; name it .mcap, or leave --split-* out")
+        raise ConfigError(
+            f"{target.path}: only MCAP recordings are split; name it .mcap, or leave --split-* out"
+        )
     for item in inputs:
         if item.exists() and target.path.exists() and item.samefile(target.path):
             raise ConfigError(f"{target.path}: would overwrite its own input; name another output")
@@ -147,6 +150,7 @@ def record(
     duration_ns: int = 0,
     count: int = 0,
     watcher: Watcher | None = None,
+    tap: Callable[[PacketBatch, Columns], None] | None = None,
 ) -> Report:
     """Write everything that a source gives until it ends, Ctrl-C, or a limit.
 
@@ -159,6 +163,7 @@ def record(
         duration_ns: stop after so long; 0 never.
         count: stop after so many datagrams; 0 never.
         watcher: shown the report after every batch.
+        tap: given every batch that was written.
 
     Raises:
         CaptureError: the recording cannot be written.
@@ -174,12 +179,14 @@ def record(
             for batch in source.batches():
                 if len(batch):
                     columns = bench.columns.decode(batch)
-                    batch, columns = selection.apply(batch, columns, bench.mission)
-                    if count and report.ledger.datagrams + len(batch) > count:
+                    chosen, columns = selection.apply(batch, columns, bench.mission)
+                    if count and report.ledger.datagrams + len(chosen) > count:
                         keep = slice(0, count - report.ledger.datagrams)
-                        batch, columns = batch.take(keep), columns.take(keep)
-                    sink.write(batch, columns)
-                    report.ledger.add(batch, columns)
+                        chosen, columns = chosen.take(keep), columns.take(keep)
+                    sink.write(chosen, columns)
+                    report.ledger.add(chosen, columns)
+                    if tap is not None:
+                        tap(chosen, columns)
                 now = clock()
                 if now - flushed >= _FLUSH_NS:
                     sink.flush()

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.errors import RouteError
-from edoras_tools.model import Link
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.model import Columns, Link, PacketBatch
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +61,7 @@ class Selection:
             chosen &= (columns.findings & np.uint32(self.notable)) != 0
         return chosen
 
-    def apply(
-        self, batch: PacketBatch, columns: Columns, mission: Mission
-    ) -> tuple[PacketBatch, Columns]:
+    def apply(self, batch: PacketBatch, columns: Columns, mission: Mission) -> tuple[PacketBatch, Columns]:
         """Return the chosen rows of both."""
         if not self:
             return batch, columns

@@ -39,6 +39,7 @@ class Cfs:
         bus: its software bus.
         events: its event services.
         console: what it said last, ``(time_ns, text)``, events as ``EVS Port1 66/1/APP ID: text``.
+        listener: told of every line as it is written.
         ci: Command Ingest.
         to: Telemetry Output.
         sbn: the Software Bus Network.
@@ -67,6 +68,7 @@ class Cfs:
         self.bus = SoftwareBus(profile)
         self.events = EventServices(profile)
         self.console: deque[tuple[int, str]] = deque(maxlen=10_000)
+        self.listener: Callable[[int, str], None] | None = None
         self._boot_ns = scheduler.now
         self._reporting: set[int] = set()
         self.ci_endpoint = Endpoint(profile.address, profile.ci_port)
@@ -142,7 +144,10 @@ class Cfs:
 
     def print(self, text: str) -> None:
         """Write a line on the console."""
-        self.console.append((self.scheduler.now, text.rstrip()))
+        line = self.scheduler.now, text.rstrip()
+        self.console.append(line)
+        if self.listener:
+            self.listener(*line)
 
     def spawn(self, steps: Task) -> None:
         """Start a task."""

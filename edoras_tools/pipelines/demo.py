@@ -1,0 +1,155 @@
+"""The tour: an emulated cFS with two rovers on loopback, captured, decoded and recorded at the same time."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from contextlib import nullcontext
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+from time import monotonic_ns, time_ns
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.pipelines.record import Report, Target, record
+from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.sim import Simulation, serve
+from edoras_tools.sim.source import SimulatedSource
+from edoras_tools.sources.live import open_live
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from edoras_tools.model import Columns, Decoded, PacketBatch
+    from edoras_tools.pipelines.record import Watcher
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.sources import Source
+
+SAMPLES: Final = files("edoras_tools.samples")
+_COMMAND_RATE_HZ: Final = 10.0
+_BOOT_NS: Final = 3_000_000_000
+"""The emulated cFS has booted by then; the tour skips it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tour:
+    """What the tour made.
+
+    Attributes:
+        live: the recording of the live link.
+        real: the recording of the sample capture, made on a running cFS.
+        folder: where the recordings, the missions and the Foxglove layout are.
+        captured: whether the link was really captured; else it ran in simulated time.
+    """
+
+    live: Report
+    real: Report
+    folder: Path
+    captured: bool
+
+
+def unpack(folder: Path) -> tuple[Path, Path]:
+    """Copy the sample missions, the capture and the Foxglove layout into a folder of the user's.
+
+    Returns:
+        the folder of missions, and the capture.
+
+    Raises:
+        CaptureError: it cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with as_file(SAMPLES) as samples:
+            shutil.copytree(samples / "missions", folder / "missions", dirs_exist_ok=True)
+            for name in ("captures/a_rover.pcap", "foxglove_layout.json"):
+                shutil.copy(samples / name, folder / Path(name).name)
+    except OSError as error:
+        raise CaptureError(f"{folder}: {error.strerror or error}; name another folder with -o") from None
+    return folder / "missions", folder / "a_rover.pcap"
+
+
+def tour(
+    folder: Path,
+    seconds: float,
+    *,
+    show: Callable[[Decoded], None],
+    notice: Callable[[str], None],
+    watcher: Watcher | None = None,
+) -> Tour:
+    """Run the tour.
+
+    Args:
+        folder: where to write.
+        seconds: how long to capture.
+        show: given every packet of the live link.
+        notice: told in a line what is happening.
+        watcher: shown the report of the live link.
+
+    Raises:
+        CaptureError: a port is in use, or the folder cannot be written.
+    """
+    missions, capture = unpack(folder)
+    settings = Settings((missions / "two_rovers_ground.yaml", missions / "two_rovers_flight.yaml"))
+    bench = settings.workbench()
+    simulation = Simulation(
+        scenario="two-rovers",
+        start_ns=time_ns() - _BOOT_NS,
+        command_rate_hz=_COMMAND_RATE_HZ,
+        state_rate_hz=_COMMAND_RATE_HZ,
+    )
+    for _ in simulation.run(simulation.now + _BOOT_NS):
+        pass
+    duration_ns = int(seconds * 1e9)
+    source, captured = _source(simulation, duration_ns, bench, notice)
+
+    def tap(batch: PacketBatch, _columns: Columns) -> None:
+        for row in range(len(batch)):
+            show(bench.dissector.dissect(batch[row]))
+
+    live = folder / "two_rovers.mcap"
+    with _Server(simulation) if captured else nullcontext():
+        report = record(
+            source, bench, Target(live), clock=monotonic_ns, duration_ns=duration_ns, watcher=watcher, tap=tap
+        )
+    rover = Settings((missions / "rover_ground.yaml",)).workbench()
+    real = record(open_files([capture]), rover, Target(folder / "a_rover.mcap"), clock=monotonic_ns)
+    return Tour(report, real, folder, captured)
+
+
+def _source(
+    simulation: Simulation, duration_ns: int, bench: Workbench, notice: Callable[[str], None]
+) -> tuple[Source, bool]:
+    try:
+        return open_live("lo", bench.columns.context.capture_ports()), True
+    except CaptureError as error:
+        notice(f"{error}")
+        notice("so the same link runs in simulated time instead")
+        return SimulatedSource(simulation, duration_ns), False
+
+
+class _Server:
+    """The simulation on loopback sockets, in a thread, for as long as a block lasts."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self._stop, self._ready = threading.Event(), threading.Event()
+        self._failure: EdorasError | None = None
+        self._thread = threading.Thread(target=self._run, name="emulated cFS", daemon=True)
+
+    def _run(self) -> None:
+        try:
+            serve(self._simulation, stop=self._stop, ready=self._ready.set)
+        except EdorasError as error:
+            self._failure = error
+            self._ready.set()
+
+    def __enter__(self) -> None:
+        self._thread.start()
+        self._ready.wait()
+        if self._failure:
+            raise self._failure
+
+    def __exit__(self, *_error: object) -> None:
+        self._stop.set()
+        self._thread.join()
