@@ -17,7 +17,7 @@ def demo(
     ] = Path("edoras_demo"),
     duration: options.Duration = None,
 ) -> None:
-    """Tour the main job on loopback against an emulated cFS: sniff, decode, record, and what to look at next."""
+    """Tour the main job on loopback against an emulated cFS: sniff, decode, record, and what comes next."""
     from edoras_tools.pipelines.demo import tour
     from edoras_tools.render.demo import Guide
     from edoras_tools.render.terminal import look

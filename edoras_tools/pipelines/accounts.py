@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.model import NO_MSG_ID, Finding, Link
+from edoras_tools.sinks.mcap_clock import sender_order
 from edoras_tools.wire.names import message_name
 
 if TYPE_CHECKING:
@@ -47,36 +48,6 @@ class Account:
     bytes: int = 0
     findings: dict[str, int] = field(default_factory=dict)
 
-    def add(self, batch: PacketBatch, columns: Columns, rows: NDArray[np.intp]) -> None:
-        """Count rows, which are in capture order."""
-        times, lengths = batch.time_ns[rows], batch.length[rows]
-        first = self.last_ns if self.count else int(times[0])
-        intervals = np.diff(times, prepend=first) / 1e9
-        self.interval_squares += float(np.dot(intervals, intervals))
-        self.first_ns = self.first_ns if self.count else first
-        self.last_ns = int(times[-1])
-        self.count += len(rows)
-        self.bytes += int(lengths.sum())
-        self.bytes_min = min(self.bytes_min, int(lengths.min()))
-        self.bytes_max = max(self.bytes_max, int(lengths.max()))
-        findings = columns.findings[rows]
-        for finding in Finding(int(np.bitwise_or.reduce(findings))):
-            there = int(np.count_nonzero(findings & np.uint32(finding)))
-            self.findings[finding.label] = self.findings.get(finding.label, 0) + there
-        counted = rows[
-            ((findings & np.uint32(Finding.SEQUENCE_UNSET)) == 0) & (columns.msg_id[rows] != NO_MSG_ID)
-        ]
-        if len(counted):
-            self._sequence(columns.sequence_count[counted].astype(np.int64))
-
-    def _sequence(self, counts: NDArray[np.int64]) -> None:
-        steps = np.diff(counts, prepend=self.sequence if self.sequence >= 0 else counts[0] - 1) % _MODULUS
-        self.sequence = int(counts[-1])
-        self.duplicates += int(np.count_nonzero(steps == 0))
-        self.reordered += int(np.count_nonzero(steps >= _FORWARD))
-        forward = steps[(steps > 1) & (steps < _FORWARD)]
-        self.gaps += int(forward.sum()) - len(forward)
-
     @property
     def rate_hz(self) -> float:
         """Messages per second between the first and the last."""
@@ -102,7 +73,7 @@ class Ledger:
 
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
-        self.accounts: dict[int, Account] = {}
+        self.accounts: dict[tuple[int, int, int, int], Account] = {}
         self.findings: dict[str, int] = {}
         self.datagrams = 0
         self.start_ns = 0
@@ -119,23 +90,86 @@ class Ledger:
         for finding in Finding(int(np.bitwise_or.reduce(columns.findings))):
             there = int(np.count_nonzero(columns.findings & np.uint32(finding)))
             self.findings[finding.label] = self.findings.get(finding.label, 0) + there
-        key = columns.processor_id.astype(np.int64) << 28 | columns.link.astype(np.int64) << 26
-        key |= (columns.sbn_msg_type.astype(np.int64) + 1) << 17 | (columns.msg_id.astype(np.int64) + 1)
-        order = np.argsort(key, kind="stable")
-        starts = np.flatnonzero(np.diff(key[order], prepend=key[order[0]] - 1))
-        for rows in np.split(order, starts[1:]):
-            self._account(int(key[rows[0]]), columns, int(rows[0])).add(batch, columns, rows)
+        kind = columns.link.astype(np.uint16) << 9 | (columns.sbn_msg_type + 1).astype(np.uint16)
+        msg_id = (columns.msg_id + 1).astype(np.uint32)
+        order = sender_order(msg_id, kind, columns.processor_id)
+        keys = np.stack((columns.processor_id[order], kind[order], msg_id[order]))
+        starts = np.append(0, np.flatnonzero((keys[:, 1:] != keys[:, :-1]).any(axis=0)) + 1)
+        accounts = [self._account(columns, row) for row in order[starts].tolist()]
+        self._count(accounts, batch, columns, order, starts)
+        self._follow(accounts, columns, order, starts)
 
-    def _account(self, key: int, columns: Columns, row: int) -> Account:
+    def _account(self, columns: Columns, row: int) -> Account:
+        key = (
+            int(columns.link[row]),
+            int(columns.processor_id[row]),
+            int(columns.msg_id[row]),
+            int(columns.sbn_msg_type[row]),
+        )
         if key not in self.accounts:
-            self.accounts[key] = Account(
-                Link(int(columns.link[row])),
-                int(columns.processor_id[row]),
-                int(columns.msg_id[row]),
-                int(columns.sbn_msg_type[row]),
-                int(columns.route[row]),
-            )
+            self.accounts[key] = Account(Link(key[0]), *key[1:], int(columns.route[row]))
         return self.accounts[key]
+
+    @staticmethod
+    def _count(
+        accounts: list[Account],
+        batch: PacketBatch,
+        columns: Columns,
+        order: NDArray[np.int64],
+        starts: NDArray[np.int64],
+    ) -> None:
+        """Add times, sizes and findings; account ``i`` has the rows ``order[starts[i]:starts[i + 1]]``."""
+        times, lengths, findings = batch.time_ns[order], batch.length[order], columns.findings[order]
+        counts = np.diff(np.append(starts, len(order))).tolist()
+        last = times[np.append(starts[1:], len(order)) - 1].tolist()
+        intervals = np.diff(times, prepend=times[0]) / 1e9
+        intervals[starts] = 0
+        squares = np.add.reduceat(intervals * intervals, starts).tolist()
+        total = np.add.reduceat(lengths, starts, dtype=np.int64).tolist()
+        smallest = np.minimum.reduceat(lengths, starts).tolist()
+        largest = np.maximum.reduceat(lengths, starts).tolist()
+        first = times[starts].tolist()
+        for index, account in enumerate(accounts):
+            gap = (first[index] - account.last_ns) / 1e9 if account.count else 0.0
+            account.interval_squares += squares[index] + gap * gap
+            account.first_ns = account.first_ns if account.count else first[index]
+            account.last_ns = last[index]
+            account.count += counts[index]
+            account.bytes += total[index]
+            account.bytes_min = min(account.bytes_min, smallest[index])
+            account.bytes_max = max(account.bytes_max, largest[index])
+        for finding in Finding(int(np.bitwise_or.reduce(findings))):
+            there = np.add.reduceat((findings & np.uint32(finding)) != 0, starts, dtype=np.int64)
+            for index in np.flatnonzero(there).tolist():
+                known = accounts[index].findings
+                known[finding.label] = known.get(finding.label, 0) + int(there[index])
+
+    @staticmethod
+    def _follow(
+        accounts: list[Account], columns: Columns, order: NDArray[np.int64], starts: NDArray[np.int64]
+    ) -> None:
+        """Follow the sequence counts of packets that have one."""
+        unset = (columns.findings & np.uint32(Finding.SEQUENCE_UNSET)) != 0
+        counted = ((columns.msg_id != NO_MSG_ID) & ~unset)[order]
+        stream = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(order))))[counted]
+        if not len(stream):
+            return
+        sequence = columns.sequence_count[order[counted]].astype(np.int64)
+        begins = np.append(0, np.flatnonzero(np.diff(stream)) + 1)
+        ends = np.append(begins[1:], len(stream)) - 1
+        before = np.append(0, sequence[:-1])
+        known = np.array([accounts[index].sequence for index in stream[begins].tolist()])
+        before[begins] = np.where(known >= 0, known, sequence[begins] - 1)
+        steps = (sequence - before) % _MODULUS
+        gaps = np.add.reduceat(np.where((steps > 1) & (steps < _FORWARD), steps - 1, 0), begins).tolist()
+        duplicates = np.add.reduceat(steps == 0, begins, dtype=np.int64).tolist()
+        reordered = np.add.reduceat(steps >= _FORWARD, begins, dtype=np.int64).tolist()
+        for place, index in enumerate(stream[begins].tolist()):
+            account = accounts[index]
+            account.gaps += gaps[place]
+            account.duplicates += duplicates[place]
+            account.reordered += reordered[place]
+            account.sequence = int(sequence[ends[place]])
 
     def routes(self) -> list[dict[str, Any]]:
         """Return a row for every stream, in the shape of ``info --json``: configured topics first."""
