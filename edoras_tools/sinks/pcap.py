@@ -189,6 +189,8 @@ def copy(
         out: u8, contiguous, to copy to.
         starts: i64, (n,), where each stretch goes in ``out``.
     """
+    if not len(length):
+        return
     order = np.argsort(length, kind="stable")
     widths, firsts = np.unique(length[order], return_index=True)
     for width, rows in zip(widths.tolist(), np.split(order, firsts[1:]), strict=True):

@@ -74,7 +74,10 @@ class MergedSource:
         number = 1
         while heads := [head for head in heads if head.fill()]:
             until = min(int(head.keys[-1]) for head in heads)
-            batch = _in_order([part for head in heads if (part := head.take(until))])
+            # The first source that ends at this time may go on with it: later ones keep theirs back.
+            last = next(place for place, head in enumerate(heads) if head.keys[-1] == until)
+            parts = [head.take(until, whole=place <= last) for place, head in enumerate(heads)]
+            batch = _in_order([part for part in parts if part is not None])
             yield replace(batch, number=np.arange(number, number + len(batch)))
             number += len(batch)
         if errors:
@@ -113,9 +116,9 @@ class _Head:
             self.keys = np.maximum.accumulate(np.maximum(self._rest.time_ns, self._latest))
         return True
 
-    def take(self, until: int) -> tuple[PacketBatch, NDArray[np.int64]] | None:
-        """Hand over the datagrams up to a time, with their keys."""
-        count = int(np.searchsorted(self.keys, until, side="right"))
+    def take(self, until: int, *, whole: bool) -> tuple[PacketBatch, NDArray[np.int64]] | None:
+        """Hand over the datagrams before a time, and those of that time where ``whole``, with their keys."""
+        count = int(np.searchsorted(self.keys, until, side="right" if whole else "left"))
         if not count or self._rest is None:
             return None
         part, keys = self._rest, self.keys

@@ -204,7 +204,7 @@ class PcapngSource(RecordSource):
         base = start + _STRIDE
         sight = np.ndarray((count, _SIGHT // 4), dtype=dtype, buffer=data, offset=base, strides=(_STRIDE, 4))
         lane, place = np.divmod(np.flatnonzero(sight == ENHANCED_PACKET), _SIGHT // 4)
-        positions = base + lane * _STRIDE + place * 4
+        positions: NDArray[np.int64] = base + lane * _STRIDE + place * 4
         length = gather(data, positions + 4, dtype).astype(np.int64)
         sound = (length >= _LEAST_BYTES[ENHANCED_PACKET]) & (length & 3 == 0) & (positions + length <= end)
         positions, lane, length = positions[sound], lane[sound], length[sound]

@@ -42,6 +42,10 @@ class Stream(Protocol):
         """Bytes of the file consumed, compressed where it is."""
         ...
 
+    def ready(self) -> bool:
+        """Tell whether ``fill`` would return now rather than wait for somebody to write."""
+        ...
+
     def fill(self, view: memoryview) -> int:
         """Write bytes into ``view``, all that it takes or all that is there now; 0 at the end.
 
@@ -69,11 +73,15 @@ class FileStream:
             self._poll = select.poll()
             self._poll.register(file, select.POLLIN)
 
+    def ready(self) -> bool:
+        """See ``Stream.ready``."""
+        return self._poll is None or bool(self._poll.poll(_LINGER_MS))
+
     def fill(self, view: memoryview) -> int:
         """See ``Stream.fill``."""
         filled = 0
         while filled < len(view):
-            if filled and self._poll is not None and not self._poll.poll(_LINGER_MS):
+            if filled and not self.ready():
                 break
             try:
                 count = self._file.readinto(view[filled:])
@@ -107,25 +115,31 @@ class CompressedStream:
         self._kind = kind
         self._input = head
         self._inflater: Any = None
-        self._ready = b""
+        self._output = b""
         self._failure: CaptureError | None = None
-        # zstd has no bound on what one call may give, so it gets little at a time.
-        self._buffer = memoryview(bytearray(1 << 16 if kind == "gzip" else 1 << 12))
+        # Little at a time: one call of zstd may give any amount, and an error takes its call's bytes along.
+        self._buffer = memoryview(bytearray(1 << 12))
 
     @property
     def position(self) -> int:
         """Compressed bytes consumed."""
         return self._inner.position
 
+    def ready(self) -> bool:
+        """See ``Stream.ready``."""
+        return bool(self._output or self._input) or self._inner.ready()
+
     def fill(self, view: memoryview) -> int:
         """See ``Stream.fill``."""
         filled = 0
         while filled < len(view):
-            if not self._ready and not self._inflate(wait=not filled, room=len(view) - filled):
+            if filled and not self.ready():
                 break
-            count = min(len(view) - filled, len(self._ready))
-            view[filled : filled + count] = self._ready[:count]
-            self._ready = self._ready[count:]
+            if not self._output and not self._inflate(len(view) - filled):
+                break
+            count = min(len(view) - filled, len(self._output))
+            view[filled : filled + count] = self._output[:count]
+            self._output = self._output[count:]
             filled += count
         if not filled and self._failure is not None:
             raise self._failure
@@ -135,13 +149,10 @@ class CompressedStream:
         """Close the file."""
         self._inner.close()
 
-    def _inflate(self, *, wait: bool, room: int) -> bool:
-        """Make some bytes ready; False at the end, on a failure, or when it had to wait and must not."""
-        while not self._ready and self._failure is None:
+    def _inflate(self, room: int) -> bool:
+        """Make some output; False at the end or on a failure."""
+        while not self._output and self._failure is None:
             if not self._input:
-                # Only a first byte is worth waiting for; a pipe's later ones come with the next call.
-                if not wait and not self.total_bytes:
-                    return False
                 count = self._inner.fill(self._buffer)
                 if not count:
                     if self._inflater is not None:
@@ -149,18 +160,24 @@ class CompressedStream:
                     return False
                 self._input = bytes(self._buffer[:count])
             self._step(room)
-        return bool(self._ready)
+        return bool(self._output)
 
     def _step(self, room: int) -> None:
         if self._inflater is None:
+            if self._kind == "gzip":
+                # Tapes and some tools fill up with zeros; gzip itself passes over them.
+                self._input = self._input.lstrip(b"\0")
+            if not self._input:
+                return
             self._inflater = self._begin()
         size = len(self._buffer)
         try:
             if self._kind == "gzip":
-                self._ready = self._inflater.decompress(self._input, room)
-                rest = self._inflater.unconsumed_tail
+                self._output = self._inflater.decompress(self._input, room)
+                # At the end of a member zlib leaves the same bytes in unused_data too.
+                rest = b"" if self._inflater.eof else self._inflater.unconsumed_tail
             else:
-                self._ready = self._inflater.decompress(self._input[:size])
+                self._output = self._inflater.decompress(self._input[:size])
                 rest = self._input[size:]
         except _errors() as error:
             self._fail(f"is corrupt ({error}); copy or unpack it again")
