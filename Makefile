@@ -1,13 +1,45 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+FUZZ_SECONDS ?= 60
 
-.PHONY: venv demo test bench fuzz lint clean tshark
+.PHONY: help venv demo test lint format bench fuzz tshark clean
 
-venv: $(VENV)/.installed
+help:  ## Show what there is to make.
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+venv: $(VENV)/.installed  ## Set up .venv with everything but tshark.
 
 $(VENV)/.installed: pyproject.toml
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "edoras-tools needs Python 3.11 or newer; try: make PYTHON=python3.12")'
-	$(PYTHON) -m venv $(VENV)
+	@$(PYTHON) -c 'import sys; sys.exit("edoras-tools needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; try: make PYTHON=python3.12" if sys.version_info < (3, 11) else 0)'
+	@$(PYTHON) -m venv $(VENV) || { echo "python3-venv is missing; on Debian: apt install python3-venv" >&2; exit 1; }
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
-	touch $@
+	@touch $@
+
+demo: venv  ## Tour the main job on loopback.
+	@$(BIN)/edoras demo
+
+tshark:  ## Install tshark, the tests' independent judge, where it is missing.
+	@.ci/install-tshark
+
+test: venv tshark lint  ## Run every check and test.
+	$(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest
+
+lint: venv  ## Style, types, and which way imports point.
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: venv  ## Lay the code out.
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+bench: venv tshark  ## Measure speed beside tshark, in one run.
+	$(BIN)/python benchmarks/run.py
+
+fuzz: venv  ## Feed garbage to every decoder for FUZZ_SECONDS.
+	$(BIN)/python tests/fuzz/fuzz.py --seconds $(FUZZ_SECONDS)
+
+clean:  ## Remove what make made.
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache benchmarks/out

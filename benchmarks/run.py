@@ -1,0 +1,181 @@
+"""Measure edoras-tools beside tshark on this machine, in one run; print a table and keep it as JSON.
+
+Run: make bench            (or: python benchmarks/run.py [--packets N] [--only NAME])
+Figures are ratios where a peer does comparable work: machines are noisy, their noise is shared.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+EDORAS = str(Path(sys.executable).with_name("edoras"))
+MISSIONS = [
+    argument
+    for side in ("ground", "flight")
+    for argument in ("-c", str(ROOT / f"samples/missions/two_rovers_{side}.yaml"))
+]
+ROUNDS = 3
+LIVE_RATE, LIVE_BYTES, LIVE_SECONDS = 100_000, 200, 10
+LIVE_PORT = 1234
+
+
+def timed(command: list[str], *, rounds: int = ROUNDS) -> tuple[float, float]:
+    """Run a command; return its best wall time in seconds and its peak memory in MiB."""
+    best, memory = float("inf"), 0.0
+    for _ in range(rounds):
+        began = time.perf_counter()
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        if status:
+            sys.exit(f"{' '.join(command)} ended with status {status}")
+        best = min(best, time.perf_counter() - began)
+        memory = max(memory, usage.ru_maxrss / 1024)
+    return best, memory
+
+
+def first_line(command: list[str]) -> float:
+    """Return the best time in seconds until a command's first line."""
+    best = float("inf")
+    for _ in range(ROUNDS):
+        began = time.perf_counter()
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+            process.stdout.readline()
+            best = min(best, time.perf_counter() - began)
+            process.kill()
+    return best
+
+
+def record_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
+    """File to MCAP, beside tshark printing three fields of the same file."""
+    capture = folder / "mixed.pcap"
+    subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+    fields = ["-T", "fields", "-e", "frame.time_epoch", "-e", "udp.dstport", "-e", "data.data"]
+    record = [EDORAS, "record", "-q", "-r", str(capture), *MISSIONS, "-o", str(folder / "mixed.mcap")]
+    ours, memory = timed(record)
+    theirs, _ = timed(["tshark", "-r", str(capture), *fields], rounds=1)
+    again, _ = timed(record)
+    ours = min(ours, again)
+    report = json.loads(
+        subprocess.run(
+            [EDORAS, "info", "--json", folder / "mixed.mcap"], check=True, capture_output=True
+        ).stdout
+    )
+    if report["datagrams"] != packets:
+        sys.exit(f"{report['datagrams']} of {packets} datagrams were recorded")
+    return {
+        "packets": packets,
+        "file_mib": round(capture.stat().st_size / 2**20),
+        "edoras_s": round(ours, 3),
+        "tshark_s": round(theirs, 3),
+        "edoras_packets_per_s": round(packets / ours),
+        "tshark_packets_per_s": round(packets / theirs),
+        "times_tshark": round(theirs / ours, 1),
+        "peak_memory_mib": round(memory),
+    }
+
+
+def memory_of_a_large_file(folder: Path, packets: int) -> dict[str, object]:
+    """Peak memory does not grow with the file."""
+    capture = folder / "large.pcap"
+    subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+    seconds, memory = timed(
+        [EDORAS, "record", "-q", "-r", str(capture), *MISSIONS, "-o", str(folder / "large.mcap")], rounds=1
+    )
+    return {"packets": packets, "seconds": round(seconds, 2), "peak_memory_mib": round(memory)}
+
+
+def live(folder: Path) -> dict[str, object]:
+    """Datagrams from another process over loopback into a recording, none lost."""
+    target = folder / "live.mcap"
+    recorder = subprocess.Popen(
+        [EDORAS, "record", "-i", "lo", "-o", str(target), "--json", *MISSIONS],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while "capturing" not in recorder.stderr.readline():
+        if recorder.poll() is not None:
+            sys.exit("the recorder did not start: live capture needs CAP_NET_RAW")
+    sender = subprocess.run(
+        [
+            sys.executable,
+            HERE / "sender.py",
+            str(LIVE_PORT),
+            str(LIVE_RATE),
+            str(LIVE_BYTES),
+            str(LIVE_SECONDS),
+        ],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    sent = json.loads(sender.stdout)
+    time.sleep(0.5)
+    recorder.send_signal(signal.SIGINT)
+    report = json.loads(recorder.communicate()[0])
+    recorded = json.loads(
+        subprocess.run([EDORAS, "info", "--json", str(target)], check=True, capture_output=True).stdout
+    )
+    return {
+        "sent": sent["sent"],
+        "sent_per_s": round(sent["sent"] / sent["seconds"]),
+        "recorded": recorded["datagrams"],
+        "kernel_drops": report["capture_drops"],
+        "lost": sent["sent"] - recorded["datagrams"],
+        "recorder_cpu_s": round(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime, 1),
+    }
+
+
+def start_up() -> dict[str, object]:
+    """Time until the first thing a user sees."""
+    capture = str(ROOT / "samples/captures/a_rover.pcap")
+    mission = str(ROOT / "samples/missions/rover_ground.yaml")
+    return {
+        "edoras_help_s": round(timed([EDORAS, "--help"], rounds=5)[0], 3),
+        "edoras_sniff_first_line_s": round(first_line([EDORAS, "sniff", "-r", capture, "-c", mission]), 3),
+        "tshark_first_line_s": round(first_line(["tshark", "-r", capture]), 3),
+    }
+
+
+def main() -> None:
+    """Run all benchmarks, or one."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--packets", type=int, default=1_000_000)
+    parser.add_argument("--only", choices=["record", "memory", "live", "startup"])
+    options = parser.parse_args()
+    if not shutil.which("tshark"):
+        sys.exit("tshark is missing: make tshark")
+    results: dict[str, object] = {
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+    }
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for key, run in {
+            "startup": start_up,
+            "record": lambda: record_beside_tshark(folder, options.packets),
+            "memory": lambda: memory_of_a_large_file(folder, 4 * options.packets),
+            "live": lambda: live(folder),
+        }.items():
+            if options.only in {None, key}:
+                results[key] = run()
+                print(key, json.dumps(results[key], indent=2), flush=True)
+    out = HERE / "out"
+    out.mkdir(exist_ok=True)
+    (out / "results.json").write_text(json.dumps(results, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
