@@ -14,7 +14,7 @@ class Sink(Protocol):
     """What every sink is."""
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch and what was read from it; the batch's buffer may be reused afterwards.
+        """Take a batch and what was read from it; nobody may write into them afterwards.
 
         Raises:
             CaptureError: the output cannot be written.

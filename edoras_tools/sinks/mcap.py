@@ -15,7 +15,7 @@ from edoras_tools.model import Finding
 from edoras_tools.sinks.mcap_cfe import event_messages, software_bus_messages
 from edoras_tools.sinks.mcap_chunks import ChunkWriter
 from edoras_tools.sinks.mcap_clock import MissionClock
-from edoras_tools.sinks.mcap_datagrams import datagram_messages, ros_messages
+from edoras_tools.sinks.mcap_datagrams import DatagramWriter, ros_messages
 from edoras_tools.sinks.mcap_file import McapFile
 from edoras_tools.sinks.mcap_statistics import LinkStatistics
 
@@ -38,8 +38,6 @@ _TYPES = {
     "/edoras/link_statistics": "edoras_msgs/msg/LinkStatistics",
 }
 
-_BLOCK_ROWS = 8192
-"""Rows laid out at a time: few enough that their heads stay in the processor's cache."""
 _STEPS = 8
 """When files are split by size, it is looked at so many times on the way to that size."""
 _ROW_BYTES = 200
@@ -106,10 +104,10 @@ class McapSink:
         self._chunks = self._open_file()
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch and what was read from it; both are copied."""
+        """Take a batch and what was read from it; both are read until the next ``flush``."""
         first = 0
         while first < len(batch):
-            last = min(self._make_room(batch, first), first + _BLOCK_ROWS)
+            last = self._make_room(batch, first)
             rows = slice(first, last)
             whole = last - first == len(batch)
             with self._failing():
@@ -135,7 +133,7 @@ class McapSink:
         ids = self._channels
         streams = [self._statistics.messages(batch, columns, ids["/edoras/link_statistics"])]
         if self._datagrams:
-            streams.append(datagram_messages(batch, columns, ids["/edoras/datagrams"], published))
+            streams.append(self._datagram_writer.messages(batch, columns, published))
         streams += [
             ros_messages(batch, columns, self._route_ids, published),
             event_messages(batch, columns, ids["/edoras/events"], published),
@@ -192,6 +190,7 @@ class McapSink:
             for topic, name in _TYPES.items()
             if self._datagrams or topic != "/edoras/datagrams"
         }
+        self._datagram_writer = DatagramWriter(self._channels.get("/edoras/datagrams", 0))
         self._route_ids = np.array(
             [
                 file.add_channel(

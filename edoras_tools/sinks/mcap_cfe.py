@@ -103,7 +103,7 @@ def software_bus_messages(
         if name != "spare":
             heads[name] = payload[name]
     nothing = np.zeros(len(rows), dtype=np.int64)
-    return Messages(rows, heads, batch.data, nothing, nothing)
+    return Messages(rows, heads.itemsize, heads.__getitem__, batch.data, nothing, nothing)
 
 
 def event_messages(
@@ -128,7 +128,7 @@ def event_messages(
     stamp(heads, published[rows])
     kinds = payload["event_type"]
     heads["level"] = _LEVELS[np.where(kinds < len(_LEVELS), kinds, 0)]
-    return Messages(rows, heads, data, offset, length)
+    return Messages(rows, heads.itemsize, heads.__getitem__, data, offset, length)
 
 
 def stamp(heads: NDArray[np.void], time_ns: NDArray[np.int64]) -> None:

@@ -1,4 +1,4 @@
-"""Messages to chunks: laid out by numpy in one thread, compressed and written in another."""
+"""Messages to chunks: laid out by numpy, compressed, indexed and written."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import zlib
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zstandard
@@ -18,82 +18,91 @@ from edoras_tools.sinks.mcap_file import FinishedChunk
 from edoras_tools.sinks.mcap_rows import Messages, copy_rows, put_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.sinks.mcap_file import McapFile
 
-CHUNK_BYTES = 2 << 20
+CHUNK_BYTES = 4 << 20
 """Uncompressed bytes of a full chunk; more only where one message is larger."""
 _LEVEL = 1
 """zstd level: the first of the regular ones; faster ones gain little here and compress worse."""
 _IN_FLIGHT = 2
-"""Chunks that may wait for the other thread; bounds memory, and the producer waits when it is ahead."""
+"""Batches that may wait for the thread; bounds memory, and the caller waits when it is ahead."""
 
 _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
-class _OpenChunk:
-    """A chunk being filled."""
-
-    def __init__(self, capacity: int) -> None:
-        self.buffer = np.empty(capacity, dtype=np.uint8)
-        self.used = 0
-        self.placed: list[tuple[NDArray[np.uint16], NDArray[np.uint64], NDArray[np.int64]]] = []
-
-    def clear(self) -> None:
-        self.used = 0
-        self.placed = []
-
-    def place(self, messages: Messages, chosen: slice, positions: NDArray[np.int64]) -> None:
-        """Write the chosen messages at their positions."""
-        heads = messages.heads[chosen]
-        put_rows(self.buffer, positions, heads)
-        copy_rows(
-            self.buffer,
-            positions + heads.itemsize,
-            messages.data,
-            messages.offset[chosen],
-            messages.length[chosen],
-        )
-        # Copies: a view would keep the whole batch's heads alive until the chunk is full.
-        self.placed.append((heads["channel_id"].copy(), heads["log_time"].copy(), positions))
-
-
 class ChunkWriter:
-    """Appends messages to a file, chunk by chunk.
+    """Appends messages to a file, chunk by chunk, in a thread of its own.
+
+    Laying out and compressing are long numpy and zstd calls that do without Python, so they run while
+    the caller reads and decodes the next batch.
 
     Args:
-        file: where the chunks go; while chunks are pending it belongs to this writer's thread.
+        file: where the chunks go; until ``flush`` returns it belongs to the thread.
 
     Raises:
-        CaptureError: from every method: the file cannot be written.
+        CaptureError: from every method: the file cannot be written. What failed in the thread is raised by
+            the next call.
     """
 
     def __init__(self, file: McapFile) -> None:
         self._file = file
-        self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="edoras-mcap")
-        self._pending: deque[tuple[Future[None], _OpenChunk]] = deque()
-        self._chunk = _OpenChunk(CHUNK_BYTES)
+        self._pending: deque[Future[None]] = deque()
+        self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
+        self._buffer = np.empty(CHUNK_BYTES, dtype=np.uint8)
+        self._used = 0
+        self._placed: list[tuple[NDArray[np.uint16], NDArray[np.uint64], NDArray[np.int64]]] = []
+        self._appended = 0
 
     @property
     def size_bound(self) -> int:
-        """Bytes the file has at most once everything appended is written, leaving its summary out."""
-        waiting = [chunk for _, chunk in tuple(self._pending)] + [self._chunk]
-        return self._file.size + sum(chunk.used for chunk in waiting)
+        """Bytes the file has at most when all that was appended is written, leaving its summary out."""
+        waiting = self._appended - sum(chunk.uncompressed_size for chunk in self._file.summary.chunks)
+        return self._file.size + waiting
 
     def append(self, streams: Sequence[Messages], rows: int) -> None:
         """Append messages of a batch, row by row, in each row in the order of ``streams``.
 
         Args:
-            streams: the messages.
+            streams: the messages; their arrays are read until ``flush`` returns.
             rows: rows of the batch.
         """
         streams = [stream for stream in streams if len(stream)]
-        if not streams:
-            return
+        self._appended += sum(
+            len(stream) * stream.head_bytes + int(stream.length.sum()) for stream in streams
+        )
+        if streams:
+            self._submit(self._lay_out, streams, rows)
+
+    def flush(self) -> None:
+        """End the chunk under way, and wait until all are out of the process."""
+        self._submit(self._store)
+        while self._pending:
+            self._pending.popleft().result()
+
+    def close(self) -> None:
+        """Flush, and end the thread."""
+        try:
+            self.flush()
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """End the thread, and forget what it has not begun to write."""
+        self._thread.shutdown(cancel_futures=True)
+
+    def _submit(self, work: Callable[..., None], *arguments: Any) -> None:
+        """Give work to the thread, after waiting until it is no more than ``_IN_FLIGHT`` behind."""
+        while len(self._pending) >= _IN_FLIGHT:
+            self._pending.popleft().result()
+        self._pending.append(self._thread.submit(work, *arguments))
+
+    def _lay_out(self, streams: Sequence[Messages], rows: int) -> None:
+        """Write messages into chunks; runs in the thread, as all that follows."""
         total = np.zeros(rows, dtype=np.int64)
         within = [_within_rows(stream, total) for stream in streams]
         ends = np.cumsum(total)
@@ -101,57 +110,42 @@ class ChunkWriter:
         first = 0
         while first < rows:
             base = int(starts[first])
-            room = len(self._chunk.buffer) - self._chunk.used
-            last = int(np.searchsorted(ends, base + room, side="right"))
+            last = int(np.searchsorted(ends, base + len(self._buffer) - self._used, side="right"))
             if last == first:
-                if self._chunk.used:
-                    self._hand_over()
+                if self._used:
+                    self._store()
                     continue
-                self._chunk = _OpenChunk(int(total[first]))
+                self._buffer = np.empty(int(total[first]), dtype=np.uint8)
                 last = first + 1
             for stream, inside in zip(streams, within, strict=True):
-                low, high = np.searchsorted(stream.rows, (first, last))
+                low, high = np.searchsorted(stream.rows, (first, last)).tolist()
                 if low < high:
-                    chosen = slice(int(low), int(high))
-                    shift = self._chunk.used - base
-                    self._chunk.place(stream, chosen, starts[stream.rows[chosen]] + inside[chosen] + shift)
-            self._chunk.used += int(ends[last - 1]) - base
+                    chosen = slice(low, high)
+                    self._place(
+                        stream, chosen, starts[stream.rows[chosen]] + inside[chosen] + (self._used - base)
+                    )
+            self._used += int(ends[last - 1]) - base
             first = last
 
-    def flush(self) -> None:
-        """End the chunk under way and wait until all of them are out of the process."""
-        if self._chunk.used:
-            self._hand_over()
-        while self._pending:
-            self._await_oldest()
+    def _place(self, messages: Messages, chosen: slice, positions: NDArray[np.int64]) -> None:
+        """Write the chosen messages at their positions in the chunk."""
+        heads = messages.heads(chosen)
+        put_rows(self._buffer, positions, heads)
+        copy_rows(
+            self._buffer,
+            positions + messages.head_bytes,
+            messages.data,
+            messages.offset[chosen],
+            messages.length[chosen],
+        )
+        self._placed.append((heads["channel_id"].copy(), heads["log_time"].copy(), positions))
 
-    def close(self) -> None:
-        """Flush, and end the thread."""
-        try:
-            self.flush()
-        finally:
-            self._thread.shutdown()
-
-    def abandon(self) -> None:
-        """End the thread, and forget what it has not begun to write."""
-        self._thread.shutdown(cancel_futures=True)
-
-    def _hand_over(self) -> None:
-        """Give the chunk to the thread; go on with a new one, or with the buffer of one that is done."""
-        self._pending.append((self._thread.submit(self._store, self._chunk), self._chunk))
-        spare = self._await_oldest() if len(self._pending) > _IN_FLIGHT else None
-        self._chunk = spare if spare and len(spare.buffer) == CHUNK_BYTES else _OpenChunk(CHUNK_BYTES)
-
-    def _await_oldest(self) -> _OpenChunk:
-        future, chunk = self._pending.popleft()
-        future.result()
-        chunk.clear()
-        return chunk
-
-    def _store(self, chunk: _OpenChunk) -> None:
-        """Compress, index and write a chunk; runs in the thread."""
-        raw = chunk.buffer[: chunk.used].data
-        channel, log_time, position = (np.concatenate(column) for column in zip(*chunk.placed, strict=True))
+    def _store(self) -> None:
+        """Compress, index and write the chunk under way, and begin another."""
+        if not self._used:
+            return
+        raw = self._buffer[: self._used].data
+        channel, log_time, position = (np.concatenate(column) for column in zip(*self._placed, strict=True))
         index, places, counts = message_index(channel, log_time, position)
         record = Chunk(
             compression="zstd",
@@ -159,9 +153,13 @@ class ChunkWriter:
             message_end_time=int(log_time.max()),
             message_start_time=int(log_time.min()),
             uncompressed_crc=zlib.crc32(raw),
-            uncompressed_size=chunk.used,
+            uncompressed_size=self._used,
         )
         self._file.add_chunk(FinishedChunk(record, index, places, counts))
+        self._placed.clear()
+        self._used = 0
+        if len(self._buffer) != CHUNK_BYTES:
+            self._buffer = np.empty(CHUNK_BYTES, dtype=np.uint8)
 
 
 def message_index(
@@ -193,7 +191,7 @@ def message_index(
 
 def _within_rows(stream: Messages, total: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return where in its row each message starts, after what ``total`` holds; add its bytes to that."""
-    size = stream.heads.itemsize + stream.length.astype(np.int64)
+    size = stream.head_bytes + stream.length.astype(np.int64)
     rows = stream.rows
     if len(rows) == len(total) and not stream.repeats:
         inside = total.copy()

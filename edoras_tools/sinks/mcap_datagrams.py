@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.model import Finding
-from edoras_tools.sinks.mcap_rows import ENCAPSULATION, RECORD, RECORD_BYTES, Messages, fill_record
+from edoras_tools.sinks.mcap_rows import (
+    ENCAPSULATION,
+    OPCODE_MESSAGE,
+    PREFIX_BYTES,
+    RECORD,
+    RECORD_BYTES,
+    Messages,
+    fill_record,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,48 +57,79 @@ _DATAGRAM = np.dtype(
 _ADDRESS_BYTES = 16
 
 
-def datagram_messages(
-    batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
-) -> Messages:
-    """Return one ``edoras_msgs/msg/Datagram`` for every row.
+class DatagramWriter:
+    """Makes one ``edoras_msgs/msg/Datagram`` for every row.
 
     Args:
-        batch: the datagrams.
-        columns: of the same rows.
         channel_id: MCAP channel.
-        published: i64, publish time, ns since 1970.
     """
-    heads = np.zeros(len(batch), dtype=_DATAGRAM)
-    fill_record(heads, channel_id, batch.frame_length, columns.sequence_count, batch.time_ns, published)
-    heads["encapsulation"] = ENCAPSULATION
-    heads["number"] = batch.number
-    heads["findings"] = columns.findings | batch.capture_findings
-    heads["original_length"] = batch.original_length
-    heads["msg_id"] = columns.msg_id
-    start = batch.offset - batch.frame_offset
-    inside = (start >= 0) & (start + batch.length <= batch.frame_length)
-    heads["payload_offset"] = np.where(inside, start, -1)
-    heads["payload_length"] = batch.length
-    heads["link_type"] = batch.link_type
-    heads["source_port"] = batch.source_port
-    heads["destination_port"] = batch.destination_port
-    heads["link"] = columns.link
-    heads["ip_version"] = batch.ip_version
-    heads["source_mapped"] = heads["destination_mapped"] = _MAPPED
-    heads["source_ipv4"] = batch.source_address
-    heads["destination_ipv4"] = batch.destination_address
-    ipv6 = np.flatnonzero(batch.ip_version == 6)
-    if len(ipv6):
+
+    def __init__(self, channel_id: int) -> None:
+        self._channel_id = channel_id
+        self._heads = self._blank(0)
+
+    def messages(self, batch: PacketBatch, columns: Columns, published: NDArray[np.int64]) -> Messages:
+        """Return the messages of a batch; their heads are made when they are asked for.
+
+        Args:
+            batch: the datagrams.
+            columns: of the same rows.
+            published: i64, publish time, ns since 1970.
+        """
+
+        def heads(chosen: slice) -> NDArray[Any]:
+            return self._fill(batch.take(chosen), columns.take(chosen), published[chosen])
+
+        rows = np.arange(len(batch))
+        return Messages(rows, _DATAGRAM.itemsize, heads, batch.data, batch.frame_offset, batch.frame_length)
+
+    def _blank(self, count: int) -> NDArray[Any]:
+        """Return heads with what is the same in all; being used again, they stay in the processor's cache."""
+        heads = np.zeros(count, dtype=_DATAGRAM)
+        heads["opcode"] = OPCODE_MESSAGE
+        heads["channel_id"] = self._channel_id
+        heads["encapsulation"] = ENCAPSULATION
+        heads["source_mapped"] = heads["destination_mapped"] = _MAPPED
+        return heads
+
+    def _fill(self, batch: PacketBatch, columns: Columns, published: NDArray[np.int64]) -> NDArray[Any]:
+        if len(self._heads) < len(batch):
+            self._heads = self._blank(len(batch))
+        heads = self._heads[: len(batch)]
+        heads["record_length"] = batch.frame_length + np.int64(_DATAGRAM.itemsize - PREFIX_BYTES)
+        heads["sequence"] = columns.sequence_count
+        heads["log_time"] = batch.time_ns
+        heads["publish_time"] = published
+        heads["number"] = batch.number
+        heads["findings"] = columns.findings | batch.capture_findings
+        heads["original_length"] = batch.original_length
+        heads["msg_id"] = columns.msg_id
+        start = batch.offset - batch.frame_offset
+        inside = (start >= 0) & (start + batch.length <= batch.frame_length)
+        heads["payload_offset"] = np.where(inside, start, -1)
+        heads["payload_length"] = batch.length
+        heads["link_type"] = batch.link_type
+        heads["source_port"] = batch.source_port
+        heads["destination_port"] = batch.destination_port
+        heads["link"] = columns.link
+        heads["ip_version"] = batch.ip_version
+        heads["frame_length"] = batch.frame_length
+        heads["source_ipv4"] = batch.source_address
+        heads["destination_ipv4"] = batch.destination_address
+        rows = np.flatnonzero(batch.ip_version == 6)
+        if len(rows):
+            self._fill_ipv6(heads, batch, rows)
+        return heads
+
+    def _fill_ipv6(self, heads: NDArray[Any], batch: PacketBatch, rows: NDArray[np.int64]) -> None:
         table = np.frombuffer(b"".join(batch.ipv6), dtype=f"V{_ADDRESS_BYTES}")
         places: Any = _DATAGRAM.fields
-        for name, address in (
-            ("source_zero", batch.source_address),
-            ("destination_zero", batch.destination_address),
-        ):
+        addresses = {"source_zero": batch.source_address, "destination_zero": batch.destination_address}
+        for name, address in addresses.items():
             whole = heads.getfield(f"V{_ADDRESS_BYTES}", places[name][1])
-            whole[ipv6] = table[address[ipv6]]
-    heads["frame_length"] = batch.frame_length
-    return Messages(np.arange(len(batch)), heads, batch.data, batch.frame_offset, batch.frame_length)
+            whole[rows] = table[address[rows]]
+        # What was the same in all heads no longer is.
+        self._heads = self._heads[:0]
 
 
 def ros_messages(
@@ -118,8 +157,7 @@ def ros_messages(
         batch.time_ns[rows],
         published[rows],
     )
-    return Messages(rows, heads, batch.data, columns.cdr_offset[rows], length)
+    return Messages(rows, RECORD_BYTES, heads.__getitem__, batch.data, columns.cdr_offset[rows], length)
 
 
-assert np.dtype(RECORD).itemsize == RECORD_BYTES
 assert _DATAGRAM.itemsize == RECORD_BYTES + 4 + 72

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 RECORD = [
@@ -41,7 +43,9 @@ class Messages:
 
     Attributes:
         rows: i64, increasing: the row of the batch that each belongs to.
-        heads: structured, starts with ``RECORD``; whatever fixed bytes the message data starts with follow.
+        head_bytes: size of a head.
+        heads: gives the heads of a slice of the messages: structured, ``RECORD`` first, then whatever fixed
+            bytes the message data starts with. They hold until it is asked again.
         data: u8, the buffer that ``offset`` points into.
         offset: i64, where the rest of the message data is.
         length: integer, how long that rest is; may be 0.
@@ -49,7 +53,8 @@ class Messages:
     """
 
     rows: NDArray[np.int64]
-    heads: NDArray[Any]
+    head_bytes: int
+    heads: Callable[[slice], NDArray[Any]]
     data: NDArray[np.uint8]
     offset: NDArray[np.int64]
     length: NDArray[np.integer[Any]]

@@ -70,7 +70,7 @@ class Rosbag2Sink:
         self._closed = False
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch and what was read from it; both are copied."""
+        """Take a batch and what was read from it; both are read until the next ``flush``."""
         self._sink.write(batch, columns)
 
     def flush(self) -> None:

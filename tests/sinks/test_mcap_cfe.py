@@ -52,7 +52,7 @@ def decode(types, type_name, messages):
     for row in range(len(messages)):
         start = int(messages.offset[row])
         body = messages.data[start : start + int(messages.length[row])].tobytes()
-        record = messages.heads[row].tobytes() + body
+        record = messages.heads(slice(None))[row].tobytes() + body
         assert struct.unpack_from("<BQ", record) == (5, len(record) - 9)
         found.append(types.decode(type_name, record[RECORD_BYTES:]))
     return found
