@@ -72,13 +72,15 @@ def sender_order(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
     """Return the stable order that puts equal keys side by side; keys are u8, u16 or u32, radix sorted."""
     digits: list[NDArray[np.uint16]] = []
     for key in keys:
-        digits.append(key.astype(np.uint16))
-        if key.dtype.itemsize > 2 and int(key.max(initial=0)) > 0xFFFF:
-            digits.append((key >> 16).astype(np.uint16))
-    varying = [digit for digit in digits if len(digit) and digit.min() != digit.max()]
-    if not varying:
+        least, most = (int(key.min()), int(key.max())) if len(key) else (0, 0)
+        if least != most:
+            moved = key - key.dtype.type(least)
+            digits.append(moved.astype(np.uint16))
+            if most - least > 0xFFFF:
+                digits.append((moved >> 16).astype(np.uint16))
+    if not digits:
         return np.arange(len(keys[0]))
-    return np.lexsort(varying)
+    return np.lexsort(digits)
 
 
 def _running_least(
