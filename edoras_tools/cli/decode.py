@@ -19,7 +19,7 @@ def decode(
     settings: Settings,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="pcap, pcapng or MCAP; - is stdin.")],
     number: Annotated[
-        int, typer.Argument(metavar="N", parser=options.number, help="The packet's number, from 1.")
+        int, typer.Argument(metavar="N", parser=options.counted, help="The packet's number, from 1.")
     ],
     layer: Annotated[
         str,

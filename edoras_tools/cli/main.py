@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Annotated, NoReturn
+from contextlib import suppress
+from io import TextIOWrapper
+from pathlib import Path
+from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
@@ -19,6 +22,8 @@ from edoras_tools.cli.sniff import sniff as sniff_command
 from edoras_tools.errors import EdorasError
 
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
+_USAGE: Final[Any] = typer.BadParameter.__mro__[1]
+"""Click's root of all that a command line can be wrong in; typer brings its own click or not, by version."""
 
 app = typer.Typer(
     name="edoras",
@@ -63,21 +68,52 @@ def run(program: typer.Typer) -> NoReturn:
 
     Exit codes: 0 fine, 1 failed, 2 usage, 3 finished but data was lost or found lost.
     """
+    _open_streams()
+    if isinstance(sys.stdout, TextIOWrapper):
+        # File names may hold bytes that are no text, and not every terminal has an arrow.
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        program()
+        code = program(standalone_mode=False) or 0
+        sys.stdout.flush()
     except EdorasError as error:
-        for line in str(error).splitlines():
-            sys.stderr.write(f"edoras: {line}\n")
         code = error.exit_code
+        _say(str(error))
+    except _USAGE as error:
+        code = error.exit_code
+        told = error.format_message().replace("Value error, ", "")  # the words of typer's own checks
+        command = error.ctx.command_path if error.ctx else program.info.name
+        _say(f"{told.removesuffix('.')}; {command} -h tells more" if told else "")
+    except SystemExit as error:
+        # Click's way out of a broken pipe: the reader of our output, as `head`, has seen enough.
+        code = 0 if isinstance(error.__context__, BrokenPipeError) else error.code
+        _abandon_output()
     except BrokenPipeError:
-        # The reader of our output, as `head`, has seen enough; Python must not complain of it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
-    except KeyboardInterrupt:
-        code = 130
-    else:
-        code = 0
+        _abandon_output()
+    except OSError as error:
+        # Files and sockets raise EdorasError: this is standard output.
+        code = 1
+        _say(f"standard output cannot be written: {error.strerror or error}")
+        _abandon_output()
     sys.exit(code)
+
+
+def _open_streams() -> None:
+    """Give Python the streams that it goes without when their descriptors were closed, as by ``>&-``."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  for good
+
+
+def _say(message: str) -> None:
+    with suppress(OSError):
+        for line in message.splitlines():
+            sys.stderr.write(f"edoras: {line}\n")
+
+
+def _abandon_output() -> None:
+    """Keep Python from writing at exit what could not be written before."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 def main() -> NoReturn:

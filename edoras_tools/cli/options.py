@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -25,6 +25,14 @@ def number(text: str) -> int:
         return int(text, 0)
     except ValueError:
         raise typer.BadParameter(f"{text!r} is no whole number; write 42 or 0x2a") from None
+
+
+def counted(text: str) -> int:
+    """Read a number of things: 1 or more."""
+    value = number(text)
+    if value < 1:
+        raise typer.BadParameter(f"{text} is not 1 or more")
+    return value
 
 
 def msg_id(text: str) -> int:
@@ -88,8 +96,13 @@ MsgPath = Annotated[
     typer.Option("--msg-path", metavar="DIR", help="Folder with further .msg or .idl files; repeatable."),
 ]
 Port = Annotated[
-    list[str] | None,
-    typer.Option("--port", metavar="LINK:PORT", help="Further UDP port of ci, to or sbn; repeatable."),
+    list[Any] | None,  # pairs of Link and port; their type would cost the import of numpy
+    typer.Option(
+        "--port",
+        metavar="LINK:PORT",
+        parser=link_port,
+        help="Further UDP port of ci, to or sbn; repeatable.",
+    ),
 ]
 Envelope = Annotated[
     str, typer.Option(metavar="FORMAT", help="EDORAS envelope: 8/8, 4/4, 1/1, with le or be; or auto.")
@@ -128,7 +141,7 @@ Listen = Annotated[
     ),
 ]
 Count = Annotated[
-    int | None, typer.Option("--count", "-n", metavar="N", parser=number, help="Stop after N datagrams.")
+    int | None, typer.Option("--count", "-n", metavar="N", parser=counted, help="Stop after N datagrams.")
 ]
 Duration = Annotated[
     int | None,
@@ -156,7 +169,7 @@ def decoding(
         extended_header=extended_header,
         telemetry_header=telemetry_header,
         envelope=envelope,
-        ports=tuple(link_port(item) for item in port or ()),
+        ports=tuple(port or ()),
     )
     return Settings(tuple(config or ()), distro, tuple(msg_path or ()), options)
 
