@@ -109,7 +109,7 @@ def _march(
     counts = np.zeros(len(starts), dtype=np.int64)
     landings = starts.copy()
     lanes = np.arange(len(starts))
-    blocks: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]] = []
+    blocks = [np.empty(0, dtype=np.int64)]
     while len(lanes) >= _LANES:
         track = np.empty((_BLOCK + 1, len(lanes)), dtype=np.int64)
         track[0] = landings[lanes]
@@ -118,13 +118,9 @@ def _march(
         here, there = track[:-1], track[1:]
         whole = (here < limits[lanes]) & (there > here) & (there <= end)
         steps = whole.sum(axis=0)
-        blocks.append((lanes, here, whole))
+        blocks.append(here[whole])
         counts[lanes] += steps
         landings[lanes] = track[steps, np.arange(len(lanes))]
         lanes = lanes[steps == _BLOCK]
-    found = np.empty(int(counts.sum()), dtype=np.int64)
-    bases = np.cumsum(counts) - counts
-    for number, (block_lanes, here, whole) in enumerate(blocks):
-        slots = bases[block_lanes] + (np.arange(_BLOCK) + number * _BLOCK)[:, None]
-        found[slots[whole]] = here[whole]
-    return found, counts, landings
+    # No stretch reaches into the next one, so in order of position is stretch by stretch.
+    return np.sort(np.concatenate(blocks)), counts, landings

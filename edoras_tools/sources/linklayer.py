@@ -148,13 +148,18 @@ class Demux:
         frame_end = frames.offset + frames.length
         start = np.minimum(transport.position, frame_end)
         have = np.minimum(transport.end, frame_end) - start
-        udp = gather(data, start, UDP_HEADER)
+        udp = gather(data, start, UDP_HEADER) if transport.udp is None else transport.udp
         announced = transport.end - transport.position
         length = udp["length"].astype(np.int64)
         believed = (length >= UDP_BYTES) & (length <= announced)
         if not believed.all():
             length = np.where(believed, length, announced)
-        length = np.minimum(length, have) - UDP_BYTES
+        source_port = udp["source_port"].astype(np.uint16)
+        destination_port = udp["destination_port"].astype(np.uint16)
+        if len(have) and have.min() < UDP_BYTES:
+            source_port[have < 4] = destination_port[have < 4] = 0
+            length = np.maximum(length, UDP_BYTES)
+            have = np.maximum(have, UDP_BYTES)
         cut = (transport.end > frame_end) | (frames.length < frames.original_length)
         batch = PacketBatch(
             data=data,
@@ -165,11 +170,11 @@ class Demux:
             frame_length=frames.length,
             original_length=frames.original_length,
             offset=np.minimum(start + UDP_BYTES, frame_end),
-            length=np.maximum(length, 0).astype(np.int32),
+            length=(np.minimum(length, have) - UDP_BYTES).astype(np.int32),
             source_address=transport.source,
-            source_port=np.where(have >= 4, udp["source_port"], 0).astype(np.uint16),
+            source_port=source_port,
             destination_address=transport.destination,
-            destination_port=np.where(have >= 4, udp["destination_port"], 0).astype(np.uint16),
+            destination_port=destination_port,
             ip_version=transport.version,
             capture_findings=cut * np.uint32(Finding.CAPTURE_CUT),
             ipv6=transport.addresses,

@@ -43,8 +43,8 @@ _LEAST_BYTES = {
 _IF_TSRESOL = 9
 _IF_TSOFFSET = 14
 _MULTIPLE_OF_4 = 0xFFFFFFFC
-_STRIDE = 32 << 10
-_SIGHT = 1 << 10
+_STRIDE = 16 << 10
+_SIGHT = 512
 """A seed is looked for in the first _SIGHT bytes of every _STRIDE."""
 
 
@@ -219,7 +219,9 @@ class PcapngSource(RecordSource):
         tail = np.where(sound, blocks.position + length - 4, blocks.position + 4)
         sound &= gather(self._window.data, tail, f"{self._order}u4") == blocks.words[:, 1]
         for of_kind, least in _LEAST_BYTES.items():
-            sound &= (kind != of_kind) | (length >= least)
+            alike = kind == of_kind
+            if alike.any():
+                sound &= ~alike | (length >= least)
         described = np.flatnonzero(sound & (kind == INTERFACE_DESCRIPTION))
         for row in described.tolist():
             self._add_interface(int(blocks.position[row]), int(length[row]))
@@ -252,8 +254,10 @@ class PcapngSource(RecordSource):
     def _interface_of(self, blocks: _Blocks) -> NDArray[np.int64]:
         interface = blocks.words[:, 2].astype(np.int64)
         kind = blocks.type
-        half = interface >> 16 if self._order == ">" else interface & 0xFFFF
-        interface = np.where(kind == PACKET, half, interface)
+        obsolete = kind == PACKET
+        if obsolete.any():
+            half = interface >> 16 if self._order == ">" else interface & 0xFFFF
+            interface = np.where(obsolete, half, interface)
         interface[kind == SIMPLE_PACKET] = 0
         return interface
 
@@ -262,7 +266,7 @@ class PcapngSource(RecordSource):
         packets = (kind == ENHANCED_PACKET) | (kind == PACKET) | (kind == SIMPLE_PACKET)
         if not packets.all():
             blocks = blocks.take(np.flatnonzero(packets))
-        words = blocks.words.astype(np.uint32)
+        words = blocks.words
         simple = blocks.type == SIMPLE_PACKET
         captured, original, offset = words[:, 5], words[:, 6], blocks.position + 28
         if simple.any():

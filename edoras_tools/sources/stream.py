@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 FIRST = 256 << 10
 """Bytes of the first window: small, so that the first datagrams come at once."""
-SLICE = 4 << 20
-"""Bytes of every other window: its columns stay in the processor's cache."""
+SLICE = 8 << 20
+"""Bytes of every other window: enough that numpy's cost a call no longer counts."""
 _LINGER_MS = 1
 """How long to wait for more of a pipe before handing over what came."""
 
