@@ -119,9 +119,7 @@ def _looks_like(head: bytes, wrapped: str) -> str:
     for magic, what in _OTHERS:
         if head.startswith(magic):
             return f"{inside}{what}; {can}; {_CONVERT}"
-    if all(
-        magic.startswith(head) for magic in (_SECTION_HEADER, *MAGICS, _MCAP) if magic[: len(head)] == head
-    ) and (len(head) < 4):
+    if len(head) < 4:
         return f"ends after {len(head)} bytes, before it could be told what it is; {can}"
     for magic, kind in _COMPRESSED.items():
         if head.startswith(magic):
