@@ -1,0 +1,236 @@
+"""Runs every command and program that the pages show, and writes what comes out under it.
+
+    python docs/refresh.py
+
+``tests/docs`` does the same in memory and compares, so that no page says what is not so. In a page,
+
+* ``console`` blocks are run, their commands one after the other in one folder for the whole page, 100 columns
+  wide; ``head=N`` and ``tail=N`` behind the word keep that many lines of each output;
+* ``console live`` blocks need a network, or a clock: they were run by hand, only their options are checked;
+* ``python run`` blocks are run, and what they print goes into the ``text`` block that follows;
+* regions between ``<!-- table: NAME -->`` and ``<!-- end -->`` are written from the code's own tables.
+"""  # noqa: INP001  a script beside the pages, no package
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+PAGES: Final = (
+    ROOT / "README.md",
+    ROOT / "samples/README.md",
+    *(
+        path
+        for path in sorted((ROOT / "docs").glob("*.md"))
+        if path.stem not in {"missions", "sim", "bench"}  # these have tests of their own
+    ),
+)
+WIDTH: Final = 100
+FENCED: Final = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_REGION: Final = re.compile(r"(<!-- table: ([\w.]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_SHELL: Final = set("|<>;&$*")
+
+
+def refreshed(page: Path, folder: Path) -> str:
+    """Return a page with every output as it is today.
+
+    Args:
+        page: a Markdown file.
+        folder: empty; commands run in it, and find the repository's ``samples`` there.
+    """
+    (folder / "samples").symlink_to(ROOT / "samples", target_is_directory=True)
+    with _inside(folder):
+        runner = _Runner()
+        text = FENCED.sub(runner.block, page.read_text(encoding="utf-8"))
+    return _REGION.sub(lambda found: found[1] + TABLES[found[2]]() + found[3], text)
+
+
+def commands(block: str) -> Iterator[str]:
+    """Yield the commands of a console block, continued lines joined."""
+    for found in re.finditer(r"^\$ ((?:.*\\\n)*.*)$", block, re.MULTILINE):
+        yield found[1].replace("\\\n", " ")
+
+
+class _Runner:
+    """Runs the blocks of a page in order; knows the last exit code and what the last program printed."""
+
+    def __init__(self) -> None:
+        self._code = 0
+        self._printed: str | None = None
+
+    def block(self, found: re.Match[str]) -> str:
+        language, words, body = found[1], found[2].split(), found[3]
+        if language == "console" and "live" not in words:
+            body = self._console(body, dict(word.split("=") for word in words))
+        elif language == "python" and "run" in words:
+            self._printed = self._program(body)
+        elif language == "text" and self._printed is not None:
+            body, self._printed = self._printed, None
+        return f"```{language}{found[2]}\n{body}```"
+
+    def _console(self, body: str, cut: dict[str, str]) -> str:
+        out = []
+        for part in re.findall(r"^\$ (?:.*\\\n)*.*\n", body, re.MULTILINE):
+            command = next(commands(part))
+            lines = [line.rstrip() for line in self._run(command).splitlines()]
+            head, tail = int(cut.get("head", 0)), int(cut.get("tail", 0))
+            if (head or tail) and len(lines) > head + tail + 1:
+                lines = [*lines[:head], "...", *lines[len(lines) - tail :]]
+            out += [part, *(f"{line}\n" for line in lines)]
+        return "".join(out)
+
+    def _run(self, command: str) -> str:
+        if command == "echo $?":
+            return f"{self._code}\n"
+        if not command.startswith("edoras ") or _SHELL & set(command):
+            done = subprocess.run(  # noqa: S602  the pages' own commands
+                command, shell=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+            )
+            self._code = done.returncode
+            return done.stdout
+        from edoras_tools.cli.main import main
+
+        printed, arguments = io.StringIO(), sys.argv
+        sys.argv = shlex.split(command)
+        try:
+            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+                main()
+        except SystemExit as end:
+            self._code = int(end.code or 0)
+        finally:
+            sys.argv = arguments
+        return printed.getvalue()
+
+    @staticmethod
+    def _program(code: str) -> str:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(compile(code, "page", "exec"), {"__name__": "page"})  # noqa: S102  the pages' own programs
+        return printed.getvalue()
+
+
+@contextlib.contextmanager
+def _inside(folder: Path) -> Iterator[None]:
+    """Be in a folder, in a terminal without colour, with the commands of this environment first."""
+    here, environ = Path.cwd(), os.environ.copy()
+    for name in ("FORCE_COLOR", "TERMINAL_WIDTH"):
+        os.environ.pop(name, None)
+    os.environ["COLUMNS"] = str(WIDTH)
+    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environ.get('PATH', '')}"
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(here)
+        os.environ.clear()
+        os.environ.update(environ)
+
+
+def _findings() -> str:
+    """Return every finding, the gravest first."""
+    from edoras_tools.render.severity import EXPLANATIONS
+
+    rows = sorted(EXPLANATIONS.items(), key=lambda item: (-item[1].severity, item[0]))
+    head = "| finding | severity | in the list | what it is, and what the receiver does |"
+    lines = [head, "|---|---|---|---|"]
+    lines += [
+        f"| `{finding.label}` | {told.severity.label} | {told.severity.mark} {told.short} | {told.meaning} |"
+        for finding, told in rows
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _bits() -> str:
+    """Return every finding with its bit, as recorded."""
+    from edoras_tools.model import Finding
+
+    rows = [f"| {finding.bit_length() - 1} | {int(finding)} | `{finding.label}` |" for finding in Finding]
+    return "\n".join(["| bit | value | finding |", "|---|---|---|", *rows]) + "\n"
+
+
+def _truth() -> str:
+    """Return what was sent to a running cFS, what it did, and the findings that say so."""
+    rows = json.loads((ROOT / "samples/expected/truth.json").read_text(encoding="utf-8"))
+    lines = ["| capture | packet | what was sent | what the flight did | findings |", "|---|---|---|---|---|"]
+    for row in rows:
+        findings = ", ".join(f"`{label}`" for label in row["findings"]) or "none"
+        lines.append(f"| {row['capture']} | {row['number']} | {row['sent']} | {row['flight']} | {findings} |")
+    return "\n".join(lines) + "\n"
+
+
+def _layout(path: str) -> Callable[[], str]:
+    """Return a function that writes the fields of a ``Layout`` as a table."""
+
+    def table() -> str:
+        from importlib import import_module
+
+        module, _, name = path.partition(".")
+        layout = getattr(import_module(f"edoras_tools.wire.{module}"), name)
+        if name == "DEFAULT":
+            layout = layout.layout
+        lines = ["| byte | bits | field | what |", "|---|---|---|---|"]
+        for slot in layout.slots:
+            last = slot.end - 1
+            place = f"{slot.start}" if last == slot.start else f"{slot.start}-{last}"
+            names = ", ".join(
+                f"{slot.field.text(value).partition(' (')[2].rstrip(')')} {name}"
+                for value, name in slot.field.names.items()
+            )
+            doc = f"{slot.field.doc}: {names}" if names else slot.field.doc
+            clause = f" ({slot.field.clause})" if slot.field.clause else ""
+            lines.append(f"| {place} | {slot.field.bits} | `{slot.field.name}` | {doc}{clause} |")
+        return "\n".join(lines) + "\n"
+
+    return table
+
+
+TABLES: Final[dict[str, Callable[[], str]]] = {
+    "findings": _findings,
+    "bits": _bits,
+    "truth": _truth,
+    **{
+        name: _layout(name)
+        for name in (
+            "ccsds.PRIMARY",
+            "cfe.COMMAND",
+            "cfe.TELEMETRY",
+            "cfe.EXTENDED",
+            "cfe.EVENT",
+            "cfe.SOFTWARE_BUS_HOUSEKEEPING",
+            "sbn.HEADER",
+            "sbn.SUBSCRIPTIONS",
+            "sbn.SUBSCRIPTION",
+            "sbn.PROTO",
+            "envelope.DEFAULT",
+            "cdr.ENCAPSULATION",
+        )
+    },
+}
+"""The regions that are written from the code, by name."""
+
+
+def main() -> None:
+    """Rewrite the pages."""
+    for page in PAGES:
+        with tempfile.TemporaryDirectory() as folder:
+            text = refreshed(page, Path(folder))
+        if text != page.read_text(encoding="utf-8"):
+            page.write_text(text, encoding="utf-8")
+            sys.stdout.write(f"{page.relative_to(ROOT)} rewritten\n")
+
+
+if __name__ == "__main__":
+    main()
