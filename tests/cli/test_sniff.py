@@ -1,0 +1,202 @@
+"""``sniff``: what was done to a running cFS, told from the packets alone, and what the list looks like."""
+
+import json
+import struct
+
+import pytest
+
+NOTES = {"checksum_absent", "sequence_unset"}
+"""What every command of a bridge shows."""
+
+COMMANDS = [
+    ("TO enable", 24, NOTES),
+    ("good Twist, checksum 0 (as the bridge sends)", 76, NOTES),
+    ("good Twist, right checksum, seq flags 11", 76, set()),
+    ("wrong checksum", 76, {"checksum_bad"}),
+    ("ES NOOP with wrong checksum", 8, {"checksum_bad"}),
+    ("ES NOOP good", 8, set()),
+    ("unknown function code 9 on 0x1827", 76, NOTES | {"unknown_function_code"}),
+    ("NOOP cc 0 with wrong length (payload)", 76, NOTES | {"command_length"}),
+    ("CI NOOP good", 8, set()),
+    ("CI NOOP with 4 extra bytes", 12, {"command_length"}),
+    ("ES NOOP with 4 extra bytes", 12, {"command_length"}),
+    ("TO bad function code 77", 8, NOTES | {"unknown_function_code"}),
+    ("unknown MID 0x18EE", 76, NOTES | {"unknown_msg_id"}),
+    ("MID 0x0000", 76, {"sequence_unset", "invalid_msg_id", "wrong_direction"}),
+    ("MID 0x1FFF (highest valid)", 76, NOTES | {"unknown_msg_id"}),
+    ("MID 0x2827 (version/APID high bit)", 76, {"sequence_unset", "invalid_msg_id", "wrong_direction"}),
+    ("MID 0xFFFF", 76, NOTES | {"invalid_msg_id"}),
+    ("tlm MID 0x0827 sent as command", 76, {"sequence_unset", "wrong_direction", "envelope_overrun"}),
+    ("truncated: header says 76 bytes, 40 sent", 40, NOTES | {"length_mismatch", "envelope_overrun"}),
+    ("truncated to 8 bytes", 8, NOTES | {"length_mismatch", "truncated"}),
+    ("7 bytes", 7, {"sequence_unset", "length_mismatch", "truncated"}),
+    ("6 bytes", 6, {"sequence_unset", "length_mismatch", "truncated"}),
+    ("1 byte", 1, {"truncated"}),
+    ("0 bytes", 0, {"truncated"}),
+    ("CCSDS length too small (1): header says 8, 76 sent", 76, NOTES | {"length_mismatch"}),
+    ("CCSDS length larger than datagram: says 500", 76, NOTES | {"length_mismatch"}),
+    ("CCSDS length 0xFFFF (65542) > 32768 max SB", 76, NOTES | {"length_mismatch", "over_software_bus"}),
+    ("CCSDS length 2000 (> CI 768 buffer, < SB max)", 76, NOTES | {"length_mismatch"}),
+    ("768 bytes (CI limit)", 768, NOTES | {"unknown_msg_id"}),
+    ("769 bytes (over CI limit)", 769, NOTES | {"unknown_msg_id", "over_ci_buffer"}),
+    ("1400 bytes oversize", 1400, NOTES | {"over_ci_buffer", "cdr_invalid"}),
+    ("inner buffer_length 5000 in Twist", 76, NOTES | {"envelope_overrun"}),
+    ("inner CDR big endian encapsulation 00 00", 76, NOTES | {"cdr_big_endian"}),
+    ("EVS filter reset", 28, NOTES),
+    ("TO enable, 20 byte string", 28, NOTES),
+    ("TO enable with 4 byte payload", 12, NOTES | {"command_length"}),
+    ("TO enable again 16 bytes", 24, NOTES),
+    *((f"NOOP and requests, {number}", 8, set()) for number in range(9)),
+    ("good Twist again", 76, NOTES),
+]
+"""What e_ci_errors.marks.txt says was sent, in order: its words, bytes, and what is to be found."""
+
+MALFORMED = {
+    1197: ("SUB with a wrong $Id", {"sbn_id_mismatch"}),
+    1227: ("PROTO with version 10", {"sbn_version_mismatch"}),
+    1253: ("unknown SBN type 0x07", {"sbn_unknown_type"}),
+    1279: ("SBN type 0x00 NO_MSG", {"sbn_no_message"}),
+    1291: ("unknown peer (processor 9)", {"sbn_id_mismatch"}),
+    1321: ("short datagram: 5 bytes", {"truncated"}),
+    1347: ("MsgSz says 500, 20 bytes carried", {"sbn_size_mismatch"}),
+    1371: ("MsgSz > 32767", {"sbn_size_mismatch"}),
+}
+"""The eight malformed datagrams of f_sbn_disconnect.marks.txt by frame number."""
+
+
+@pytest.fixture
+def packets(call, captures, missions):
+    def sniff(name, *options, mission="rover_ground"):
+        done = call("sniff", "-r", captures(name), *missions(mission), "--json", *options)
+        assert (done.code, done.err) == (0, [])
+        return done.lines()
+
+    return sniff
+
+
+def test_every_bad_command_carries_its_finding(packets, datagrams, captures):
+    sent = [item.payload for item in datagrams(captures("e_ci_errors")) if item.destination == 1234]
+    read = packets("e_ci_errors", "--link", "ci")
+    assert [item["length"] for item in read] == [len(payload) for payload in sent]
+    assert [
+        (name, item["length"], set(item["findings"])) for (name, *_), item in zip(COMMANDS, read, strict=True)
+    ] == (COMMANDS)
+
+
+def test_every_malformed_sbn_datagram_carries_its_finding(packets):
+    usual = NOTES | {"unknown_msg_id"}
+    read = {
+        item["number"]: set(item["findings"]) - usual for item in packets("f_sbn_disconnect", "--link", "sbn")
+    }
+    assert {number: findings for number, findings in read.items() if findings} == {
+        number: findings for number, (_, findings) in MALFORMED.items()
+    }
+
+
+def test_wake_up_packets_are_named_for_what_they_are(call, captures, missions, datagrams):
+    path = captures("d3_cpu1_cpu2")
+    done = call("sniff", "-r", path, *missions("two_rovers_ground", "two_rovers_flight"), "--json", "--all")
+    assert done.code == 0
+    read, sent = done.lines(), datagrams(path)
+    assert [item["number"] for item in read] == list(range(1, 12283))
+    short = 0
+    for item, datagram in zip(read, sent, strict=True):
+        packet = datagram.payload[11:] if item["link"] == "sbn" else datagram.payload
+        if len(packet) == 8 and item["msg_id"] in {"0x0827", "0x0828"}:
+            short += 1
+            assert "header_only" in item["findings"]
+            assert not {"truncated", "envelope_overrun", "cdr_invalid"} & set(item["findings"])
+            assert item["message"] is None
+    assert short > 1000
+
+
+@pytest.mark.parametrize("name", ["a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect"])
+def test_all_shows_every_datagram(name, packets, datagrams, captures):
+    sent = datagrams(captures(name))
+    read = packets(name, "--all")
+    assert [item["time_ns"] for item in read] == [item.time_ns for item in sent]
+    assert [item["length"] for item in read] == [len(item.payload) for item in sent]
+    assert [item["source"] for item in read] == [f"127.0.0.1:{item.source}" for item in sent]
+    assert [item["destination"] for item in read] == [f"127.0.0.1:{item.destination}" for item in sent]
+
+
+def test_only_the_links_show_unless_asked(packets):
+    assert {item["link"] for item in packets("e_ci_errors")} == {"ci", "to", "sbn"}
+    assert {item["link"] for item in packets("e_ci_errors", "-a")} == {"ci", "to", "sbn", "other"}
+    assert {item["link"] for item in packets("e_ci_errors", "--link", "other")} == {"other"}
+
+
+def test_findings_leave_the_notes_out(packets):
+    """What every command of the bridge shows is a note: the shown ones have more."""
+    read = packets("e_ci_errors", "--findings", "--link", "ci")
+    bad = [findings for _, _, findings in COMMANDS if findings - NOTES - {"cdr_big_endian"}]
+    assert [set(item["findings"]) for item in read] == bad
+
+
+def test_a_message_by_value(packets):
+    first = packets("a_rover", "--topic", "/cmd_vel", "-n", "1")[0]
+    vector = {"x": 0.0, "y": 0.0, "z": 0.0}
+    assert first["message"] == {"linear": {**vector, "x": 0.5}, "angular": {**vector, "z": 0.2}}
+    assert (first["msg_id"], first["topic"], first["type"]) == (
+        "0x1827",
+        "/cmd_vel",
+        "geometry_msgs/msg/Twist",
+    )
+    assert first["layers"]["ccsds"]["apid"] == 0x27
+    assert first["layers"]["cfe_command"]["function_code"] == 1
+    assert first["layers"]["edoras"]["buffer_length"] == 52
+
+
+def test_one_line_a_packet(call, captures, missions):
+    done = call("sniff", "-r", captures("a_rover"), *missions("rover_ground"), "--link", "ci", "-n", "3")
+    assert (done.code, done.err) == (0, [])
+    header, *lines = done.out.splitlines()
+    assert " ".join(header.split()) == "No. Time Source → Destination Packet MsgId Topic Bytes Message"
+    assert len(lines) == 3
+    assert "/cmd_vel" in lines[1]
+    assert "0x1827" in lines[1]
+
+
+@pytest.mark.parametrize(
+    ("choice", "wanted"),
+    [
+        ("relative", "0.000000"),
+        ("delta", "0.000000"),
+        ("epoch", "1795241636.850346"),
+        ("utc", "06:13:56.850346"),
+    ],
+)
+def test_time(choice, wanted, call, captures):
+    done = call("sniff", "-r", captures("a_rover"), "-n", "1", "-t", choice)
+    assert wanted in done.out.splitlines()[1]
+
+
+def test_tree_and_bytes(call, captures, missions):
+    options = ["-r", captures("a_rover"), *missions("rover_ground"), "--topic", "/cmd_vel", "-n", "2"]
+    tree, dump = call("sniff", "-V", *options).out, call("sniff", "-x", *options).out
+    assert tree.count("geometry_msgs/msg/Twist") == 2
+    assert "packet_sequence_count" in tree or "Packet sequence count" in tree
+    assert dump.count("18 27 00 00 00 45 01 00") == 2
+
+
+def test_not_a_number_is_still_json(call, captures, missions, frames, write_pcap, tmp_path):
+    """A Twist of NaN and infinities, made from a captured one."""
+    time_ns, frame, original = next(
+        item for item in frames(captures("a_rover")) if item[1][42:44] == b"\x18\x27"
+    )
+    odd = struct.pack("<6d", float("nan"), float("inf"), float("-inf"), -0.0, 5e-324, 1.5)
+    path = write_pcap(tmp_path / "x.pcap", [(time_ns, frame[: 42 + 28] + odd, original)])
+    done = call("sniff", "-r", path, *missions("rover_ground"), "--json")
+
+    def refuse(word):
+        raise AssertionError(word)
+
+    message = json.loads(done.out, parse_constant=refuse)["message"]
+    assert message["linear"] == {"x": None, "y": None, "z": None}
+    assert message["angular"] == {"x": -0.0, "y": 5e-324, "z": 1.5}
+
+
+def test_nothing_chosen_is_said(call, captures):
+    done = call("sniff", "-r", captures("a_rover"), "--msg-id", "0x0999")
+    assert (done.code, done.out) == (0, "")
+    assert done.err == ["edoras: none of the 1,827 datagrams was chosen; -a shows every link"]
