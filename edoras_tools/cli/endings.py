@@ -37,6 +37,7 @@ def nothing_shown(source: Source, shown: int, *, live: bool) -> None:
     """
     if not shown and not live:
         no_datagrams(source)
+    if not shown and source.statistics.datagrams:
         there = source.statistics.datagrams
         sys.stderr.write(f"edoras: none of the {there:,} datagrams was chosen; -a shows every link\n")
     lost(source)

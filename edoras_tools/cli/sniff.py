@@ -65,7 +65,7 @@ def sniff(
 
     chosen = replace(
         selection,
-        links=selection.links or (() if every else (Link.CI, Link.TO, Link.SBN)),
+        links=selection.links or (() if every or listen else (Link.CI, Link.TO, Link.SBN)),
         notable=NOTABLE if findings else 0,
     )
     source, bench = open_input(read, interface, listen, settings, every_port=every)
@@ -78,7 +78,7 @@ def sniff(
         names=MSG_ID_NAMES,
         verbose=verbose,
     )
-    live = read is None or str(read[0]) == "-"
+    waits = read is None or str(read[0]) == "-"
     shown = 0
     out = sys.stdout
     if json:
@@ -97,8 +97,8 @@ def sniff(
                 out.write(view.header() + "\n")
             out.write(view.line(decoded) + "\n")
         shown += 1
-        if live or shown == 1:
+        if waits or shown == 1:
             out.flush()
     from edoras_tools.cli.endings import nothing_shown
 
-    nothing_shown(source, shown, live=live and not read)
+    nothing_shown(source, shown, live=read is None)

@@ -44,6 +44,14 @@ class Selection:
         words += [f"topic={item}" for item in self.topics]
         return " ".join(words + ["findings"] * bool(self.notable))
 
+    def check(self, mission: Mission) -> None:
+        """Find out early whether a mission has what is chosen.
+
+        Raises:
+            RouteError: a topic pattern fits no configured topic.
+        """
+        self._routes(mission)
+
     def mask(self, columns: Columns, mission: Mission) -> NDArray[np.bool_]:
         """Return which rows are chosen.
 

@@ -38,10 +38,12 @@ def sniff(
 
     Raises:
         CaptureError: the source ended early; everything before was yielded.
+        RouteError: the selection names a topic that is not configured.
     """
     shown, began = 0, clock()
     stop = getattr(source, "stop", None)
     try:
+        selection.check(bench.mission)
         with on_interrupt(stop or (lambda: None)) as asked:
             for batch in source.batches():
                 columns = bench.columns.decode(batch)
