@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import os
 import sys
 from contextlib import suppress
@@ -116,16 +118,32 @@ def _abandon_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
+def _start(program: typer.Typer) -> NoReturn:
+    """Run a program as a process of its own, quick to start and quick to leave.
+
+    Hardly anything made while starting up is garbage, and nothing is left to tear down at the end.
+    """
+    gc.set_threshold(50_000)
+    try:
+        run(program)
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else 0
+        with contextlib.suppress(OSError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
+
+
 def main() -> NoReturn:
     """Run ``edoras``."""
-    run(app)
+    _start(app)
 
 
 def sniff() -> NoReturn:
     """Run ``edoras-sniff``."""
-    run(_alone(sniff_command, "edoras-sniff"))
+    _start(_alone(sniff_command, "edoras-sniff"))
 
 
 def record() -> NoReturn:
     """Run ``edoras-record``."""
-    run(_alone(record_command, "edoras-record"))
+    _start(_alone(record_command, "edoras-record"))

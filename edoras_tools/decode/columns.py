@@ -38,6 +38,17 @@ _BLANK: Final = {
     "cdr_offset": -1,
     "route": NO_ROUTE,
 }
+_PACKET_COLUMNS: Final = (
+    "packet_offset",
+    "packet_length",
+    "msg_id",
+    "sequence_flags",
+    "sequence_count",
+    "function_code",
+    "mission_time_ns",
+    "header_length",
+    "route",
+)
 _TYPES: Final = {
     "link": "u1",
     "sbn_msg_type": "i2",
@@ -100,9 +111,8 @@ class _Pass:
     def columns(self) -> Columns:
         """Go through the layers, outermost first."""
         link, length = self.out["link"], self.batch.length
-        every = np.arange(len(link))
-        self.flag(Finding.OVER_CI_BUFFER, every, (link == Link.CI) & (length > CI_BUFFER))
-        self.flag(Finding.OVER_BRIDGE_BUFFER, every, (link == Link.TO) & (length > BRIDGE_BUFFER))
+        self.mark(Finding.OVER_CI_BUFFER, (link == Link.CI) & (length > CI_BUFFER))
+        self.mark(Finding.OVER_BRIDGE_BUFFER, (link == Link.TO) & (length > BRIDGE_BUFFER))
         self.space_packet(self.software_bus_network())
         cut = (self.batch.capture_findings & Finding.CAPTURE_CUT) != 0
         self.out["findings"][cut] &= np.uint32(~UNKNOWABLE & 0xFFFFFFFF)
@@ -112,6 +122,11 @@ class _Pass:
         """Set a finding's bit in those of ``rows`` that are chosen."""
         if chosen.any():
             self.out["findings"][rows[chosen]] |= np.uint32(finding)
+
+    def mark(self, finding: Finding, chosen: NDArray[np.bool_]) -> None:
+        """Set a finding's bit where a mask over the whole batch says so."""
+        if chosen.any():
+            self.out["findings"] |= chosen * np.uint32(finding)
 
     def software_bus_network(self) -> NDArray[np.int32]:
         """Read SBN headers; return where in each datagram a space packet starts, -1 where none does."""
@@ -222,40 +237,43 @@ class _Pass:
             self.flag(Finding.TRUNCATED, rows[pick], short)
 
     def space_packet(self, start: NDArray[np.int32]) -> None:
-        """Read the primary header, and all that lies behind it."""
-        rows = np.flatnonzero(start >= 0)
-        length = self.batch.length[rows] - start[rows]
-        offset = self.batch.offset[rows] + start[rows]
-        whole = length >= ccsds.PRIMARY.size
-        if not whole.all():
-            self.flag(Finding.TRUNCATED, rows, ~whole)
-            rows, offset, length = rows[whole], offset[whole], length[whole]
-        if not len(rows):
-            return
+        """Read the primary header, and all that lies behind it.
+
+        Every row is read, whole columns at a time; those that hold no packet are blanked afterwards.
+        """
+        length = self.batch.length - start
+        packet = (start >= 0) & (length >= ccsds.PRIMARY.size)
+        absent = np.flatnonzero(~packet)
+        self.flag(Finding.TRUNCATED, absent, start[absent] >= 0)
+        start[absent], length[absent] = 0, 0
+        offset = self.batch.offset + start
         head = gather(self.batch.data, offset, _PACKET_WINDOW)
         total = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int32) + ccsds.LENGTH_BIAS
         word = head[:, :2].view(">u2")[:, 0].astype(np.int32)
         sequence = head[:, 2:4].view(">u2")[:, 0].astype(np.uint16)
         command = (word & cfe.COMMAND_BIT) != 0
         msg_id = self._msg_id(word, head, length)
-        link = self.out["link"][rows]
-        self.out["packet_offset"][rows] = offset
-        self.out["packet_length"][rows] = length
-        self.out["msg_id"][rows] = msg_id
-        self.out["sequence_flags"][rows] = sequence >> 14
-        self.out["sequence_count"][rows] = sequence & 0x3FFF
-        self.out["route"][rows] = self.context.route_of[link, msg_id]
+        link = self.out["link"]
         valid = (msg_id > 0) & (msg_id <= cfe.HIGHEST_MSG_ID)
-        self.flag(Finding.LENGTH_MISMATCH, rows, total != length)
-        self.flag(Finding.SEQUENCE_UNSET, rows, sequence == 0)
-        self.flag(Finding.OVER_SOFTWARE_BUS, rows, total > SOFTWARE_BUS_MAXIMUM)
-        self.flag(Finding.INVALID_MSG_ID, rows, ~valid)
-        self.flag(Finding.UNKNOWN_MSG_ID, rows, valid & ~self.context.known[msg_id])
-        self.flag(
-            Finding.WRONG_DIRECTION, rows, ((link == Link.CI) & ~command) | ((link == Link.TO) & command)
-        )
-        self._secondary(rows, head, offset, length, total, command, msg_id)
-        self._envelopes(rows, length, msg_id)
+        against = ((link == Link.CI) & ~command) | ((link == Link.TO) & command)
+        self.mark(Finding.LENGTH_MISMATCH, packet & (total != length))
+        self.mark(Finding.SEQUENCE_UNSET, packet & (sequence == 0))
+        self.mark(Finding.OVER_SOFTWARE_BUS, packet & (total > SOFTWARE_BUS_MAXIMUM))
+        self.mark(Finding.INVALID_MSG_ID, packet & ~valid)
+        self.mark(Finding.UNKNOWN_MSG_ID, packet & valid & ~self.context.known[msg_id])
+        self.mark(Finding.WRONG_DIRECTION, packet & against)
+        self.out |= {
+            "packet_offset": offset,
+            "packet_length": length,
+            "msg_id": msg_id,
+            "sequence_flags": (sequence >> 14).astype(np.uint8),
+            "sequence_count": sequence & np.uint16(0x3FFF),
+            "route": self.context.route_of[link, msg_id],
+        }
+        self._secondary(packet, head, total, command)
+        for name in _PACKET_COLUMNS:
+            self.out[name][absent] = _BLANK.get(name, 0)
+        self._envelopes(packet)
 
     def _msg_id(
         self, word: NDArray[np.int32], head: NDArray[np.uint8], length: NDArray[np.int32]
@@ -268,59 +286,52 @@ class _Pass:
 
     def _secondary(
         self,
-        rows: NDArray[np.intp],
+        packet: NDArray[np.bool_],
         head: NDArray[np.uint8],
-        offset: NDArray[np.int64],
-        length: NDArray[np.int32],
         total: NDArray[np.int32],
         command: NDArray[np.bool_],
-        msg_id: NDArray[np.int32],
     ) -> None:
         """Read the cFE command and telemetry headers."""
+        length = self.out["packet_length"]
         extra = cfe.EXTENDED.size if self.context.options.extended_header else 0
         as_command = cfe.COMMAND_HEADER_BYTES + extra
         as_telemetry = self.context.options.telemetry_header + extra
         bare = ~command & (length == as_command) & (total == length)
-        header = np.where(command | bare, as_command, as_telemetry).astype(np.uint8)
+        short = command | bare
+        header = np.where(short, np.uint8(as_command), np.uint8(as_telemetry))
         whole = length >= header
-        self.flag(Finding.HEADER_ONLY, rows, bare)
-        self.flag(Finding.TRUNCATED, rows, ~whole)
-        self.out["header_length"][rows] = np.where(whole, header, ccsds.PRIMARY.size)
+        self.mark(Finding.HEADER_ONLY, packet & bare)
+        self.mark(Finding.TRUNCATED, packet & ~whole)
+        self.out["header_length"] = np.where(whole, header, np.uint8(ccsds.PRIMARY.size))
 
         at = ccsds.PRIMARY.size + extra
-        timed = np.flatnonzero(whole & ~command & ~bare)
-        times = head[timed]
-        seconds = cfe.TELEMETRY.column("seconds", times, at).astype(np.int64)
-        subseconds = cfe.TELEMETRY.column("subseconds", times, at).astype(np.int64)
-        self.out["mission_time_ns"][rows[timed]] = seconds * 1_000_000_000 + (
-            subseconds * 1_000_000_000 >> 16
+        seconds = cfe.TELEMETRY.column("seconds", head, at).astype(np.int64)
+        subseconds = cfe.TELEMETRY.column("subseconds", head, at).astype(np.int64)
+        time_ns = seconds * 1_000_000_000 + (subseconds * 1_000_000_000 >> 16)
+        self.out["mission_time_ns"] = np.where(whole & ~short, time_ns, -1)
+        code = cfe.COMMAND.column("function_code", head, at).astype(np.int16)
+        self.out["function_code"] = np.where(whole & short, code, np.int16(-1))
+
+        rows = np.flatnonzero(packet & whole & command)
+        length, total, present = length[rows], total[rows], head[rows, at + 1] != 0
+        summed = xor_bytes(self.batch.data, self.out["packet_offset"][rows], np.minimum(length, total))
+        bad = summed != cfe.CHECKSUM_SEED
+        self.flag(Finding.CHECKSUM_BAD, rows, bad & present)
+        self.flag(Finding.CHECKSUM_ABSENT, rows, bad & ~present)
+        unknown, misfit = self.context.command_table.judge(
+            self.out["msg_id"][rows], code[rows], length - extra
         )
+        self.flag(Finding.UNKNOWN_FUNCTION_CODE, rows, unknown)
+        self.flag(Finding.COMMAND_LENGTH, rows, misfit)
 
-        coded = np.flatnonzero(whole & (command | bare))
-        code = cfe.COMMAND.column("function_code", head[coded], at)
-        self.out["function_code"][rows[coded]] = code
-        if bare.any():
-            coded, code = coded[~bare[coded]], code[~bare[coded]]
-        chosen, length, total = rows[coded], length[coded], total[coded]
-        present = head[coded, at + 1] != 0
-        bad = xor_bytes(self.batch.data, offset[coded], np.minimum(length, total)) != cfe.CHECKSUM_SEED
-        self.flag(Finding.CHECKSUM_BAD, chosen, bad & present)
-        self.flag(Finding.CHECKSUM_ABSENT, chosen, bad & ~present)
-        unknown, misfit = self.context.command_table.judge(msg_id[coded], code, length - extra)
-        self.flag(Finding.UNKNOWN_FUNCTION_CODE, chosen, unknown)
-        self.flag(Finding.COMMAND_LENGTH, chosen, misfit)
-
-    def _envelopes(
-        self, rows: NDArray[np.intp], length: NDArray[np.int32], msg_id: NDArray[np.int32]
-    ) -> None:
+    def _envelopes(self, packet: NDArray[np.bool_]) -> None:
         """Read the envelopes of the routes' packets, a route at a time."""
-        route = self.context.any_route_of[msg_id]
-        exact = self.out["route"][rows]
-        route = np.where(exact == NO_ROUTE, route, exact)
+        exact = self.out["route"]
+        route = np.where(exact == NO_ROUTE, self.context.any_route_of[self.out["msg_id"]], exact)
         unread = np.uint32(Finding.HEADER_ONLY | Finding.TRUNCATED)
-        claimed = np.flatnonzero((route != NO_ROUTE) & ((self.out["findings"][rows] & unread) == 0))
-        rows, length, route = rows[claimed], length[claimed], route[claimed]
-        bare = length == self.out["header_length"][rows]
+        rows = np.flatnonzero(packet & (route != NO_ROUTE) & ((self.out["findings"] & unread) == 0))
+        route = route[rows]
+        bare = self.out["packet_length"][rows] == self.out["header_length"][rows]
         if bare.any():
             mismatched = (self.out["findings"][rows] & np.uint32(Finding.LENGTH_MISMATCH)) != 0
             quiet = self.out["function_code"][rows] == 0

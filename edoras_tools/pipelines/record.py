@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.pipelines.ahead import read_ahead
 from edoras_tools.pipelines.accounts import Ledger
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.selection import Selection
@@ -98,7 +99,7 @@ def check_target(target: Target, inputs: Sequence[Path]) -> None:
             f"{target.path}: {target.path.suffix or 'no suffix'} names no kind of recording; "
             f"there are {', '.join(_KINDS)}, and --rosbag2"
         )
-    if target.path.suffix.lower() != ".mcap" and (target.split_bytes or target.split_ns):
+    if not target.rosbag2 and target.path.suffix.lower() != ".mcap" and (target.split_bytes or target.split_ns):
         raise ConfigError(
             f"{target.path}: only MCAP recordings are split; name it .mcap, or leave --split-* out"
         )
@@ -115,14 +116,12 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
     """
     path, info = target.path, source.info
     suffix = path.suffix.lower()
-    if target.rosbag2:
+    if target.rosbag2 or suffix == ".mcap":
+        from edoras_tools.sinks.mcap import McapSink
         from edoras_tools.sinks.rosbag2 import Rosbag2Sink
 
-        return Rosbag2Sink(path, bench.mission, bench.types, info, filter=chosen)
-    if suffix == ".mcap":
-        from edoras_tools.sinks.mcap import McapSink
-
-        return McapSink(
+        kind = Rosbag2Sink if target.rosbag2 else McapSink
+        return kind(
             path,
             bench.mission,
             bench.types,
@@ -130,6 +129,7 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
             filter=chosen,
             split_bytes=target.split_bytes,
             split_ns=target.split_ns,
+            statistics=source.statistics,
         )
     if suffix == ".pcapng":
         from edoras_tools.sinks.pcapng import PcapngSink

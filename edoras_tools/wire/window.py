@@ -39,7 +39,9 @@ def gather(data: NDArray[np.uint8], offset: NDArray[np.int64], width: int) -> ND
 
 def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     """Yield each distinct value with the indices that hold it, so that rows of one length go together."""
-    order = np.argsort(values, kind="stable")
+    # 16 bits sort by radix, several times as fast.
+    narrow = values.dtype.itemsize <= 2 or not len(values) or (values.min() >= 0 and values.max() <= 0xFFFF)
+    order = np.argsort(values.astype(np.uint16) if narrow else values, kind="stable")
     ends = np.flatnonzero(np.diff(values[order])) + 1
     for rows in np.split(order, ends) if len(order) else ():
         yield int(values[rows[0]]), rows
