@@ -16,7 +16,8 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, Finding, Link, Pack
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.envelope import DEFAULT, FORMATS, EnvelopeFormat
 from edoras_tools.wire.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, CI_BUFFER, SOFTWARE_BUS_MAXIMUM
-from edoras_tools.wire.window import any_nonzero, by_value, gather, xor_bytes
+from edoras_tools.wire.order import by_value
+from edoras_tools.wire.window import any_nonzero, gather, xor_bytes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -107,7 +107,7 @@ class CommandTable:
                     self._lengths[choice, app, code] = length
 
     def judge(
-        self, msg_id: NDArray[np.int32], code: NDArray[np.uint8], length: NDArray[np.int32]
+        self, msg_id: NDArray[np.int32], code: NDArray[np.int16], length: NDArray[np.int32]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Tell which commands have a function code that their app refuses, and which have a wrong length."""
         app = self._app[msg_id]

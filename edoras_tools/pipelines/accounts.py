@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.model import NO_MSG_ID, Finding, Link
-from edoras_tools.sinks.mcap_clock import sender_order
 from edoras_tools.wire.names import message_name
+from edoras_tools.wire.order import order_by
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -92,7 +92,7 @@ class Ledger:
             self.findings[finding.label] = self.findings.get(finding.label, 0) + there
         kind = columns.link.astype(np.uint16) << 9 | (columns.sbn_msg_type + 1).astype(np.uint16)
         msg_id = (columns.msg_id + 1).astype(np.uint32)
-        order = sender_order(msg_id, kind, columns.processor_id)
+        order = order_by(msg_id, kind, columns.processor_id)
         keys = np.stack((columns.processor_id[order], kind[order], msg_id[order]))
         starts = np.append(0, np.flatnonzero((keys[:, 1:] != keys[:, :-1]).any(axis=0)) + 1)
         accounts = [self._account(columns, row) for row in order[starts].tolist()]

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.pipelines.ahead import read_ahead
 from edoras_tools.pipelines.accounts import Ledger
-from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.interrupt import interruptible
 from edoras_tools.pipelines.selection import Selection
 
 if TYPE_CHECKING:
@@ -99,7 +98,8 @@ def check_target(target: Target, inputs: Sequence[Path]) -> None:
             f"{target.path}: {target.path.suffix or 'no suffix'} names no kind of recording; "
             f"there are {', '.join(_KINDS)}, and --rosbag2"
         )
-    if not target.rosbag2 and target.path.suffix.lower() != ".mcap" and (target.split_bytes or target.split_ns):
+    splits = target.split_bytes or target.split_ns
+    if splits and not target.rosbag2 and target.path.suffix.lower() != ".mcap":
         raise ConfigError(
             f"{target.path}: only MCAP recordings are split; name it .mcap, or leave --split-* out"
         )
@@ -171,12 +171,13 @@ def record(
     """
     selection = selection or Selection()
     report = Report(Ledger(bench.mission), source)
-    sink = open_sink(target, source, bench, chosen=str(selection))
-    stop = getattr(source, "stop", None)
     began = flushed = clock()
+    sink = None
     try:
-        with on_interrupt(stop or (lambda: None)) as asked:
-            for batch in source.batches():
+        selection.check(bench.mission)
+        sink = open_sink(target, source, bench, chosen=str(selection))
+        with interruptible(source) as (batches, asked):
+            for batch in batches:
                 if len(batch):
                     columns = bench.columns.decode(batch)
                     chosen, columns = selection.apply(batch, columns, bench.mission)
@@ -194,12 +195,13 @@ def record(
                 if watcher is not None:
                     watcher.update(report)
                 full = bool(count) and report.ledger.datagrams >= count
-                if full or (duration_ns and now - began >= duration_ns) or (asked.is_set() and stop is None):
+                if full or (duration_ns and now - began >= duration_ns):
                     break
             report.interrupted = asked.is_set()
     except CaptureError as error:
         report.failure = error
     finally:
         source.close()
-        sink.close(source.statistics)
+        if sink is not None:
+            sink.close(source.statistics)
     return report

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.model import Link
-from edoras_tools.sinks.mcap_rows import ENCAPSULATION, RECORD, Messages, copy_rows, fill_record
+from edoras_tools.sinks.mcap_rows import ENCAPSULATION, RECORD, Messages, fill_record
+from edoras_tools.wire.window import copy_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 
 from edoras_tools.sinks.mcap_file import FinishedChunk
-from edoras_tools.sinks.mcap_rows import Messages, copy_rows, put_rows
+from edoras_tools.wire.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.sinks.mcap_file import McapFile
+    from edoras_tools.sinks.mcap_rows import Messages
 
 CHUNK_BYTES = 4 << 20
 """Uncompressed bytes of a full chunk; more only where one message is larger."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.model import Link
+from edoras_tools.wire.order import order_by
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class MissionClock:
         link = np.concatenate((self._link, self._link, columns.link[rows]))
         processor = np.concatenate((self._processor, self._processor, columns.processor_id[rows]))
         offset = np.concatenate((self._least, self._last, time_ns[rows] - mission))
-        order = sender_order(link, processor)
+        order = order_by(link, processor)
         least = np.empty_like(offset)
         least[order], ends = _running_least(link[order], processor[order], offset[order], order < 2 * known)
         published[rows] = mission + least[2 * known :]
@@ -66,21 +67,6 @@ class MissionClock:
         """Return the offset of each sender in ns, named ``LINK/PROCESSOR`` as ``to/0``."""
         senders = zip(self._link.tolist(), self._processor.tolist(), self._least.tolist(), strict=True)
         return {f"{Link(link).label}/{processor}": least for link, processor, least in senders}
-
-
-def sender_order(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Return the stable order that puts equal keys side by side; keys are u8, u16 or u32, radix sorted."""
-    digits: list[NDArray[np.uint16]] = []
-    for key in keys:
-        least, most = (int(key.min()), int(key.max())) if len(key) else (0, 0)
-        if least != most:
-            moved = key - key.dtype.type(least)
-            digits.append(moved.astype(np.uint16))
-            if most - least > 0xFFFF:
-                digits.append((moved >> 16).astype(np.uint16))
-    if not digits:
-        return np.arange(len(keys[0]))
-    return np.lexsort(digits)
 
 
 def _running_least(

@@ -1,8 +1,4 @@
-"""Many rows of bytes moved at once: the only way bytes get into a chunk.
-
-A numpy ``V{n}`` view with a stride of one byte has an element at *every* offset of a buffer, so one indexed
-assignment moves n bytes for each of many rows, a memcpy a row and no Python.
-"""
+"""Messages of one kind in columns, and their record headers: what a chunk is laid out from."""
 
 from __future__ import annotations
 
@@ -31,10 +27,6 @@ PREFIX_BYTES = 9
 OPCODE_MESSAGE = 0x05
 ENCAPSULATION = 0x00000100
 """The CDR encapsulation ``00 01 00 00`` (little-endian CDR, no options) as a little-endian u32."""
-_LARGE = 17
-"""The group of rows of 64 KiB and more: few, and worth a step of Python each."""
-_GROUPS = np.frexp(np.arange((1 << 16) + 1.0))[1].astype(np.uint8)
-"""The group of a length up to 64 KiB: the number of its bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,41 +80,3 @@ def fill_record(
     heads["sequence"] = sequence
     heads["log_time"] = log_time
     heads["publish_time"] = publish_time
-
-
-def put_rows(target: NDArray[np.uint8], positions: NDArray[np.int64], rows: NDArray[Any]) -> None:
-    """Write every element of the structured array ``rows`` at its byte position in ``target``."""
-    width = rows.itemsize
-    _at_every_byte(target, width)[positions] = np.ascontiguousarray(rows).view(f"V{width}")
-
-
-def copy_rows(
-    target: NDArray[np.uint8],
-    positions: NDArray[np.int64],
-    source: NDArray[np.uint8],
-    offsets: NDArray[np.int64],
-    lengths: NDArray[np.integer[Any]],
-) -> None:
-    """Copy ``lengths[i]`` bytes from ``source[offsets[i]]`` to ``target[positions[i]]``, for every i.
-
-    Rows go in groups whose lengths share their highest bit: the first ``width`` bytes of a row and its last
-    ``width`` cover it, whatever its length, so the number of moves does not grow with that of lengths.
-    """
-    groups = _GROUPS[np.minimum(lengths, len(_GROUPS) - 1)]
-    for group in np.flatnonzero(np.bincount(groups)).tolist():
-        rows = np.flatnonzero(groups == group)
-        to, start, length = positions[rows], offsets[rows], lengths[rows]
-        if group == _LARGE:
-            for here, there, size in zip(to.tolist(), start.tolist(), length.tolist(), strict=True):
-                target[here : here + size] = source[there : there + size]
-        elif group:
-            width = 1 << (group - 1)
-            writable, readable = _at_every_byte(target, width), _at_every_byte(source, width)
-            writable[to] = readable[start]
-            rest = length - width
-            if rest.any():
-                writable[to + rest] = readable[start + rest]
-
-
-def _at_every_byte(buffer: NDArray[np.uint8], width: int) -> NDArray[Any]:
-    return np.ndarray((max(len(buffer) - width + 1, 0),), dtype=f"V{width}", buffer=buffer, strides=(1,))

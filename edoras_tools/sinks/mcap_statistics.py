@@ -8,9 +8,9 @@ import numpy as np
 
 from edoras_tools.model import Finding, Link
 from edoras_tools.sinks.mcap_cfe import stamp
-from edoras_tools.sinks.mcap_clock import sender_order
 from edoras_tools.sinks.mcap_gaps import SequenceGaps
 from edoras_tools.sinks.mcap_rows import ENCAPSULATION, RECORD, Messages, fill_record
+from edoras_tools.wire.order import order_by
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -102,7 +102,7 @@ class LinkStatistics:
 
     def _count(self, batch: PacketBatch, columns: Columns, second: NDArray[np.int64]) -> NDArray[np.void]:
         msg_id = (columns.msg_id + 1).astype(np.uint32)
-        order = sender_order(columns.processor_id, columns.link, msg_id)
+        order = order_by(columns.processor_id, columns.link, msg_id)
         flow = (columns.link.astype(np.uint32) << _MSG_ID_BITS) | msg_id
         flow, second, length = flow[order], second[order], batch.length[order]
         starts = np.append(0, np.flatnonzero((flow[1:] != flow[:-1]) | (second[1:] != second[:-1])) + 1)

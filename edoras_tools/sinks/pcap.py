@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, cast
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.wire.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -132,8 +133,8 @@ class PcapSink:
         sizes = batch.frame_length.astype(np.int64) + _HEADER_BYTES
         starts = np.cumsum(sizes) - sizes
         out = np.empty(int(sizes.sum()), dtype=np.uint8)
-        scatter(out, starts, headers.view(np.uint8))
-        copy(batch.data, batch.frame_offset, batch.frame_length, out, starts + _HEADER_BYTES)
+        put_rows(out, starts, headers.view(f"V{_HEADER_BYTES}")[:, 0])
+        copy_rows(out, starts + _HEADER_BYTES, batch.data, batch.frame_offset, batch.frame_length)
         self._file.write(out)
 
     def flush(self) -> None:
@@ -157,44 +158,3 @@ class PcapSink:
     def _begin(self, link_type: int) -> None:
         self._link_type = link_type
         self._file.write(struct.pack("<IHHiIII", self._magic, 2, 4, 0, 0, self._snap_length, link_type))
-
-
-def scatter(out: NDArray[np.uint8], starts: NDArray[np.int64], rows: NDArray[np.uint8]) -> None:
-    """Write rows of equal length to many places of a buffer.
-
-    Args:
-        out: u8, contiguous.
-        starts: i64, (n,), where each row goes; at least the row's length inside ``out``.
-        rows: u8, (n, length).
-    """
-    width = rows.shape[1]
-    if len(rows) and width:
-        windows = np.ndarray((out.size - width + 1,), dtype=f"V{width}", buffer=out.data, strides=(1,))
-        windows[starts] = cast("NDArray[np.void]", rows.view(f"V{width}")[:, 0])
-
-
-def copy(
-    data: NDArray[np.uint8],
-    offset: NDArray[np.int64],
-    length: NDArray[np.int32],
-    out: NDArray[np.uint8],
-    starts: NDArray[np.int64],
-) -> None:
-    """Copy many stretches of one buffer into another, all of one length at a time.
-
-    Args:
-        data: u8, contiguous, to copy from.
-        offset: i64, (n,), where each stretch starts in ``data``.
-        length: i32, (n,), its bytes.
-        out: u8, contiguous, to copy to.
-        starts: i64, (n,), where each stretch goes in ``out``.
-    """
-    if not len(length):
-        return
-    order = np.argsort(length, kind="stable")
-    widths, firsts = np.unique(length[order], return_index=True)
-    for width, rows in zip(widths.tolist(), np.split(order, firsts[1:]), strict=True):
-        if width:
-            view = np.ndarray((data.size - width + 1,), dtype=f"V{width}", buffer=data.data, strides=(1,))
-            into = np.ndarray((out.size - width + 1,), dtype=f"V{width}", buffer=out.data, strides=(1,))
-            into[starts[rows]] = view[offset[rows]]

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.sinks.pcap import CaptureFile, copy, scatter
+from edoras_tools.sinks.pcap import CaptureFile
+from edoras_tools.wire.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -74,16 +75,17 @@ class PcapngSink:
         head[:, 5] = batch.frame_length
         head[:, 6] = batch.original_length.view(np.uint32)
         out = np.empty(int(sizes.sum()), dtype=np.uint8)
-        scatter(out, starts, head.view(np.uint8))
+        head_rows = head.view(f"V{_HEAD_BYTES}")[:, 0]
+        put_rows(out, starts, head_rows)
         # The last word of the frame first as zeros, so that padding needs no step of its own.
         tail = np.zeros((len(batch), 2), dtype="<u4")
         tail[:, 1] = sizes
-        scatter(out, starts + sizes - 8, tail.view(np.uint8))
-        copy(batch.data, batch.frame_offset, batch.frame_length, out, starts + _HEAD_BYTES)
+        put_rows(out, starts + sizes - 8, tail.view("V8")[:, 0])
+        copy_rows(out, starts + _HEAD_BYTES, batch.data, batch.frame_offset, batch.frame_length)
         # An empty frame has no last word of its own.
         empty = batch.frame_length == 0
         if empty.any():
-            scatter(out, starts[empty], head[empty].view(np.uint8))
+            put_rows(out, starts[empty], head_rows[empty])
         self._file.write(out)
 
     def flush(self) -> None:

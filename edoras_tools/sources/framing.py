@@ -11,14 +11,14 @@ record to record, whatever the payloads hold; a bad seed costs time, never truth
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import DTypeLike, NDArray
+    from numpy.typing import NDArray
 
 PADDING = 64
 """Bytes that must be readable behind the last byte in use, so that header windows never leave a buffer."""
@@ -26,23 +26,6 @@ _LANES = 16
 """With fewer stretches under way than this, a step of all of them costs more than steps one by one."""
 _BLOCK = 16
 """Steps between two looks at which stretches have arrived."""
-
-
-def gather(data: NDArray[np.uint8], positions: NDArray[np.integer[Any]], dtype: DTypeLike) -> NDArray[Any]:
-    """Read one value at each of many byte positions, aligned or not.
-
-    Args:
-        data: u8, contiguous.
-        positions: byte positions; each value must lie inside ``data``.
-        dtype: what to read, with its byte order; a structured type reads a whole header.
-
-    Returns:
-        A fresh array of ``dtype``, one element a position.
-    """
-    width = np.dtype(dtype).itemsize
-    view = np.ndarray((max(data.size - width + 1, 0),), dtype=f"V{width}", buffer=data, strides=(1,))
-    values: NDArray[Any] = view[positions].view(dtype)
-    return values
 
 
 def walk(

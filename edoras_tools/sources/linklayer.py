@@ -21,8 +21,9 @@ import numpy as np
 
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.sources.fragments import Fragment, Reassembler
-from edoras_tools.sources.framing import PADDING, gather
+from edoras_tools.sources.framing import PADDING
 from edoras_tools.sources.network import UDP_BYTES, UDP_HEADER, Transport, ipv4, ipv6, merge
+from edoras_tools.wire.window import read_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -130,15 +131,15 @@ class Demux:
     ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
         if link_type in _PROTOCOL_FIELD:
             size, at = _PROTOCOL_FIELD[link_type]
-            return _untag(data, offset + size, gather(data, offset + at, ">u2").astype(np.uint16), end)
+            return _untag(data, offset + size, read_at(data, offset + at, ">u2").astype(np.uint16), end)
         version = np.zeros(len(offset), dtype=np.uint8)
         if link_type in _RAW:
-            version[:] = gather(data, offset, np.uint8) >> 4
+            version[:] = read_at(data, offset, np.uint8) >> 4
             return offset, version
         if link_type not in _FAMILY_FIELD:
             self.unknown_link_types.add(link_type)
             return offset, version
-        family = gather(data, offset, "<u4")
+        family = read_at(data, offset, "<u4")
         for value, number in _FAMILY_VERSION.items():
             version[(family == value) | (family == value << 24)] = number
         return offset + 4, version
@@ -148,7 +149,7 @@ class Demux:
         frame_end = frames.offset + frames.length
         start = np.minimum(transport.position, frame_end)
         have = np.minimum(transport.end, frame_end) - start
-        udp = gather(data, start, UDP_HEADER) if transport.udp is None else transport.udp
+        udp = read_at(data, start, UDP_HEADER) if transport.udp is None else transport.udp
         announced = transport.end - transport.position
         length = udp["length"].astype(np.int64)
         believed = (length >= UDP_BYTES) & (length <= announced)
@@ -220,7 +221,7 @@ def _untag(
     """Step over VLAN tags (IEEE 802.1Q, nested too) and tell the IP version from the EtherType."""
     rows = np.flatnonzero(np.isin(protocol, _VLAN))
     while len(rows := rows[position[rows] + 4 <= end[rows]]):
-        protocol[rows] = gather(data, position[rows] + 2, ">u2")
+        protocol[rows] = read_at(data, position[rows] + 2, ">u2")
         position[rows] += 4
         rows = rows[np.isin(protocol[rows], _VLAN)]
     version = (protocol == _IPV4) * np.uint8(4) + (protocol == _IPV6) * np.uint8(6)

@@ -22,8 +22,9 @@ from mcap.writer import MCAP0_MAGIC
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import SourceInfo, SourceStatistics
-from edoras_tools.sources.framing import PADDING, gather
+from edoras_tools.sources.framing import PADDING
 from edoras_tools.sources.linklayer import Demux, FrameBatch
+from edoras_tools.wire.window import read_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -172,7 +173,7 @@ class McapSource:
             return
         if int(offsets.min()) < 0 or int(offsets.max()) + _DATAGRAM.itemsize > size:
             raise damaged
-        heads = gather(data, offsets, _DATAGRAM)
+        heads = read_at(data, offsets, _DATAGRAM)
         room = heads["record_length"].astype(np.int64) + (_PREFIX.size - _DATAGRAM.itemsize)
         length = heads["frame_length"].astype(np.int64)
         start = offsets + _DATAGRAM.itemsize

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.sources.framing import gather
+from edoras_tools.wire.window import read_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -96,7 +96,7 @@ def ipv4(data: NDArray[np.uint8], network: NDArray[np.int64], end: NDArray[np.in
         network: i64, where each header starts; 28 bytes from there lie in the buffer.
         end: i64, one past each frame's last captured byte.
     """
-    header = gather(data, network, _IPV4)
+    header = read_at(data, network, _IPV4)
     # Version 4 and 5 to 15 words: 0 to 10.
     words = header["version_length"] - np.uint8(0x45)
     length: NDArray[np.int64] = (words.astype(np.int64) << 2) + 20
@@ -135,7 +135,7 @@ def ipv6(data: NDArray[np.uint8], network: NDArray[np.int64], end: NDArray[np.in
         network: i64, where each header starts; 40 bytes from there lie in the buffer.
         end: i64, one past each frame's last captured byte.
     """
-    header = gather(data, network, _IPV6)
+    header = read_at(data, network, _IPV6)
     position = network + 40
     length = header["payload_length"].astype(np.int64)
     # A length of 0 is a jumbogram or segmentation offload: the rest of the frame.
@@ -147,7 +147,7 @@ def ipv6(data: NDArray[np.uint8], network: NDArray[np.int64], end: NDArray[np.in
     reach = np.minimum(stop, end)
     rows = np.flatnonzero(np.isin(following, _EXTENSIONS))
     while len(rows := rows[position[rows] + 8 <= reach[rows]]):
-        extension = gather(data, position[rows], _EXTENSION)
+        extension = read_at(data, position[rows], _EXTENSION)
         kind = following[rows]
         units = extension["length"].astype(np.int64)
         size = np.where(kind == _AUTHENTICATION_HEADER, (units + 2) << 2, (units + 1) << 3)

@@ -9,9 +9,10 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import SourceInfo
-from edoras_tools.sources.framing import gather, walk
+from edoras_tools.sources.framing import walk
 from edoras_tools.sources.linklayer import FrameBatch
 from edoras_tools.sources.records import LARGEST_FRAME, RecordSource
+from edoras_tools.wire.window import read_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -84,7 +85,7 @@ class PcapSource(RecordSource):
             return position + RECORD_HEADER_BYTES + int(unpack(data.data, position + 8)[0])
 
         positions, stop = walk(start, end, self._seeds(data, start, end), successor, step)
-        headers = gather(data, positions, np.dtype((dtype, 4)))
+        headers = read_at(data, positions, np.dtype((dtype, 4)))
         captured = headers[:, 2].astype(np.int64)
         absurd = captured > self._limit
         if absurd.any():
@@ -146,7 +147,7 @@ class PcapSource(RecordSource):
         self, data: NDArray[np.uint8], positions: NDArray[np.int64], end: int
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
         """Tell which positions hold a plausible record header, and where the next record would be."""
-        header = gather(data, positions, np.dtype((f"{self._order}u4", 4)))
+        header = read_at(data, positions, np.dtype((f"{self._order}u4", 4)))
         captured = header[:, 2].astype(np.int64)
         sound = (header[:, 1] < 1_000_000_000 // self._unit_ns) & (captured > 0) & (captured <= LARGEST_FRAME)
         after = positions + RECORD_HEADER_BYTES + captured

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from edoras_tools.model import SourceInfo
-from edoras_tools.sources.framing import gather, walk
+from edoras_tools.sources.framing import walk
 from edoras_tools.sources.linklayer import FrameBatch
 from edoras_tools.sources.records import LARGEST_FRAME, RecordSource
 from edoras_tools.sources.timescale import TimeScale
+from edoras_tools.wire.window import read_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -188,7 +189,7 @@ class PcapngSource(RecordSource):
             return position + (int(unpack(data.data, position + 4)[0]) & _MULTIPLE_OF_4)
 
         positions, stop = walk(start, end, self._seeds(start, end, dtype), successor, step)
-        blocks = _Blocks(positions, gather(data, positions, np.dtype((dtype, 7))))
+        blocks = _Blocks(positions, read_at(data, positions, np.dtype((dtype, 7))))
         sections = np.flatnonzero(blocks.type[1:] == SECTION_HEADER)
         if len(sections):
             first = int(sections[0]) + 1
@@ -205,10 +206,10 @@ class PcapngSource(RecordSource):
         sight = np.ndarray((count, _SIGHT // 4), dtype=dtype, buffer=data, offset=base, strides=(_STRIDE, 4))
         lane, place = np.divmod(np.flatnonzero(sight == ENHANCED_PACKET), _SIGHT // 4)
         positions: NDArray[np.int64] = base + lane * _STRIDE + place * 4
-        length = gather(data, positions + 4, dtype).astype(np.int64)
+        length = read_at(data, positions + 4, dtype).astype(np.int64)
         sound = (length >= _LEAST_BYTES[ENHANCED_PACKET]) & (length & 3 == 0) & (positions + length <= end)
         positions, lane, length = positions[sound], lane[sound], length[sound]
-        sound = gather(data, positions + length - 4, dtype) == length
+        sound = read_at(data, positions + length - 4, dtype) == length
         positions, lane = positions[sound], lane[sound]
         return positions[np.flatnonzero(np.diff(lane, prepend=-1))]
 
@@ -217,7 +218,7 @@ class PcapngSource(RecordSource):
         kind, length = blocks.type, blocks.length
         sound: NDArray[np.bool_] = (length >= 12) & (length & 3 == 0)
         tail = np.where(sound, blocks.position + length - 4, blocks.position + 4)
-        sound &= gather(self._window.data, tail, f"{self._order}u4") == blocks.words[:, 1]
+        sound &= read_at(self._window.data, tail, f"{self._order}u4") == blocks.words[:, 1]
         for of_kind, least in _LEAST_BYTES.items():
             alike = kind == of_kind
             if alike.any():

@@ -1,21 +1,53 @@
-"""Fixed-width windows of a byte buffer, gathered for many offsets at once."""
+"""Many short stretches of a byte buffer read, copied and folded at once.
+
+A numpy ``V{n}`` view with a stride of one byte has an element at *every* offset of a buffer, so one indexed
+operation moves n bytes for each of many rows: a memcpy a row, and no Python.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from edoras_tools.wire.order import by_value
 
-    from numpy.typing import NDArray
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike, NDArray
+
+_LARGE: Final = 17
+"""The group of rows of 64 KiB and more: few, and worth a step of Python each."""
+_GROUPS: Final = np.frexp(np.arange((1 << 16) + 1.0))[1].astype(np.uint8)
+"""The group of a length up to 64 KiB: the number of its bits."""
+
+
+def at_every_byte(buffer: NDArray[np.uint8], width: int) -> NDArray[np.void]:
+    """Return a view with an element of ``width`` bytes at every offset where one fits.
+
+    Args:
+        buffer: u8, contiguous.
+        width: at least 1.
+    """
+    return np.ndarray((max(len(buffer) - width + 1, 0),), f"V{width}", buffer, 0, (1,))
+
+
+def read_at(data: NDArray[np.uint8], positions: NDArray[np.integer[Any]], dtype: DTypeLike) -> NDArray[Any]:
+    """Read one value at each of many byte positions, aligned or not.
+
+    Args:
+        data: u8, contiguous.
+        positions: byte positions; each value must lie inside ``data``.
+        dtype: what to read, with its byte order; a structured type reads a whole header.
+
+    Returns:
+        A fresh array of ``dtype``, one element a position.
+    """
+    values: NDArray[Any] = at_every_byte(data, np.dtype(dtype).itemsize)[positions].view(dtype)
+    return values
 
 
 def gather(data: NDArray[np.uint8], offset: NDArray[np.int64], width: int) -> NDArray[np.uint8]:
     """Copy ``width`` bytes at each offset into the rows of a matrix; bytes past the buffer's end are 0.
-
-    A window is one element of an overlapping view, so that numpy copies each row whole, not byte by byte.
 
     Args:
         data: u8, contiguous.
@@ -28,8 +60,7 @@ def gather(data: NDArray[np.uint8], offset: NDArray[np.int64], width: int) -> ND
     last = len(data) - width
     if last < 0:
         data, last = np.concatenate([data, np.zeros(-last, np.uint8)]), 0
-    view: NDArray[np.void] = np.ndarray((last + 1,), f"V{width}", buffer=data, strides=(1,))
-    rows = view[np.minimum(offset, last)].view(np.uint8).reshape(len(offset), width)
+    rows = at_every_byte(data, width)[np.minimum(offset, last)].view(np.uint8).reshape(len(offset), width)
     late = np.flatnonzero(offset > last)
     if len(late):
         tail = np.concatenate([data[last:], np.zeros(width, np.uint8)])
@@ -37,14 +68,38 @@ def gather(data: NDArray[np.uint8], offset: NDArray[np.int64], width: int) -> ND
     return rows
 
 
-def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Yield each distinct value with the indices that hold it, so that rows of one length go together."""
-    # 16 bits sort by radix, several times as fast.
-    narrow = values.dtype.itemsize <= 2 or not len(values) or (values.min() >= 0 and values.max() <= 0xFFFF)
-    order = np.argsort(values.astype(np.uint16) if narrow else values, kind="stable")
-    ends = np.flatnonzero(np.diff(values[order])) + 1
-    for rows in np.split(order, ends) if len(order) else ():
-        yield int(values[rows[0]]), rows
+def put_rows(target: NDArray[np.uint8], positions: NDArray[np.int64], rows: NDArray[Any]) -> None:
+    """Write every element of the structured array ``rows`` at its byte position in ``target``."""
+    width = rows.itemsize
+    at_every_byte(target, width)[positions] = np.ascontiguousarray(rows).view(f"V{width}")
+
+
+def copy_rows(
+    target: NDArray[np.uint8],
+    positions: NDArray[np.int64],
+    source: NDArray[np.uint8],
+    offsets: NDArray[np.int64],
+    lengths: NDArray[np.integer[Any]],
+) -> None:
+    """Copy ``lengths[i]`` bytes from ``source[offsets[i]]`` to ``target[positions[i]]``, for every i.
+
+    Rows go in groups whose lengths share their highest bit: the first ``width`` bytes of a row and its last
+    ``width`` cover it, whatever its length, so the number of moves does not grow with that of lengths.
+    """
+    groups = _GROUPS[np.minimum(lengths, len(_GROUPS) - 1)]
+    for group in np.flatnonzero(np.bincount(groups)).tolist():
+        rows = np.flatnonzero(groups == group)
+        to, start, length = positions[rows], offsets[rows], lengths[rows]
+        if group == _LARGE:
+            for here, there, size in zip(to.tolist(), start.tolist(), length.tolist(), strict=True):
+                target[here : here + size] = source[there : there + size]
+        elif group:
+            width = 1 << (group - 1)
+            writable, readable = at_every_byte(target, width), at_every_byte(source, width)
+            writable[to] = readable[start]
+            rest = length - width
+            if rest.any():
+                writable[to + rest] = readable[start + rest]
 
 
 def xor_bytes(

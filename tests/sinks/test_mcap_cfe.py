@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from edoras_tools.model import Columns, Link, PacketBatch
 from edoras_tools.sinks.mcap_cfe import event_messages, software_bus_messages
-from edoras_tools.sinks.mcap_rows import RECORD_BYTES, copy_rows
+from edoras_tools.sinks.mcap_rows import RECORD_BYTES
+from edoras_tools.wire.window import copy_rows
 
 NOW = 1_795_000_000_250_000_000
 

@@ -3,11 +3,10 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.sinks.mcap_clock import MissionClock, sender_order
+from edoras_tools.sinks.mcap_clock import MissionClock
 
 SECOND = 1_000_000_000
 NOW = 1_795_000_000 * SECOND
@@ -74,16 +73,3 @@ def test_no_packet_is_published_after_it_was_captured():
     packets = [(2, 0, time, time - NOW + random.integers(0, SECOND)) for time in captured.tolist()]
     times, columns = rows(*packets)
     assert (MissionClock().publish_times(times, columns) <= times).all()
-
-
-@pytest.mark.parametrize("values", [[3, 1, 3, 2, 1], [70_000, 1, 70_000, 65_536 + 1, 1], [], [5]])
-def test_sender_order_puts_equal_keys_side_by_side_in_their_order(values):
-    key = np.array(values, dtype=np.uint32)
-    order = sender_order(key)
-    assert sorted(order.tolist()) == list(range(len(values)))
-    ordered = key[order].tolist()
-    assert [ordered.index(value) for value in ordered] == sorted(ordered.index(value) for value in ordered)
-    assert len(set(values)) == sum(a != b for a, b in zip(ordered, [None, *ordered], strict=False))
-    for value in set(values):
-        places = order[key[order] == value].tolist()
-        assert places == sorted(places)

@@ -14,7 +14,7 @@ from scapy.utils import RawPcapReader
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import PacketBatch, SourceStatistics
-from edoras_tools.sinks.pcap import PcapSink, copy, scatter
+from edoras_tools.sinks.pcap import PcapSink
 from edoras_tools.sources import open_file
 
 CAPTURES = Path(__file__).parents[2] / "samples/captures"
@@ -155,21 +155,3 @@ def test_columns_of_any_stride_are_written(tmp_path):
     sink.close()
     with RawPcapReader(str(tmp_path / "a.pcap")) as reader:
         assert [frame for frame, _ in reader] == [b"dd", b"bb", b"a", b"bb", b"ccc", b"dd"]
-
-
-@given(st.lists(st.binary(max_size=9), max_size=30))
-def test_copy_is_joining(parts):
-    data = np.frombuffer(b"".join(parts), dtype=np.uint8)
-    lengths = np.array([len(part) for part in parts], dtype=np.int32)
-    offsets = np.cumsum(lengths, dtype=np.int64) - lengths
-    order = np.arange(len(parts))[::-1]
-    out = np.full(data.size + 2, 0xA5, dtype=np.uint8)
-    starts = np.cumsum(lengths[order], dtype=np.int64) - lengths[order]
-    copy(data, offsets[order], lengths[order], out, starts + 1)
-    assert out.tobytes() == b"\xa5" + b"".join(reversed(parts)) + b"\xa5"
-
-
-def test_scatter():
-    out = np.zeros(8, dtype=np.uint8)
-    scatter(out, np.array([5, 0]), np.array([[1, 2, 3], [4, 5, 6]], dtype=np.uint8))
-    assert out.tolist() == [4, 5, 6, 0, 0, 1, 2, 3]

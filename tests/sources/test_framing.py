@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.sources import framing
-from edoras_tools.sources.framing import gather, walk
+from edoras_tools.sources.framing import walk
+from edoras_tools.wire.window import read_at
 
 HEADER = 2
 
@@ -18,7 +19,7 @@ def chain_of(raw):
     data = np.frombuffer(raw + bytes(64), dtype=np.uint8)
 
     def successor(positions):
-        return positions + gather(data, positions, "<u2")
+        return positions + read_at(data, positions, "<u2")
 
     def step(position):
         return position + struct.unpack_from("<H", data, position)[0]
@@ -90,11 +91,3 @@ def test_long_stretches_beside_short_ones():
 
 def test_nothing_there():
     assert walked(b"", 0, []) == ([], 0)
-
-
-def test_gather_reads_unaligned_structures_in_their_byte_order():
-    data = np.frombuffer(bytes(range(16)), dtype=np.uint8)
-    header = gather(data, np.array([1, 6]), np.dtype([("a", "u1"), ("b", ">u2"), ("c", "<u4")]))
-    assert header["a"].tolist() == [1, 6]
-    assert header["b"].tolist() == [0x0203, 0x0708]
-    assert header["c"].tolist() == [0x07060504, 0x0C0B0A09]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.sinks.mcap_rows import copy_rows, put_rows
+from edoras_tools.wire.window import copy_rows, put_rows, read_at
 
 LENGTHS = st.lists(
     st.one_of(st.integers(0, 40), st.integers(250, 260), st.sampled_from([1, 127, 128, 1024])), max_size=40
@@ -47,3 +47,11 @@ def test_structures_are_put_byte_by_byte():
     target = np.zeros(9, dtype=np.uint8)
     put_rows(target, np.array([5, 1]), rows)
     assert target.tolist() == [0, 3, 0, 4, 0, 1, 0, 2, 0]
+
+
+def test_read_at_reads_unaligned_structures_in_their_byte_order():
+    data = np.frombuffer(bytes(range(16)), dtype=np.uint8)
+    header = read_at(data, np.array([1, 6]), np.dtype([("a", "u1"), ("b", ">u2"), ("c", "<u4")]))
+    assert header["a"].tolist() == [1, 6]
+    assert header["b"].tolist() == [0x0203, 0x0708]
+    assert header["c"].tolist() == [0x07060504, 0x0C0B0A09]

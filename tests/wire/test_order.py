@@ -1,0 +1,27 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edoras_tools.wire.order import by_value, order_by
+
+
+@pytest.mark.parametrize("values", [[3, 1, 3, 2, 1], [70_000, 1, 70_000, 65_536 + 1, 1], [], [5]])
+def test_order_by_puts_equal_keys_side_by_side_in_their_order(values):
+    key = np.array(values, dtype=np.uint32)
+    order = order_by(key)
+    assert sorted(order.tolist()) == list(range(len(values)))
+    ordered = key[order].tolist()
+    assert [ordered.index(value) for value in ordered] == sorted(ordered.index(value) for value in ordered)
+    assert len(set(values)) == sum(a != b for a, b in zip(ordered, [None, *ordered], strict=False))
+    for value in set(values):
+        places = order[key[order] == value].tolist()
+        assert places == sorted(places)
+
+
+@given(st.lists(st.integers(-(2**31), 2**31 - 1)), st.sampled_from(["i4", "i8"]))
+def test_by_value_gives_every_row_once_under_its_value(values, dtype):
+    groups = list(by_value(np.array(values, dtype)))
+    assert [value for value, _ in groups] == sorted(set(values))
+    for value, rows in groups:
+        assert rows.tolist() == [index for index, item in enumerate(values) if item == value]
