@@ -68,6 +68,8 @@ def finish(report: Report, *, live: bool) -> None:
         sys.stderr.write(f"edoras: {warning}\n")
     if report.failure is not None:
         raise report.failure
-    if not live:
+    if report.interrupted and not live:
+        sys.stderr.write(f"edoras: interrupted after {report.ledger.datagrams:,} datagrams\n")
+    elif not live:
         no_datagrams(report.source)
     lost(report.source)

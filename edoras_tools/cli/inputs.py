@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from edoras_tools.errors import ConfigError
+from edoras_tools.errors import ConfigError, EdorasError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,7 +44,11 @@ def open_input(
         from edoras_tools.pipelines.workbench import open_files
 
         source = open_files(read)
-        return source, settings.workbench(source.info.attachments)
+        try:
+            return source, settings.workbench(source.info.attachments)
+        except EdorasError:
+            source.close()
+            raise
     bench = settings.workbench()
     if interface:
         from edoras_tools.sources.live import open_live

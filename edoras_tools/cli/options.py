@@ -81,7 +81,7 @@ def link_port(text: str) -> tuple[Link, int]:
     from edoras_tools.model import Link
 
     name, _, port = text.partition(":")
-    if name.lower() not in LINKS[:3] or not port.isdigit() or not 0 < int(port) < 65536:
+    if name.lower() not in LINKS[:3] or not port.isdecimal() or not 0 < int(port) < 65536:
         raise typer.BadParameter(f"{text!r} is no LINK:PORT; write ci:5010, to:5011 or sbn:5012")
     return Link[name.upper()], int(port)
 

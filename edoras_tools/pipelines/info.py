@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.errors import EdorasError
 from edoras_tools.pipelines.accounts import Ledger
+from edoras_tools.pipelines.interrupt import interruptible
 from edoras_tools.pipelines.record import Report
 
 if TYPE_CHECKING:
@@ -18,10 +19,12 @@ def inspect(source: Source, bench: Workbench, *, watcher: Watcher | None = None)
     """Read a source to its end and count; ``Report.failure`` says why it ended early, if it did."""
     report = Report(Ledger(bench.mission), source)
     try:
-        for batch in source.batches():
-            report.ledger.add(batch, bench.columns.decode(batch))
-            if watcher is not None:
-                watcher.update(report)
+        with interruptible(source) as (batches, asked):
+            for batch in batches:
+                report.ledger.add(batch, bench.columns.decode(batch))
+                if watcher is not None:
+                    watcher.update(report)
+            report.interrupted = asked.is_set()
     except EdorasError as error:
         report.failure = error
     finally:

@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import FrameType
 
+    from edoras_tools.model import PacketBatch
+    from edoras_tools.sources import Source
+
 
 @contextmanager
 def on_interrupt(stop: Callable[[], None]) -> Iterator[threading.Event]:
@@ -36,3 +39,39 @@ def on_interrupt(stop: Callable[[], None]) -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def interruptible(source: Source) -> Iterator[tuple[Iterator[PacketBatch], threading.Event]]:
+    """Let Ctrl-C end the batches of a source: a live one's after all that arrived, a file's or a pipe's now.
+
+    Yields:
+        the batches, and an event that is set once they were interrupted.
+    """
+    stop = getattr(source, "stop", None)
+    waiting = False
+
+    def interrupt() -> None:
+        # Only the wait for more may be cut short, never the work on what came.
+        if waiting:
+            raise KeyboardInterrupt
+
+    def batches() -> Iterator[PacketBatch]:
+        nonlocal waiting
+        given = source.batches()
+        while not asked.is_set():
+            waiting = True
+            try:
+                batch = next(given, None)
+            except KeyboardInterrupt:
+                if asked.is_set():
+                    return
+                raise
+            finally:
+                waiting = False
+            if batch is None:
+                return
+            yield batch
+
+    with on_interrupt(stop or interrupt) as asked:
+        yield source.batches() if stop else batches(), asked

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, EdorasError
 from edoras_tools.pipelines.accounts import Ledger
 from edoras_tools.pipelines.interrupt import interruptible
 from edoras_tools.pipelines.selection import Selection
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from edoras_tools.errors import EdorasError
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sinks import Sink
@@ -95,7 +94,7 @@ def check_target(target: Target, inputs: Sequence[Path]) -> None:
     """
     if not target.rosbag2 and target.path.suffix.lower() not in _KINDS:
         raise ConfigError(
-            f"{target.path}: {target.path.suffix or 'no suffix'} names no kind of recording; "
+            f"{target.path}: its suffix names no kind of recording; "
             f"there are {', '.join(_KINDS)}, and --rosbag2"
         )
     splits = target.split_bytes or target.split_ns
@@ -171,11 +170,14 @@ def record(
     """
     selection = selection or Selection()
     report = Report(Ledger(bench.mission), source)
-    began = flushed = clock()
-    sink = None
     try:
         selection.check(bench.mission)
         sink = open_sink(target, source, bench, chosen=str(selection))
+    except EdorasError:
+        source.close()
+        raise
+    began = flushed = clock()
+    try:
         with interruptible(source) as (batches, asked):
             for batch in batches:
                 if len(batch):
@@ -202,6 +204,5 @@ def record(
         report.failure = error
     finally:
         source.close()
-        if sink is not None:
-            sink.close(source.statistics)
+        sink.close(source.statistics)
     return report

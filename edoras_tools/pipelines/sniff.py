@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.interrupt import interruptible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -41,15 +41,15 @@ def sniff(
         RouteError: the selection names a topic that is not configured.
     """
     shown, began = 0, clock()
-    stop = getattr(source, "stop", None)
     try:
         selection.check(bench.mission)
-        with on_interrupt(stop or (lambda: None)) as asked:
-            for batch in source.batches():
+        with interruptible(source) as (batches, asked):
+            live = hasattr(source, "stop")
+            for batch in batches:
                 columns = bench.columns.decode(batch)
                 chosen = selection.apply(batch, columns, bench.mission)[0]
                 for row in range(len(chosen)):
-                    if asked.is_set() and stop is None:
+                    if asked.is_set() and not live:
                         return
                     yield bench.dissector.dissect(chosen[row])
                     shown += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -76,9 +77,11 @@ def open_files(paths: Sequence[Path]) -> Source:
     Raises:
         CaptureError: one cannot be opened.
     """
-    sources = [open_file(path) for path in paths]
-    if len(sources) == 1:
-        return sources[0]
+    if len(paths) == 1:
+        return open_file(paths[0])
     from edoras_tools.sources.merge import merge
 
+    with ExitStack() as opened:
+        sources = [opened.enter_context(closing(open_file(path))) for path in paths]
+        opened.pop_all()
     return merge(sources)

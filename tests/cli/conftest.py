@@ -66,13 +66,13 @@ def edoras():
 
 @pytest.fixture
 def call(monkeypatch, capsys):
-    """A function: run a command line here; gives ``code``, ``out``, ``err`` (lines), ``json()``, ``lines()``."""
+    """A function: run a command here; gives ``code``, ``out``, ``err`` (lines), ``json()``, ``lines()``."""
 
-    def run(*arguments, program=main.main):
+    def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["edoras", *map(str, arguments)])
         capsys.readouterr()
         with pytest.raises(SystemExit) as ending:
-            program()
+            main.run(main.app)
         out, err = capsys.readouterr()
         return SimpleNamespace(
             code=ending.value.code,

@@ -1,0 +1,263 @@
+"""Whatever is wrong, it ends in one clear line that says what and where, exit code 1 or 2, and no traceback."""
+
+import socket
+import struct
+
+import pytest
+
+BRIDGE = """\
+bridge:
+  ros__parameters:
+    communication: {bridge_port: 1235, fsw_port: 1234, fsw_ip: 127.0.0.1, telemetry_ip: 127.0.0.1}
+    command: [drive, stop]
+    telemetry: []
+"""
+MAPPING = "    {key}: {{type: {type}, topic: {topic}, mid: {mid}}}\n"
+
+
+def mission(*mappings):
+    keys = ("drive", "stop")
+    return BRIDGE + "".join(
+        MAPPING.format(key=key, type=kind, topic=topic, mid=mid)
+        for key, (kind, topic, mid) in zip(keys, mappings, strict=True)
+    )
+
+
+TWIST = "geometry_msgs/msg/Twist"
+FILES = {
+    "empty": b"",
+    "text": b"The quick brown fox\n",
+    "noise": bytes(range(128, 256)),
+    "no_udp.pcap": struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    + struct.pack("<IIII", 1, 2, 20, 20)
+    + bytes(12)
+    + b"\x08\x06"
+    + bytes(6),
+    "only_header.pcap": struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1),
+    "absurd.pcap": struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    + struct.pack("<IIII", 1, 2, 0xFFFFFFF0, 0xFFFFFFF0)
+    + bytes(100),
+    "absurd.pcapng": struct.pack("<IIIHHqI", 0x0A0D0D0A, 28, 0x1A2B3C4D, 1, 0, -1, 28)
+    + struct.pack("<II", 6, 0xFFFFFFF0)
+    + bytes(100),
+    "absurd.mcap": b"\x89MCAP0\r\n\x01" + struct.pack("<Q", 1 << 62) + bytes(100),
+    "corrupt.gz": b"\x1f\x8b\x08\x00" + bytes(range(200)),
+    "corrupt.zst": b"\x28\xb5\x2f\xfd" + bytes(range(200)),
+    "no_type.yaml": mission(("geometry_msgs/msg/Twst", "a", "0x1827"), (TWIST, "b", "0x1828")).encode(),
+    "one_mid.yaml": mission((TWIST, "a", "0x1827"), (TWIST, "b", "0x1827")).encode(),
+    "wide_mid.yaml": mission((TWIST, "a", "0x11827"), (TWIST, "b", "0x1828")).encode(),
+    "many.yaml": mission(("x/msg/Y", "a", "0x11827"), (TWIST, "b", "no")).encode(),
+    "broken.yaml": b"a: [1, 2\nb: }",
+}
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch, captures):
+    """A folder with everything that can be wrong in it, and a sound capture; commands run there."""
+    monkeypatch.chdir(tmp_path)
+    for name, content in FILES.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/x").write_text("x")
+    for suffix in ("mcap", "pcap", "pcapng"):
+        (tmp_path / f"full.{suffix}").symlink_to("/dev/full")
+    (tmp_path / "ok.pcap").symlink_to(captures("a_rover"))
+    return tmp_path
+
+
+READS = [
+    ("missing", 1, "missing: there is no such file"),
+    ("folder", 1, "folder: is a directory"),
+    ("ok.pcap/x", 1, "ok.pcap/x: cannot be opened: Not a directory"),
+    ("empty", 1, "empty: is empty"),
+    ("/dev/null", 1, "/dev/null: is empty"),
+    ("text", 1, "text: looks like text"),
+    ("noise", 1, "noise: is no capture (it starts with 80 81 82"),
+    ("only_header.pcap", 1, "only_header.pcap: no UDP datagram in it"),
+    ("no_udp.pcap", 1, "no_udp.pcap: no UDP datagram in it (1 frames of other kinds)"),
+    ("absurd.pcap", 1, "absurd.pcap: "),
+    ("absurd.pcapng", 1, "absurd.pcapng: "),
+    ("absurd.mcap", 1, "absurd.mcap: "),
+    ("corrupt.gz", 1, "corrupt.gz: the gzip data is corrupt"),
+    ("corrupt.zst", 1, "corrupt.zst: the zstd data is corrupt"),
+]
+
+
+@pytest.mark.parametrize(("name", "code", "words"), READS, ids=[case[0] for case in READS])
+@pytest.mark.parametrize(
+    "command", ["sniff -r", "sniff --json -r", "record -q -o out.mcap -r", "info", "info --json", "decode"]
+)
+def test_inputs(command, name, code, words, call, place):
+    after = ["1"] if command == "decode" else []
+    done = call(*command.split(), name, *after)
+    assert done.code == code
+    assert len(done.err) == 1
+    if command == "decode" and "no UDP datagram" in words:
+        words = f"{name}: packet 1 is"
+    assert words in done.err[0]
+    assert done.err[0].startswith("edoras: ")
+
+
+def test_one_bad_input_of_several_does_not_lose_the_others(call, place, recording):
+    (place / "cut.pcap").write_bytes((place / "ok.pcap").read_bytes()[:50_000])
+    done = call("record", "-q", "-r", "cut.pcap", "-r", "ok.pcap", "-o", "out.mcap")
+    assert (done.code, len(done.err)) == (1, 1)
+    assert "cut.pcap: ends inside record" in done.err[0]
+    before = int(done.err[0].rsplit("; ", 1)[1].split()[0])
+    assert recording("out.mcap").counts["/edoras/datagrams"] == before + 1827
+
+
+MISSIONS = [
+    (
+        "no_type.yaml",
+        ["no_type.yaml:6: drive.type: type 'geometry_msgs/msg/Twst'", "did you mean geometry_msgs/msg/Twist"],
+    ),
+    ("one_mid.yaml", ["one_mid.yaml:7: stop.mid:", "0x1827", "one_mid.yaml:6"]),
+    ("wide_mid.yaml", ["wide_mid.yaml:6: drive.mid: 0x11827 does not fit 16 bits"]),
+    ("broken.yaml", ["broken.yaml:2"]),
+    ("missing.yaml", ["missing.yaml: no such file"]),
+    ("folder", ["folder: a directory"]),
+    ("noise", ["noise:1: not UTF-8"]),
+    ("empty", ["empty"]),
+]
+
+
+@pytest.mark.parametrize(("name", "words"), MISSIONS, ids=[case[0] for case in MISSIONS])
+@pytest.mark.parametrize("command", ["sniff -r ok.pcap", "record -o out.mcap -r ok.pcap", "info ok.pcap"])
+def test_missions(command, name, words, call, place):
+    done = call(*command.split(), "-c", name)
+    assert done.code == 2
+    assert len(done.err) == 1
+    for word in words:
+        assert word in done.err[0]
+    assert not (place / "out.mcap").exists()
+
+
+def test_all_mistakes_of_a_mission_at_once(call, place):
+    done = call("info", "ok.pcap", "-c", "many.yaml")
+    assert done.code == 2
+    assert [line.split(": ")[2] for line in done.err] == ["drive.type", "drive.mid", "stop.mid"]
+    assert [line.split(": ")[1] for line in done.err] == ["many.yaml:6", "many.yaml:6", "many.yaml:7"]
+
+
+OUTPUTS = [
+    ("-o /proc/x.mcap", 1, "/proc/x.mcap: cannot be created"),
+    ("-o /proc/x.pcap", 1, "/proc/x.pcap: cannot be created"),
+    ("-o nowhere/x.mcap", 1, "nowhere/x.mcap: cannot be created"),
+    ("-o nowhere/x.pcapng", 1, "nowhere/x.pcapng: cannot be created"),
+    ("-o folder.mcap", 1, "folder.mcap: cannot be created: Is a directory"),
+    ("-o ok.pcap/x.mcap", 1, "ok.pcap/x.mcap: cannot be created: Not a directory"),
+    ("-o full.mcap", 1, "full.mcap: cannot be written: No space left on device"),
+    ("-o full.pcap", 1, "full.pcap: cannot be written: No space left on device"),
+    ("-o full.pcapng", 1, "full.pcapng: cannot be written: No space left on device"),
+    ("-o x.wav", 2, "x.wav: its suffix names no kind of recording"),
+    ("-o x", 2, "x: its suffix names no kind of recording"),
+    ("-o -", 2, "-: its suffix names no kind of recording"),
+    ("-o x.pcap --split-size 1M", 2, "x.pcap: only MCAP recordings are split"),
+    ("-o x.pcapng --split-time 1m", 2, "x.pcapng: only MCAP recordings are split"),
+    ("--rosbag2 -o full", 1, "full: is not empty"),
+    ("--rosbag2 -o text", 1, "text: cannot be made a directory"),
+    ("--rosbag2 -o /proc/x", 1, "/proc/x: cannot be made a directory"),
+]
+
+
+@pytest.mark.parametrize(("options", "code", "words"), OUTPUTS, ids=[case[0] for case in OUTPUTS])
+def test_outputs(options, code, words, call, place):
+    done = call("record", "-q", "-r", "ok.pcap", *options.split())
+    assert done.code == code
+    assert len(done.err) == 1
+    assert words in done.err[0]
+
+
+USAGE = [
+    ("frobnicate", 2, "No such command 'frobnicate'"),
+    ("sniff --frobnicate", 2, "No such option: --frobnicate"),
+    ("sniff -r", 2, "Option '-r' requires an argument"),
+    ("sniff", 2, "name one input: -r FILE (repeatable), -i IFACE, or --listen PORT"),
+    ("record", 2, "name one input"),
+    ("sniff -r ok.pcap -i lo", 2, "name one input"),
+    ("record -r ok.pcap --listen 47900", 2, "name one input"),
+    ("info", 2, "Missing argument"),
+    ("decode ok.pcap", 2, "Missing argument 'N'"),
+    ("decode ok.pcap 99999", 1, "ok.pcap: packet 99999 is not there: the last datagram is number 1827"),
+    ("decode ok.pcap 0", 2, "0 is not 1 or more"),
+    ("decode ok.pcap x", 2, "'x' is no whole number"),
+    ("decode ok.pcap 1 -l nothing", 2, "packet 1 has no layer 'nothing'; there are sbn, sbn_sub"),
+    ("decode ok.pcap 1 -l sbn.nothing", 2, "nothing"),
+    ("sniff -r ok.pcap -n 0", 2, "0 is not 1 or more"),
+    ("sniff -r ok.pcap -n -3", 2, "-3 is not 1 or more"),
+    ("sniff -r ok.pcap -n many", 2, "'many' is no whole number"),
+    ("sniff -r ok.pcap --duration soon", 2, "'soon' is no length of time"),
+    ("sniff -r ok.pcap --duration -1", 2, "'-1' is no length of time"),
+    ("sniff -r ok.pcap --duration nan", 2, "'nan' is no length of time"),
+    ("sniff -r ok.pcap --msg-id 0x10000", 2, "MsgId 0x10000 does not fit 16 bits"),
+    ("sniff -r ok.pcap --msg-id -1", 2, "MsgId -1 does not fit 16 bits"),
+    ("sniff -r ok.pcap --link up", 2, "'up' is no link; there are ci, to, sbn, other"),
+    ("sniff -r ok.pcap --topic /nothing", 1, "no configured topic fits '/nothing'"),
+    ("record -r ok.pcap -o x.mcap --topic /nothing", 1, "no configured topic fits '/nothing'"),
+    ("sniff -r ok.pcap --time tomorrow", 2, "'tomorrow' is not one of"),
+    ("sniff -r ok.pcap --port nonsense", 2, "'nonsense' is no LINK:PORT"),
+    ("sniff -r ok.pcap --port ci:0", 2, "'ci:0' is no LINK:PORT"),
+    ("sniff -r ok.pcap --port ci:65536", 2, "'ci:65536' is no LINK:PORT"),
+    ("sniff -r ok.pcap --port ci:\u00b2", 2, "is no LINK:PORT"),
+    ("sniff -r ok.pcap --port other:5", 2, "'other:5' is no LINK:PORT"),
+    ("sniff -r ok.pcap --envelope 3/3", 2, "envelope '3/3' is not known; there are 8/8 le"),
+    ("sniff -r ok.pcap --telemetry-header 13", 2, "telemetry header of 13 bytes is not known"),
+    ("sniff -r ok.pcap --distro bouncy", 2, "--distro: 'bouncy' is no ROS 2 distribution; known:"),
+    ("sniff -r ok.pcap --msg-path nowhere", 2, "--msg-path: nowhere: no such file or folder"),
+    ("record -r ok.pcap --split-size none", 2, "'none' is no size"),
+    ("record -r ok.pcap --split-time none", 2, "'none' is no length of time"),
+    ("sniff -i nothing0", 1, "nothing0: no such interface; there are lo"),
+    ("record -i nothing0 -o x.mcap", 1, "nothing0: no such interface"),
+    ("sniff --listen nonsense", 2, "--listen nonsense: not an endpoint"),
+    ("sniff --listen 65536", 2, "--listen 65536: not an endpoint"),
+    ("sniff --listen 192.0.2.1:47900", 1, "192.0.2.1:47900: not an address of this machine"),
+    ("recover missing.mcap", 1, "missing.mcap: cannot be read: No such file"),
+    ("recover folder", 1, "folder: cannot be read: Is a directory"),
+    ("recover ok.pcap", 1, "ok.pcap: is no MCAP file"),
+    ("recover empty", 1, "empty: is no MCAP file"),
+    ("recover absurd.mcap", 1, "absurd.mcap: is cut off in its first record"),
+    ("sim nothing", 2, "'nothing' is not one of 'rover'"),
+    ("sim --hz 0", 2, "--hz"),
+    ("sim --host 192.0.2.1 --duration 1", 1, "192.0.2.1"),
+    ("demo -o ok.pcap/x --duration 1", 1, "ok.pcap/x: Not a directory"),
+]
+
+
+@pytest.mark.parametrize(("line", "code", "words"), USAGE, ids=[case[0] for case in USAGE])
+def test_usage(line, code, words, call, place):
+    done = call(*line.split())
+    assert done.code == code
+    assert len(done.err) == 1
+    assert words in done.err[0]
+    assert done.err[0].startswith("edoras: ")
+    assert not (place / "x.mcap").exists()
+
+
+def test_a_port_in_use(call):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        done = call("sniff", "--listen", f"127.0.0.1:{port}")
+    assert (done.code, len(done.err)) == (1, 1)
+    assert f"another program has port {port}" in done.err[0]
+
+
+def test_recover_never_overwrites_its_input(call, place, captures):
+    assert call("record", "-q", "-r", captures("a_rover"), "-o", "whole.mcap").code == 0
+    cut = (place / "whole.mcap").read_bytes()[:-500]
+    (place / "cut.mcap").write_bytes(cut)
+    done = call("recover", "cut.mcap", "-o", "cut.mcap")
+    assert (done.code, len(done.err)) == (1, 1)
+    assert "cut.mcap: is the recording itself" in done.err[0]
+    assert (place / "cut.mcap").read_bytes() == cut
+
+
+def test_the_shell_sees_the_same(edoras, place):
+    """One case of each kind as a shell runs it: no traceback at exit either."""
+    for line, code in (("info text", 1), ("sniff --port x", 2), ("info ok.pcap -c many.yaml", 2)):
+        done = edoras(*line.split(), cwd=place)
+        assert (done.returncode, done.stdout) == (code, b"")
+        assert all(item.startswith(b"edoras: ") for item in done.stderr.splitlines())
