@@ -98,7 +98,8 @@ def _open(path: str | Path) -> io.FileIO:
     except PermissionError as error:
         raise CaptureError(f"{path}: may not be read by this user; check its permissions") from error
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{path}: cannot be opened: {error}") from error
+        reason = getattr(error, "strerror", None) or error
+        raise CaptureError(f"{path}: cannot be opened: {reason}") from error
 
 
 def _head(stream: Stream) -> bytes:
