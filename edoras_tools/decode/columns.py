@@ -177,6 +177,8 @@ class _Pass:
         at = sbn.LEGACY_HEADER.size
         fits: NDArray[np.bool_] = (length >= at) & (sbn.HEADER.column("msg_size", head) == length - at)
         rows = np.flatnonzero(fits)
+        if not len(rows):
+            return fits
         head, length = head[rows], length[rows]
         kind = sbn.HEADER.column("msg_type", head)
         packet = ccsds.PRIMARY.column("packet_data_length", head, at).astype(np.int32) + ccsds.LENGTH_BIAS
@@ -231,6 +233,8 @@ class _Pass:
         self.flag(Finding.TRUNCATED, rows, ~whole)
         for old, at in ((False, sbn.HEADER.size), (True, sbn.LEGACY_HEADER.size)):
             pick = whole & (legacy == old)
+            if not pick.any():
+                continue
             foreign = (head[pick, at : at + sbn.IDENT_BYTES] != _IDENT).any(axis=1)
             self.flag(Finding.SBN_ID_MISMATCH, rows[pick], foreign)
             count = sbn.SUBSCRIPTIONS.column("count", head[pick], at).astype(np.int32)
@@ -343,7 +347,7 @@ class _Pass:
             self._envelope(index, rows[picked])
 
     def _envelope(self, route: int, rows: NDArray[np.intp]) -> None:
-        chosen = self.context.envelope(route)
+        chosen = self.context.envelopes[route]
         offset = self.out["packet_offset"][rows] + self.out["header_length"][rows]
         have = self.out["packet_length"][rows] - self.out["header_length"][rows]
         head = gather(self.batch.data, offset, DEFAULT.size + 4)

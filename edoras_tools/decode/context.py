@@ -132,6 +132,7 @@ class Context:
         route_of: i16 (4, 65536), route by link and MsgId.
         any_route_of: i16 (65536,), a route of any link by MsgId: what a packet seen on another link carries.
         known: bool (65536,), MsgIds that cFE or the mission names.
+        envelopes: the envelope format of each route, None where the bytes shall tell.
         command_table: what apps take, for columns.
     """
 
@@ -167,6 +168,8 @@ class Context:
             self.route_of[route.link, route.msg_id] = index
             self.any_route_of[route.msg_id] = index
             self.known[route.msg_id] = True
+        chosen = [route.envelope or self.options.envelope for route in self.mission.routes]
+        self.envelopes = [None if text == "auto" else EnvelopeFormat.named(text) for text in chosen]
         named = {*names.COMMANDS, *(route.msg_id for route in self.mission.routes)}
         self.command_table = CommandTable(
             {msg_id: commands for msg_id in named if (commands := self.commands(msg_id)) is not None}
@@ -181,11 +184,6 @@ class Context:
         return (
             ":" not in endpoint.address and int(ipaddress.IPv4Address(endpoint.address)) in self.cfs_addresses
         )
-
-    def envelope(self, route: int) -> EnvelopeFormat | None:
-        """Return the envelope format of a route, or None where the bytes shall tell."""
-        text = self.mission.routes[route].envelope or self.options.envelope
-        return None if text == "auto" else EnvelopeFormat.named(text)
 
     def commands(self, msg_id: int) -> Mapping[int, names.Command] | None:
         """Return the function codes a command MsgId's app takes, or None where that is not known."""

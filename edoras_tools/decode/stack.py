@@ -303,7 +303,7 @@ class _Dissection:
         self._envelope(route, at)
 
     def _envelope(self, route: int, at: int) -> None:
-        envelope = self.context.envelope(route) or detect(self.data, at) or DEFAULT
+        envelope = self.context.envelopes[route] or detect(self.data, at) or DEFAULT
         values = self.read(envelope.layout, at)
         start, claimed = at + envelope.size, values["buffer_length"]
         space = len(self.data) - start

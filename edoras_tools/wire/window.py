@@ -19,6 +19,8 @@ _LARGE: Final = 17
 """The group of rows of 64 KiB and more: few, and worth a step of Python each."""
 _GROUPS: Final = np.frexp(np.arange((1 << 16) + 1.0))[1].astype(np.uint8)
 """The group of a length up to 64 KiB: the number of its bits."""
+_KEEP: Final = np.where(np.arange(16) < np.arange(17)[:, None], np.uint8(0xFF), np.uint8(0)).view(np.uint64)
+"""Masks of two words that keep the first 0 to 16 bytes."""
 
 
 def at_every_byte(buffer: NDArray[np.uint8], width: int) -> NDArray[np.void]:
@@ -107,16 +109,17 @@ def xor_bytes(
 ) -> NDArray[np.uint8]:
     """Return the XOR of the bytes of each range ``offset : offset + length``, u8 (n,)."""
     out = np.zeros(len(offset), np.uint8)
-    for size, rows in by_value(length):
+    for size, rows in by_value(length + 15 & ~15):
         if size <= 0:
             continue
-        window = gather(data, offset[rows], -(-size // 8) * 8)
-        window[:, size:] = 0
-        words = window.view(np.uint64)
+        words = gather(data, offset[rows], size).view(np.uint64)
+        words[:, -2:] &= _KEEP[length[rows] - (size - 16)]
         folded = words[:, 0].copy()
         for column in range(1, words.shape[1]):
             folded ^= words[:, column]
-        out[rows] = np.bitwise_xor.reduce(folded.view(np.uint8).reshape(-1, 8), axis=1)
+        for shift in (32, 16, 8):
+            folded ^= folded >> np.uint64(shift)
+        out[rows] = folded.astype(np.uint8)
     return out
 
 
