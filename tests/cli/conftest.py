@@ -87,17 +87,18 @@ def call(monkeypatch, capsys):
 
 @pytest.fixture(scope="session")
 def frames():
-    """A function: the frames of a little-endian microsecond pcap file, read by its definition alone."""
+    """A function: the frames of a little-endian Ethernet pcap file, read by its definition alone."""
+    units = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}
 
     def read(path):
         data = Path(path).read_bytes()
-        magic, _, _, _, _, _, link_type = struct.unpack_from("<IHHiIII", data)
-        assert (magic, link_type) == (0xA1B2C3D4, 1)
+        magic, *_, link_type = struct.unpack_from("<IHHiIII", data)
+        assert link_type == 1
         found, place = [], 24
         while place < len(data):
-            seconds, microseconds, captured, original = struct.unpack_from("<IIII", data, place)
+            seconds, rest, captured, original = struct.unpack_from("<IIII", data, place)
             frame = data[place + 16 : place + 16 + captured]
-            found.append((seconds * 10**9 + microseconds * 10**3, frame, original))
+            found.append((seconds * 10**9 + rest * units[magic], frame, original))
             place += 16 + captured
         return found
 

@@ -1,4 +1,4 @@
-"""Whatever is wrong, it ends in one clear line that says what and where, exit code 1 or 2, and no traceback."""
+"""Whatever is wrong, it ends in one clear line that says what and where, with 1 or 2, and no traceback."""
 
 import socket
 import struct
