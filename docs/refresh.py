@@ -18,7 +18,6 @@ import io
 import json
 import os
 import re
-import shlex
 import subprocess
 import sys
 import tempfile
@@ -39,9 +38,14 @@ PAGES: Final = (
     ),
 )
 WIDTH: Final = 100
+_CAPTURES: Final = (
+    ("a_rover", "rover_ground"),
+    ("b_arm_single", "single_arm_ground"),
+    ("f_sbn_disconnect", "two_rovers_ground", "two_rovers_flight"),
+)
+"""Captures of links that work, with their missions."""
 FENCED: Final = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _REGION: Final = re.compile(r"(<!-- table: ([\w.]+) -->\n).*?(<!-- end -->)", re.DOTALL)
-_SHELL: Final = set("|<>;&$*")
 
 
 def refreshed(page: Path, folder: Path) -> str:
@@ -95,24 +99,11 @@ class _Runner:
     def _run(self, command: str) -> str:
         if command == "echo $?":
             return f"{self._code}\n"
-        if not command.startswith("edoras ") or _SHELL & set(command):
-            done = subprocess.run(  # noqa: S602  the pages' own commands
-                command, shell=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
-            )
-            self._code = done.returncode
-            return done.stdout
-        from edoras_tools.cli.main import main
-
-        printed, arguments = io.StringIO(), sys.argv
-        sys.argv = shlex.split(command)
-        try:
-            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-                main()
-        except SystemExit as end:
-            self._code = int(end.code or 0)
-        finally:
-            sys.argv = arguments
-        return printed.getvalue()
+        done = subprocess.run(  # noqa: S602  the pages' own commands
+            command, shell=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+        )
+        self._code = done.returncode
+        return done.stdout
 
     @staticmethod
     def _program(code: str) -> str:
@@ -129,6 +120,7 @@ def _inside(folder: Path) -> Iterator[None]:
     for name in ("FORCE_COLOR", "TERMINAL_WIDTH"):
         os.environ.pop(name, None)
     os.environ["COLUMNS"] = str(WIDTH)
+    os.environ["PYTHONUNBUFFERED"] = "1"  # what is said on both outputs stays in order
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environ.get('PATH', '')}"
     os.chdir(folder)
     try:
@@ -171,6 +163,28 @@ def _truth() -> str:
     return "\n".join(lines) + "\n"
 
 
+def _sizes() -> str:
+    """Return the sizes of the messages in the sample captures."""
+    from edoras_tools.pipelines.workbench import Settings, open_files
+    from edoras_tools.render.severity import NOTABLE
+
+    sizes = set()
+    for capture, *missions in _CAPTURES:
+        bench = Settings([ROOT / f"samples/missions/{name}.yaml" for name in missions]).workbench()
+        for batch in open_files([ROOT / f"samples/captures/{capture}.pcap"]).batches():
+            for row in range(len(batch)):
+                found = bench.dissector.dissect(batch[row])
+                if found.message and not found.findings & NOTABLE:
+                    kind = "command" if found.layer("cfe_command") else "telemetry"
+                    padding = found.layer("padding")
+                    packet = len(found.datagram.payload) - found.layer("ccsds").start
+                    spare = padding.end - padding.start if padding else 0
+                    sizes.add((found.message.type, len(found.message.cdr), kind, packet, spare))
+    rows = [f"| {' | '.join(str(cell) for cell in row)} |" for row in sorted(sizes)]
+    head = ["| type | CDR | sent as | space packet | of it padding |", "|---|---|---|---|---|"]
+    return "\n".join(head + rows) + "\n"
+
+
 def _layout(path: str) -> Callable[[], str]:
     """Return a function that writes the fields of a ``Layout`` as a table."""
 
@@ -201,6 +215,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "findings": _findings,
     "bits": _bits,
     "truth": _truth,
+    "sizes": _sizes,
     **{
         name: _layout(name)
         for name in (

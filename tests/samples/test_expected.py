@@ -163,7 +163,7 @@ def test_the_figures_that_were_written_down_when_it_was_recorded(expected):
 
 
 def test_the_loss_counter_grew_by_the_92_lost_commands(captures):
-    """Of 600 Twists the robot got 508; the four counted before are events of the boot, as the console tells."""
+    """Of 600 Twists the robot got 508; the four counted before are events of the boot, says the console."""
     packets = captures["a_rover"].values()
     counts = [
         struct.unpack_from("<2H", item.payload, 28) for item in packets if item.payload[:2] == b"\x08\x03"

@@ -1,0 +1,27 @@
+"""What the tests of the pages share: the scripts beside them, as modules."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def script(name):
+    spec = importlib.util.spec_from_file_location(name, ROOT / f"docs/{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
+def refresh():
+    return script("refresh")
+
+
+@pytest.fixture(scope="session")
+def make_pictures():
+    return script("make_pictures")

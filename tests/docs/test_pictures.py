@@ -1,0 +1,35 @@
+"""The pictures show what the commands show: `python docs/make_pictures.py` after a change that is meant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+FOLDER = Path(__file__).parents[2] / "docs/pictures"
+
+
+def words(svg):
+    """Return what a picture says; how it is drawn is up to the version of rich."""
+    return [text for text in ("".join(ET.fromstring(svg).itertext())).replace("\xa0", " ").split() if text]
+
+
+@pytest.mark.parametrize("name", ["sniff", "decode", "info"])
+def test_the_picture_says_what_the_command_says(name, make_pictures):
+    svg = (FOLDER / f"{name}.svg").read_text()
+    drawn = [word for word in words(svg) if "{" not in word and ";" not in word]
+    assert drawn == [
+        word for word in words(make_pictures.PICTURES[name]()) if "{" not in word and ";" not in word
+    ]
+
+
+def test_there_are_no_others(make_pictures):
+    assert {path.stem for path in FOLDER.iterdir()} == set(make_pictures.PICTURES)
+
+
+@pytest.mark.parametrize("name", ["sniff", "decode", "info"])
+def test_a_picture_loads_nothing(name):
+    text = (FOLDER / f"{name}.svg").read_text()
+    assert "@font-face" not in text
+    assert "href" not in text
