@@ -57,8 +57,10 @@ def open_input(
         return open_live(interface, ports, ready=lambda: _ready(interface)), bench
     from edoras_tools.sources.udp import UdpSource, parse_endpoint
 
-    endpoints = [parse_endpoint(item) for item in listen or ()]
-    return UdpSource(endpoints, ready=lambda: _ready(", ".join(map(str, endpoints)))), bench
+    sockets = UdpSource(
+        [parse_endpoint(item) for item in listen or ()], ready=lambda: _ready(sockets.info.name)
+    )
+    return sockets, bench
 
 
 def _ready(name: str) -> None:

@@ -46,12 +46,18 @@ def sim(
     from edoras_tools.sessions.profile import SimProfile
     from edoras_tools.sim import Simulation, serve
 
-    profile = replace(SimProfile(), to_default_limit=limit)
+    # Bound to every address, the parts still talk to each other on loopback.
+    address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  what was asked for
+    profile = SimProfile()
+    peers = tuple(replace(peer, address=address) for peer in profile.sbn_peers)
+    profile = replace(profile, to_default_limit=limit, address=address, sbn_peers=peers)
     simulation = Simulation(
         profile, scenario.value, start_ns=time_ns(), bridges=bridges, command_rate_hz=rate, state_rate_hz=rate
     )
     stop = Event()
-    ends = ", ".join(f"{item.port}" for item in simulation.endpoints if item.port)
+    # Telemetry's source is a port of the system's choice.
+    bound = [item for item in simulation.endpoints if item != simulation.cfs.to_endpoint]
+    ends = ", ".join(f"{item.port}" for item in bound)
 
     def ready() -> None:
         sys.stderr.write(f"emulated cFS ({scenario.value}) on {host}, UDP {ends}; Ctrl-C ends\n")
