@@ -1,0 +1,223 @@
+"""Pipes and terminals: what comes in while it grows, what goes out when nobody, or nothing, can take it."""
+
+import fcntl
+import gzip
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import termios
+import time
+from pathlib import Path
+
+import pytest
+import zstandard
+
+ANSI = b"\x1b["
+
+
+@pytest.fixture
+def pipe(command):
+    """A function: start a command with pipes for everything."""
+    started = []
+
+    def run(*arguments, **keywords):
+        options = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **keywords}
+        process = subprocess.Popen([command, *map(str, arguments)], **options)
+        started.append(process)
+        return process
+
+    yield run
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize(
+    ("name", "pack"), [("x.gz", gzip.compress), ("x.zst", zstandard.compress), ("x", bytes)]
+)
+@pytest.mark.parametrize("kind", ["pcap", "pcapng"])
+def test_compressed_files_and_pipes_give_the_same(name, pack, kind, call, edoras, captures, tmp_path):
+    plain = tmp_path / f"a.{kind}"
+    assert call("record", "-q", "-r", captures("a_rover"), "-o", plain).code == 0
+    packed = tmp_path / name
+    packed.write_bytes(pack(plain.read_bytes()))
+    wanted = captures("a_rover").read_bytes()
+    assert call("record", "-q", "-r", packed, "-o", tmp_path / "file.pcap").code == 0
+    assert (tmp_path / "file.pcap").read_bytes() == wanted
+    if kind == "pcap":
+        done = edoras("record", "-q", "-r", "-", "-o", tmp_path / "pipe.pcap", input=packed.read_bytes())
+        assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+        assert (tmp_path / "pipe.pcap").read_bytes() == wanted
+
+
+def test_a_growing_pipe_shows_its_packets_before_it_ends(pipe, captures, frames):
+    data = captures("a_rover").read_bytes()
+    sizes = [16 + len(frame) for _, frame, _ in frames(captures("a_rover"))]
+    process = pipe("sniff", "-a", "-r", "-")
+    place = 24
+    process.stdin.write(data[:place])
+    shown = []
+    for group in range(3):  # five packets each, then silence
+        end = place + sum(sizes[5 * group : 5 * group + 5])
+        process.stdin.write(data[place:end])
+        process.stdin.flush()
+        place = end
+        while len(shown) < 1 + 5 * (group + 1):  # the heading and the packets so far
+            assert select.select([process.stdout], [], [], 20)[0], "the packets did not come"
+            shown += os.read(process.stdout.fileno(), 1 << 16).splitlines()
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out, err) == (0, b"", b"")
+    assert [int(line.split()[0]) for line in shown[1:]] == list(range(1, 16))
+
+
+@pytest.mark.parametrize("options", [["record", "-o", "x.mcap", "-r"], ["sniff", "-a", "-r"], ["info"]])
+def test_ctrl_c_ends_a_pipe_that_says_nothing(options, pipe, captures, frames, call, tmp_path):
+    """What came before is written or shown; the process does not wait for the pipe."""
+    data = captures("a_rover").read_bytes()
+    half = 24 + sum(16 + len(frame) for _, frame, _ in frames(captures("a_rover"))[:100])
+    process = pipe(*options, "-", cwd=tmp_path)
+    process.stdin.write(data[:half])
+    process.stdin.flush()
+    while unread(process.stdin):
+        time.sleep(0.01)
+    # All was taken; now it waits for more, and would for ever.
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(0.7)
+    process.send_signal(signal.SIGINT)
+    process.wait(20)
+    out, err = process.stdout.read().decode(), process.stderr.read().decode()
+    assert process.returncode == 0
+    assert "Traceback" not in err
+    match options[0]:
+        case "record":
+            assert "x.mcap: 100 datagrams" in err
+            assert call("info", "--json", tmp_path / "x.mcap").json()["datagrams"] == 100
+        case "sniff":
+            assert len(out.splitlines()) == 101
+        case _:
+            assert "packets  100 datagrams" in out
+            assert "interrupted after 100 datagrams" in err
+
+
+def unread(stream):
+    """Bytes that wait in a pipe."""
+    return struct.unpack("i", fcntl.ioctl(stream.fileno(), termios.FIONREAD, bytes(4)))[0]
+
+
+WRITERS = [
+    ["sniff", "-r"],
+    ["sniff", "-V", "-r"],
+    ["sniff", "--json", "-r"],
+    ["info"],
+    ["info", "--json"],
+    ["decode", "--json"],
+]
+
+
+@pytest.mark.parametrize("options", WRITERS, ids=" ".join)
+def test_head_is_no_error(options, command, captures):
+    """``edoras ... | head -n 1``, which has gone long before the output ends."""
+    after = " 2" if "decode" in options else ""
+    line = (
+        f"'{command}' {' '.join(options)} '{captures('a_rover')}'{after} | head -n 1; echo ${{PIPESTATUS[0]}}"
+    )
+    done = subprocess.run(["bash", "-c", line], capture_output=True, check=False, timeout=60)
+    assert done.stdout.splitlines()[-1] == b"0"
+    assert done.stderr == b""
+
+
+@pytest.mark.parametrize("options", WRITERS, ids=" ".join)
+def test_a_full_disk_is_one_line(options, command, captures):
+    after = ["2"] if "decode" in options else []
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [command, *options, captures("a_rover"), *after], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr == b"edoras: standard output cannot be written: No space left on device\n"
+
+
+def test_closed_streams(command, captures):
+    line = f"'{command}' {{}} '{captures('a_rover')}' {{}}; echo $? >&3"
+    for options, closed, code in (
+        ("info", ">&-", b"0"),
+        ("info", "2>&-", b"0"),
+        ("info -c nowhere.yaml", "2>&-", b"2"),
+        ("sniff -n 1 -r", ">&- 2>&-", b"0"),
+    ):
+        script = f"exec 3>&1; {line.format(options, closed)}"
+        done = subprocess.run(["bash", "-c", script], capture_output=True, check=False, timeout=60)
+        assert done.stdout.splitlines()[-1] == code
+        assert b"Traceback" not in done.stderr
+
+
+def test_no_standard_input(command):
+    done = subprocess.run(["bash", "-c", f"'{command}' info - <&-"], capture_output=True, check=False)
+    assert (done.returncode, done.stdout) == (1, b"")
+    assert done.stderr == b"edoras: -: there is no standard input; name a file\n"
+
+
+def on_terminal(command, *arguments, **environment):
+    """What a command writes to a terminal of 100 columns."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 100, 0, 0))
+    plain = {
+        key: value for key, value in os.environ.items() if key not in {"NO_COLOR", "FORCE_COLOR", "COLUMNS"}
+    }
+    process = subprocess.Popen(
+        [command, *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
+        stdout=theirs,
+        stderr=theirs,
+        env={**plain, "TERM": "xterm-256color", **environment},
+    )
+    os.close(theirs)
+    written = bytearray()
+    try:
+        while chunk := os.read(ours, 1 << 16):
+            written += chunk
+    except OSError:  # how Linux tells that the other end has gone
+        pass
+    os.close(ours)
+    assert process.wait(20) == 0
+    return bytes(written)
+
+
+def test_colours_are_for_terminals(command, edoras, captures, tmp_path):
+    options = ["sniff", "-r", captures("e_ci_errors"), "-n", "60"]
+    assert ANSI not in edoras(*options).stdout
+    assert ANSI in on_terminal(command, *options)
+    assert ANSI not in on_terminal(command, *options, NO_COLOR="1")
+    assert ANSI in edoras(*options, env={**os.environ, "FORCE_COLOR": "1", "NO_COLOR": ""}).stdout
+
+
+def test_lines_fit_their_terminal(command, captures):
+    shown = on_terminal(command, "sniff", "-r", captures("a_rover"), "-n", "40", NO_COLOR="1").decode()
+    assert max(map(len, shown.splitlines())) <= 100
+
+
+def test_progress_is_for_terminals_and_leaves_its_line_behind(command, edoras, captures, tmp_path):
+    options = ["record", "-r", captures("a_rover"), "-o", tmp_path / "x.mcap"]
+    shown = on_terminal(command, *options)
+    assert b"1,827 datagrams" in shown
+    assert shown.count(b"\x1b[?25l") == shown.count(b"\x1b[?25h")  # the cursor comes back
+    assert ANSI not in edoras(*options).stderr
+
+
+def test_names_and_terminals_that_are_no_text(command, captures, tmp_path):
+    """A file name of any bytes, a terminal of ASCII only: shown, escaped, recorded and never an error."""
+    odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.pcap"))
+    odd.write_bytes(captures("a_rover").read_bytes())
+    for options in (["info"], ["info", "--json"], ["sniff", "-n", "1", "-r"]):
+        done = subprocess.run([command, *options, odd], capture_output=True, check=False)
+        assert (done.returncode, done.stderr) == (0, b"")
+    ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(
+        [command, "sniff", "-n", "1", "-r", odd], capture_output=True, check=False, env=ascii_only
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert re.search(rb"127.0.0.1:2234 \\u2192 127.0.0.1:2235", done.stdout)
