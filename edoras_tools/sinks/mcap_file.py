@@ -181,6 +181,7 @@ class McapFile:
 
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment, logged at ``time_ns``."""
+        name = _text(name)
         record = _encode(Attachment(0, time_ns, name, media_type, data))
         index = AttachmentIndex(self.size, len(record), time_ns, 0, len(data), name, media_type)
         self.add_bytes(record)
@@ -188,7 +189,7 @@ class McapFile:
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
-        record = _encode(Metadata(name, values))
+        record = _encode(Metadata(name, {key: _text(value) for key, value in values.items()}))
         index = MetadataIndex(self.size, len(record), name)
         self.add_bytes(record)
         self.summary.metadata.append(index)
@@ -238,6 +239,11 @@ class McapFile:
             f"{self.path}: cannot be written: {error.strerror or error}; "
             f"`edoras recover {self.path}` makes whole what is there"
         )
+
+
+def _text(name: str) -> str:
+    """Escape what UTF-8 cannot hold: file names may hold bytes that are no text."""
+    return name.encode(errors="backslashreplace").decode()
 
 
 def _opening() -> bytes:
