@@ -211,11 +211,27 @@ def _layout(path: str) -> Callable[[], str]:
     return table
 
 
+def _attributes(name: str) -> Callable[[], str]:
+    """Return a function that writes the attributes of a class of ``model`` as a table, from its docstring."""
+
+    def table() -> str:
+        from edoras_tools import model
+
+        listed = (getattr(model, name).__doc__ or "").partition("Attributes:\n")[2]
+        rows = re.findall(r"^ {8}(\w+): (.*(?:\n {12}.*)*)", listed, re.MULTILINE)
+        lines = [f"| `{column}` | {' '.join(text.split()).replace('``', '`')} |" for column, text in rows]
+        return "\n".join(["| column | what |", "|---|---|", *lines]) + "\n"
+
+    return table
+
+
 TABLES: Final[dict[str, Callable[[], str]]] = {
     "findings": _findings,
     "bits": _bits,
     "truth": _truth,
     "sizes": _sizes,
+    "model.PacketBatch": _attributes("PacketBatch"),
+    "model.Columns": _attributes("Columns"),
     **{
         name: _layout(name)
         for name in (

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
-from edoras_tools.model import Finding
+from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.render.severity import EXPLANATIONS
+from edoras_tools.sinks.recover import Recovery
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
@@ -95,3 +98,23 @@ def test_every_layout_field_is_in_the_page_of_the_wire():
     for layout in layouts:
         for slot in layout.slots:
             assert f"| {slot.field.bits} | `{slot.field.name}` | {slot.field.doc}" in page
+
+
+def test_the_keys_of_json_are_those_that_are_printed():
+    page = (ROOT / "docs/architecture.md").read_text()
+
+    def keys(start):
+        row = next(line for line in page.splitlines() if line.startswith(f"| {start}"))
+        return set(re.findall(r"`(\w+)`", row.split("|")[2])) - {"record", "output"}
+
+    expected = json.loads((ROOT / "samples/expected/a_rover.json").read_text())
+    assert keys("`info --json`") == expected["info"].keys()
+    assert keys("each of `routes`") == expected["info"]["routes"][0].keys()
+    assert keys("`sniff --json`") == expected["packets"][0].keys()
+    assert keys("`recover --json`") == {item.name for item in fields(Recovery)}
+
+
+def test_every_column_is_in_the_page_of_the_architecture():
+    page = (ROOT / "docs/architecture.md").read_text()
+    for item in (*fields(PacketBatch), *fields(Columns)):
+        assert f"| `{item.name}` | " in page
