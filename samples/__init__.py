@@ -1,0 +1,1 @@
+"""Captures, mission files, what they decode to, and a Foxglove layout."""

@@ -121,8 +121,10 @@ def _abandon_output() -> None:
 def _start(program: typer.Typer) -> NoReturn:
     """Run a program as a process of its own, quick to start and quick to leave.
 
-    Hardly anything made while starting up is garbage, and nothing is left to tear down at the end.
+    Hardly anything made while starting up is garbage, nothing is left to tear down at the end, and numpy's
+    linear algebra, which nobody uses here, need not start threads.
     """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(50_000)
     try:
         run(program)

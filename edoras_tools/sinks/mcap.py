@@ -198,7 +198,7 @@ class McapSink:
                     schemas[route.type],
                     {
                         "link": route.link.label,
-                        "msg_id": f"0x{route.msg_id:04X}",
+                        "msg_id": f"0x{route.msg_id:04x}",
                         "direction": route.direction,
                     },
                 )

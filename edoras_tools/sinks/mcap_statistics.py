@@ -144,7 +144,7 @@ class LinkStatistics:
     def _name(self, flow: int) -> bytes:
         """Return topic of a route or ``LINK/MSG_ID``, NUL-terminated as CDR strings are."""
         link, msg_id = Link(flow >> _MSG_ID_BITS), (flow & _MSG_ID_MASK) - 1
-        other = f"{link.label}/0x{msg_id:04X}" if msg_id >= 0 else link.label
+        other = f"{link.label}/0x{msg_id:04x}" if msg_id >= 0 else link.label
         return self._topics.get((int(link), msg_id), other.encode()) + b"\0"
 
 

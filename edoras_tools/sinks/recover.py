@@ -70,10 +70,9 @@ class Recovery:
         total = sum(self.messages.values())
         if self.whole:
             return f"whole already: {total} messages in {self.chunks} chunks; nothing was written"
-        salvaged = f"{self.salvaged} of them out of a chunk cut off"
-        lines = [
-            f"recovered {total} messages in {self.chunks} chunks, {salvaged}; {self.lost_bytes} bytes lost"
-        ]
+        chunks = f"{self.chunks} chunk{'s' * (self.chunks != 1)}"
+        salvaged = f", {self.salvaged} of them out of a chunk cut off" if self.salvaged else ""
+        lines = [f"recovered {total} messages in {chunks}{salvaged}; {self.lost_bytes} bytes could not be read"]
         lines += [f"  {count:>9}  {topic}" for topic, count in sorted(self.messages.items())]
         return "\n".join(lines)
 

@@ -48,6 +48,7 @@ MSG_ID_NAMES: Final[dict[int, str]] = {
     0x080D: "SB_ALL_SUBSCRIPTIONS",
     0x080E: "SB_ONE_SUBSCRIPTION",
     0x0810: "ES_MEMORY_STATS",
+    0x0826: "EDORAS_APP_HK",
     0x0880: "TO_HK",
     0x0881: "TO_DATA_TYPES",
     0x0884: "CI_HK",
