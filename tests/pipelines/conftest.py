@@ -1,0 +1,121 @@
+"""What the tests of pipelines share: batches made of plain rows, and sources made of batches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
+
+ROOT = Path(__file__).parents[2]
+
+
+def _batch(rows):
+    def column(kind, values):
+        return np.array(list(values), dtype=kind)
+
+    count = len(rows)
+    zeros = np.zeros(count, dtype=np.int64)
+    length = column("i4", (row.length for row in rows))
+    batch = PacketBatch(
+        data=np.zeros(65536 + 64, dtype=np.uint8),
+        number=np.arange(1, count + 1),
+        time_ns=column("i8", (row.time_ns for row in rows)),
+        link_type=np.full(count, 101, dtype=np.uint16),
+        frame_offset=zeros,
+        frame_length=length,
+        original_length=length,
+        offset=zeros,
+        length=length,
+        source_address=np.full(count, 0x7F000001, dtype=np.uint32),
+        source_port=column("u2", (row.port for row in rows)),
+        destination_address=np.full(count, 0x7F000001, dtype=np.uint32),
+        destination_port=np.full(count, 1235, dtype=np.uint16),
+        ip_version=np.full(count, 4, dtype=np.uint8),
+        capture_findings=np.zeros(count, dtype=np.uint32),
+    )
+    columns = Columns(
+        link=column("u1", (row.link for row in rows)),
+        sbn_msg_type=column("i2", (row.sbn_msg_type for row in rows)),
+        processor_id=column("u4", (row.processor_id for row in rows)),
+        spacecraft_id=np.zeros(count, dtype=np.uint32),
+        packet_offset=zeros,
+        packet_length=length,
+        msg_id=column("i4", (row.msg_id for row in rows)),
+        sequence_flags=np.full(count, 3, dtype=np.uint8),
+        sequence_count=column("u2", (row.sequence for row in rows)),
+        function_code=np.full(count, -1, dtype=np.int16),
+        mission_time_ns=np.full(count, -1, dtype=np.int64),
+        header_length=np.zeros(count, dtype=np.uint8),
+        cdr_offset=np.full(count, -1, dtype=np.int64),
+        cdr_length=np.zeros(count, dtype=np.int32),
+        route=column("i2", (row.route for row in rows)),
+        findings=column("u4", (row.findings for row in rows)),
+    )
+    return batch, columns
+
+
+@pytest.fixture(scope="session")
+def as_batch():
+    """A function: rows with the attributes of ``row`` as a batch and its columns."""
+    return _batch
+
+
+@pytest.fixture(scope="session")
+def row():
+    """A function: a datagram as a ledger sees it; telemetry of MsgId 0x827 unless told otherwise."""
+
+    def make(**values):
+        usual = {
+            "time_ns": 0,
+            "length": 76,
+            "port": 40000,
+            "link": 2,
+            "sbn_msg_type": -1,
+            "processor_id": 0,
+            "msg_id": 0x827,
+            "sequence": 0,
+            "route": -1,
+            "findings": 0,
+        }
+        return SimpleNamespace(**(usual | values))
+
+    return make
+
+
+class _Source:
+    """A source of given batches; calls what stands between them."""
+
+    def __init__(self, items, **statistics):
+        self.info = SourceInfo("made up", "pcap")
+        self.statistics = SourceStatistics(**statistics)
+        self.closed = 0
+        self._items = items
+
+    def batches(self):
+        for item in self._items:
+            if isinstance(item, Exception):
+                raise item
+            if callable(item):
+                item()
+            else:
+                self.statistics.datagrams += len(item)
+                yield item
+
+    def close(self):
+        self.closed += 1
+
+
+@pytest.fixture(scope="session")
+def made_up():
+    """A function: a source of these batches; among them errors are raised, functions called."""
+    return _Source
+
+
+@pytest.fixture(scope="session")
+def captures():
+    """A function: the path of a sample capture."""
+    return lambda name: ROOT / f"samples/captures/{name}.pcap"
