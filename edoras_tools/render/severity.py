@@ -160,8 +160,8 @@ EXPLANATIONS: Final = {
     Finding.COMMAND_LENGTH: Explanation(
         _ERROR,
         "command length",
-        "The command's length is not what its function code takes; apps refuse it with an event, all but TO's "
-        "enable, which reads what is there.",
+        "The command's length is not what its function code takes; apps refuse it with an event, all but "
+        "TO's enable, which reads what is there.",
     ),
     Finding.OVER_SOFTWARE_BUS: Explanation(
         _ERROR,

@@ -72,7 +72,8 @@ class Recovery:
             return f"whole already: {total} messages in {self.chunks} chunks; nothing was written"
         chunks = f"{self.chunks} chunk{'s' * (self.chunks != 1)}"
         salvaged = f", {self.salvaged} of them out of a chunk cut off" if self.salvaged else ""
-        lines = [f"recovered {total} messages in {chunks}{salvaged}; {self.lost_bytes} bytes could not be read"]
+        lost = f"{self.lost_bytes} bytes could not be read"
+        lines = [f"recovered {total} messages in {chunks}{salvaged}; {lost}"]
         lines += [f"  {count:>9}  {topic}" for topic, count in sorted(self.messages.items())]
         return "\n".join(lines)
 
