@@ -113,7 +113,7 @@ class Sockets:
                 opened.close()
                 raise
         except (OSError, UnicodeError) as error:
-            raise CaptureError(f"{endpoint}: {_reason(error, endpoint.port)}") from error
+            raise CaptureError(f"{endpoint}: {bind_reason(error, endpoint.port)}") from error
         address, port = opened.getsockname()[:2]
         self._bound.append(_Bound(opened, version, self._pack(version, address), port))
         return Endpoint(address, port)
@@ -188,7 +188,7 @@ class Sockets:
     def count(self) -> None:
         """Ask the kernel what it dropped."""
         if _LINUX:
-            self.drops = sum(_drops(bound.socket) for bound in self._bound)
+            self.drops = sum(kernel_drops(bound.socket) for bound in self._bound)
 
     def refuse(self) -> None:
         """Let nothing more in: a connected socket hears its peer only, and each gets itself as peer."""
@@ -310,13 +310,13 @@ def _addresses(packed: tuple[bytes, ...]) -> NDArray[np.uint8]:
     return np.frombuffer(b"".join(packed), dtype=np.uint8).reshape(len(packed), -1)
 
 
-def _drops(opened: socket.socket) -> int:
+def kernel_drops(opened: socket.socket) -> int:
     """Return what the kernel dropped at a socket since it was opened."""
     information = opened.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 4 * (_MEMINFO_DROPS + 1))
     return int(struct.unpack_from("=I", information, 4 * _MEMINFO_DROPS)[0])
 
 
-def _reason(error: Exception, port: int) -> str:
+def bind_reason(error: Exception, port: int) -> str:
     """Say why an endpoint could not be bound, and what to do."""
     if isinstance(error, (socket.gaierror, UnicodeError)):
         return "neither an address nor the name of a host that is known: use an address of this machine"
