@@ -1,0 +1,172 @@
+"""What ``--json`` prints, on which other people's scripts rely; and exit code 3."""
+
+import json
+import re
+
+import pytest
+
+from edoras_tools.model import Finding, SourceInfo, SourceStatistics
+from edoras_tools.sources import live, open_file
+
+ROUTE = {
+    "topic": (str, type(None)),
+    "type": (str, type(None)),
+    "name": (str, type(None)),
+    "link": str,
+    "processor_id": (int, type(None)),
+    "msg_id": (str, type(None)),
+    "count": int,
+    "rate_hz": float,
+    "jitter_ms": float,
+    "gaps": int,
+    "duplicates": int,
+    "reordered": int,
+    "bytes": int,
+    "bytes_min": int,
+    "bytes_max": int,
+    "findings": dict,
+}
+REPORT = {
+    "source": str,
+    "kind": str,
+    "datagrams": int,
+    "skipped": int,
+    "start_ns": int,
+    "end_ns": int,
+    "capture_drops": int,
+    "routes": list,
+    "findings": dict,
+    "warnings": list,
+}
+PACKET = {
+    "number": int,
+    "time_ns": int,
+    "link": str,
+    "source": str,
+    "destination": str,
+    "length": int,
+    "layers": dict,
+    "msg_id": (str, type(None)),
+    "topic": (str, type(None)),
+    "type": (str, type(None)),
+    "message": (dict, type(None)),
+    "findings": list,
+    "stop": (str, type(None)),
+}
+LABELS = {bit.label for bit in Finding}
+
+
+def check(value, shape):
+    """Every name of a shape is there, in its order, with a value of its type."""
+    assert list(value)[: len(shape)] == list(shape)
+    for name, kind in shape.items():
+        assert isinstance(value[name], kind), name
+        assert not isinstance(value[name], bool)
+
+
+def check_report(report):
+    check(report, REPORT)
+    for row in report["routes"]:
+        check(row, ROUTE)
+        assert row["link"] in {"ci", "to", "sbn", "other"}
+        assert row["msg_id"] is None or re.fullmatch("0x[0-9a-f]{4}", row["msg_id"])
+        assert set(row["findings"]) <= LABELS
+        assert sum(row["findings"].values()) == 0 or max(row["findings"].values()) <= row["count"]
+    for label, count in report["findings"].items():
+        assert count == sum(row["findings"].get(label, 0) for row in report["routes"])
+
+
+@pytest.mark.parametrize("name", ["a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect"])
+def test_info(name, call, captures, missions):
+    done = call("info", "--json", captures(name), *missions("rover_ground"))
+    assert done.code == 0
+    report = done.json()
+    check_report(report)
+    assert (report["source"], report["kind"]) == (str(captures(name)), "pcap")
+
+
+def test_info_of_the_rover(call, captures, missions):
+    report = call("info", "--json", captures("a_rover"), *missions("rover_ground")).json()
+    routes = {row["topic"]: row for row in report["routes"]}
+    drive, pose = routes["/cmd_vel"], routes["/telemetry_pose"]
+    assert (drive["count"], drive["msg_id"], drive["link"], drive["bytes_max"]) == (600, "0x1827", "ci", 76)
+    assert (pose["count"], pose["msg_id"], pose["link"], pose["bytes_max"]) == (63, "0x0827", "to", 116)
+    assert (drive["rate_hz"], pose["rate_hz"]) == (pytest.approx(10, rel=0.01), pytest.approx(1, rel=0.01))
+    assert [row["topic"] for row in report["routes"][:2]] == ["/cmd_vel", "/telemetry_pose"]
+    assert list(report["findings"]) == sorted(report["findings"])
+
+
+def test_info_of_several(call, captures):
+    done = call("info", "--json", captures("a_rover"), captures("e_ci_errors"))
+    assert done.json()["datagrams"] == 1827 + 1377
+
+
+def test_record_reports_as_info_does_and_names_its_output(call, captures, missions, tmp_path):
+    options = [captures("a_rover"), *missions("rover_ground")]
+    said = call("info", "--json", *options).json()
+    done = call("record", "--json", "-r", *options, "-o", tmp_path / "x.mcap")
+    report = done.json()
+    check_report(report)
+    assert report.pop("output") == str(tmp_path / "x.mcap")
+    assert {name: report[name] for name in said} == said
+    assert done.err == []
+
+
+@pytest.mark.parametrize("name", ["a_rover", "e_ci_errors", "f_sbn_disconnect"])
+def test_sniff_and_decode(name, call, captures, missions):
+    lines = call("sniff", "-a", "--json", "-r", captures(name), *missions("rover_ground")).lines()
+    for packet in lines:
+        check(packet, PACKET)
+        assert packet["msg_id"] is None or re.fullmatch("0x[0-9a-f]{4}", packet["msg_id"])
+        assert set(packet["findings"]) <= LABELS
+    chosen = lines[len(lines) // 2]
+    one = call("decode", "--json", captures(name), chosen["number"], *missions("rover_ground")).json()
+    assert one == chosen
+
+
+def test_recover(call, captures, tmp_path):
+    call("record", "-q", "-r", captures("a_rover"), "-o", tmp_path / "x.mcap")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((tmp_path / "x.mcap").read_bytes()[:-40])
+    report = call("recover", "--json", cut, "-o", tmp_path / "y.mcap").json()
+    names = ["whole", "messages", "chunks", "salvaged", "kept_bytes", "lost_bytes", "output"]
+    assert list(report) == names
+    assert (report["whole"], report["output"]) == (False, str(tmp_path / "y.mcap"))
+    assert report["messages"]["/edoras/datagrams"] == 1827
+
+
+class Lossy:
+    """A live source whose kernel lost packets."""
+
+    def __init__(self, batches):
+        self.info = SourceInfo("lo", "live")
+        self.statistics = SourceStatistics()
+        self._batches = batches
+
+    def batches(self):
+        for batch in self._batches:
+            self.statistics.datagrams += len(batch)
+            yield batch
+        self.statistics.kernel_drops = 42
+
+    def stop(self):
+        pass
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize(
+    "command", ["sniff -i lo", "record -q -i lo -o x.mcap", "record --json -i lo -o x.pcap"]
+)
+def test_losses_are_told_and_are_exit_code_3(command, call, captures, monkeypatch, tmp_path):
+    source = open_file(captures("a_rover"))
+    batches = list(source.batches())
+    source.close()
+    monkeypatch.setattr(live, "open_live", lambda *_, **__: Lossy(batches))
+    monkeypatch.chdir(tmp_path)
+    done = call(*command.split())
+    assert done.code == 3
+    assert done.err == ["edoras: the capture itself lost 42 packets; it was too slow for them"]
+    if "--json" in command:
+        assert json.loads(done.out)["capture_drops"] == 42
