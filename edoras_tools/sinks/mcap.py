@@ -16,15 +16,17 @@ from edoras_tools.sinks.mcap_cfe import event_messages, software_bus_messages
 from edoras_tools.sinks.mcap_chunks import ChunkWriter
 from edoras_tools.sinks.mcap_clock import MissionClock
 from edoras_tools.sinks.mcap_datagrams import DatagramWriter, ros_messages
+from edoras_tools.sinks.mcap_faults import FAULTS_TOPIC, FAULTS_TYPE, fault_messages
 from edoras_tools.sinks.mcap_file import McapFile
 from edoras_tools.sinks.mcap_statistics import LinkStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.ros import TypeStore
+    from edoras_tools.sessions.faults import Fault
 
 METADATA_NAME = "edoras"
 """The metadata record of a whole recording."""
@@ -85,6 +87,7 @@ class McapSink:
     ) -> None:
         self._path = Path(path)
         self._mission = mission
+        self._types = types
         self._info = info
         self._filter = filter
         self._split_bytes = split_bytes
@@ -113,6 +116,17 @@ class McapSink:
             with self._failing():
                 self._append(*(batch, columns) if whole else (batch.take(rows), columns.take(rows)))
             first = last
+
+    def write_faults(self, faults: Sequence[Fault]) -> None:
+        """Take what was done on purpose, with times in ns since 1970; this makes the topic where it is needed."""
+        if FAULTS_TOPIC not in self._channels:
+            self.flush()  # until then the file belongs to the thread
+            with self._failing():
+                file = self.files[-1]
+                schema = file.add_schema(FAULTS_TYPE, self._types.definition(FAULTS_TYPE))
+                self._channels[FAULTS_TOPIC] = file.add_channel(FAULTS_TOPIC, schema, {})
+        with self._failing():
+            self._chunks.append([fault_messages(faults, self._channels[FAULTS_TOPIC])], len(faults))
 
     def flush(self) -> None:
         """End the chunk under way and get it out of the process: killed later, it loses what came after."""

@@ -9,9 +9,12 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.sinks.mcap import McapSink
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.ros import TypeStore
+    from edoras_tools.sessions.faults import Fault
     from edoras_tools.sinks.mcap_file import McapFile
 
 _VERSION = 5
@@ -72,6 +75,10 @@ class Rosbag2Sink:
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch and what was read from it; both are read until the next ``flush``."""
         self._sink.write(batch, columns)
+
+    def write_faults(self, faults: Sequence[Fault]) -> None:
+        """Take what was done on purpose; see ``McapSink``."""
+        self._sink.write_faults(faults)
 
     def flush(self) -> None:
         """Get everything taken so far to the file."""
