@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 from zlib import crc32
 
@@ -22,6 +24,11 @@ if TYPE_CHECKING:
 _MODULUS: Final = 1 << 14
 _FORWARD: Final = _MODULUS // 2
 """A step of the sequence count beyond half its range is a step back: reordering, or a count begun anew."""
+
+
+@cache
+def _bits(findings: int) -> tuple[Finding, ...]:
+    return tuple(Finding(findings))
 
 
 @dataclass(slots=True)
@@ -77,7 +84,6 @@ class Ledger:
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.accounts: dict[tuple[int, int, int, int], Account] = {}
-        self.findings: dict[str, int] = {}
         self.datagrams = 0
         self.start_ns = 0
         self.end_ns = 0
@@ -90,17 +96,22 @@ class Ledger:
         self.start_ns = min(self.start_ns, low) if self.datagrams else low
         self.end_ns = max(self.end_ns, high)
         self.datagrams += len(batch)
-        for finding in Finding(int(np.bitwise_or.reduce(columns.findings))):
-            there = int(np.count_nonzero(columns.findings & np.uint32(finding)))
-            self.findings[finding.label] = self.findings.get(finding.label, 0) + there
         kind = columns.link.astype(np.uint16) << 9 | (columns.sbn_msg_type + 1).astype(np.uint16)
         msg_id = (columns.msg_id + 1).astype(np.uint32)
-        order = order_by(msg_id, kind, columns.processor_id)
+        order = order_by(msg_id, columns.processor_id, kind)
         keys = np.stack((columns.processor_id[order], kind[order], msg_id[order]))
         starts = np.append(0, np.flatnonzero((keys[:, 1:] != keys[:, :-1]).any(axis=0)) + 1)
         accounts = [self._account(columns, row) for row in order[starts].tolist()]
         self._count(accounts, batch, columns, order, starts)
         self._follow(accounts, batch, columns, order, starts)
+
+    @property
+    def findings(self) -> dict[str, int]:
+        """Datagrams by finding."""
+        total = Counter[str]()
+        for account in self.accounts.values():
+            total.update(account.findings)
+        return dict(total)
 
     def _account(self, columns: Columns, row: int) -> Account:
         key = (
@@ -141,11 +152,13 @@ class Ledger:
             account.bytes += total[index]
             account.bytes_min = min(account.bytes_min, smallest[index])
             account.bytes_max = max(account.bytes_max, largest[index])
-        for finding in Finding(int(np.bitwise_or.reduce(findings))):
-            there = np.add.reduceat((findings & np.uint32(finding)) != 0, starts, dtype=np.int64)
-            for index in np.flatnonzero(there).tolist():
-                known = accounts[index].findings
-                known[finding.label] = known.get(finding.label, 0) + int(there[index])
+        met = np.bitwise_or.reduceat(findings, starts)
+        ends = np.append(starts[1:], len(order))
+        for index in np.flatnonzero(met).tolist():
+            known, own = accounts[index].findings, findings[starts[index] : ends[index]]
+            for finding in _bits(int(met[index])):
+                there = int(np.count_nonzero(own & np.uint32(finding)))
+                known[finding.label] = known.get(finding.label, 0) + there
 
     @staticmethod
     def _follow(
@@ -175,7 +188,7 @@ class Ledger:
         known = np.array([accounts[index].sequences.get(endpoint, -1) for index, endpoint in flows])
         before = np.append(0, sequence[:-1])
         before[begins] = np.where(known >= 0, known, sequence[begins] - 1)
-        steps = (sequence - before) % _MODULUS
+        steps = (sequence - before) & (_MODULUS - 1)
         moved = steps != 0
         moved[begins] &= known >= 0
         gaps = np.add.reduceat(np.where((steps > 1) & (steps < _FORWARD), steps - 1, 0), begins).tolist()

@@ -15,12 +15,18 @@ if TYPE_CHECKING:
 def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
     """Return the stable order that puts equal keys side by side; keys are u8, u16 or u32, radix sorted."""
     digits: list[NDArray[np.uint16]] = []
+    room = 0  # what the last digit may still be multiplied by; a sort costs the same for each digit
     for key in keys:
         least, most = (int(key.min()), int(key.max())) if len(key) else (0, 0)
-        if least != most:
-            moved = key - key.dtype.type(least)
+        size = most - least + 1
+        moved = key - key.dtype.type(least)
+        if 1 < size <= room:
+            digits[-1] = digits[-1] * np.uint16(size) + moved.astype(np.uint16)
+            room //= size
+        elif size > 1:
             digits.append(moved.astype(np.uint16))
-            if most - least > 0xFFFF:
+            room = 0x10000 // size
+            if size > 0x10000:
                 digits.append((moved >> 16).astype(np.uint16))
     if not digits:
         return np.arange(len(keys[0]))

@@ -25,3 +25,24 @@ def test_by_value_gives_every_row_once_under_its_value(values, dtype):
     assert [value for value, _ in groups] == sorted(set(values))
     for value, rows in groups:
         assert rows.tolist() == [index for index, item in enumerate(values) if item == value]
+
+
+@given(st.data(), st.integers(0, 30))
+def test_order_by_many_keys_puts_equal_rows_together_in_their_order(data, count):
+    sizes = data.draw(st.lists(st.sampled_from([1, 2, 5, 255, 300, 70_000]), min_size=1, max_size=4))
+    keys = [
+        np.array(data.draw(st.lists(st.integers(0, size), min_size=count, max_size=count)), np.uint32)
+        for size in sizes
+    ]
+    order = order_by(*keys)
+    rows = list(zip(*(key[order].tolist() for key in keys), order.tolist(), strict=True))
+    runs = [
+        row[:-1]
+        for before, row in zip([None, *rows], rows, strict=False)
+        if before is None or row[:-1] != before[:-1]
+    ]
+    assert len(runs) == len(set(runs))
+    assert sorted(order.tolist()) == list(range(count))
+    for run in runs:
+        places = [row[-1] for row in rows if row[:-1] == run]
+        assert places == sorted(places)
