@@ -1,0 +1,2611 @@
+-- EDORAS for Wireshark and tshark: CCSDS space packets, cFE, SBN, the EDORAS envelope and ROS 2 messages.
+-- Generated from the layouts of edoras-tools; do not edit: edoras wireshark print > edoras.lua
+-- Routes of the demos of the EDORAS paper; ROS 2 humble.
+-- SPDX-License-Identifier: MIT
+
+local DIGEST = "13a09020140d1f23"
+local wanted = os.getenv("EDORAS_LUA")
+if EDORAS_DIGEST or (wanted and wanted ~= "" and wanted ~= DIGEST) then
+	return  -- Another copy is loaded, or shall be: a protocol can be there only once.
+end
+EDORAS_DIGEST = DIGEST
+
+local D = {}
+D.layouts = {
+	ccsds = {
+		name = "ccsds",
+		protocol = "ccsds_sp",
+		title = "CCSDS Space Packet",
+		size = 6,
+		fields = {
+			{
+				abbreviation = "ccsds_sp.packet_version_number",
+				name = "packet_version_number",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 224,
+				doc = "always 0 on this link (133.0-B 4.1.3.2)",
+			},
+			{
+				abbreviation = "ccsds_sp.packet_type",
+				name = "packet_type",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 16,
+				names = {[0] = "telemetry", [1] = "telecommand"},
+				doc = "decides which cFE header follows (133.0-B 4.1.3.3.2)",
+			},
+			{
+				abbreviation = "ccsds_sp.secondary_header_flag",
+				name = "secondary_header_flag",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 8,
+				doc = "set in every cFE packet (133.0-B 4.1.3.3.3)",
+			},
+			{
+				abbreviation = "ccsds_sp.apid",
+				name = "apid",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 2047,
+				hex = true,
+				doc = "application process identifier (133.0-B 4.1.3.3.4)",
+			},
+			{
+				abbreviation = "ccsds_sp.sequence_flags",
+				name = "sequence_flags",
+				start = 2,
+				size = 1,
+				kind = "uint8",
+				mask = 192,
+				names = {[0] = "continuation", [1] = "first", [2] = "last", [3] = "unsegmented"},
+				doc = "cFE sends 3, the EDORAS bridges 0 (133.0-B 4.1.3.4.2)",
+			},
+			{
+				abbreviation = "ccsds_sp.packet_sequence_count",
+				name = "packet_sequence_count",
+				start = 2,
+				size = 2,
+				kind = "uint16",
+				mask = 16383,
+				doc = "counts the packets of one APID (133.0-B 4.1.3.4.3)",
+			},
+			{
+				abbreviation = "ccsds_sp.packet_data_length",
+				name = "packet_data_length",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				doc = "bytes of the whole packet, less 7 (133.0-B 4.1.3.5)",
+			},
+		},
+		place = {
+			packet_version_number = 1,
+			packet_type = 2,
+			secondary_header_flag = 3,
+			apid = 4,
+			sequence_flags = 5,
+			packet_sequence_count = 6,
+			packet_data_length = 7,
+		},
+	},
+	extended = {
+		name = "cfe_extended",
+		protocol = "cfe",
+		title = "cFE Extended Header (version 2)",
+		size = 4,
+		fields = {
+			{
+				abbreviation = "cfe.extended.eds_version",
+				name = "eds_version",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 248,
+				doc = "electronic data sheet version",
+			},
+			{
+				abbreviation = "cfe.extended.endian",
+				name = "endian",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 4,
+				names = {[0] = "big", [1] = "little"},
+				doc = "payload byte order",
+			},
+			{
+				abbreviation = "cfe.extended.playback",
+				name = "playback",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 2,
+				names = {[0] = "original", [1] = "playback"},
+				doc = "a recorded packet sent again",
+			},
+			{
+				abbreviation = "cfe.extended.subsystem_id",
+				name = "subsystem_id",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 511,
+				hex = true,
+				doc = "APID qualifier: subsystem",
+			},
+			{
+				abbreviation = "cfe.extended.system_id",
+				name = "system_id",
+				start = 2,
+				size = 2,
+				kind = "uint16",
+				hex = true,
+				doc = "APID qualifier: system or spacecraft",
+			},
+		},
+		place = {eds_version = 1, endian = 2, playback = 3, subsystem_id = 4, system_id = 5},
+	},
+	command = {
+		name = "cfe_command",
+		protocol = "cfe",
+		title = "cFE Command Header",
+		size = 2,
+		fields = {
+			{
+				abbreviation = "cfe.command.reserved",
+				name = "reserved",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 128,
+				doc = "always 0",
+			},
+			{
+				abbreviation = "cfe.command.function_code",
+				name = "function_code",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 127,
+				doc = "EDORAS apps: 0 no-op, 1 set",
+			},
+			{
+				abbreviation = "cfe.command.checksum",
+				name = "checksum",
+				start = 1,
+				size = 1,
+				kind = "uint8",
+				hex = true,
+				doc = "0xFF XOR every byte of the packet; the bridges send 0, no app here checks it",
+			},
+		},
+		place = {reserved = 1, function_code = 2, checksum = 3},
+	},
+	telemetry = {
+		name = "cfe_telemetry",
+		protocol = "cfe",
+		title = "cFE Telemetry Header",
+		size = 10,
+		fields = {
+			{
+				abbreviation = "cfe.telemetry.seconds",
+				name = "seconds",
+				start = 0,
+				size = 4,
+				kind = "uint32",
+				doc = "mission time: whole seconds since the mission's epoch, not UTC",
+			},
+			{
+				abbreviation = "cfe.telemetry.subseconds",
+				name = "subseconds",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				doc = "mission time: 1/65536 s",
+			},
+			{
+				abbreviation = "cfe.telemetry.spare",
+				name = "spare",
+				start = 6,
+				size = 4,
+				kind = "bytes",
+				doc = "alignment",
+			},
+		},
+		place = {seconds = 1, subseconds = 2},
+	},
+	telemetry_short = {
+		name = "cfe_telemetry",
+		protocol = "cfe",
+		title = "cFE Telemetry Header (12 bytes, older builds)",
+		size = 6,
+		fields = {
+			{
+				abbreviation = "cfe.telemetry.seconds",
+				name = "seconds",
+				start = 0,
+				size = 4,
+				kind = "uint32",
+				doc = "mission time: whole seconds since the mission's epoch, not UTC",
+			},
+			{
+				abbreviation = "cfe.telemetry.subseconds",
+				name = "subseconds",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				doc = "mission time: 1/65536 s",
+			},
+		},
+		place = {seconds = 1, subseconds = 2},
+	},
+	event = {
+		name = "cfe_event",
+		protocol = "cfe",
+		title = "cFE Event (EVS long format)",
+		size = 156,
+		little = true,
+		fields = {
+			{
+				abbreviation = "cfe.event.app_name",
+				name = "app_name",
+				start = 0,
+				size = 20,
+				kind = "string",
+				doc = "who reports",
+			},
+			{
+				abbreviation = "cfe.event.event_id",
+				name = "event_id",
+				start = 20,
+				size = 2,
+				kind = "uint16",
+				doc = "the app's number for it",
+			},
+			{
+				abbreviation = "cfe.event.event_type",
+				name = "event_type",
+				start = 22,
+				size = 2,
+				kind = "uint16",
+				names = {[1] = "debug", [2] = "info", [3] = "error", [4] = "critical"},
+				doc = "severity",
+			},
+			{
+				abbreviation = "cfe.event.spacecraft_id",
+				name = "spacecraft_id",
+				start = 24,
+				size = 4,
+				kind = "uint32",
+				hex = true,
+				doc = "where",
+			},
+			{
+				abbreviation = "cfe.event.processor_id",
+				name = "processor_id",
+				start = 28,
+				size = 4,
+				kind = "uint32",
+				doc = "on which processor",
+			},
+			{
+				abbreviation = "cfe.event.message",
+				name = "message",
+				start = 32,
+				size = 122,
+				kind = "string",
+				doc = "what happened",
+			},
+			{
+				abbreviation = "cfe.event.spare",
+				name = "spare",
+				start = 154,
+				size = 2,
+				kind = "bytes",
+				doc = "alignment",
+			},
+		},
+		place = {
+			event_id = 1,
+			event_type = 2,
+			spacecraft_id = 3,
+			processor_id = 4,
+			app_name = 5,
+			message = 6,
+		},
+	},
+	software_bus = {
+		name = "cfe_software_bus",
+		protocol = "cfe",
+		title = "cFE Software Bus Housekeeping",
+		size = 28,
+		little = true,
+		fields = {
+			{
+				abbreviation = "cfe.software_bus.command_counter",
+				name = "command_counter",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				doc = "ground commands accepted",
+			},
+			{
+				abbreviation = "cfe.software_bus.command_error_counter",
+				name = "command_error_counter",
+				start = 1,
+				size = 1,
+				kind = "uint8",
+				doc = "ground commands refused",
+			},
+			{
+				abbreviation = "cfe.software_bus.no_subscribers_counter",
+				name = "no_subscribers_counter",
+				start = 2,
+				size = 1,
+				kind = "uint8",
+				doc = "messages sent that nobody takes",
+			},
+			{
+				abbreviation = "cfe.software_bus.message_send_error_counter",
+				name = "message_send_error_counter",
+				start = 3,
+				size = 1,
+				kind = "uint8",
+				doc = "sends that failed",
+			},
+			{
+				abbreviation = "cfe.software_bus.message_receive_error_counter",
+				name = "message_receive_error_counter",
+				start = 4,
+				size = 1,
+				kind = "uint8",
+				doc = "receives that failed",
+			},
+			{
+				abbreviation = "cfe.software_bus.internal_error_counter",
+				name = "internal_error_counter",
+				start = 5,
+				size = 1,
+				kind = "uint8",
+				doc = "queue reads and writes that failed",
+			},
+			{
+				abbreviation = "cfe.software_bus.create_pipe_error_counter",
+				name = "create_pipe_error_counter",
+				start = 6,
+				size = 1,
+				kind = "uint8",
+				doc = "pipes that could not be made",
+			},
+			{
+				abbreviation = "cfe.software_bus.subscribe_error_counter",
+				name = "subscribe_error_counter",
+				start = 7,
+				size = 1,
+				kind = "uint8",
+				doc = "subscriptions that failed",
+			},
+			{
+				abbreviation = "cfe.software_bus.pipe_options_error_counter",
+				name = "pipe_options_error_counter",
+				start = 8,
+				size = 1,
+				kind = "uint8",
+				doc = "pipe options that failed",
+			},
+			{
+				abbreviation = "cfe.software_bus.duplicate_subscriptions_counter",
+				name = "duplicate_subscriptions_counter",
+				start = 9,
+				size = 1,
+				kind = "uint8",
+				doc = "subscriptions made twice",
+			},
+			{
+				abbreviation = "cfe.software_bus.get_pipe_id_by_name_error_counter",
+				name = "get_pipe_id_by_name_error_counter",
+				start = 10,
+				size = 1,
+				kind = "uint8",
+				doc = "pipe names not found",
+			},
+			{
+				abbreviation = "cfe.software_bus.spare",
+				name = "spare",
+				start = 11,
+				size = 1,
+				kind = "uint8",
+				doc = "alignment",
+			},
+			{
+				abbreviation = "cfe.software_bus.pipe_overflow_error_counter",
+				name = "pipe_overflow_error_counter",
+				start = 12,
+				size = 2,
+				kind = "uint16",
+				doc = "messages lost because a pipe was full",
+			},
+			{
+				abbreviation = "cfe.software_bus.message_limit_error_counter",
+				name = "message_limit_error_counter",
+				start = 14,
+				size = 2,
+				kind = "uint16",
+				doc = "messages lost because too many of one MsgId waited in a pipe",
+			},
+			{
+				abbreviation = "cfe.software_bus.memory_pool_handle",
+				name = "memory_pool_handle",
+				start = 16,
+				size = 4,
+				kind = "uint32",
+				hex = true,
+				doc = "the pool's handle",
+			},
+			{
+				abbreviation = "cfe.software_bus.memory_in_use",
+				name = "memory_in_use",
+				start = 20,
+				size = 4,
+				kind = "uint32",
+				doc = "bytes of the pool in use",
+			},
+			{
+				abbreviation = "cfe.software_bus.unmarked_memory",
+				name = "unmarked_memory",
+				start = 24,
+				size = 4,
+				kind = "uint32",
+				doc = "bytes of the pool never used",
+			},
+		},
+		place = {
+			command_counter = 1,
+			command_error_counter = 2,
+			no_subscribers_counter = 3,
+			message_send_error_counter = 4,
+			message_receive_error_counter = 5,
+			internal_error_counter = 6,
+			create_pipe_error_counter = 7,
+			subscribe_error_counter = 8,
+			pipe_options_error_counter = 9,
+			duplicate_subscriptions_counter = 10,
+			get_pipe_id_by_name_error_counter = 11,
+			spare = 12,
+			pipe_overflow_error_counter = 13,
+			message_limit_error_counter = 14,
+			memory_pool_handle = 15,
+			memory_in_use = 16,
+			unmarked_memory = 17,
+		},
+	},
+	sbn = {
+		name = "sbn",
+		protocol = "sbn",
+		title = "Software Bus Network",
+		size = 11,
+		fields = {
+			{
+				abbreviation = "sbn.msg_size",
+				name = "msg_size",
+				start = 0,
+				size = 2,
+				kind = "int16",
+				doc = "payload bytes; this header is not counted",
+			},
+			{
+				abbreviation = "sbn.msg_type",
+				name = "msg_type",
+				start = 2,
+				size = 1,
+				kind = "uint8",
+				hex = true,
+				names = {
+					[0] = "NO_MSG",
+					[1] = "SUB",
+					[2] = "UNSUB",
+					[3] = "APP",
+					[4] = "PROTO",
+					[160] = "HEARTBEAT",
+					[161] = "ANNOUNCE",
+					[162] = "DISCONNECT",
+				},
+				doc = "what the payload is",
+			},
+			{
+				abbreviation = "sbn.processor_id",
+				name = "processor_id",
+				start = 3,
+				size = 4,
+				kind = "uint32",
+				doc = "the sender's processor",
+			},
+			{
+				abbreviation = "sbn.spacecraft_id",
+				name = "spacecraft_id",
+				start = 7,
+				size = 4,
+				kind = "uint32",
+				hex = true,
+				doc = "the sender's spacecraft",
+			},
+		},
+		place = {msg_size = 1, msg_type = 2, processor_id = 3, spacecraft_id = 4},
+	},
+	sbn_legacy = {
+		name = "sbn",
+		protocol = "sbn",
+		title = "Software Bus Network (7-byte header, older sources)",
+		size = 7,
+		fields = {
+			{
+				abbreviation = "sbn.msg_size",
+				name = "msg_size",
+				start = 0,
+				size = 2,
+				kind = "int16",
+				doc = "payload bytes; this header is not counted",
+			},
+			{
+				abbreviation = "sbn.msg_type",
+				name = "msg_type",
+				start = 2,
+				size = 1,
+				kind = "uint8",
+				hex = true,
+				names = {
+					[0] = "NO_MSG",
+					[1] = "SUB",
+					[2] = "UNSUB",
+					[3] = "APP",
+					[4] = "PROTO",
+					[160] = "HEARTBEAT",
+					[161] = "ANNOUNCE",
+					[162] = "DISCONNECT",
+				},
+				doc = "what the payload is",
+			},
+			{
+				abbreviation = "sbn.processor_id",
+				name = "processor_id",
+				start = 3,
+				size = 4,
+				kind = "uint32",
+				doc = "the sender's processor",
+			},
+		},
+		place = {msg_size = 1, msg_type = 2, processor_id = 3},
+	},
+	subscriptions = {
+		name = "sbn_sub",
+		protocol = "sbn",
+		title = "SBN Subscriptions",
+		size = 50,
+		fields = {
+			{
+				abbreviation = "sbn.sub.ident",
+				name = "ident",
+				start = 0,
+				size = 48,
+				kind = "string",
+				doc = "$Id of the sender's SBN; another than the receiver's is refused",
+			},
+			{
+				abbreviation = "sbn.sub.count",
+				name = "count",
+				start = 48,
+				size = 2,
+				kind = "uint16",
+				doc = "entries that follow",
+			},
+		},
+		place = {count = 1, ident = 2},
+	},
+	subscription = {
+		name = "sbn_subscription",
+		protocol = "sbn",
+		title = "Subscription",
+		size = 6,
+		fields = {
+			{
+				abbreviation = "sbn.subscription.msg_id",
+				name = "msg_id",
+				start = 0,
+				size = 4,
+				kind = "uint32",
+				hex = true,
+				doc = "the MsgId wanted",
+			},
+			{
+				abbreviation = "sbn.subscription.priority",
+				name = "priority",
+				start = 4,
+				size = 1,
+				kind = "uint8",
+				doc = "quality of service: priority",
+			},
+			{
+				abbreviation = "sbn.subscription.reliability",
+				name = "reliability",
+				start = 5,
+				size = 1,
+				kind = "uint8",
+				doc = "quality of service: reliability",
+			},
+		},
+		place = {msg_id = 1, priority = 2, reliability = 3},
+	},
+	proto = {
+		name = "sbn_proto",
+		protocol = "sbn",
+		title = "SBN Protocol",
+		size = 1,
+		fields = {
+			{
+				abbreviation = "sbn.proto.protocol_version",
+				name = "protocol_version",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				doc = "11 here; another is refused",
+			},
+		},
+		place = {protocol_version = 1},
+	},
+	cdr = {
+		name = "cdr",
+		protocol = "ros2cdr",
+		title = "CDR",
+		size = 4,
+		fields = {
+			{
+				abbreviation = "ros2cdr.representation",
+				name = "representation",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				hex = true,
+				names = {
+					[0] = "CDR big-endian",
+					[1] = "CDR little-endian",
+					[2] = "PL_CDR big-endian",
+					[3] = "PL_CDR little-endian",
+				},
+				doc = "how the body is encoded; alignment counts from the byte after this header (RTPS 10.5)",
+			},
+			{
+				abbreviation = "ros2cdr.options",
+				name = "options",
+				start = 2,
+				size = 2,
+				kind = "uint16",
+				hex = true,
+				doc = "unused, 0",
+			},
+		},
+		place = {representation = 1, options = 2},
+	},
+}
+D.formats = {
+	{width = 8, little = true},
+	{width = 8, little = false},
+	{width = 4, little = true},
+	{width = 4, little = false},
+	{width = 1, little = true},
+}
+D.limits = {
+	ci_buffer = 768,
+	bridge_buffer = 1024,
+	bridge_modulus = 256,
+	software_bus = 32768,
+	highest_msg_id = 8191,
+	length_bias = 7,
+}
+D.sbn = {
+	NO_MSG = 0,
+	SUB = 1,
+	UNSUB = 2,
+	APP = 3,
+	PROTO = 4,
+	HEARTBEAT = 160,
+	ANNOUNCE = 161,
+	DISCONNECT = 162,
+	names = {
+		[0] = "NO_MSG",
+		[1] = "SUB",
+		[2] = "UNSUB",
+		[3] = "APP",
+		[4] = "PROTO",
+		[160] = "HEARTBEAT",
+		[161] = "ANNOUNCE",
+		[162] = "DISCONNECT",
+	},
+	version = 11,
+	ident = "$Id: dccf6239093d99c4c9351e140c15b61a95d8fc37 $",
+	ident_bytes = 48,
+}
+D.msg_id = {event = 2056, software_bus = 2051}
+D.msg_id_names = {
+	[2048] = "ES_HK",
+	[2049] = "EVS_HK",
+	[2051] = "SB_HK",
+	[2052] = "TBL_HK",
+	[2053] = "TIME_HK",
+	[2054] = "TIME_DIAG",
+	[2056] = "EVS_LONG_EVENT",
+	[2057] = "EVS_SHORT_EVENT",
+	[2058] = "SB_STATS",
+	[2059] = "ES_APP_INFO",
+	[2060] = "TBL_REGISTRY",
+	[2061] = "SB_ALL_SUBSCRIPTIONS",
+	[2062] = "SB_ONE_SUBSCRIPTION",
+	[2064] = "ES_MEMORY_STATS",
+	[2086] = "EDORAS_APP_HK",
+	[2176] = "TO_HK",
+	[2177] = "TO_DATA_TYPES",
+	[2180] = "CI_HK",
+	[2298] = "SBN_HK",
+	[6145] = "EVS_CMD",
+	[6147] = "SB_CMD",
+	[6148] = "TBL_CMD",
+	[6149] = "TIME_CMD",
+	[6150] = "ES_CMD",
+	[6152] = "ES_SEND_HK",
+	[6153] = "EVS_SEND_HK",
+	[6155] = "SB_SEND_HK",
+	[6156] = "TBL_SEND_HK",
+	[6157] = "TIME_SEND_HK",
+	[6158] = "SB_REPORT_CONTROL",
+	[6160] = "TIME_TONE",
+	[6161] = "TIME_ONE_HZ",
+	[6240] = "TIME_DATA",
+	[6242] = "TIME_SEND",
+	[6272] = "TO_CMD",
+	[6273] = "TO_SEND_HK",
+	[6276] = "CI_CMD",
+	[6277] = "CI_SEND_HK",
+	[6394] = "SBN_CMD",
+}
+D.commands = {
+	[6145] = {
+		[0] = {name = "NOOP", lengths = {8}},
+		[1] = {name = "RESET_COUNTERS", lengths = {8}},
+		[2] = {name = "ENABLE_EVENT_TYPE"},
+		[3] = {name = "DISABLE_EVENT_TYPE"},
+		[4] = {name = "SET_EVENT_FORMAT_MODE"},
+		[5] = {name = "ENABLE_APP_EVENT_TYPE"},
+		[6] = {name = "DISABLE_APP_EVENT_TYPE"},
+		[7] = {name = "ENABLE_APP_EVENTS"},
+		[8] = {name = "DISABLE_APP_EVENTS"},
+		[9] = {name = "RESET_APP_COUNTER"},
+		[10] = {name = "SET_FILTER"},
+		[11] = {name = "ENABLE_PORTS"},
+		[12] = {name = "DISABLE_PORTS"},
+		[13] = {name = "RESET_FILTER"},
+		[14] = {name = "RESET_ALL_FILTERS"},
+		[15] = {name = "ADD_EVENT_FILTER"},
+		[16] = {name = "DELETE_EVENT_FILTER"},
+		[17] = {name = "WRITE_APP_DATA_FILE"},
+		[18] = {name = "WRITE_LOG_DATA_FILE"},
+		[19] = {name = "SET_LOG_MODE"},
+		[20] = {name = "CLEAR_LOG"},
+	},
+	[6147] = {
+		[0] = {name = "NOOP", lengths = {8}},
+		[1] = {name = "RESET_COUNTERS", lengths = {8}},
+		[2] = {name = "SEND_SB_STATS", lengths = {8}},
+		[3] = {name = "WRITE_ROUTING_INFO"},
+		[4] = {name = "ENABLE_ROUTE"},
+		[5] = {name = "DISABLE_ROUTE"},
+		[7] = {name = "WRITE_PIPE_INFO"},
+		[8] = {name = "WRITE_MAP_INFO"},
+		[9] = {name = "ENABLE_SUB_REPORTING"},
+		[10] = {name = "DISABLE_SUB_REPORTING"},
+		[11] = {name = "SEND_PREV_SUBS"},
+	},
+	[6148] = {
+		[0] = {name = "NOOP", lengths = {8}},
+		[1] = {name = "RESET_COUNTERS", lengths = {8}},
+		[2] = {name = "LOAD"},
+		[3] = {name = "DUMP"},
+		[4] = {name = "VALIDATE"},
+		[5] = {name = "ACTIVATE"},
+		[6] = {name = "DUMP_REGISTRY"},
+		[7] = {name = "SEND_REGISTRY"},
+		[8] = {name = "DELETE_CDS"},
+		[9] = {name = "ABORT_LOAD"},
+	},
+	[6149] = {
+		[0] = {name = "NOOP", lengths = {8}},
+		[1] = {name = "RESET_COUNTERS", lengths = {8}},
+		[2] = {name = "SEND_DIAGNOSTIC", lengths = {8}},
+		[3] = {name = "SET_SOURCE"},
+		[4] = {name = "SET_STATE"},
+		[5] = {name = "ADD_DELAY"},
+		[6] = {name = "SUB_DELAY"},
+		[7] = {name = "SET_TIME"},
+		[8] = {name = "SET_MET"},
+		[9] = {name = "SET_STCF"},
+		[10] = {name = "SET_LEAP_SECONDS"},
+		[11] = {name = "ADD_ADJUST"},
+		[12] = {name = "SUB_ADJUST"},
+		[13] = {name = "ADD_ONE_HZ"},
+		[14] = {name = "SUB_ONE_HZ"},
+		[15] = {name = "SET_SIGNAL"},
+	},
+	[6150] = {
+		[0] = {name = "NOOP", lengths = {8}},
+		[1] = {name = "RESET_COUNTERS", lengths = {8}},
+		[2] = {name = "RESTART"},
+		[3] = {name = "START_APP"},
+		[4] = {name = "STOP_APP"},
+		[5] = {name = "RESTART_APP"},
+		[6] = {name = "RELOAD_APP"},
+		[7] = {name = "QUERY_ONE"},
+		[8] = {name = "QUERY_ALL"},
+		[9] = {name = "CLEAR_SYS_LOG"},
+		[10] = {name = "WRITE_SYS_LOG"},
+		[11] = {name = "CLEAR_ER_LOG"},
+		[12] = {name = "WRITE_ER_LOG"},
+		[13] = {name = "START_PERF_DATA"},
+		[14] = {name = "STOP_PERF_DATA"},
+		[15] = {name = "SET_PERF_FILTER_MASK"},
+		[16] = {name = "SET_PERF_TRIGGER_MASK"},
+		[17] = {name = "OVER_WRITE_SYS_LOG"},
+		[18] = {name = "RESET_PR_COUNT"},
+		[19] = {name = "SET_MAX_PR_COUNT"},
+		[20] = {name = "DELETE_CDS"},
+		[21] = {name = "SEND_MEM_POOL_STATS"},
+		[22] = {name = "DUMP_CDS_REGISTRY"},
+		[23] = {name = "QUERY_ALL_TASKS"},
+	},
+	[6272] = {
+		[0] = {name = "NOOP", lengths = {8}},
+		[1] = {name = "RESET_COUNTERS", lengths = {8}},
+		[2] = {name = "ADD_PACKET", lengths = {16}},
+		[3] = {name = "SEND_DATA_TYPES", lengths = {8}},
+		[4] = {name = "REMOVE_PACKET", lengths = {12}},
+		[5] = {name = "REMOVE_ALL", lengths = {8}},
+		[6] = {name = "ENABLE_OUTPUT", lengths = {24, 28}},
+	},
+	[6276] = {[0] = {name = "NOOP", lengths = {8}}, [1] = {name = "RESET_COUNTERS", lengths = {8}}},
+}
+D.route_commands = {[0] = {name = "NOOP", lengths = {8}}, [1] = {name = "SET"}}
+D.findings = {
+	{
+		label = "truncated",
+		severity = "error",
+		short = "truncated",
+		meaning = "A layer needs more bytes than the datagram holds; CI drops commands below 8 bytes, and an app that gets a cut one fails to read it or reads what its buffer held before.",
+		unknowable = true,
+	},
+	{
+		label = "length_mismatch",
+		severity = "warning",
+		short = "length field",
+		meaning = "The packet data length field disagrees with the bytes that came; CI accepts that silently.",
+		unknowable = true,
+	},
+	{
+		label = "checksum_bad",
+		severity = "warning",
+		short = "checksum",
+		meaning = "The command's checksum is neither 0 nor right; no cFS app here checks it, so the command is obeyed.",
+		unknowable = true,
+	},
+	{
+		label = "checksum_absent",
+		severity = "note",
+		short = "",
+		meaning = "The command's checksum is 0, as the EDORAS bridges send it; no cFS app here checks it.",
+		unknowable = true,
+	},
+	{
+		label = "sequence_unset",
+		severity = "note",
+		short = "",
+		meaning = "The sequence word is 0x0000, as the EDORAS bridges send it, so a loss leaves no gap to see.",
+	},
+	{
+		label = "envelope_overrun",
+		severity = "error",
+		short = "envelope overrun",
+		meaning = "buffer_length reaches past the end of the packet, so there is no whole message; a receiver that trusts it reads beyond the data.",
+		unknowable = true,
+	},
+	{
+		label = "stale_tail",
+		severity = "note",
+		short = "",
+		meaning = "The bytes after the CDR are not zero: a fixed-size struct kept them of an earlier, longer message; readers ignore them.",
+	},
+	{
+		label = "cdr_invalid",
+		severity = "error",
+		short = "bad CDR",
+		meaning = "The CDR body does not decode as the configured type; the receiver's rmw_deserialize fails on it.",
+		unknowable = true,
+	},
+	{
+		label = "unknown_msg_id",
+		severity = "warning",
+		short = "unknown MsgId",
+		meaning = "No configured topic and no known cFE packet has this MsgId; without a subscriber the software bus drops it.",
+	},
+	{
+		label = "sbn_size_mismatch",
+		severity = "warning",
+		short = "MsgSz",
+		meaning = "MsgSz is not the size of the payload that came; the receiver ignores that up to 32767 and refuses more.",
+		unknowable = true,
+	},
+	{
+		label = "sbn_unknown_type",
+		severity = "error",
+		short = "unknown SBN type",
+		meaning = "MsgType is none of SBN's; the receiver reports an error and drops the datagram.",
+	},
+	{
+		label = "sbn_id_mismatch",
+		severity = "error",
+		short = "SBN identity",
+		meaning = "Not the peer that is known here: another $Id in SUB or UNSUB, or SpacecraftID and ProcessorID of an unknown peer; the receiver refuses it.",
+	},
+	{
+		label = "over_ci_buffer",
+		severity = "error",
+		short = "over 768",
+		meaning = "The datagram is longer than CI's 768-byte buffer; CI cuts it to 768 and accepts it silently.",
+	},
+	{
+		label = "over_bridge_buffer",
+		severity = "warning",
+		short = "over 1024",
+		meaning = "The datagram is longer than the ground bridge's 1024-byte buffer; the bridge trusts buffer_length and publishes such a message as garbage.",
+	},
+	{
+		label = "bridge_drops_length",
+		severity = "warning",
+		short = "length mod 256",
+		meaning = "The length modulo 256 is below 11; the public flight bridge keeps the length in a uint8_t and drops the datagram.",
+	},
+	{
+		label = "header_only",
+		severity = "note",
+		short = "",
+		meaning = "The packet ends with its header: a scheduler's wake-up or a request, not a message.",
+		unknowable = true,
+	},
+	{
+		label = "invalid_msg_id",
+		severity = "error",
+		short = "invalid MsgId",
+		meaning = "The MsgId is 0 or above 0x1FFF; the software bus refuses it (CFE_SB 21).",
+	},
+	{
+		label = "wrong_direction",
+		severity = "warning",
+		short = "direction",
+		meaning = "The MsgId's type bit does not suit the link: telemetry sent to CI, or a command from TO; CI accepts it.",
+	},
+	{
+		label = "unknown_function_code",
+		severity = "error",
+		short = "function code",
+		meaning = "The app has no such function code; it sends an error event and ignores the command.",
+	},
+	{
+		label = "command_length",
+		severity = "error",
+		short = "command length",
+		meaning = "The command's length is not what its function code takes; apps refuse it with an event, all but TO's enable, which reads what is there.",
+		unknowable = true,
+	},
+	{
+		label = "over_software_bus",
+		severity = "error",
+		short = "over 32768",
+		meaning = "The length field exceeds the software bus's 32768 bytes; the send fails (CFE_SB 15).",
+	},
+	{
+		label = "sbn_version_mismatch",
+		severity = "error",
+		short = "SBN version",
+		meaning = "PROTO names another protocol version than 11; the receiver refuses it.",
+	},
+	{
+		label = "sbn_no_message",
+		severity = "note",
+		short = "",
+		meaning = "MsgType is NO_MSG; the receiver ignores it.",
+	},
+	{
+		label = "sbn_legacy_header",
+		severity = "warning",
+		short = "7-byte header",
+		meaning = "The SBN header has 7 bytes and no SpacecraftID, as older sources write it; a current peer takes the next 4 bytes for one.",
+		unknowable = true,
+	},
+	{
+		label = "cdr_big_endian",
+		severity = "note",
+		short = "",
+		meaning = "The CDR is big-endian, which no EDORAS sender on a little-endian machine writes; it is decoded all the same.",
+	},
+	{
+		label = "fragment",
+		severity = "note",
+		short = "",
+		meaning = "The datagram came in IP fragments and was put together from several frames.",
+	},
+	{
+		label = "capture_cut",
+		severity = "warning",
+		short = "capture cut",
+		meaning = "The capture's snap length cut the frame: the bytes are missing here, not on the wire.",
+	},
+}
+D.ports = {ci = {1234, 1235, 1236, 1237}, to = {1235}, sbn = {2234, 2235, 2236}}
+D.bridge_ports = {2236}
+D.cfs_addresses = {"127.0.0.1"}
+D.identities = {{66, 1}, {66, 3}}
+D.routes = {
+	{topic = "/cmd_vel", type = "geometry_msgs/msg/Twist", width = 8, little = true},
+	{topic = "/telemetry_pose", type = "geometry_msgs/msg/PoseStamped", width = 8, little = true},
+	{topic = "/command_pose", type = "geometry_msgs/msg/Pose", width = 8, little = true},
+	{
+		topic = "/telemetry_joint_state",
+		type = "sensor_msgs/msg/JointState",
+		width = 8,
+		little = true,
+	},
+	{topic = "/robot_1/ground/cmd_vel", type = "geometry_msgs/msg/Twist", width = 8, little = true},
+	{topic = "/robot_2/ground/cmd_vel", type = "geometry_msgs/msg/Twist", width = 8, little = true},
+	{
+		topic = "/robot_1/ground/pose",
+		type = "geometry_msgs/msg/PoseStamped",
+		width = 8,
+		little = true,
+	},
+	{
+		topic = "/robot_2/ground/pose",
+		type = "geometry_msgs/msg/PoseStamped",
+		width = 8,
+		little = true,
+	},
+	{topic = "/robot_1/pose", type = "geometry_msgs/msg/PoseStamped", width = 8, little = true},
+	{topic = "/robot_2/pose", type = "geometry_msgs/msg/PoseStamped", width = 8, little = true},
+	{topic = "/robot_1/cmd_vel", type = "geometry_msgs/msg/Twist", width = 8, little = true},
+	{topic = "/robot_2/cmd_vel", type = "geometry_msgs/msg/Twist", width = 8, little = true},
+	{topic = "/big_arm/ground/target", type = "geometry_msgs/msg/Pose", width = 8, little = true},
+	{topic = "/little_arm/ground/target", type = "geometry_msgs/msg/Pose", width = 8, little = true},
+	{
+		topic = "/big_arm/ground/joint_states",
+		type = "sensor_msgs/msg/JointState",
+		width = 8,
+		little = true,
+	},
+	{
+		topic = "/little_arm/ground/joint_states",
+		type = "sensor_msgs/msg/JointState",
+		width = 8,
+		little = true,
+	},
+	{
+		topic = "/big_arm/joint_states_throttled",
+		type = "sensor_msgs/msg/JointState",
+		width = 8,
+		little = true,
+	},
+	{
+		topic = "/little_arm/joint_states_throttled",
+		type = "sensor_msgs/msg/JointState",
+		width = 8,
+		little = true,
+	},
+	{
+		topic = "/big_arm/flight/target_pose",
+		type = "geometry_msgs/msg/Pose",
+		width = 8,
+		little = true,
+	},
+	{
+		topic = "/little_arm/flight/target_pose",
+		type = "geometry_msgs/msg/Pose",
+		width = 8,
+		little = true,
+	},
+}
+D.exact = {
+	ci = {[6183] = {1, 3, 5, 13}, [6184] = {6, 14}},
+	to = {[2087] = {2, 4}, [2088] = {7, 15}, [2089] = {8, 16}},
+	sbn = {[2090] = {11, 19}, [2091] = {12, 20}, [6185] = {9, 17}, [6186] = {10, 18}},
+}
+D.any_link = {
+	[2087] = {2, 4},
+	[2088] = {7, 15},
+	[2089] = {8, 16},
+	[2090] = {11, 19},
+	[2091] = {12, 20},
+	[6183] = {1, 3, 5, 13},
+	[6184] = {6, 14},
+	[6185] = {9, 17},
+	[6186] = {10, 18},
+}
+D.types = {
+	["geometry_msgs/msg/Twist"] = {
+		fixed = 48,
+		steps = {
+			{
+				alignment = 8,
+				size = 48,
+				leaves = {
+					{name = "linear.x", code = "d", size = 8, offset = 0},
+					{name = "linear.y", code = "d", size = 8, offset = 8},
+					{name = "linear.z", code = "d", size = 8, offset = 16},
+					{name = "angular.x", code = "d", size = 8, offset = 24},
+					{name = "angular.y", code = "d", size = 8, offset = 32},
+					{name = "angular.z", code = "d", size = 8, offset = 40},
+				},
+			},
+		},
+	},
+	["geometry_msgs/msg/PoseStamped"] = {
+		steps = {
+			{
+				alignment = 4,
+				size = 8,
+				leaves = {
+					{name = "header.stamp.sec", code = "i", size = 4, offset = 0},
+					{name = "header.stamp.nanosec", code = "I", size = 4, offset = 4},
+				},
+			},
+			{name = "header.frame_id", bound = 0, width = 1},
+			{
+				alignment = 8,
+				size = 56,
+				leaves = {
+					{name = "pose.position.x", code = "d", size = 8, offset = 0},
+					{name = "pose.position.y", code = "d", size = 8, offset = 8},
+					{name = "pose.position.z", code = "d", size = 8, offset = 16},
+					{name = "pose.orientation.x", code = "d", size = 8, offset = 24},
+					{name = "pose.orientation.y", code = "d", size = 8, offset = 32},
+					{name = "pose.orientation.z", code = "d", size = 8, offset = 40},
+					{name = "pose.orientation.w", code = "d", size = 8, offset = 48},
+				},
+			},
+		},
+	},
+	["geometry_msgs/msg/Pose"] = {
+		fixed = 56,
+		steps = {
+			{
+				alignment = 8,
+				size = 56,
+				leaves = {
+					{name = "position.x", code = "d", size = 8, offset = 0},
+					{name = "position.y", code = "d", size = 8, offset = 8},
+					{name = "position.z", code = "d", size = 8, offset = 16},
+					{name = "orientation.x", code = "d", size = 8, offset = 24},
+					{name = "orientation.y", code = "d", size = 8, offset = 32},
+					{name = "orientation.z", code = "d", size = 8, offset = 40},
+					{name = "orientation.w", code = "d", size = 8, offset = 48},
+				},
+			},
+		},
+	},
+	["sensor_msgs/msg/JointState"] = {
+		steps = {
+			{
+				alignment = 4,
+				size = 8,
+				leaves = {
+					{name = "header.stamp.sec", code = "i", size = 4, offset = 0},
+					{name = "header.stamp.nanosec", code = "I", size = 4, offset = 4},
+				},
+			},
+			{name = "header.frame_id", bound = 0, width = 1},
+			{
+				name = "name",
+				bound = 0,
+				least = 4,
+				unnamed = true,
+				steps = {{name = "", bound = 0, width = 1}},
+			},
+			{
+				name = "position",
+				bound = 0,
+				least = 8,
+				element = true,
+				uniform = {alignment = 8, size = 8},
+				unnamed = true,
+				steps = {
+					{
+						alignment = 8,
+						size = 8,
+						leaves = {{name = "", code = "d", size = 8, offset = 0}},
+					},
+				},
+			},
+			{
+				name = "velocity",
+				bound = 0,
+				least = 8,
+				element = true,
+				uniform = {alignment = 8, size = 8},
+				unnamed = true,
+				steps = {
+					{
+						alignment = 8,
+						size = 8,
+						leaves = {{name = "", code = "d", size = 8, offset = 0}},
+					},
+				},
+			},
+			{
+				name = "effort",
+				bound = 0,
+				least = 8,
+				element = true,
+				uniform = {alignment = 8, size = 8},
+				unnamed = true,
+				steps = {
+					{
+						alignment = 8,
+						size = 8,
+						leaves = {{name = "", code = "d", size = 8, offset = 0}},
+					},
+				},
+			},
+		},
+	},
+}
+D.extended_header = false
+D.telemetry_header = 16
+
+local byte = string.byte
+D.read = {}
+
+function D.read.ccsds(s, p)
+	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
+	local packet_version_number = b0
+	packet_version_number = (packet_version_number - packet_version_number % 32) / 32
+	local packet_type = b0
+	packet_type = (packet_type - packet_type % 16) / 16
+	packet_type = packet_type % 2
+	local secondary_header_flag = b0
+	secondary_header_flag = (secondary_header_flag - secondary_header_flag % 8) / 8
+	secondary_header_flag = secondary_header_flag % 2
+	local apid = b0 * 256 + b1
+	apid = apid % 2048
+	local sequence_flags = b2
+	sequence_flags = (sequence_flags - sequence_flags % 64) / 64
+	local packet_sequence_count = b2 * 256 + b3
+	packet_sequence_count = packet_sequence_count % 16384
+	local packet_data_length = b4 * 256 + b5
+	return packet_version_number, packet_type, secondary_header_flag, apid, sequence_flags, packet_sequence_count, packet_data_length
+end
+
+function D.read.extended(s, p)
+	local b0, b1, b2, b3 = byte(s, p + 0, p + 3)
+	local eds_version = b0
+	eds_version = (eds_version - eds_version % 8) / 8
+	local endian = b0
+	endian = (endian - endian % 4) / 4
+	endian = endian % 2
+	local playback = b0
+	playback = (playback - playback % 2) / 2
+	playback = playback % 2
+	local subsystem_id = b0 * 256 + b1
+	subsystem_id = subsystem_id % 512
+	local system_id = b2 * 256 + b3
+	return eds_version, endian, playback, subsystem_id, system_id
+end
+
+function D.read.command(s, p)
+	local b0, b1 = byte(s, p + 0, p + 1)
+	local reserved = b0
+	reserved = (reserved - reserved % 128) / 128
+	local function_code = b0
+	function_code = function_code % 128
+	local checksum = b1
+	return reserved, function_code, checksum
+end
+
+function D.read.telemetry(s, p)
+	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
+	local seconds = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
+	local subseconds = b4 * 256 + b5
+	return seconds, subseconds
+end
+
+function D.read.telemetry_short(s, p)
+	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
+	local seconds = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
+	local subseconds = b4 * 256 + b5
+	return seconds, subseconds
+end
+
+function D.read.event(s, p)
+	local b20, b21, b22, b23, b24, b25, b26, b27, b28, b29, b30, b31 = byte(s, p + 20, p + 31)
+	local event_id = b21 * 256 + b20
+	local event_type = b23 * 256 + b22
+	local spacecraft_id = ((b27 * 256 + b26) * 256 + b25) * 256 + b24
+	local processor_id = ((b31 * 256 + b30) * 256 + b29) * 256 + b28
+	local app_name = D.text(s, p + 0, p + 19)
+	local message = D.text(s, p + 32, p + 153)
+	return event_id, event_type, spacecraft_id, processor_id, app_name, message
+end
+
+function D.read.software_bus(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14, b15, b16, b17, b18, b19, b20, b21, b22, b23, b24, b25, b26, b27 = byte(s, p + 0, p + 27)
+	local command_counter = b0
+	local command_error_counter = b1
+	local no_subscribers_counter = b2
+	local message_send_error_counter = b3
+	local message_receive_error_counter = b4
+	local internal_error_counter = b5
+	local create_pipe_error_counter = b6
+	local subscribe_error_counter = b7
+	local pipe_options_error_counter = b8
+	local duplicate_subscriptions_counter = b9
+	local get_pipe_id_by_name_error_counter = b10
+	local spare = b11
+	local pipe_overflow_error_counter = b13 * 256 + b12
+	local message_limit_error_counter = b15 * 256 + b14
+	local memory_pool_handle = ((b19 * 256 + b18) * 256 + b17) * 256 + b16
+	local memory_in_use = ((b23 * 256 + b22) * 256 + b21) * 256 + b20
+	local unmarked_memory = ((b27 * 256 + b26) * 256 + b25) * 256 + b24
+	return command_counter, command_error_counter, no_subscribers_counter, message_send_error_counter, message_receive_error_counter, internal_error_counter, create_pipe_error_counter, subscribe_error_counter, pipe_options_error_counter, duplicate_subscriptions_counter, get_pipe_id_by_name_error_counter, spare, pipe_overflow_error_counter, message_limit_error_counter, memory_pool_handle, memory_in_use, unmarked_memory
+end
+
+function D.read.sbn(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10 = byte(s, p + 0, p + 10)
+	local msg_size = b0 * 256 + b1
+	if msg_size >= 32768 then msg_size = msg_size - 65536 end
+	local msg_type = b2
+	local processor_id = ((b3 * 256 + b4) * 256 + b5) * 256 + b6
+	local spacecraft_id = ((b7 * 256 + b8) * 256 + b9) * 256 + b10
+	return msg_size, msg_type, processor_id, spacecraft_id
+end
+
+function D.read.sbn_legacy(s, p)
+	local b0, b1, b2, b3, b4, b5, b6 = byte(s, p + 0, p + 6)
+	local msg_size = b0 * 256 + b1
+	if msg_size >= 32768 then msg_size = msg_size - 65536 end
+	local msg_type = b2
+	local processor_id = ((b3 * 256 + b4) * 256 + b5) * 256 + b6
+	return msg_size, msg_type, processor_id
+end
+
+function D.read.subscriptions(s, p)
+	local b48, b49 = byte(s, p + 48, p + 49)
+	local count = b48 * 256 + b49
+	local ident = D.text(s, p + 0, p + 47)
+	return count, ident
+end
+
+function D.read.subscription(s, p)
+	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
+	local msg_id = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
+	local priority = b4
+	local reliability = b5
+	return msg_id, priority, reliability
+end
+
+function D.read.proto(s, p)
+	local b0 = byte(s, p + 0, p + 0)
+	local protocol_version = b0
+	return protocol_version
+end
+
+function D.read.cdr(s, p)
+	local b0, b1, b2, b3 = byte(s, p + 0, p + 3)
+	local representation = b0 * 256 + b1
+	local options = b2 * 256 + b3
+	return representation, options
+end
+
+function D.read.envelope_8_little(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14, b15 = byte(s, p + 0, p + 15)
+	local buffer_length = ((((((b7 * 256.0 + b6) * 256.0 + b5) * 256.0 + b4) * 256.0 + b3) * 256.0 + b2) * 256.0 + b1) * 256.0 + b0
+	local buffer_capacity = ((((((b15 * 256.0 + b14) * 256.0 + b13) * 256.0 + b12) * 256.0 + b11) * 256.0 + b10) * 256.0 + b9) * 256.0 + b8
+	return buffer_length, buffer_capacity
+end
+
+function D.read.envelope_8_big(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14, b15 = byte(s, p + 0, p + 15)
+	local buffer_length = ((((((b0 * 256.0 + b1) * 256.0 + b2) * 256.0 + b3) * 256.0 + b4) * 256.0 + b5) * 256.0 + b6) * 256.0 + b7
+	local buffer_capacity = ((((((b8 * 256.0 + b9) * 256.0 + b10) * 256.0 + b11) * 256.0 + b12) * 256.0 + b13) * 256.0 + b14) * 256.0 + b15
+	return buffer_length, buffer_capacity
+end
+
+function D.read.envelope_4_little(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7 = byte(s, p + 0, p + 7)
+	local buffer_length = ((b3 * 256 + b2) * 256 + b1) * 256 + b0
+	local buffer_capacity = ((b7 * 256 + b6) * 256 + b5) * 256 + b4
+	return buffer_length, buffer_capacity
+end
+
+function D.read.envelope_4_big(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7 = byte(s, p + 0, p + 7)
+	local buffer_length = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
+	local buffer_capacity = ((b4 * 256 + b5) * 256 + b6) * 256 + b7
+	return buffer_length, buffer_capacity
+end
+
+function D.read.envelope_1_little(s, p)
+	local b0, b1 = byte(s, p + 0, p + 1)
+	local buffer_length = b0
+	local buffer_capacity = b1
+	return buffer_length, buffer_capacity
+end
+
+-- Small tools that all parts share.
+
+local bit = bit
+local unpack = Struct.unpack
+
+-- A text field, cut at its first NUL.
+function D.text(s, first, last)
+	local stop = s:find("\0", first, true)
+	return s:sub(first, (stop and stop <= last) and stop - 1 or last)
+end
+
+local FOLLOWING = {}  -- first byte of a UTF-8 character: how many follow, and which the second may be
+for octet = 0xC2, 0xDF do FOLLOWING[octet] = {1, 0x80, 0xBF} end
+for octet = 0xE0, 0xEF do FOLLOWING[octet] = {2, 0x80, 0xBF} end
+for octet = 0xF0, 0xF4 do FOLLOWING[octet] = {3, 0x80, 0xBF} end
+FOLLOWING[0xE0][2], FOLLOWING[0xED][3] = 0xA0, 0x9F
+FOLLOWING[0xF0][2], FOLLOWING[0xF4][3] = 0x90, 0x8F
+
+-- Text as UTF-8, its mistakes replaced (Unicode 3.9: one U+FFFD for each maximal part).
+local function utf8_text(s)
+	if not s:find("[\128-\255]") then
+		return s
+	end
+	local out, p = {}, 1
+	while p <= #s do
+		local first = s:byte(p)
+		local rule, q = FOLLOWING[first], p + 1
+		local whole = first < 0x80 or rule ~= nil
+		for index = 1, rule and rule[1] or 0 do
+			local next_byte = s:byte(q)
+			local low, high = 0x80, 0xBF
+			if index == 1 then low, high = rule[2], rule[3] end
+			if not next_byte or next_byte < low or next_byte > high then
+				whole = false
+				break
+			end
+			q = q + 1
+		end
+		out[#out + 1] = whole and s:sub(p, q - 1) or "\239\191\189"
+		p = q
+	end
+	return table.concat(out)
+end
+
+-- A Unicode scalar as UTF-8.
+local function utf8_character(code)
+	if code < 0x80 then
+		return string.char(code)
+	elseif code < 0x800 then
+		return string.char(0xC0 + math.floor(code / 64), 0x80 + code % 64)
+	elseif code < 0x10000 then
+		return string.char(0xE0 + math.floor(code / 4096), 0x80 + math.floor(code / 64) % 64, 0x80 + code % 64)
+	end
+	return string.char(
+		0xF0 + math.floor(code / 262144), 0x80 + math.floor(code / 4096) % 64,
+		0x80 + math.floor(code / 64) % 64, 0x80 + code % 64
+	)
+end
+
+-- A wide string: UTF-16 units of 2 or 4 bytes; half a surrogate pair is replaced.
+local function wide_text(s, first, last, width, big)
+	local out, p = {}, first
+	local code = (big and ">I" or "<I") .. string.format("%d", width)
+	while p <= last do
+		local unit = unpack(code, s, p) % 65536
+		p = p + width
+		if unit >= 0xD800 and unit < 0xDC00 and p <= last then
+			local low = unpack(code, s, p) % 65536
+			if low >= 0xDC00 and low < 0xE000 then
+				p = p + width
+				unit = 0x10000 + (unit - 0xD800) * 1024 + low - 0xDC00
+			else
+				unit = 0xFFFD
+			end
+		elseif unit >= 0xD800 and unit < 0xE000 then
+			unit = 0xFFFD
+		end
+		out[#out + 1] = utf8_character(unit)
+	end
+	return table.concat(out)
+end
+
+local FOLD = {}  -- a format for each number of words
+for words = 1, 64 do FOLD[words] = "<" .. string.rep("I4", words) end
+
+-- cFE's checksum, 0 for a packet that is right: 0xFF XOR every byte. XOR is blind to order, so words fold first.
+local function checksum(s, first, last)
+	local word, p = 0, first
+	while last - p >= 3 do
+		local words = math.min(64, math.floor((last - p + 1) / 4))
+		-- The last value is where the reading ended: it is told to cancel itself out.
+		local stop = p + 4 * words
+		word = bit.bxor(word, stop, unpack(FOLD[words], s, p))
+		p = stop
+	end
+	if p <= last then
+		word = bit.bxor(word, s:byte(p, last))
+	end
+	word = bit.bxor(word, bit.rshift(word, 16))
+	return bit.band(bit.bxor(word, bit.rshift(word, 8), 0xFF), 0xFF)
+end
+
+-- Tell whether any byte of a stretch is not 0.
+local function any_nonzero(s, first, last)
+	local found = first <= last and s:find("[^%z]", first)
+	return found and found <= last or false
+end
+
+-- A set of port numbers from "1234-1237,2000".
+local function port_set(text)
+	local set = {}
+	for part in tostring(text):gmatch("[^,%s]+") do
+		local low, high = part:match("^(%d+)%-(%d+)$")
+		low, high = tonumber(low or part), tonumber(high or part)
+		for port = low or 1, high or 0 do set[port] = true end
+	end
+	return set
+end
+
+-- What Wireshark shows: the protocols, a field for every slot of every layout, and the expert information.
+
+local P = {
+	edoras = Proto("edoras", "EDORAS"),
+	ccsds_sp = Proto("ccsds_sp", "CCSDS Space Packet"),
+	cfe = Proto("cfe", "core Flight System"),
+	sbn = Proto("sbn", "Software Bus Network"),
+	ros2cdr = Proto("ros2cdr", "ROS 2 message (CDR)"),
+}
+local members = {edoras = {}, ccsds_sp = {}, cfe = {}, sbn = {}, ros2cdr = {}}
+local by_name = {}  -- abbreviation to record
+
+-- Make a field, or find the one of that name. A record's `on` tells whether anybody asks for it, where there
+-- is no tree for people.
+local function new_field(protocol, abbreviation, kind, ...)
+	local record = by_name[abbreviation]
+	if not record then
+		local made = ProtoField[kind](abbreviation, ...)
+		record = {field = made, on = false}
+		by_name[abbreviation] = record
+		table.insert(members[protocol], made)
+		table.insert(members, record)
+	end
+	return record
+end
+
+for _, layout in pairs(D.layouts) do
+	for _, slot in ipairs(layout.fields) do
+		if slot.kind == "string" or slot.kind == "bytes" then
+			slot.record = new_field(layout.protocol, slot.abbreviation, slot.kind, slot.name, nil, slot.doc)
+		else
+			slot.record = new_field(
+				layout.protocol, slot.abbreviation, slot.kind, slot.name, slot.hex and base.HEX or base.DEC,
+				slot.names, slot.mask, slot.doc
+			)
+		end
+	end
+end
+
+local F = {
+	buffer_length = new_field("edoras", "edoras.buffer_length", "uint64", "buffer_length", base.DEC),
+	buffer_capacity = new_field("edoras", "edoras.buffer_capacity", "uint64", "buffer_capacity", base.DEC),
+	link = new_field("edoras", "edoras.link", "string", "Link"),
+	msg_id = new_field("edoras", "edoras.msg_id", "uint16", "MsgId", base.HEX),
+	name = new_field("edoras", "edoras.name", "string", "Name"),
+	topic = new_field("edoras", "edoras.topic", "string", "Topic"),
+	type = new_field("edoras", "edoras.type", "string", "Type"),
+	command = new_field("edoras", "edoras.command", "string", "Command"),
+	mission_time = new_field("edoras", "edoras.mission_time", "double", "Mission time, s since its epoch"),
+	finding = new_field("edoras", "edoras.finding", "string", "Finding"),
+	stop = new_field("edoras", "edoras.stop", "string", "Decoded no further"),
+	padding = new_field("edoras", "edoras.padding", "bytes", "Padding"),
+	gap = new_field("edoras", "edoras.gap", "uint16", "Packets missing before this one", base.DEC),
+	duplicate = new_field("edoras", "edoras.duplicate", "bool", "Same sequence count as the packet before"),
+	reordered = new_field("edoras", "edoras.reordered", "bool", "Sequence count steps back"),
+	body = new_field("ros2cdr", "ros2cdr.body", "bytes", "Body"),
+}
+
+local SEVERITY = {note = expert.severity.NOTE, warning = expert.severity.WARN, error = expert.severity.ERROR}
+local RANK = {note = 1, warning = 2, error = 3}
+local MARK = {warning = "! ", error = "\226\156\151 "}
+local FINDING = {}  -- label to index
+local experts = {}
+for index, finding in ipairs(D.findings) do
+	FINDING[finding.label] = index
+	finding.rank = RANK[finding.severity]
+	finding.badge = (MARK[finding.severity] or "") .. finding.short
+	finding.expert = ProtoExpert.new(
+		"edoras.finding." .. finding.label, finding.meaning, expert.group.PROTOCOL, SEVERITY[finding.severity]
+	)
+	table.insert(experts, finding.expert)
+end
+local EXPERT = {
+	gap = ProtoExpert.new(
+		"edoras.analysis.gap", "The sequence count skips packets: lost before this capture, or not sent here",
+		expert.group.SEQUENCE, expert.severity.WARN
+	),
+	duplicate = ProtoExpert.new(
+		"edoras.analysis.duplicate", "The sequence count of the packet before: sent twice",
+		expert.group.SEQUENCE, expert.severity.WARN
+	),
+	reordered = ProtoExpert.new(
+		"edoras.analysis.reordered", "The sequence count steps back: reordered, or its sender began anew",
+		expert.group.SEQUENCE, expert.severity.NOTE
+	),
+}
+for _, made in pairs(EXPERT) do table.insert(experts, made) end
+
+-- Without a tree for people, only what a filter or a tap refers to is added. What it refers to changes only
+-- between passes over the packets, and every pass begins before where the last one ended.
+local asked = {any = false, protocols = {}, last = math.huge}
+
+local function look_who_asks(tree, number)
+	if number <= asked.last then
+		asked.any = false
+		for _, record in ipairs(members) do
+			record.on = tree:referenced(record.field)
+			asked.any = asked.any or record.on
+		end
+		for name in pairs(P) do
+			local dissector = Dissector.get(name)
+			asked.any = asked.any or (dissector and tree:referenced(dissector)) or false
+		end
+	end
+	asked.last = number
+	return asked.any
+end
+
+-- Add a header that starts at an offset; return its tree.
+local function show_layout(tree, layout, tvb, at)
+	local node = tree:add(P[layout.protocol], tvb(at, layout.size), layout.title)
+	local visible, little = tree.visible, layout.little
+	for _, slot in ipairs(layout.fields) do
+		local record = slot.record
+		if visible or record.on then
+			local range = tvb(at + slot.start, slot.size)
+			if slot.kind == "string" then
+				node:add(record.field, range, utf8_text(D.text(range:raw(), 1, slot.size)))
+			elseif little then
+				node:add_le(record.field, range)
+			else
+				node:add(record.field, range)
+			end
+		end
+	end
+	return node
+end
+
+-- Add a value that was not read from bytes.
+local function show_value(node, record, value, visible)
+	if value ~= nil and (visible or record.on) then
+		return node:add(record.field, value):set_generated()
+	end
+	return node
+end
+
+-- Which link a datagram belongs to: by the mission's endpoints, then by port and content. cpu2's CI port equals
+-- TO's destination port (both 1235): a port alone does not tell.
+
+local ports = {ci = {}, to = {}, sbn = {}}
+local bridge_ports, cfs = {}, {}
+for _, port in ipairs(D.bridge_ports) do bridge_ports[port] = true end
+for index, address in ipairs(D.cfs_addresses) do cfs[index] = Address.ip(address) end
+
+local function is_cfs(address)
+	for _, known in ipairs(cfs) do
+		if address == known then return true end
+	end
+	return false
+end
+
+-- Return "ci", "to" or "sbn", or nil for none of them.
+local function link_of(pinfo, first_byte)
+	local source, destination = pinfo.src_port, pinfo.dst_port
+	local ci, to = ports.ci[destination], ports.to[destination]
+	local command = not first_byte or first_byte % 32 >= 16  -- TO never sends an empty datagram
+	if ports.sbn[destination] then
+		return "sbn"
+	elseif ci and to then
+		local to_cfs, from_cfs = is_cfs(pinfo.dst), is_cfs(pinfo.src)
+		if to_cfs ~= from_cfs then command = to_cfs end
+		return command and "ci" or "to"
+	elseif ci then
+		return "ci"
+	elseif to then
+		return "to"
+	elseif ports.sbn[source] then
+		return "sbn"
+	elseif ports.ci[source] or ports.to[source] then
+		return nil
+	end
+	return command and "ci" or "to"  -- "Decode As": no port of ours has a say
+end
+
+-- CDR bodies by message type. A type is a list of steps, as in edoras_tools.ros.plan: a "run" of primitives at
+-- fixed offsets from an aligned start, a "text", or a "repeat" of other steps. Positions are places in the
+-- datagram's string, from 1; alignment counts from the body's first byte.
+
+local KINDS = {
+	["?"] = "bool", b = "int8", B = "uint8", h = "int16", H = "uint16", i = "int32", I = "uint32",
+	q = "int64", Q = "uint64", f = "float", d = "double",
+}
+local CODES = {
+	["?"] = "B", b = "b", B = "B", h = "i2", H = "I2", i = "i4", I = "I4", q = "e", Q = "E", f = "f", d = "d",
+}
+local MOST_WORDS, MOST_ITEMS = 8, 3  -- what fits in one line
+local NOTHING = string.rep("\0", 8)
+
+local function value_field(abbreviation, name, code, array)
+	if array and code == "B" then
+		return new_field("ros2cdr", abbreviation, "bytes", name)
+	elseif code == "?" or code == "f" or code == "d" then
+		return new_field("ros2cdr", abbreviation, KINDS[code], name)
+	end
+	return new_field("ros2cdr", abbreviation, KINDS[code], name, base.DEC)
+end
+
+-- Give every leaf its field. Elements have no index in a field's name.
+local function compile(steps, prefix, array)
+	for _, step in ipairs(steps) do
+		if step.leaves then
+			for _, leaf in ipairs(step.leaves) do
+				local path = prefix .. (leaf.name ~= "" and "." .. leaf.name or "")
+				local many = leaf.count ~= nil or (array and leaf.name == "")
+				leaf.many = many
+				leaf.record = value_field(path, leaf.name ~= "" and leaf.name or path:match("[^.]*$"), leaf.code, many)
+				leaf.little, leaf.big = "<" .. CODES[leaf.code], ">" .. CODES[leaf.code]
+			end
+		else
+			local path = prefix .. (step.name ~= "" and "." .. step.name or "")
+			if step.steps then
+				compile(step.steps, path, true)
+			else
+				step.record = new_field("ros2cdr", path, "string", step.name ~= "" and step.name or path:match("[^.]*$"))
+			end
+		end
+	end
+end
+
+for name, kind in pairs(D.types) do
+	compile(kind.steps, "ros2." .. name:gsub("/msg/", "."):gsub("/", "."), false)
+end
+
+local function count_at(s, p, start, big)
+	p = p + (start - p) % 4
+	local b0, b1, b2, b3 = byte(s, p, p + 3)
+	if big then b0, b1, b2, b3 = b3, b2, b1, b0 end
+	return b0 + 256 * (b1 + 256 * (b2 + 256 * b3)), p + 4
+end
+
+-- Return where a body ends, or nil where it is not valid. `stop` is the last place that belongs to it.
+local function check(steps, s, p, start, stop, big)
+	for _, step in ipairs(steps) do
+		if step.leaves then
+			p = p + (start - p) % step.alignment + step.size
+			if p - 1 > stop then return nil end
+		else
+			local count = step.count
+			if not count then
+				if p + (start - p) % 4 + 3 > stop then return nil end
+				count, p = count_at(s, p, start, big)
+			end
+			if step.steps then
+				if (step.bound > 0 and count > step.bound) or p + count * step.least - 1 > stop then return nil end
+				if step.uniform and count > 0 then
+					p = p + (start - p) % step.uniform.alignment + count * step.uniform.size
+					if p - 1 > stop then return nil end
+				else
+					for _ = 1, count do
+						p = check(step.steps, s, p, start, stop, big)
+						if not p then return nil end
+					end
+				end
+			else
+				local narrow = step.width == 1 and 1 or 0
+				p = p + count * step.width
+				if p - 1 > stop or (narrow == 1 and count > 0 and byte(s, p - 1) ~= 0)
+					or (step.bound > 0 and count - narrow > step.bound) then
+					return nil
+				end
+			end
+		end
+	end
+	return p
+end
+
+-- Tell whether a body is a message of a type: its end, and at most 3 bytes of padding.
+local function is_message(kind, s, start, stop, big)
+	if kind.fixed then
+		local left = stop - start + 1 - kind.fixed
+		return left >= 0 and left <= 3
+	end
+	local p = check(kind.steps, s, start, start, stop, big)
+	return p ~= nil and stop + 1 - p <= 3
+end
+
+local function text_value(step, s, p, count, big)
+	if step.width == 1 then
+		return utf8_text(s:sub(p, p + count - 2))
+	end
+	return wide_text(s, p, p + count * step.width - 1, step.width, big)
+end
+
+-- A primitive in a few characters.
+local function short_number(leaf, s, p, big)
+	local value = unpack(big and leaf.big or leaf.little, s, p)
+	if leaf.code == "d" or leaf.code == "f" then
+		return value ~= value and "nan" or string.format("%.6g", value)
+	elseif leaf.code == "?" then
+		return value ~= 0 and "True" or "False"
+	elseif leaf.size == 8 then
+		return tostring(value)
+	end
+	return string.format("%d", value)
+end
+
+-- Tell a zero without decoding it; -0.0 is one too.
+local function is_zero(leaf, s, p, big)
+	if s:sub(p, p + leaf.size - 1) == NOTHING:sub(1, leaf.size) then
+		return true
+	end
+	return (leaf.code == "d" or leaf.code == "f") and unpack(big and leaf.big or leaf.little, s, p) == 0
+end
+
+local function listed(items, count)
+	return "[" .. table.concat(items, ", ") .. (count > MOST_ITEMS and string.format(", ... %d", count) or "") .. "]"
+end
+
+local function short_numbers(leaf, s, p, count, big)
+	local items = {}
+	for index = 1, math.min(count, MOST_ITEMS) do
+		items[index] = short_number(leaf, s, p + (index - 1) * leaf.size, big)
+	end
+	return listed(items, count)
+end
+
+local short_message
+
+-- Append the words of a list of messages or texts; return where it ends.
+local function short_list(step, s, p, start, big)
+	local items, count = {}, step.count
+	if not count then count, p = count_at(s, p, start, big) end
+	if step.element and count > 0 then
+		local leaf = step.steps[1].leaves[1]
+		p = p + (start - p) % leaf.size
+		return short_numbers(leaf, s, p, count, big), p + count * leaf.size
+	end
+	for index = 1, count do
+		if index > MOST_ITEMS then
+			p = check(step.steps, s, p, start, #s, big)
+		elseif step.unnamed then
+			local inner = step.steps[1]
+			if inner.steps then
+				items[index], p = short_list(inner, s, p, start, big)
+				items[index] = items[index] or "[]"
+			else
+				local length
+				length, p = count_at(s, p, start, big)
+				items[index] = text_value(inner, s, p, length, big)
+				p = p + length * inner.width
+			end
+		else
+			local text
+			text, p = short_message(step.steps, s, p, start, big, true)
+			items[index] = "{" .. text .. "}"
+		end
+	end
+	return count > 0 and listed(items, count) or nil, p
+end
+
+-- Return a message in a few words: zeros left out, long arrays cut, the header last; and where it ends, which
+-- is known only where `whole` is asked for.
+function short_message(steps, s, p, start, big, whole)
+	local words, header, total = {}, {}, 0
+	local function say(name, value)
+		local list = name:sub(1, 7) == "header." and header or words
+		if #list <= MOST_WORDS then list[#list + 1] = name .. "=" .. value end
+	end
+	for _, step in ipairs(steps) do
+		if #words > MOST_WORDS and not whole then break end
+		if step.leaves then
+			p = p + (start - p) % step.alignment
+			for _, leaf in ipairs(step.leaves) do
+				local at = p + leaf.offset
+				if leaf.count then
+					say(leaf.name, short_numbers(leaf, s, at, leaf.count, big))
+				elseif not leaf.hidden and not is_zero(leaf, s, at, big) then
+					say(leaf.name, short_number(leaf, s, at, big))
+				end
+			end
+			p = p + step.size
+		elseif step.steps then
+			local text
+			text, p = short_list(step, s, p, start, big)
+			if text then say(step.name, text) end
+		else
+			local length
+			length, p = count_at(s, p, start, big)
+			if length > (step.width == 1 and 1 or 0) then
+				say(step.name, text_value(step, s, p, length, big))
+			end
+			p = p + length * step.width
+		end
+	end
+	for _, word in ipairs(header) do words[#words + 1] = word end
+	total = #words
+	if total == 0 then return "all zero", p end
+	local text = table.concat(words, " ", 1, math.min(total, MOST_WORDS))
+	return total > MOST_WORDS and text .. " ..." or text, p
+end
+
+-- Add one primitive, or a stretch of bytes.
+local function show_number(node, leaf, tvb, p, size, big)
+	local range = tvb(p - 1, size)
+	if big or leaf.size == 1 then
+		node:add(leaf.record.field, range)
+	else
+		node:add_le(leaf.record.field, range)
+	end
+end
+
+local function show_numbers(node, leaf, tvb, p, count, big, title, visible)
+	if not (visible or leaf.record.on) or count == 0 then return end
+	if leaf.code == "B" then
+		show_number(node, leaf, tvb, p, count, big)
+		return
+	end
+	if visible then
+		node = node:add(tvb(p - 1, count * leaf.size), string.format("%s: %d items", title, count))
+	end
+	for index = 0, count - 1 do
+		show_number(node, leaf, tvb, p + index * leaf.size, leaf.size, big)
+	end
+end
+
+-- Add every value of a valid message; return where it ends.
+local function show_steps(node, steps, tvb, s, p, start, big, visible)
+	for _, step in ipairs(steps) do
+		if step.leaves then
+			p = p + (start - p) % step.alignment
+			for _, leaf in ipairs(step.leaves) do
+				if leaf.count then
+					show_numbers(node, leaf, tvb, p + leaf.offset, leaf.count, big, leaf.name, visible)
+				elseif visible or leaf.record.on then
+					show_number(node, leaf, tvb, p + leaf.offset, leaf.size, big)
+				end
+			end
+			p = p + step.size
+		elseif step.steps then
+			local count, from = step.count, p
+			if not count then count, p = count_at(s, p, start, big) end
+			if step.element and count > 0 then
+				local leaf = step.steps[1].leaves[1]
+				p = p + (start - p) % leaf.size
+				show_numbers(node, leaf, tvb, p, count, big, step.name, visible)
+				p = p + count * leaf.size
+			else
+				local list = node
+				if visible then
+					local stop = check({step}, s, from, start, #s, big)
+					list = node:add(tvb(from - 1, stop - from), string.format("%s: %d items", step.name, count))
+				end
+				for index = 0, count - 1 do
+					local item = list
+					if visible and not step.unnamed then
+						local stop = check(step.steps, s, p, start, #s, big)
+						item = list:add(tvb(p - 1, stop - p), string.format("%s[%d]", step.name, index))
+					end
+					p = show_steps(item, step.steps, tvb, s, p, start, big, visible)
+				end
+			end
+		else
+			local length, from
+			from = p + (start - p) % 4
+			length, p = count_at(s, p, start, big)
+			if visible or step.record.on then
+				local range = tvb(from - 1, 4 + length * step.width)
+				node:add(step.record.field, range, text_value(step, s, p, length, big))
+			end
+			p = p + length * step.width
+		end
+	end
+	return p
+end
+
+-- The work on one datagram, and the Software Bus Network's headers.
+
+local W = {serial = 0, layer = {}, at = {}, found = {}, is_found = {}}
+local peers, sequences, analysis = {}, {}, {}  -- what is known of senders, and per frame; see init()
+local read, L = D.read, D.layouts
+local identities = {}
+for _, pair in ipairs(D.identities) do
+	identities[pair[2]] = identities[pair[2]] or {}
+	identities[pair[2]][pair[1]] = true
+end
+
+local function begin(s, link, pinfo)
+	W.serial = W.serial + 1
+	W.s, W.link, W.pinfo, W.number = s, link, pinfo, pinfo.number
+	W.layers, W.findings = 0, 0
+	W.stop, W.kind, W.msg_id, W.code, W.route, W.message, W.envelope = nil, nil, nil, nil, nil, nil, nil
+	W.sender, W.padding, W.entries, W.summary, W.time, W.processor, W.bare = nil, nil, 0, nil, nil, 0, false
+end
+
+-- Note a finding, once; they stay in the order of their bits.
+local function note(label)
+	local index = FINDING[label]
+	if W.is_found[index] == W.serial then return end
+	W.is_found[index] = W.serial
+	local found, place = W.found, W.findings + 1
+	W.findings = place
+	while place > 1 and found[place - 1] > index do
+		found[place] = found[place - 1]
+		place = place - 1
+	end
+	found[place] = index
+end
+
+local function has(label)
+	return W.is_found[FINDING[label]] == W.serial
+end
+
+local function add_layer(layout, at)
+	local count = W.layers + 1
+	W.layers, W.layer[count], W.at[count] = count, layout, at
+end
+
+-- Note that a header is cut. Offsets count from the datagram's first byte, from 0.
+local function truncated(name, at, need)
+	note("truncated")
+	W.stop = string.format("%s at byte %d needs %d bytes, %d are there", name, at, need, math.max(0, #W.s - at))
+end
+
+-- Take a header that must be whole; tell whether it is.
+local function take(layout, at)
+	if #W.s - at < layout.size then
+		truncated(layout.name, at, layout.size)
+		return false
+	end
+	add_layer(layout, at)
+	return true
+end
+
+-- Tell the older 7-byte header: its size fits, and so does what then follows it.
+local function is_legacy(s)
+	local at = L.sbn_legacy.size
+	if #s < at then return false end
+	local size, kind = read.sbn_legacy(s, 1)
+	if size ~= #s - at or not D.sbn.names[kind] then
+		return false
+	elseif kind == D.sbn.APP then
+		return size >= L.ccsds.size and select(7, read.ccsds(s, at + 1)) + D.limits.length_bias == size
+	elseif kind == D.sbn.PROTO then
+		return size == L.proto.size
+	elseif kind == D.sbn.SUB or kind == D.sbn.UNSUB then
+		return s:sub(at + 1, at + 1) == "$"
+	end
+	return size == 0
+end
+
+-- Return the endpoint that a datagram came from, as a text.
+local function sender()
+	W.sender = W.sender or string.format("%s:%d", tostring(W.pinfo.src), W.pinfo.src_port)
+	return W.sender
+end
+
+-- Compare a sender with the one its endpoint is known by: the first identity that it gave.
+local function identify(spacecraft, processor, trusted)
+	local endpoint = sender()
+	local known = peers[endpoint]
+	if trusted and not known then
+		known = {spacecraft = spacecraft, processor = processor, since = W.number}
+		peers[endpoint] = known
+	end
+	if known and known.since <= W.number
+		and (known.spacecraft ~= spacecraft or known.processor ~= processor)
+		and not (identities[processor] and identities[processor][spacecraft]) then
+		note("sbn_id_mismatch")
+	end
+end
+
+local IDENT = D.sbn.ident .. string.rep("\0", D.sbn.ident_bytes - #D.sbn.ident)
+
+local function subscriptions(at)
+	if not take(L.subscriptions, at) then return end
+	local s = W.s
+	local count = read.subscriptions(s, at + 1)
+	if s:sub(at + 1, at + D.sbn.ident_bytes) ~= IDENT then note("sbn_id_mismatch") end
+	local first = at + L.subscriptions.size
+	local size = L.subscription.size
+	W.entries = math.min(count, math.floor((#s - first) / size))
+	local some = {}
+	for index = 0, math.min(W.entries, 3) - 1 do
+		some[index + 1] = string.format("0x%04x", (read.subscription(s, first + index * size + 1)))
+	end
+	local more = W.entries > 3 and string.format(" and %d more", W.entries - 3) or ""
+	W.summary = table.concat(some, ", ") .. more
+	if #s - first < count * size then truncated(L.subscription.name, first, count * size) end
+end
+
+-- Read the SBN header and what is its own; return where a space packet starts, if one does.
+local function software_bus_network(s)
+	local legacy = is_legacy(s)
+	local layout = legacy and L.sbn_legacy or L.sbn
+	if legacy then note("sbn_legacy_header") end
+	if #s >= L.sbn.size and #s % D.limits.bridge_modulus < L.sbn.size and bridge_ports[W.pinfo.dst_port] then
+		note("bridge_drops_length")
+	end
+	if not take(layout, 0) then return nil end
+	local size, kind, processor, spacecraft
+	if legacy then
+		size, kind, processor = read.sbn_legacy(s, 1)
+		spacecraft = 0
+	else
+		size, kind, processor, spacecraft = read.sbn(s, 1)
+	end
+	local known, payload = D.sbn.names[kind], #s - layout.size
+	W.kind, W.processor = known or string.format("0x%02x", kind), processor
+	if size ~= payload then note("sbn_size_mismatch") end
+	if not known then note("sbn_unknown_type") end
+	if kind == D.sbn.NO_MSG then note("sbn_no_message") end
+	identify(spacecraft, processor, known and size == payload)
+	if kind == D.sbn.APP then return layout.size end
+	if kind == D.sbn.SUB or kind == D.sbn.UNSUB then
+		subscriptions(layout.size)
+	elseif kind == D.sbn.PROTO and take(L.proto, layout.size) then
+		local version = read.proto(s, layout.size + 1)
+		W.summary = string.format("protocol version %d", version)
+		if version ~= D.sbn.version then note("sbn_version_mismatch") end
+	end
+	local from = legacy and string.format("from ?:%d", processor) or string.format("from %d:%d", spacecraft, processor)
+	W.summary = (W.summary and W.summary ~= "") and W.summary .. " " .. from or from
+	return nil
+end
+
+-- Space packets: the primary header, cFE's headers, what cFE itself sends, and the EDORAS envelope.
+
+local routes, route_types = D.routes, D.types
+local settings = {extended = D.extended_header, telemetry_header = D.telemetry_header}
+local envelope_layouts = {}
+for index, format in ipairs(D.formats) do
+	local order = format.little and "little" or "big"
+	format.read = read[string.format("envelope_%d_%s", format.width, order)]
+	format.size = 2 * format.width
+	envelope_layouts[order .. string.format("%d", format.width)] = format
+	if index == 1 then D.default_format = format end
+end
+
+local function claims_of(msg_id)
+	local exact = D.exact[W.link]
+	return exact and exact[msg_id] or D.any_link[msg_id]
+end
+
+local function name_of(msg_id)
+	local claims = D.any_link[msg_id]
+	return D.msg_id_names[msg_id] or (claims and routes[claims[1]].topic) or ""
+end
+
+local LINK_NUMBER = {ci = 1, to = 2, sbn = 3}
+
+-- Follow the sequence count of a stream: one MsgId of one processor on one link, each endpoint by itself. What
+-- never moved, as the 0 of all cFE's own commands, does not count and repeats nothing.
+local function follow(msg_id, count)
+	if W.pinfo.visited then return end
+	local stream = (W.processor * 65536 + msg_id) * 4 + LINK_NUMBER[W.link]  -- below 2^53
+	local counts = sequences[stream]
+	if not counts then
+		counts = {}
+		sequences[stream] = counts
+	end
+	local endpoint = sender()
+	local before = counts[endpoint]
+	counts[endpoint] = count
+	if not before then return end
+	local step = (count - before) % 16384
+	if step == 0 then
+		if counts.moving then analysis[W.number] = "duplicate" end
+		return
+	end
+	counts.moving = true
+	if step >= 8192 then
+		analysis[W.number] = "reordered"
+	elseif step > 1 then
+		analysis[W.number] = step - 1
+	end
+end
+
+-- Judge a command's checksum and function code.
+local function command(msg_id, code, sent, start, length, extra)
+	if checksum(W.s, start + 1, start + length) ~= 0 then
+		note(sent == 0 and "checksum_absent" or "checksum_bad")
+	end
+	local commands = D.commands[msg_id]
+	if not commands and D.any_link[msg_id] and msg_id % 8192 >= 4096 then commands = D.route_commands end
+	if not commands then return end
+	local known = commands[code]
+	if not known then
+		note("unknown_function_code")
+	elseif known.lengths then
+		local total = #W.s - start - extra
+		for _, length_taken in ipairs(known.lengths) do
+			if total == length_taken then return end
+		end
+		note("command_length")
+	end
+end
+
+-- Tell the envelope's format from the bytes: its lengths hold, and an encapsulation follows.
+local function detect(s, at)
+	for _, format in ipairs(D.formats) do
+		local start = at + format.size
+		if #s >= start + 4 then
+			local length, capacity = format.read(s, at + 1)
+			if length >= 4 and length <= capacity and length <= #s - start
+				and s:find("^%z[%z\1]%z%z", start + 1) then
+				return format
+			end
+		end
+	end
+	return nil
+end
+
+local function format_of(route, at)
+	if route.width == 0 then return detect(W.s, at) or D.default_format end
+	return envelope_layouts[(route.little and "little" or "big") .. string.format("%d", route.width)]
+end
+
+-- Tell whether the bytes hold a whole message of a route.
+local function suits(route, at)
+	local format, s = format_of(route, at), W.s
+	local start = at + format.size
+	if #s < start + 4 then return false end
+	local length = format.read(s, at + 1)
+	local representation = length >= 4 and length <= #s - start and read.cdr(s, start + 1) or 2
+	local kind = route_types[route.type]
+	return representation <= 1 and kind ~= nil and is_message(kind, s, start + 5, start + length, representation == 0)
+end
+
+local function envelope(claims, at)
+	local route, s = routes[claims[1]], W.s
+	for index = 1, #claims > 1 and #claims or 0 do
+		if suits(routes[claims[index]], at) then
+			route = routes[claims[index]]
+			break
+		end
+	end
+	local format = format_of(route, at)
+	W.route = route
+	if #s - at < format.size then return truncated("edoras", at, format.size) end
+	local length, capacity = format.read(s, at + 1)
+	local start = at + format.size
+	local space = #s - start
+	W.envelope, W.format = at, format
+	if length > space or capacity < length then note("envelope_overrun") end
+	if length > space then
+		W.stop = string.format("cdr at byte %d needs %.0f bytes, %d are there", start, length, space)
+		return
+	elseif length < L.cdr.size then
+		note("cdr_invalid")
+		W.stop = string.format("cdr at byte %d needs %d bytes, %d are there", start, L.cdr.size, length)
+		return
+	end
+	local stop = start + length
+	if any_nonzero(s, stop + 1, #s) then note("stale_tail") end
+	if stop < #s then W.padding = stop end
+	local representation = read.cdr(s, start + 1)
+	add_layer(L.cdr, start)
+	W.body, W.body_end = start + L.cdr.size, stop
+	if representation == 0 then note("cdr_big_endian") end
+	if representation > 1 then
+		note("cdr_invalid")
+		W.stop = string.format("cdr at byte %d has representation 0x%04x; CDR is 0x0000 or 0x0001", start, representation)
+		return
+	end
+	local kind = route_types[route.type]
+	if not kind then return end
+	W.big = representation == 0
+	if is_message(kind, s, W.body + 1, stop, W.big) then
+		W.message = kind
+		W.summary = short_message(kind.steps, s, W.body + 1, W.body + 1, W.big)
+	else
+		note("cdr_invalid")
+		W.stop = string.format("cdr at byte %d does not decode as %s", start, route.type)
+	end
+end
+
+-- Read what lies behind the cFE header: an event, housekeeping, or a route's envelope.
+local function payload(msg_id, start, header, code)
+	local at, s = start + header, W.s
+	local claims = claims_of(msg_id)
+	if claims then
+		if #s - start > header then return envelope(claims, at) end
+		W.route = routes[claims[1]]
+		if has("length_mismatch") then return truncated("edoras", at, 1) end
+		if code ~= 0 then note("header_only") end
+	elseif msg_id == D.msg_id.event and #s - at >= L.event.size then
+		add_layer(L.event, at)
+		local id, _, _, _, app, message = read.event(s, at + 1)
+		W.summary = string.format("%s %d: %s", utf8_text(app), id, utf8_text(message))
+	elseif msg_id == D.msg_id.software_bus and #s - at >= L.software_bus.size then
+		add_layer(L.software_bus, at)
+		local values = {read.software_bus(s, at + 1)}
+		local place = L.software_bus.place
+		W.summary = string.format(
+			"pipe overflow %d, message limit %d, no subscribers %d", values[place.pipe_overflow_error_counter],
+			values[place.message_limit_error_counter], values[place.no_subscribers_counter]
+		)
+	end
+end
+
+-- Read a packet that starts at an offset, and all that lies behind its primary header.
+local function space_packet(start)
+	local s, length = W.s, #W.s - start
+	if not take(L.ccsds, start) then return end
+	local version, kind, secondary, apid, flags, count, data_length = read.ccsds(s, start + 1)
+	local msg_id = version * 8192 + kind * 4096 + secondary * 2048 + apid
+	local extra = settings.extended and L.extended.size or 0
+	local is_command, total = kind == 1, data_length + D.limits.length_bias
+	local after = start + L.ccsds.size
+	if extra > 0 and length >= L.ccsds.size + extra then
+		local _, _, _, subsystem = read.extended(s, after + 1)
+		msg_id = apid % 128 + kind * 128 + subsystem % 256 * 256
+	end
+	W.msg_id = msg_id
+	W.kind = W.kind or (is_command and "cmd" or "tlm")
+	if total ~= length then note("length_mismatch") end
+	if flags == 0 and count == 0 then
+		note("sequence_unset")
+	else
+		follow(msg_id, count)
+	end
+	if total > D.limits.software_bus then note("over_software_bus") end
+	if msg_id < 1 or msg_id > D.limits.highest_msg_id then
+		note("invalid_msg_id")
+	elseif not D.msg_id_names[msg_id] and not D.any_link[msg_id] then
+		note("unknown_msg_id")
+	end
+	if (W.link == "ci" and not is_command) or (W.link == "to" and is_command) then note("wrong_direction") end
+
+	local as_command = L.ccsds.size + L.command.size + extra
+	local bare = not is_command and length == as_command and total == length
+	local header = (is_command or bare) and as_command or settings.telemetry_header + extra
+	W.bare = bare
+	if bare then note("header_only") end
+	if extra > 0 and length >= L.ccsds.size + extra then add_layer(L.extended, after) end
+	if length < header then
+		return truncated(is_command and L.command.name or L.telemetry.name, after, header - L.ccsds.size)
+	end
+	local at, code, sent = after + extra, nil, nil
+	if is_command or bare then
+		add_layer(L.command, at)
+		local _
+		_, code, sent = read.command(s, at + 1)
+	else
+		local short = settings.telemetry_header == L.ccsds.size + L.telemetry_short.size
+		local layout = short and L.telemetry_short or L.telemetry
+		add_layer(layout, at)
+		local seconds, subseconds = read[short and "telemetry_short" or "telemetry"](s, at + 1)
+		W.time = seconds + subseconds / 65536
+	end
+	if is_command then
+		W.code = code
+		command(msg_id, code, sent, start, math.min(length, total), extra)
+	end
+	if not bare then payload(msg_id, start, header, code) end
+end
+
+-- The dissector itself: read a datagram, fill the columns, and add to the tree what is asked for.
+
+local edoras = P.edoras
+edoras.prefs.ci_ports = Pref.range("CI ports", "", "UDP ports of Command Ingest", 65535)
+edoras.prefs.to_ports = Pref.range("TO ports", "", "UDP ports that Telemetry Output sends to", 65535)
+edoras.prefs.sbn_ports = Pref.range("SBN ports", "", "UDP ports of Software Bus Network peers", 65535)
+edoras.prefs.extended_header = Pref.bool(
+	"Extended header", D.extended_header, "Packets carry cFE's extended (version 2) header"
+)
+edoras.prefs.short_telemetry_header = Pref.bool(
+	"12-byte telemetry header", D.telemetry_header == 12, "Older cFE builds: no spare in the telemetry header"
+)
+
+local registered = {}
+
+local function register_ports()
+	local udp = DissectorTable.get("udp.port")
+	for port in pairs(registered) do udp:remove(port, edoras) end
+	registered = {}
+	for link in pairs(ports) do
+		ports[link] = port_set(edoras.prefs[link .. "_ports"])
+		for _, port in ipairs(D.ports[link]) do ports[link][port] = true end
+		for port in pairs(ports[link]) do registered[port] = true end
+	end
+	for port in pairs(registered) do udp:add(port, edoras) end
+	settings.extended = edoras.prefs.extended_header
+	settings.telemetry_header = edoras.prefs.short_telemetry_header and 12 or 16
+end
+
+function edoras.prefs_changed()
+	register_ports()
+end
+
+function edoras.init()
+	peers, sequences, analysis = {}, {}, {}
+	asked.last = math.huge
+end
+
+-- Forget what a datagram that the capture cut cannot be blamed for.
+local function forgive()
+	note("capture_cut")
+	local kept = 0
+	for index = 1, W.findings do
+		local finding = W.found[index]
+		if not D.findings[finding].unknowable then
+			kept = kept + 1
+			W.found[kept] = finding
+		end
+	end
+	W.findings = kept
+end
+
+-- What people would say of a packet of which nothing more is known.
+local function said_of(msg_id)
+	if not msg_id then return W.stop or string.format("%d bytes", #W.s) end
+	if W.code then
+		local known = (D.commands[msg_id] or {})[W.code]
+		return string.format("function code %d", W.code) .. (known and " " .. known.name or "")
+	end
+	return W.bare and "header only" or D.msg_id_names[msg_id] or ""
+end
+
+-- The findings that are more than a note, the gravest first.
+local function badges()
+	local text = ""
+	for rank = 3, 2, -1 do
+		for index = 1, W.findings do
+			local finding = D.findings[W.found[index]]
+			if finding.rank == rank then text = text .. finding.badge .. "  " end
+		end
+	end
+	return text
+end
+
+local function info()
+	local msg_id, name, head = W.msg_id, "", W.kind or ""
+	if msg_id then
+		name = W.message and W.route.topic or name_of(msg_id)
+		head = string.format(name ~= "" and "%s 0x%04x %s" or "%s 0x%04x", head, msg_id, name)
+	end
+	local summary = W.summary or said_of(msg_id)
+	if summary == name then summary = "" end
+	local text = (head ~= "" and head .. "  " or "") .. (W.findings > 0 and badges() or "") .. summary
+	local missing = analysis[W.number]
+	if missing then
+		text = text .. (type(missing) == "number" and string.format("  [gap of %d]", missing) or "  [" .. missing .. "]")
+	end
+	return text:find("%c") and text:gsub("%c", " ") or text
+end
+
+local function show_envelope(tree, tvb, visible)
+	local at, size = W.envelope, W.format.width
+	local node = tree:add(edoras, tvb(at, 2 * size), "EDORAS Envelope")
+	for index, record in ipairs({F.buffer_length, F.buffer_capacity}) do
+		if visible or record.on then
+			local range = tvb(at + (index - 1) * size, size)
+			node:add(record.field, range, W.format.little and range:le_uint64() or range:uint64())
+		end
+	end
+	return node
+end
+
+local function show_message(tree, tvb, visible)
+	local size, name = W.body_end - W.body, W.route.type
+	local at = W.body
+	if size > 0 and visible and not W.message then tree:add(F.body.field, tvb(at, size)) end
+	if not W.message then return end
+	local node = visible and size > 0 and tree:add(tvb(at, size), name) or tree
+	show_steps(node, W.message.steps, tvb, W.s, at + 1, at + 1, W.big, visible)
+end
+
+local function show_findings(node, visible)
+	for index = 1, W.findings do
+		local finding = D.findings[W.found[index]]
+		show_value(node, F.finding, finding.label, visible):add_proto_expert_info(finding.expert)
+	end
+	local missing = analysis[W.number]
+	if missing then
+		local kind = type(missing) == "number" and "gap" or missing
+		show_value(node, F[kind], kind == "gap" and missing or true, visible):add_proto_expert_info(EXPERT[kind])
+	end
+end
+
+local function show_facts(node, visible)
+	show_value(node, F.link, W.link, visible)
+	show_value(node, F.msg_id, W.msg_id, visible)
+	if W.msg_id then
+		local name = name_of(W.msg_id)
+		show_value(node, F.name, name ~= "" and name or nil, visible)
+		local known = W.code and (D.commands[W.msg_id] or (D.any_link[W.msg_id] and D.route_commands) or {})[W.code]
+		show_value(node, F.command, known and known.name, visible)
+	end
+	if W.route then
+		show_value(node, F.topic, W.route.topic, visible)
+		show_value(node, F.type, W.route.type, visible)
+	end
+	show_value(node, F.mission_time, W.time, visible)
+	show_value(node, F.stop, W.stop, visible)
+end
+
+-- Add every layer, outermost first.
+local function show(tree, tvb, visible)
+	local node
+	for index = 1, W.layers do
+		local layout, at = W.layer[index], W.at[index]
+		if layout == L.cdr then node = show_envelope(tree, tvb, visible) end
+		local header = show_layout(tree, layout, tvb, at)
+		if layout == L.subscriptions then
+			for entry = 0, W.entries - 1 do
+				show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size)
+			end
+		elseif layout == L.cdr then
+			show_message(header, tvb, visible)
+		end
+	end
+	if not node and W.envelope then node = show_envelope(tree, tvb, visible) end
+	if not node then
+		node = tree:add(edoras, tvb(0, 0), "EDORAS")
+		node:set_generated()
+	end
+	if W.padding and (visible or F.padding.on) then
+		node:add(F.padding.field, tvb(W.padding, #W.s - W.padding))
+	end
+	show_facts(node, visible)
+	return node
+end
+
+local function dissect(tvb, pinfo, tree)
+	if pinfo.in_error_pkt then return 0 end  -- what an ICMP error quotes was not sent again
+	local s = tvb:len() > 0 and tvb:raw() or ""
+	local link = link_of(pinfo, byte(s))
+	if not link then return 0 end
+	begin(s, link, pinfo)
+	if link == "ci" and #s > D.limits.ci_buffer then note("over_ci_buffer") end
+	if link == "to" and #s > D.limits.bridge_buffer then note("over_bridge_buffer") end
+	local start = 0
+	if link == "sbn" then start = software_bus_network(s) end
+	if start then space_packet(start) end
+	if tvb:reported_len() > #s then forgive() end
+
+	local columns = pinfo.cols
+	columns.protocol = string.upper(link)
+	columns.info = info()
+	local visible, node = tree.visible, tree
+	if visible or look_who_asks(tree, W.number) then node = show(tree, tvb, visible) end
+	show_findings(node, visible)
+	return #s
+end
+
+for name, protocol in pairs(P) do
+	protocol.fields = members[name]
+	protocol.dissector = dissect
+end
+edoras.experts = experts
+register_ports()
+DissectorTable.get("udp.port"):add_for_decode_as(edoras)

@@ -1,0 +1,290 @@
+-- CDR bodies by message type. A type is a list of steps, as in edoras_tools.ros.plan: a "run" of primitives at
+-- fixed offsets from an aligned start, a "text", or a "repeat" of other steps. Positions are places in the
+-- datagram's string, from 1; alignment counts from the body's first byte.
+
+local KINDS = {
+	["?"] = "bool", b = "int8", B = "uint8", h = "int16", H = "uint16", i = "int32", I = "uint32",
+	q = "int64", Q = "uint64", f = "float", d = "double",
+}
+local CODES = {
+	["?"] = "B", b = "b", B = "B", h = "i2", H = "I2", i = "i4", I = "I4", q = "e", Q = "E", f = "f", d = "d",
+}
+local MOST_WORDS, MOST_ITEMS = 8, 3  -- what fits in one line
+local NOTHING = string.rep("\0", 8)
+
+local function value_field(abbreviation, name, code, array)
+	if array and code == "B" then
+		return new_field("ros2cdr", abbreviation, "bytes", name)
+	elseif code == "?" or code == "f" or code == "d" then
+		return new_field("ros2cdr", abbreviation, KINDS[code], name)
+	end
+	return new_field("ros2cdr", abbreviation, KINDS[code], name, base.DEC)
+end
+
+-- Give every leaf its field. Elements have no index in a field's name.
+local function compile(steps, prefix, array)
+	for _, step in ipairs(steps) do
+		if step.leaves then
+			for _, leaf in ipairs(step.leaves) do
+				local path = prefix .. (leaf.name ~= "" and "." .. leaf.name or "")
+				local many = leaf.count ~= nil or (array and leaf.name == "")
+				leaf.many = many
+				leaf.record = value_field(path, leaf.name ~= "" and leaf.name or path:match("[^.]*$"), leaf.code, many)
+				leaf.little, leaf.big = "<" .. CODES[leaf.code], ">" .. CODES[leaf.code]
+			end
+		else
+			local path = prefix .. (step.name ~= "" and "." .. step.name or "")
+			if step.steps then
+				compile(step.steps, path, true)
+			else
+				step.record = new_field("ros2cdr", path, "string", step.name ~= "" and step.name or path:match("[^.]*$"))
+			end
+		end
+	end
+end
+
+for name, kind in pairs(D.types) do
+	compile(kind.steps, "ros2." .. name:gsub("/msg/", "."):gsub("/", "."), false)
+end
+
+local function count_at(s, p, start, big)
+	p = p + (start - p) % 4
+	local b0, b1, b2, b3 = byte(s, p, p + 3)
+	if big then b0, b1, b2, b3 = b3, b2, b1, b0 end
+	return b0 + 256 * (b1 + 256 * (b2 + 256 * b3)), p + 4
+end
+
+-- Return where a body ends, or nil where it is not valid. `stop` is the last place that belongs to it.
+local function check(steps, s, p, start, stop, big)
+	for _, step in ipairs(steps) do
+		if step.leaves then
+			p = p + (start - p) % step.alignment + step.size
+			if p - 1 > stop then return nil end
+		else
+			local count = step.count
+			if not count then
+				if p + (start - p) % 4 + 3 > stop then return nil end
+				count, p = count_at(s, p, start, big)
+			end
+			if step.steps then
+				if (step.bound > 0 and count > step.bound) or p + count * step.least - 1 > stop then return nil end
+				if step.uniform and count > 0 then
+					p = p + (start - p) % step.uniform.alignment + count * step.uniform.size
+					if p - 1 > stop then return nil end
+				else
+					for _ = 1, count do
+						p = check(step.steps, s, p, start, stop, big)
+						if not p then return nil end
+					end
+				end
+			else
+				local narrow = step.width == 1 and 1 or 0
+				p = p + count * step.width
+				if p - 1 > stop or (narrow == 1 and count > 0 and byte(s, p - 1) ~= 0)
+					or (step.bound > 0 and count - narrow > step.bound) then
+					return nil
+				end
+			end
+		end
+	end
+	return p
+end
+
+-- Tell whether a body is a message of a type: its end, and at most 3 bytes of padding.
+local function is_message(kind, s, start, stop, big)
+	if kind.fixed then
+		local left = stop - start + 1 - kind.fixed
+		return left >= 0 and left <= 3
+	end
+	local p = check(kind.steps, s, start, start, stop, big)
+	return p ~= nil and stop + 1 - p <= 3
+end
+
+local function text_value(step, s, p, count, big)
+	if step.width == 1 then
+		return utf8_text(s:sub(p, p + count - 2))
+	end
+	return wide_text(s, p, p + count * step.width - 1, step.width, big)
+end
+
+-- A primitive in a few characters.
+local function short_number(leaf, s, p, big)
+	local value = unpack(big and leaf.big or leaf.little, s, p)
+	if leaf.code == "d" or leaf.code == "f" then
+		return value ~= value and "nan" or string.format("%.6g", value)
+	elseif leaf.code == "?" then
+		return value ~= 0 and "True" or "False"
+	elseif leaf.size == 8 then
+		return tostring(value)
+	end
+	return string.format("%d", value)
+end
+
+-- Tell a zero without decoding it; -0.0 is one too.
+local function is_zero(leaf, s, p, big)
+	if s:sub(p, p + leaf.size - 1) == NOTHING:sub(1, leaf.size) then
+		return true
+	end
+	return (leaf.code == "d" or leaf.code == "f") and unpack(big and leaf.big or leaf.little, s, p) == 0
+end
+
+local function listed(items, count)
+	return "[" .. table.concat(items, ", ") .. (count > MOST_ITEMS and string.format(", ... %d", count) or "") .. "]"
+end
+
+local function short_numbers(leaf, s, p, count, big)
+	local items = {}
+	for index = 1, math.min(count, MOST_ITEMS) do
+		items[index] = short_number(leaf, s, p + (index - 1) * leaf.size, big)
+	end
+	return listed(items, count)
+end
+
+local short_message
+
+-- Append the words of a list of messages or texts; return where it ends.
+local function short_list(step, s, p, start, big)
+	local items, count = {}, step.count
+	if not count then count, p = count_at(s, p, start, big) end
+	if step.element and count > 0 then
+		local leaf = step.steps[1].leaves[1]
+		p = p + (start - p) % leaf.size
+		return short_numbers(leaf, s, p, count, big), p + count * leaf.size
+	end
+	for index = 1, count do
+		if index > MOST_ITEMS then
+			p = check(step.steps, s, p, start, #s, big)
+		elseif step.unnamed then
+			local inner = step.steps[1]
+			if inner.steps then
+				items[index], p = short_list(inner, s, p, start, big)
+				items[index] = items[index] or "[]"
+			else
+				local length
+				length, p = count_at(s, p, start, big)
+				items[index] = text_value(inner, s, p, length, big)
+				p = p + length * inner.width
+			end
+		else
+			local text
+			text, p = short_message(step.steps, s, p, start, big, true)
+			items[index] = "{" .. text .. "}"
+		end
+	end
+	return count > 0 and listed(items, count) or nil, p
+end
+
+-- Return a message in a few words: zeros left out, long arrays cut, the header last; and where it ends, which
+-- is known only where `whole` is asked for.
+function short_message(steps, s, p, start, big, whole)
+	local words, header, total = {}, {}, 0
+	local function say(name, value)
+		local list = name:sub(1, 7) == "header." and header or words
+		if #list <= MOST_WORDS then list[#list + 1] = name .. "=" .. value end
+	end
+	for _, step in ipairs(steps) do
+		if #words > MOST_WORDS and not whole then break end
+		if step.leaves then
+			p = p + (start - p) % step.alignment
+			for _, leaf in ipairs(step.leaves) do
+				local at = p + leaf.offset
+				if leaf.count then
+					say(leaf.name, short_numbers(leaf, s, at, leaf.count, big))
+				elseif not leaf.hidden and not is_zero(leaf, s, at, big) then
+					say(leaf.name, short_number(leaf, s, at, big))
+				end
+			end
+			p = p + step.size
+		elseif step.steps then
+			local text
+			text, p = short_list(step, s, p, start, big)
+			if text then say(step.name, text) end
+		else
+			local length
+			length, p = count_at(s, p, start, big)
+			if length > (step.width == 1 and 1 or 0) then
+				say(step.name, text_value(step, s, p, length, big))
+			end
+			p = p + length * step.width
+		end
+	end
+	for _, word in ipairs(header) do words[#words + 1] = word end
+	total = #words
+	if total == 0 then return "all zero", p end
+	local text = table.concat(words, " ", 1, math.min(total, MOST_WORDS))
+	return total > MOST_WORDS and text .. " ..." or text, p
+end
+
+-- Add one primitive, or a stretch of bytes.
+local function show_number(node, leaf, tvb, p, size, big)
+	local range = tvb(p - 1, size)
+	if big or leaf.size == 1 then
+		node:add(leaf.record.field, range)
+	else
+		node:add_le(leaf.record.field, range)
+	end
+end
+
+local function show_numbers(node, leaf, tvb, p, count, big, title, visible)
+	if not (visible or leaf.record.on) or count == 0 then return end
+	if leaf.code == "B" then
+		show_number(node, leaf, tvb, p, count, big)
+		return
+	end
+	if visible then
+		node = node:add(tvb(p - 1, count * leaf.size), string.format("%s: %d items", title, count))
+	end
+	for index = 0, count - 1 do
+		show_number(node, leaf, tvb, p + index * leaf.size, leaf.size, big)
+	end
+end
+
+-- Add every value of a valid message; return where it ends.
+local function show_steps(node, steps, tvb, s, p, start, big, visible)
+	for _, step in ipairs(steps) do
+		if step.leaves then
+			p = p + (start - p) % step.alignment
+			for _, leaf in ipairs(step.leaves) do
+				if leaf.count then
+					show_numbers(node, leaf, tvb, p + leaf.offset, leaf.count, big, leaf.name, visible)
+				elseif visible or leaf.record.on then
+					show_number(node, leaf, tvb, p + leaf.offset, leaf.size, big)
+				end
+			end
+			p = p + step.size
+		elseif step.steps then
+			local count, from = step.count, p
+			if not count then count, p = count_at(s, p, start, big) end
+			if step.element and count > 0 then
+				local leaf = step.steps[1].leaves[1]
+				p = p + (start - p) % leaf.size
+				show_numbers(node, leaf, tvb, p, count, big, step.name, visible)
+				p = p + count * leaf.size
+			else
+				local list = node
+				if visible then
+					local stop = check({step}, s, from, start, #s, big)
+					list = node:add(tvb(from - 1, stop - from), string.format("%s: %d items", step.name, count))
+				end
+				for index = 0, count - 1 do
+					local item = list
+					if visible and not step.unnamed then
+						local stop = check(step.steps, s, p, start, #s, big)
+						item = list:add(tvb(p - 1, stop - p), string.format("%s[%d]", step.name, index))
+					end
+					p = show_steps(item, step.steps, tvb, s, p, start, big, visible)
+				end
+			end
+		else
+			local length, from
+			from = p + (start - p) % 4
+			length, p = count_at(s, p, start, big)
+			if visible or step.record.on then
+				local range = tvb(from - 1, 4 + length * step.width)
+				node:add(step.record.field, range, text_value(step, s, p, length, big))
+			end
+			p = p + length * step.width
+		end
+	end
+	return p
+end

@@ -1,0 +1,37 @@
+-- Which link a datagram belongs to: by the mission's endpoints, then by port and content. cpu2's CI port equals
+-- TO's destination port (both 1235): a port alone does not tell.
+
+local ports = {ci = {}, to = {}, sbn = {}}
+local bridge_ports, cfs = {}, {}
+for _, port in ipairs(D.bridge_ports) do bridge_ports[port] = true end
+for index, address in ipairs(D.cfs_addresses) do cfs[index] = Address.ip(address) end
+
+local function is_cfs(address)
+	for _, known in ipairs(cfs) do
+		if address == known then return true end
+	end
+	return false
+end
+
+-- Return "ci", "to" or "sbn", or nil for none of them.
+local function link_of(pinfo, first_byte)
+	local source, destination = pinfo.src_port, pinfo.dst_port
+	local ci, to = ports.ci[destination], ports.to[destination]
+	local command = not first_byte or first_byte % 32 >= 16  -- TO never sends an empty datagram
+	if ports.sbn[destination] then
+		return "sbn"
+	elseif ci and to then
+		local to_cfs, from_cfs = is_cfs(pinfo.dst), is_cfs(pinfo.src)
+		if to_cfs ~= from_cfs then command = to_cfs end
+		return command and "ci" or "to"
+	elseif ci then
+		return "ci"
+	elseif to then
+		return "to"
+	elseif ports.sbn[source] then
+		return "sbn"
+	elseif ports.ci[source] or ports.to[source] then
+		return nil
+	end
+	return command and "ci" or "to"  -- "Decode As": no port of ours has a say
+end

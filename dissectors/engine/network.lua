@@ -1,0 +1,149 @@
+-- The work on one datagram, and the Software Bus Network's headers.
+
+local W = {serial = 0, layer = {}, at = {}, found = {}, is_found = {}}
+local peers, sequences, analysis = {}, {}, {}  -- what is known of senders, and per frame; see init()
+local read, L = D.read, D.layouts
+local identities = {}
+for _, pair in ipairs(D.identities) do
+	identities[pair[2]] = identities[pair[2]] or {}
+	identities[pair[2]][pair[1]] = true
+end
+
+local function begin(s, link, pinfo)
+	W.serial = W.serial + 1
+	W.s, W.link, W.pinfo, W.number = s, link, pinfo, pinfo.number
+	W.layers, W.findings = 0, 0
+	W.stop, W.kind, W.msg_id, W.code, W.route, W.message, W.envelope = nil, nil, nil, nil, nil, nil, nil
+	W.sender, W.padding, W.entries, W.summary, W.time, W.processor, W.bare = nil, nil, 0, nil, nil, 0, false
+end
+
+-- Note a finding, once; they stay in the order of their bits.
+local function note(label)
+	local index = FINDING[label]
+	if W.is_found[index] == W.serial then return end
+	W.is_found[index] = W.serial
+	local found, place = W.found, W.findings + 1
+	W.findings = place
+	while place > 1 and found[place - 1] > index do
+		found[place] = found[place - 1]
+		place = place - 1
+	end
+	found[place] = index
+end
+
+local function has(label)
+	return W.is_found[FINDING[label]] == W.serial
+end
+
+local function add_layer(layout, at)
+	local count = W.layers + 1
+	W.layers, W.layer[count], W.at[count] = count, layout, at
+end
+
+-- Note that a header is cut. Offsets count from the datagram's first byte, from 0.
+local function truncated(name, at, need)
+	note("truncated")
+	W.stop = string.format("%s at byte %d needs %d bytes, %d are there", name, at, need, math.max(0, #W.s - at))
+end
+
+-- Take a header that must be whole; tell whether it is.
+local function take(layout, at)
+	if #W.s - at < layout.size then
+		truncated(layout.name, at, layout.size)
+		return false
+	end
+	add_layer(layout, at)
+	return true
+end
+
+-- Tell the older 7-byte header: its size fits, and so does what then follows it.
+local function is_legacy(s)
+	local at = L.sbn_legacy.size
+	if #s < at then return false end
+	local size, kind = read.sbn_legacy(s, 1)
+	if size ~= #s - at or not D.sbn.names[kind] then
+		return false
+	elseif kind == D.sbn.APP then
+		return size >= L.ccsds.size and select(7, read.ccsds(s, at + 1)) + D.limits.length_bias == size
+	elseif kind == D.sbn.PROTO then
+		return size == L.proto.size
+	elseif kind == D.sbn.SUB or kind == D.sbn.UNSUB then
+		return s:sub(at + 1, at + 1) == "$"
+	end
+	return size == 0
+end
+
+-- Return the endpoint that a datagram came from, as a text.
+local function sender()
+	W.sender = W.sender or string.format("%s:%d", tostring(W.pinfo.src), W.pinfo.src_port)
+	return W.sender
+end
+
+-- Compare a sender with the one its endpoint is known by: the first identity that it gave.
+local function identify(spacecraft, processor, trusted)
+	local endpoint = sender()
+	local known = peers[endpoint]
+	if trusted and not known then
+		known = {spacecraft = spacecraft, processor = processor, since = W.number}
+		peers[endpoint] = known
+	end
+	if known and known.since <= W.number
+		and (known.spacecraft ~= spacecraft or known.processor ~= processor)
+		and not (identities[processor] and identities[processor][spacecraft]) then
+		note("sbn_id_mismatch")
+	end
+end
+
+local IDENT = D.sbn.ident .. string.rep("\0", D.sbn.ident_bytes - #D.sbn.ident)
+
+local function subscriptions(at)
+	if not take(L.subscriptions, at) then return end
+	local s = W.s
+	local count = read.subscriptions(s, at + 1)
+	if s:sub(at + 1, at + D.sbn.ident_bytes) ~= IDENT then note("sbn_id_mismatch") end
+	local first = at + L.subscriptions.size
+	local size = L.subscription.size
+	W.entries = math.min(count, math.floor((#s - first) / size))
+	local some = {}
+	for index = 0, math.min(W.entries, 3) - 1 do
+		some[index + 1] = string.format("0x%04x", (read.subscription(s, first + index * size + 1)))
+	end
+	local more = W.entries > 3 and string.format(" and %d more", W.entries - 3) or ""
+	W.summary = table.concat(some, ", ") .. more
+	if #s - first < count * size then truncated(L.subscription.name, first, count * size) end
+end
+
+-- Read the SBN header and what is its own; return where a space packet starts, if one does.
+local function software_bus_network(s)
+	local legacy = is_legacy(s)
+	local layout = legacy and L.sbn_legacy or L.sbn
+	if legacy then note("sbn_legacy_header") end
+	if #s >= L.sbn.size and #s % D.limits.bridge_modulus < L.sbn.size and bridge_ports[W.pinfo.dst_port] then
+		note("bridge_drops_length")
+	end
+	if not take(layout, 0) then return nil end
+	local size, kind, processor, spacecraft
+	if legacy then
+		size, kind, processor = read.sbn_legacy(s, 1)
+		spacecraft = 0
+	else
+		size, kind, processor, spacecraft = read.sbn(s, 1)
+	end
+	local known, payload = D.sbn.names[kind], #s - layout.size
+	W.kind, W.processor = known or string.format("0x%02x", kind), processor
+	if size ~= payload then note("sbn_size_mismatch") end
+	if not known then note("sbn_unknown_type") end
+	if kind == D.sbn.NO_MSG then note("sbn_no_message") end
+	identify(spacecraft, processor, known and size == payload)
+	if kind == D.sbn.APP then return layout.size end
+	if kind == D.sbn.SUB or kind == D.sbn.UNSUB then
+		subscriptions(layout.size)
+	elseif kind == D.sbn.PROTO and take(L.proto, layout.size) then
+		local version = read.proto(s, layout.size + 1)
+		W.summary = string.format("protocol version %d", version)
+		if version ~= D.sbn.version then note("sbn_version_mismatch") end
+	end
+	local from = legacy and string.format("from ?:%d", processor) or string.format("from %d:%d", spacecraft, processor)
+	W.summary = (W.summary and W.summary ~= "") and W.summary .. " " .. from or from
+	return nil
+end

@@ -1,0 +1,231 @@
+-- Space packets: the primary header, cFE's headers, what cFE itself sends, and the EDORAS envelope.
+
+local routes, route_types = D.routes, D.types
+local settings = {extended = D.extended_header, telemetry_header = D.telemetry_header}
+local envelope_layouts = {}
+for index, format in ipairs(D.formats) do
+	local order = format.little and "little" or "big"
+	format.read = read[string.format("envelope_%d_%s", format.width, order)]
+	format.size = 2 * format.width
+	envelope_layouts[order .. string.format("%d", format.width)] = format
+	if index == 1 then D.default_format = format end
+end
+
+local function claims_of(msg_id)
+	local exact = D.exact[W.link]
+	return exact and exact[msg_id] or D.any_link[msg_id]
+end
+
+local function name_of(msg_id)
+	local claims = D.any_link[msg_id]
+	return D.msg_id_names[msg_id] or (claims and routes[claims[1]].topic) or ""
+end
+
+local LINK_NUMBER = {ci = 1, to = 2, sbn = 3}
+
+-- Follow the sequence count of a stream: one MsgId of one processor on one link, each endpoint by itself. What
+-- never moved, as the 0 of all cFE's own commands, does not count and repeats nothing.
+local function follow(msg_id, count)
+	if W.pinfo.visited then return end
+	local stream = (W.processor * 65536 + msg_id) * 4 + LINK_NUMBER[W.link]  -- below 2^53
+	local counts = sequences[stream]
+	if not counts then
+		counts = {}
+		sequences[stream] = counts
+	end
+	local endpoint = sender()
+	local before = counts[endpoint]
+	counts[endpoint] = count
+	if not before then return end
+	local step = (count - before) % 16384
+	if step == 0 then
+		if counts.moving then analysis[W.number] = "duplicate" end
+		return
+	end
+	counts.moving = true
+	if step >= 8192 then
+		analysis[W.number] = "reordered"
+	elseif step > 1 then
+		analysis[W.number] = step - 1
+	end
+end
+
+-- Judge a command's checksum and function code.
+local function command(msg_id, code, sent, start, length, extra)
+	if checksum(W.s, start + 1, start + length) ~= 0 then
+		note(sent == 0 and "checksum_absent" or "checksum_bad")
+	end
+	local commands = D.commands[msg_id]
+	if not commands and D.any_link[msg_id] and msg_id % 8192 >= 4096 then commands = D.route_commands end
+	if not commands then return end
+	local known = commands[code]
+	if not known then
+		note("unknown_function_code")
+	elseif known.lengths then
+		local total = #W.s - start - extra
+		for _, length_taken in ipairs(known.lengths) do
+			if total == length_taken then return end
+		end
+		note("command_length")
+	end
+end
+
+-- Tell the envelope's format from the bytes: its lengths hold, and an encapsulation follows.
+local function detect(s, at)
+	for _, format in ipairs(D.formats) do
+		local start = at + format.size
+		if #s >= start + 4 then
+			local length, capacity = format.read(s, at + 1)
+			if length >= 4 and length <= capacity and length <= #s - start
+				and s:find("^%z[%z\1]%z%z", start + 1) then
+				return format
+			end
+		end
+	end
+	return nil
+end
+
+local function format_of(route, at)
+	if route.width == 0 then return detect(W.s, at) or D.default_format end
+	return envelope_layouts[(route.little and "little" or "big") .. string.format("%d", route.width)]
+end
+
+-- Tell whether the bytes hold a whole message of a route.
+local function suits(route, at)
+	local format, s = format_of(route, at), W.s
+	local start = at + format.size
+	if #s < start + 4 then return false end
+	local length = format.read(s, at + 1)
+	local representation = length >= 4 and length <= #s - start and read.cdr(s, start + 1) or 2
+	local kind = route_types[route.type]
+	return representation <= 1 and kind ~= nil and is_message(kind, s, start + 5, start + length, representation == 0)
+end
+
+local function envelope(claims, at)
+	local route, s = routes[claims[1]], W.s
+	for index = 1, #claims > 1 and #claims or 0 do
+		if suits(routes[claims[index]], at) then
+			route = routes[claims[index]]
+			break
+		end
+	end
+	local format = format_of(route, at)
+	W.route = route
+	if #s - at < format.size then return truncated("edoras", at, format.size) end
+	local length, capacity = format.read(s, at + 1)
+	local start = at + format.size
+	local space = #s - start
+	W.envelope, W.format = at, format
+	if length > space or capacity < length then note("envelope_overrun") end
+	if length > space then
+		W.stop = string.format("cdr at byte %d needs %.0f bytes, %d are there", start, length, space)
+		return
+	elseif length < L.cdr.size then
+		note("cdr_invalid")
+		W.stop = string.format("cdr at byte %d needs %d bytes, %d are there", start, L.cdr.size, length)
+		return
+	end
+	local stop = start + length
+	if any_nonzero(s, stop + 1, #s) then note("stale_tail") end
+	if stop < #s then W.padding = stop end
+	local representation = read.cdr(s, start + 1)
+	add_layer(L.cdr, start)
+	W.body, W.body_end = start + L.cdr.size, stop
+	if representation == 0 then note("cdr_big_endian") end
+	if representation > 1 then
+		note("cdr_invalid")
+		W.stop = string.format("cdr at byte %d has representation 0x%04x; CDR is 0x0000 or 0x0001", start, representation)
+		return
+	end
+	local kind = route_types[route.type]
+	if not kind then return end
+	W.big = representation == 0
+	if is_message(kind, s, W.body + 1, stop, W.big) then
+		W.message = kind
+		W.summary = short_message(kind.steps, s, W.body + 1, W.body + 1, W.big)
+	else
+		note("cdr_invalid")
+		W.stop = string.format("cdr at byte %d does not decode as %s", start, route.type)
+	end
+end
+
+-- Read what lies behind the cFE header: an event, housekeeping, or a route's envelope.
+local function payload(msg_id, start, header, code)
+	local at, s = start + header, W.s
+	local claims = claims_of(msg_id)
+	if claims then
+		if #s - start > header then return envelope(claims, at) end
+		W.route = routes[claims[1]]
+		if has("length_mismatch") then return truncated("edoras", at, 1) end
+		if code ~= 0 then note("header_only") end
+	elseif msg_id == D.msg_id.event and #s - at >= L.event.size then
+		add_layer(L.event, at)
+		local id, _, _, _, app, message = read.event(s, at + 1)
+		W.summary = string.format("%s %d: %s", utf8_text(app), id, utf8_text(message))
+	elseif msg_id == D.msg_id.software_bus and #s - at >= L.software_bus.size then
+		add_layer(L.software_bus, at)
+		local values = {read.software_bus(s, at + 1)}
+		local place = L.software_bus.place
+		W.summary = string.format(
+			"pipe overflow %d, message limit %d, no subscribers %d", values[place.pipe_overflow_error_counter],
+			values[place.message_limit_error_counter], values[place.no_subscribers_counter]
+		)
+	end
+end
+
+-- Read a packet that starts at an offset, and all that lies behind its primary header.
+local function space_packet(start)
+	local s, length = W.s, #W.s - start
+	if not take(L.ccsds, start) then return end
+	local version, kind, secondary, apid, flags, count, data_length = read.ccsds(s, start + 1)
+	local msg_id = version * 8192 + kind * 4096 + secondary * 2048 + apid
+	local extra = settings.extended and L.extended.size or 0
+	local is_command, total = kind == 1, data_length + D.limits.length_bias
+	local after = start + L.ccsds.size
+	if extra > 0 and length >= L.ccsds.size + extra then
+		local _, _, _, subsystem = read.extended(s, after + 1)
+		msg_id = apid % 128 + kind * 128 + subsystem % 256 * 256
+	end
+	W.msg_id = msg_id
+	W.kind = W.kind or (is_command and "cmd" or "tlm")
+	if total ~= length then note("length_mismatch") end
+	if flags == 0 and count == 0 then
+		note("sequence_unset")
+	else
+		follow(msg_id, count)
+	end
+	if total > D.limits.software_bus then note("over_software_bus") end
+	if msg_id < 1 or msg_id > D.limits.highest_msg_id then
+		note("invalid_msg_id")
+	elseif not D.msg_id_names[msg_id] and not D.any_link[msg_id] then
+		note("unknown_msg_id")
+	end
+	if (W.link == "ci" and not is_command) or (W.link == "to" and is_command) then note("wrong_direction") end
+
+	local as_command = L.ccsds.size + L.command.size + extra
+	local bare = not is_command and length == as_command and total == length
+	local header = (is_command or bare) and as_command or settings.telemetry_header + extra
+	W.bare = bare
+	if bare then note("header_only") end
+	if extra > 0 and length >= L.ccsds.size + extra then add_layer(L.extended, after) end
+	if length < header then
+		return truncated(is_command and L.command.name or L.telemetry.name, after, header - L.ccsds.size)
+	end
+	local at, code, sent = after + extra, nil, nil
+	if is_command or bare then
+		add_layer(L.command, at)
+		local _
+		_, code, sent = read.command(s, at + 1)
+	else
+		local short = settings.telemetry_header == L.ccsds.size + L.telemetry_short.size
+		local layout = short and L.telemetry_short or L.telemetry
+		add_layer(layout, at)
+		local seconds, subseconds = read[short and "telemetry_short" or "telemetry"](s, at + 1)
+		W.time = seconds + subseconds / 65536
+	end
+	if is_command then
+		W.code = code
+		command(msg_id, code, sent, start, math.min(length, total), extra)
+	end
+	if not bare then payload(msg_id, start, header, code) end
+end

@@ -1,0 +1,313 @@
+"""The Wireshark dissector: tables and readers made from the layouts, in front of the engine in ``engine/``.
+
+What the layouts do not say (findings, ports, routes, message types) is a :class:`Knowledge`: plain values.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from edoras_tools.dissectors.lua_text import literal, quoted
+from edoras_tools.wire import ccsds, cdr, cfe, limits, names, sbn
+from edoras_tools.wire.envelope import FORMATS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from edoras_tools.wire.envelope import EnvelopeFormat
+    from edoras_tools.wire.layout import Layout, Slot
+
+
+class Place(NamedTuple):
+    """Where a layout's fields are in Wireshark: the protocol, and what stands before their names."""
+
+    protocol: str
+    prefix: str
+
+
+LAYOUTS: Final[dict[str, tuple[Layout, Place]]] = {
+    "ccsds": (ccsds.PRIMARY, Place("ccsds_sp", "ccsds_sp")),
+    "extended": (cfe.EXTENDED, Place("cfe", "cfe.extended")),
+    "command": (cfe.COMMAND, Place("cfe", "cfe.command")),
+    "telemetry": (cfe.TELEMETRY, Place("cfe", "cfe.telemetry")),
+    "telemetry_short": (cfe.TELEMETRY_SHORT, Place("cfe", "cfe.telemetry")),
+    "event": (cfe.EVENT, Place("cfe", "cfe.event")),
+    "software_bus": (cfe.SOFTWARE_BUS_HOUSEKEEPING, Place("cfe", "cfe.software_bus")),
+    "sbn": (sbn.HEADER, Place("sbn", "sbn")),
+    "sbn_legacy": (sbn.LEGACY_HEADER, Place("sbn", "sbn")),
+    "subscriptions": (sbn.SUBSCRIPTIONS, Place("sbn", "sbn.sub")),
+    "subscription": (sbn.SUBSCRIPTION, Place("sbn", "sbn.subscription")),
+    "proto": (sbn.PROTO, Place("sbn", "sbn.proto")),
+    "cdr": (cdr.ENCAPSULATION, Place("ros2cdr", "ros2cdr")),
+}
+"""Every header, by what the engine calls it; the envelopes are added for each of their formats."""
+
+ENGINE: Final = ("base", "fields", "links", "cdr", "network", "packet", "dissector")
+"""The parts of the engine, in the order in which they need each other."""
+GUARD: Final = "EDORAS_LUA"
+"""The environment variable that names the one digest that may load, where several copies are installed."""
+
+
+@dataclass(frozen=True, slots=True)
+class FindingText:
+    """A finding for the expert information.
+
+    Attributes:
+        bit: its value.
+        label: its name, as in the filter ``edoras.finding.LABEL``.
+        severity: ``note``, ``warning`` or ``error``.
+        short: for the packet list; empty where a list does not show it.
+        meaning: one sentence.
+        unknowable: not to be said of a datagram that the capture cut.
+    """
+
+    bit: int
+    label: str
+    severity: str
+    short: str
+    meaning: str
+    unknowable: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RouteText:
+    """A route: its topic, its type and the envelope's format; None where the bytes shall tell."""
+
+    topic: str
+    type: str
+    envelope: EnvelopeFormat | None
+
+
+@dataclass(frozen=True, slots=True)
+class Knowledge:
+    """What the dissector knows besides the layouts.
+
+    Attributes:
+        findings: every finding.
+        ports: UDP ports by link, ``ci``, ``to`` and ``sbn``.
+        bridge_ports: where flight bridges listen.
+        cfs_addresses: IPv4 addresses of the cFS of ground missions.
+        identities: (SpacecraftID, ProcessorID) that missions name.
+        routes: all routes.
+        exact: by link, MsgId to the routes that may claim it; the first whose type fits the bytes is taken.
+        any_link: the same whatever the link.
+        types: ROS types by name: ``{"wide": bytes, "fixed": bytes or None, "steps": [...]}``, see ``cdr.lua``.
+        extended_header: packets carry cFE's extended header.
+        telemetry_header: 16 or 12.
+        note: what the head of the file says of where the routes are from.
+    """
+
+    findings: Sequence[FindingText]
+    ports: Mapping[str, Sequence[int]]
+    bridge_ports: Sequence[int]
+    cfs_addresses: Sequence[str] = ()
+    identities: Sequence[tuple[int, int]] = ()
+    routes: Sequence[RouteText] = ()
+    exact: Mapping[str, Mapping[int, Sequence[int]]] = field(default_factory=dict)
+    any_link: Mapping[int, Sequence[int]] = field(default_factory=dict)
+    types: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    extended_header: bool = False
+    telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES
+    note: str = ""
+
+
+def generate(knowledge: Knowledge) -> str:
+    """Return the Lua file."""
+    parts = [_data(knowledge), _readers()]
+    parts += [(files(__package__) / "engine" / f"{name}.lua").read_text("utf-8") for name in ENGINE]
+    body = "\n".join(parts)
+    return _head(knowledge.note, digest(body)) + body
+
+
+def digest(text: str) -> str:
+    """Return what tells one generated file from another."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def own_digest(text: str) -> str:
+    """Return the digest that a generated file bears."""
+    return text.partition('local DIGEST = "')[2].partition('"')[0]
+
+
+def _head(note: str, mark: str) -> str:
+    return f"""\
+-- EDORAS for Wireshark and tshark: CCSDS space packets, cFE, SBN, the EDORAS envelope and ROS 2 messages.
+-- Generated from the layouts of edoras-tools; do not edit: edoras wireshark print > edoras.lua
+-- {note}
+-- SPDX-License-Identifier: MIT
+
+local DIGEST = {quoted(mark)}
+local wanted = os.getenv("{GUARD}")
+if EDORAS_DIGEST or (wanted and wanted ~= "" and wanted ~= DIGEST) then
+	return  -- Another copy is loaded, or shall be: a protocol can be there only once.
+end
+EDORAS_DIGEST = DIGEST
+
+"""
+
+
+def _data(knowledge: Knowledge) -> str:
+    layouts = {name: _layout(layout, place) for name, (layout, place) in LAYOUTS.items()}
+    data = {
+        "layouts": layouts,
+        "formats": [{"width": item.width, "little": item.byte_order == "little"} for item in FORMATS],
+        "limits": {
+            "ci_buffer": limits.CI_BUFFER,
+            "bridge_buffer": limits.BRIDGE_BUFFER,
+            "bridge_modulus": limits.BRIDGE_LENGTH_MODULUS,
+            "software_bus": limits.SOFTWARE_BUS_MAXIMUM,
+            "highest_msg_id": cfe.HIGHEST_MSG_ID,
+            "length_bias": ccsds.LENGTH_BIAS,
+        },
+        "sbn": {
+            **{item.name: int(item) for item in sbn.MsgType},
+            "names": sbn.MSG_TYPE_NAMES,
+            "version": sbn.PROTOCOL_VERSION,
+            "ident": sbn.IDENT,
+            "ident_bytes": sbn.IDENT_BYTES,
+        },
+        "msg_id": {"event": cfe.EVENT_MSG_ID, "software_bus": cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID},
+        "msg_id_names": names.MSG_ID_NAMES,
+        "commands": {
+            msg_id: {
+                code: {"name": command.name, "lengths": command.lengths or None}
+                for code, command in commands.items()
+            }
+            for msg_id, commands in names.COMMANDS.items()
+        },
+        "route_commands": {
+            code: {"name": command.name, "lengths": command.lengths or None}
+            for code, command in names.ROUTE_COMMANDS.items()
+        },
+        "findings": [
+            {
+                "label": item.label,
+                "severity": item.severity,
+                "short": item.short,
+                "meaning": item.meaning,
+                "unknowable": item.unknowable or None,
+            }
+            for item in knowledge.findings
+        ],
+        "ports": {link: list(ports) for link, ports in knowledge.ports.items()},
+        "bridge_ports": list(knowledge.bridge_ports),
+        "cfs_addresses": list(knowledge.cfs_addresses),
+        "identities": [list(pair) for pair in knowledge.identities],
+        "routes": [
+            {
+                "topic": item.topic,
+                "type": item.type,
+                "width": item.envelope.width if item.envelope else 0,
+                "little": item.envelope is None or item.envelope.byte_order == "little",
+            }
+            for item in knowledge.routes
+        ],
+        "exact": {link: _from_one(claims) for link, claims in knowledge.exact.items()},
+        "any_link": _from_one(knowledge.any_link),
+        "types": dict(knowledge.types),
+        "extended_header": knowledge.extended_header,
+        "telemetry_header": knowledge.telemetry_header,
+    }
+    return "local D = {}\n" + "".join(f"D.{name} = {literal(value)}\n" for name, value in data.items())
+
+
+def _from_one(claims: Mapping[int, Sequence[int]]) -> dict[int, list[int]]:
+    """Number routes from 1, as Lua does."""
+    return {msg_id: [index + 1 for index in indexes] for msg_id, indexes in claims.items()}
+
+
+def _layout(layout: Layout, place: Place) -> dict[str, Any]:
+    return {
+        "name": layout.name,
+        "protocol": place.protocol,
+        "title": layout.title,
+        "size": layout.size,
+        "little": layout.byte_order == "little" or None,
+        "fields": [_field(slot, place.prefix) for slot in layout.slots],
+        "place": {slot.field.name: place for place, slot in enumerate(_read(layout), 1)},
+    }
+
+
+def _field(slot: Slot, prefix: str) -> dict[str, Any]:
+    item, size = slot.field, slot.end - slot.start
+    number = item.kind in {"uint", "int"}
+    whole = slot.mask == (1 << 8 * size) - 1
+    return {
+        "abbreviation": f"{prefix}.{item.name}",
+        "name": item.name,
+        "start": slot.start,
+        "size": size,
+        "kind": f"{item.kind}{8 * size}" if number else {"text": "string", "bytes": "bytes"}[item.kind],
+        "mask": slot.mask << slot.shift if number and not whole else None,
+        "hex": (item.base == 16 and number) or None,
+        "names": dict(item.names) or None,
+        "doc": f"{item.doc} ({item.clause})" if item.clause else item.doc,
+    }
+
+
+def _readers() -> str:
+    """Return a Lua function for each layout: from a string and a place to its numbers and texts."""
+    lines = ["local byte = string.byte", "D.read = {}"]
+    for name, (layout, _) in LAYOUTS.items():
+        lines += _reader(name, layout)
+    for item in FORMATS:
+        lines += _reader(f"envelope_{item.width}_{'little' if item.byte_order == 'little' else 'big'}", item.layout)
+    return "\n".join(lines) + "\n"
+
+
+def _reader(name: str, layout: Layout) -> list[str]:
+    wanted = _read(layout)
+    numbers = [slot for slot in wanted if slot.field.kind != "text"]
+    names_read = ", ".join(slot.field.name for slot in wanted)
+    lines = ["", f"function D.read.{name}(s, p)"]
+    for first, last in _stretches(numbers):
+        octets = ", ".join(f"b{at}" for at in range(first, last))
+        lines.append(f"\tlocal {octets} = byte(s, p + {first}, p + {last - 1})")
+    for slot in numbers:
+        lines += [f"\t{line}" for line in _number(layout, slot)]
+    lines += [
+        f"\tlocal {slot.field.name} = D.text(s, p + {slot.start}, p + {slot.end - 1})"
+        for slot in wanted[len(numbers) :]
+    ]
+    return [*lines, f"\treturn {names_read}", "end"]
+
+
+def _read(layout: Layout) -> list[Slot]:
+    """Return the slots that a reader returns, in its order: numbers, then texts."""
+    numbers = [slot for slot in layout.slots if slot.field.kind in {"uint", "int"}]
+    return numbers + [slot for slot in layout.slots if slot.field.kind == "text"]
+
+
+def _stretches(slots: Sequence[Slot]) -> list[tuple[int, int]]:
+    """Return the stretches of bytes that hold the slots, so that one call reads many."""
+    found: list[tuple[int, int]] = []
+    for slot in slots:
+        if found and slot.start <= found[-1][1]:
+            found[-1] = found[-1][0], max(found[-1][1], slot.end)
+        else:
+            found.append((slot.start, slot.end))
+    return found
+
+
+def _number(layout: Layout, slot: Slot) -> list[str]:
+    """Return the Lua that puts a number together from its bytes b0, b1, ... of the header."""
+    size, name = slot.end - slot.start, slot.field.name
+    order = list(range(slot.start, slot.end))
+    first, *rest = order if layout.byte_order == "big" else reversed(order)
+    word = f"b{first}"
+    for at in rest:
+        # A float holds 64 bits without wrapping round; what it rounds off is beyond any length that can be.
+        word = f"{f'({word})' if '*' in word else word} * {'256.0' if size == 8 else '256'} + b{at}"
+    lines = [f"local {name} = {word}"]
+    if slot.shift:
+        step = 1 << slot.shift
+        lines.append(f"{name} = ({name} - {name} % {step}) / {step}")
+    if slot.shift + slot.field.bits < 8 * size:
+        lines.append(f"{name} = {name} % {1 << slot.field.bits}")
+    if slot.field.kind == "int":
+        half = 1 << slot.field.bits - 1
+        lines.append(f"if {name} >= {half} then {name} = {name} - {2 * half} end")
+    return lines

@@ -1,0 +1,170 @@
+"""The Lua dissector for a mission: what the layouts do not say, gathered as plain values.
+
+Without a mission it knows the four demos of the EDORAS paper. Where two of them use one MsgId, the first whose
+message type fits the bytes is taken.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import replace
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.decode import Context
+from edoras_tools.decode.findings import UNKNOWABLE
+from edoras_tools.dissectors.lua import FindingText, Knowledge, RouteText, generate
+from edoras_tools.mission import load, loads
+from edoras_tools.model import NO_ROUTE, Finding, Link
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.render.severity import EXPLANATIONS, Severity
+from edoras_tools.ros import TypeStore
+from edoras_tools.ros.plan import Repeat, Run, Text
+from edoras_tools.ros.schema import PLACEHOLDER, full_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.ros.plan import Plan
+
+DEMOS: Final = (
+    ("rover_ground",),
+    ("single_arm_ground",),
+    ("two_rovers_ground", "two_rovers_flight"),
+    ("two_arms_ground", "two_arms_flight"),
+)
+_LINKS: Final = (Link.CI, Link.TO, Link.SBN)
+
+
+def dissector(settings: Settings) -> tuple[str, list[str]]:
+    """Return the Lua dissector for the missions named, or for the demos where none is; and warnings.
+
+    Raises:
+        ConfigError: a mission file, a type folder or an option has mistakes. A type that is not known is a
+            warning: the rest of its packets is dissected all the same.
+    """
+    types = TypeStore(settings.distro, settings.msg_paths)
+    if settings.configs:
+        missions = [load(settings.configs)]
+        note = f"Routes of {', '.join(missions[0].files)}; ROS 2 {settings.distro}."
+    else:
+        missions = [_demo(names) for names in DEMOS]
+        note = f"Routes of the demos of the EDORAS paper; ROS 2 {settings.distro}."
+    warnings = [text for mission in missions for text in mission.warnings]
+    for name in dict.fromkeys(route.type for mission in missions for route in mission.routes):
+        why = types.check(name)
+        if why is not None:
+            warnings.append(f"{name} is left as bytes: {why}")
+    contexts = [Context(mission, types, settings.options) for mission in missions]
+    return generate(replace(_knowledge(contexts, types), note=note)), warnings
+
+
+def _demo(names: Sequence[str]) -> Mission:
+    folder = files("edoras_tools.samples") / "missions"
+    return loads({f"{name}.yaml": (folder / f"{name}.yaml").read_bytes() for name in names})
+
+
+def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
+    """Gather what several missions know; routes are numbered through, in their order."""
+    routes: list[RouteText] = []
+    exact: dict[str, dict[int, list[int]]] = {link.label: {} for link in _LINKS}
+    any_link: dict[int, list[int]] = {}
+    for context in contexts:
+        first = len(routes)
+        routes += [
+            RouteText(route.topic, full_name(route.type), context.envelopes[index])
+            for index, route in enumerate(context.mission.routes)
+        ]
+        for link in _LINKS:
+            _claim(exact[link.label], context.route_of[link], first)
+        _claim(any_link, context.any_route_of, first)
+    options = contexts[0].options
+    return Knowledge(
+        findings=[_finding(item) for item in Finding],
+        ports={
+            link.label: sorted({int(port) for context in contexts for port in _ports(context, link)})
+            for link in _LINKS
+        },
+        bridge_ports=sorted({int(port) for item in contexts for port in np.flatnonzero(item.bridge_ports)}),
+        cfs_addresses=sorted(
+            {str(ipaddress.IPv4Address(address)) for item in contexts for address in item.cfs_addresses}
+        ),
+        identities=sorted({identity for item in contexts for identity in item.identities}),
+        routes=routes,
+        exact={link: claims for link, claims in exact.items() if claims},
+        any_link=any_link,
+        types={
+            name: _type(types, name)
+            for name in dict.fromkeys(route.type for route in routes)
+            if types.has(name)
+        },
+        extended_header=options.extended_header,
+        telemetry_header=options.telemetry_header,
+    )
+
+
+def _claim(claims: dict[int, list[int]], route_of: Iterable[int], first: int) -> None:
+    table = np.asarray(route_of)
+    for msg_id in np.flatnonzero(table != NO_ROUTE).tolist():
+        claims.setdefault(msg_id, []).append(first + int(table[msg_id]))
+
+
+def _ports(context: Context, link: Link) -> Iterable[int]:
+    return np.flatnonzero(context.port_links & (1 << link))
+
+
+def _finding(item: Finding) -> FindingText:
+    told = EXPLANATIONS[item]
+    return FindingText(
+        bit=int(item),
+        label=item.label,
+        severity=told.severity.label,
+        short=told.short if told.severity > Severity.NOTE else "",
+        meaning=told.meaning,
+        unknowable=item in UNKNOWABLE,
+    )
+
+
+def _type(types: TypeStore, name: str) -> Mapping[str, Any]:
+    _, plan = types._plan(name)  # noqa: SLF001  a plan is what both readers are made from
+    return {"fixed": plan.fixed_size, "steps": _steps(plan)}
+
+
+def _steps(plan: Plan) -> list[dict[str, Any]]:
+    return [_step(step) for step in plan.steps]
+
+
+def _step(step: Run | Text | Repeat) -> dict[str, Any]:
+    if isinstance(step, Run):
+        return {
+            "alignment": step.alignment,
+            "size": step.size,
+            "leaves": [
+                {
+                    "name": leaf.name,
+                    "code": leaf.code,
+                    "size": leaf.size,
+                    "count": leaf.count,
+                    "offset": leaf.offset,
+                    "hidden": leaf.name.endswith(PLACEHOLDER) or None,
+                }
+                for leaf in step.leaves
+            ],
+        }
+    if isinstance(step, Text):
+        return {"name": step.name, "bound": step.bound, "width": step.width}
+    uniform, first = step.plan.uniform, step.plan.steps[0]
+    named = first.leaves[0].name if isinstance(first, Run) else first.name
+    return {
+        "name": step.name,
+        "count": step.count,
+        "bound": step.bound,
+        "least": step.plan.least,
+        "element": step.plan.element is not None or None,
+        "uniform": {"alignment": uniform.alignment, "size": uniform.size} if uniform else None,
+        "unnamed": not named or None,
+        "steps": _steps(step.plan),
+    }
