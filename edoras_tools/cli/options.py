@@ -76,6 +76,14 @@ def link_name(text: str) -> str:
     return text.lower()
 
 
+def where(text: str) -> str:
+    """Read a filter; that its names are fields is found out once the mission is known."""
+    from edoras_tools.decode.where_syntax import parse
+
+    parse(text)
+    return text
+
+
 def link_port(text: str) -> tuple[Link, int]:
     """Read ``LINK:PORT``, as ``ci:5010``."""
     from edoras_tools.model import Link
@@ -122,6 +130,14 @@ MsgIdChoice = Annotated[
 TopicChoice = Annotated[
     list[str] | None,
     typer.Option("--topic", metavar="PATTERN", help="Only topics that fit, as '/robot_*'; repeatable."),
+]
+Where = Annotated[
+    str | None,
+    typer.Option(
+        metavar="EXPR",
+        parser=where,
+        help="Only what a filter lets pass, as 'msg_id == 0x827 and pose.position.x > 1'.",
+    ),
 ]
 Read = Annotated[
     list[Path] | None,
@@ -174,13 +190,18 @@ def decoding(
     return Settings(tuple(config or ()), distro, tuple(msg_path or ()), options)
 
 
-def choice(link: LinkChoice = None, msg_id: MsgIdChoice = None, topic: TopicChoice = None) -> Selection:
+def choice(
+    link: LinkChoice = None, msg_id: MsgIdChoice = None, topic: TopicChoice = None, where: Where = None
+) -> Selection:
     """Gather the options that choose datagrams."""
     from edoras_tools.model import Link
     from edoras_tools.pipelines.selection import Selection
 
     return Selection(
-        tuple(Link[item.upper()] for item in link or ()), tuple(msg_id or ()), tuple(topic or ())
+        tuple(Link[item.upper()] for item in link or ()),
+        tuple(msg_id or ()),
+        tuple(topic or ()),
+        where=where or "",
     )
 
 

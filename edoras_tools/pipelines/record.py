@@ -167,11 +167,12 @@ def record(
     Raises:
         CaptureError: the recording cannot be written.
         RouteError: the selection names a topic that is not configured.
+        ConfigError: its filter has a mistake.
     """
     selection = selection or Selection()
     report = Report(Ledger(bench.mission), source)
     try:
-        selection.check(bench.mission)
+        selection = selection.over(bench)
         sink = open_sink(target, source, bench, chosen=str(selection))
     except EdorasError:
         source.close()

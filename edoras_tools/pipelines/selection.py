@@ -1,13 +1,14 @@
-"""Which datagrams a command looks at: by link, MsgId and topic, over columns."""
+"""Which datagrams a command looks at: by link, MsgId, topic and filter, over columns."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.decode.where import Where
 from edoras_tools.errors import RouteError
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Link, PacketBatch
+    from edoras_tools.pipelines.workbench import Workbench
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,21 +30,35 @@ class Selection:
         msg_ids: with these MsgIds.
         topics: of these topics; shell patterns hold.
         notable: with one of these finding bits.
+        where: that this filter lets pass; it takes effect in what :meth:`over` returns.
     """
 
     links: Sequence[Link] = ()
     msg_ids: Sequence[int] = ()
     topics: Sequence[str] = ()
     notable: int = 0
+    where: str = ""
+    _filter: Where | None = field(default=None, repr=False, compare=False)
 
     def __bool__(self) -> bool:
-        return bool(self.links or self.msg_ids or self.topics or self.notable)
+        return bool(self.links or self.msg_ids or self.topics or self.notable or self.where)
 
     def __str__(self) -> str:
         words = [f"link={link.label}" for link in self.links]
         words += [f"msg_id=0x{item:04x}" for item in self.msg_ids]
         words += [f"topic={item}" for item in self.topics]
-        return " ".join(words + ["findings"] * bool(self.notable))
+        words += ["findings"] * bool(self.notable)
+        return " ".join(words + [f"where={self.where}"] * bool(self.where))
+
+    def over(self, bench: Workbench) -> Selection:
+        """Return the choice made ready for a workbench, or find out early what is wrong with it.
+
+        Raises:
+            RouteError: a topic pattern fits no configured topic.
+            ConfigError: the filter has a mistake.
+        """
+        self.check(bench.mission)
+        return replace(self, _filter=Where(self.where, bench.columns.context)) if self.where else self
 
     def check(self, mission: Mission) -> None:
         """Find out early whether a mission has what is chosen.
@@ -53,7 +69,7 @@ class Selection:
         self._routes(mission)
 
     def mask(self, columns: Columns, mission: Mission) -> NDArray[np.bool_]:
-        """Return which rows are chosen.
+        """Return which rows are chosen by anything but the filter.
 
         Raises:
             RouteError: a topic pattern fits no configured topic.
@@ -74,6 +90,9 @@ class Selection:
         if not self:
             return batch, columns
         rows = np.flatnonzero(self.mask(columns, mission))
+        assert not self.where or self._filter is not None, "a filter takes effect in what over() returns"
+        if self._filter is not None:
+            rows = rows[self._filter.mask(batch, columns, rows)]
         return batch.take(rows), columns.take(rows)
 
     def _routes(self, mission: Mission) -> list[int]:

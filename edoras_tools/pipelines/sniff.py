@@ -39,10 +39,11 @@ def sniff(
     Raises:
         CaptureError: the source ended early; everything before was yielded.
         RouteError: the selection names a topic that is not configured.
+        ConfigError: its filter has a mistake.
     """
     shown, began = 0, clock()
     try:
-        selection.check(bench.mission)
+        selection = selection.over(bench)
         with interruptible(source) as (batches, asked):
             live = hasattr(source, "stop")
             for batch in batches:

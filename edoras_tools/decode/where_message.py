@@ -1,0 +1,227 @@
+"""The fields of decoded ROS messages, for every type that a mission's routes carry."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.decode.where_field import MESSAGE, Field
+from edoras_tools.decode.where_series import INDEX, Kind, Series
+from edoras_tools.ros import grammar, schema
+from edoras_tools.ros.columns import Ragged
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.where_rows import ColumnRows, Rows
+    from edoras_tools.model import Decoded
+    from edoras_tools.ros.columns import MessageColumns
+    from edoras_tools.ros.schema import Definition
+
+_PART: Final = re.compile(r"(\w+)(?:\[(-?\d+)\])?")
+_PREFIX: Final = "ros."
+
+
+class _Step(NamedTuple):
+    """One name on the way to a value: the field, and which of its elements, None for all."""
+
+    field: schema.Field
+    element: int | None
+
+    @property
+    def listed(self) -> bool:
+        """Whether the field holds several values."""
+        return self.field.shape is not schema.Shape.SCALAR
+
+
+class Messages:
+    """Finds fields of messages by their path.
+
+    Args:
+        context: gives the routes and the types.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._routes: dict[str, list[int]] = {}
+        self._definitions: dict[str, Definition] = {}
+        types = context.types
+        for index, route in enumerate(context.mission.routes):
+            if types is None or not types.has(route.type):
+                continue
+            self._routes.setdefault(route.type, []).append(index)
+            for part in grammar.sections(route.type, types.definition(route.type)):
+                self._definitions[part.name] = grammar.parse(part.name, part.text, part.name, part.line)
+
+    def __bool__(self) -> bool:
+        return bool(self._routes)
+
+    def find(self, path: str) -> list[Field]:
+        """Return the field of that path of each type that has it."""
+        wanted = [
+            (match[1], None if match[2] is None else int(match[2]))
+            for match in _PART.finditer(path.removeprefix(_PREFIX))
+        ]
+        found = []
+        for name, routes in self._routes.items():
+            steps = self._steps(name, wanted)
+            if steps:
+                found.append(self._field(path, name, tuple(routes), steps))
+        return found
+
+    def inside(self, path: str) -> list[str]:
+        """Return the names of what a group of fields holds."""
+        plain = re.sub(r"\[-?\d+\]", "", path.removeprefix(_PREFIX))
+        return sorted({name for name in self.names() if name.startswith(f"{plain}.")})
+
+    def names(self) -> Iterator[str]:
+        """Yield the path of every single value, without indices."""
+        for name in self._routes:
+            yield from self._leaves(schema.full_name(name), "")
+
+    def _leaves(self, name: str, prefix: str) -> Iterator[str]:
+        for item in self._definitions[name].fields:
+            path = prefix + item.name
+            if item.type in self._definitions:
+                yield from self._leaves(item.type, f"{path}.")
+            else:
+                yield path
+
+    def _steps(self, name: str, wanted: Sequence[tuple[str, int | None]]) -> list[_Step]:
+        """Return the way to a value inside a type; nothing where there is none."""
+        steps: list[_Step] = []
+        definition: Definition | None = self._definitions[schema.full_name(name)]
+        for part, index in wanted:
+            fields = definition.fields if definition else ()
+            item = next((item for item in fields if item.name == part), None)
+            if item is None or (index is not None and item.shape is schema.Shape.SCALAR):
+                return []
+            steps.append(_Step(item, index))
+            definition = self._definitions.get(item.type)
+        return steps
+
+    def _field(self, path: str, name: str, routes: tuple[int, ...], steps: list[_Step]) -> Field:
+        last = steps[-1].field.type
+        dtype = np.dtype(schema.PRIMITIVES.get(last, "q"))
+        kind = (
+            Kind.STRUCT
+            if last in self._definitions
+            else Kind.TEXT
+            if last in schema.STRINGS
+            else Kind.BOOL
+            if dtype.kind == "b"
+            else Kind.NUMBER
+        )
+        limits = (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)) if dtype.kind in "iu" else None
+        return Field(
+            path,
+            kind,
+            partial(_pick, name, steps),
+            self._reader(name, routes, steps),
+            scope=lambda rows: np.isin(rows.routes(), routes),
+            cost=MESSAGE,
+            dtype=dtype,
+            limits=limits if kind is Kind.NUMBER else None,
+            many=any(step.listed and step.element is None for step in steps),
+            doc=f"of {name}",
+        )
+
+    def _reader(
+        self, name: str, routes: tuple[int, ...], steps: list[_Step]
+    ) -> Callable[[ColumnRows], Series] | None:
+        """Return what reads a field of many messages; None where columns do not tell."""
+        indices = [step.element for step in steps if step.listed]
+        path = ".".join(step.field.name for step in steps)
+        if steps[-1].field.type in self._definitions:
+            if not indices:
+                return partial(_read_whole, name, routes)
+            single = self._single(steps[-1].field.type)
+            if not single:
+                return None
+            path = f"{path}.{single}"
+        if len(indices) > 1 and any(index is not None for index in indices):
+            return None
+        index = indices[0] if indices else None
+        return partial(_read, name, routes, path, index)
+
+    def _single(self, name: str) -> str:
+        """Return the path of a value that every message of a type has exactly one of, if there is any."""
+        for item in self._definitions[name].fields:
+            if item.shape is not schema.Shape.SCALAR:
+                continue
+            if item.type not in self._definitions:
+                return item.name
+            inner = self._single(item.type)
+            if inner:
+                return f"{item.name}.{inner}"
+        return ""
+
+
+def _pick(name: str, steps: Sequence[_Step], _: Rows, decoded: Decoded) -> Any:
+    if decoded.message is None or decoded.message.type != name:
+        return None
+    items: list[Any] = [decoded.message.values]
+    many = False
+    for field, index in steps:
+        items = [item[field.name] for item in items]
+        if field.shape is schema.Shape.SCALAR:
+            continue
+        if index is None:
+            items = [value for item in items for value in item]
+            many = True
+        else:
+            items = [item[index] for item in items if -len(item) <= index < len(item)]
+    return items if many else items[0] if items else None
+
+
+def _messages(
+    name: str, routes: tuple[int, ...], rows: ColumnRows
+) -> tuple[NDArray[np.int64], MessageColumns]:
+    """Return the rows that carry messages of a type, and the messages."""
+
+    def make() -> tuple[NDArray[np.int64], MessageColumns]:
+        owner = np.flatnonzero(np.isin(rows.routes(), routes) & (rows.column("cdr_length") > 0))
+        offset, length = rows.column("cdr_offset")[owner], rows.column("cdr_length")[owner]
+        assert rows.context.types is not None, "messages have types"
+        return owner, rows.context.types.columns(name, rows.batch.data, offset, length)
+
+    found: tuple[NDArray[np.int64], MessageColumns] = rows.once(("messages", name), make)
+    return found
+
+
+def _read_whole(name: str, routes: tuple[int, ...], rows: ColumnRows) -> Series:
+    owner, messages = _messages(name, routes, rows)
+    owner = owner[messages.valid]
+    return Series(len(rows), np.zeros(len(owner), INDEX), owner)
+
+
+def _read(name: str, routes: tuple[int, ...], path: str, index: int | None, rows: ColumnRows) -> Series:
+    owner, messages = _messages(name, routes, rows)
+    column, valid = messages.fields[path], messages.valid
+    holders = owner[valid]
+    values: NDArray[Any]
+    if isinstance(column, Ragged):
+        start, counts = column.offsets[:-1], np.diff(column.offsets)
+        if index is None:
+            values, owner = column.values, np.repeat(owner, counts)
+        else:
+            there = (counts > index) if index >= 0 else (counts >= -index)
+            values = column.values[(start + index + (counts if index < 0 else 0))[there]]
+            owner = holders = owner[there]
+    elif column.ndim > 1:
+        inside = index is not None and -column.shape[1] <= index < column.shape[1]
+        if index is None:
+            values, owner = column[valid].reshape(-1), np.repeat(holders, column.shape[1])
+        else:
+            values = column[valid][:, index] if inside else column[:0, 0]
+            owner = holders = holders if inside else holders[:0]
+    else:
+        values, owner = column[valid], holders
+    if values.dtype == object:
+        return Series.of_objects(len(rows), values.tolist(), owner, holders)
+    return Series(len(rows), values, owner, holders)

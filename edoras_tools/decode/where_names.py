@@ -1,0 +1,322 @@
+"""Which names there are: of the packet itself, of every header, and of every message that a route carries."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.decode.where_field import BYTES, COLUMN, MESSAGE, Field
+from edoras_tools.decode.where_layers import layer_fields
+from edoras_tools.decode.where_message import Messages
+from edoras_tools.decode.where_series import INDEX, Kind, Series
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding, Link
+from edoras_tools.ros.schema import full_name
+from edoras_tools.wire import cfe
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.where_rows import ColumnRows, Rows
+    from edoras_tools.model import Decoded
+
+_ALIASES: Final = {
+    "msg_id": "ccsds.msg_id",
+    "sequence_count": "ccsds.packet_sequence_count",
+    "processor_id": "sbn.processor_id",
+    "spacecraft_id": "sbn.spacecraft_id",
+    "message": "ros",
+}
+"""Names of ``sniff --json`` and of the columns, which win over everything else of that name."""
+_BITS: Final = {bit: finding.label for bit, finding in enumerate(Finding)}
+_CLOSE: Final = 0.6
+
+
+class Unknown(Exception):  # noqa: N818  it never leaves the compiler
+    """A name that is no field, or more than one; the message says what to write."""
+
+
+class Names:
+    """Finds fields by name.
+
+    Args:
+        context: gives the routes, the types and the options.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._packet: dict[str, list[Field]] = {}
+        for field in _packet_fields(context):
+            self._packet.setdefault(field.name, []).append(field)
+        self._layers = {field.name: field for field in layer_fields(context)}
+        self._short: dict[str, list[str]] = {}
+        for name in self._layers:
+            self._short.setdefault(name.rpartition(".")[2], []).append(name)
+        self._messages = Messages(context)
+
+    def find(self, name: str) -> list[Field]:
+        """Return the field of a name; several where message types or endpoints share it.
+
+        Raises:
+            Unknown: there is none, or the name is not clear.
+        """
+        if name in self._packet:
+            return self._packet[name]
+        layer = self._layers.get(_ALIASES.get(name, name))
+        if layer is not None:
+            return [layer]
+        if name in _ALIASES:
+            return self._packet[_ALIASES[name]]
+        messages = self._messages.find(name)
+        short = [] if name.startswith("ros.") else self._short.get(name, [])
+        if len(short) + bool(messages) > 1:
+            clear = short + [f"ros.{name}"] * bool(messages)
+            raise Unknown(f"{name!r} is more than one field; write {' or '.join(clear)}")
+        if not messages and not short:
+            raise Unknown(self._nothing(name))
+        return messages or [self._layers[short[0]]]
+
+    def inside(self, field: Field) -> list[str]:
+        """Return what a group of fields holds."""
+        if field.name in self._layers:
+            return [name for name in self._layers if name.startswith(f"{field.name}.")]
+        return self._messages.inside(field.name)
+
+    def all(self) -> Iterator[str]:
+        """Yield every name that can be written, without indices."""
+        yield from self._packet
+        yield from _ALIASES
+        yield from self._layers
+        yield from (name for name, layers in self._short.items() if len(layers) == 1)
+        yield from self._messages.names()
+
+    def _nothing(self, name: str) -> str:
+        if "[" in name:
+            plain = name.partition("[")[0]
+            found = self._packet.get(plain) or self._messages.find(plain)
+            if found and not found[0].many:
+                return f"{plain} is no list of a message, so it takes no index"
+        prefix = "ros." if name.startswith("ros.") else ""
+        known = {item.lower(): prefix + item for item in self.all()}
+        near = get_close_matches(name.removeprefix(prefix).lower(), known, 3, _CLOSE)
+        why = f"{name!r} is no field; "
+        if near:
+            return why + f"did you mean {' or '.join(known[item] for item in near)}?"
+        if not self._messages:
+            return why + "the fields of messages are known once a mission is named with -c"
+        layers = ", ".join(item for item in self._layers if "." not in item)
+        return why + f"there are {', '.join([*self._packet][:7])} and the fields of {layers} and the messages"
+
+
+def _packet_fields(context: Context) -> Iterator[Field]:
+    """Yield what is known of a datagram as a whole."""
+    yield _number("number", "its place in the capture, from 1", lambda item: item.datagram.number)
+    yield _number("time_ns", "when it was captured, ns since 1970", lambda item: item.datagram.time_ns)
+    yield Field(
+        "time",
+        Kind.DURATION,
+        lambda rows, decoded: decoded.datagram.time_ns - rows.begin_ns,
+        lambda rows: Series(len(rows), rows.datagram("time_ns") - rows.begin_ns),
+        doc="since the capture's first datagram",
+    )
+    yield Field(
+        "utc",
+        Kind.MOMENT,
+        lambda _, decoded: decoded.datagram.time_ns,
+        lambda rows: Series(len(rows), rows.datagram("time_ns")),
+        doc="when it was captured",
+    )
+    yield Field(
+        "mission_time",
+        Kind.DURATION,
+        _pick_mission_time,
+        lambda rows: Series.of_chosen(rows.column("mission_time_ns"), rows.column("mission_time_ns") >= 0),
+        doc="a telemetry packet's own time, since the mission's epoch",
+    )
+    yield _number("length", "bytes of the UDP payload", lambda item: len(item.datagram.payload))
+    yield Field(
+        "link",
+        Kind.NUMBER,
+        lambda _, decoded: int(decoded.link),
+        lambda rows: Series(len(rows), rows.column("link")),
+        limits=(0, len(Link) - 1),
+        names={int(link): link.label for link in Link},
+        doc="which of the links it belongs to",
+    )
+    for side in ("source", "destination"):
+        yield _endpoint(side, side)
+        for name in (f"{side}.address", "address"):
+            yield _address(name, side)
+        for name in (f"{side}.port", "port"):
+            yield _port(name, side)
+    yield _route(context, "topic", [route.topic for route in context.mission.routes], _same_topic)
+    yield _route(context, "type", [route.type for route in context.mission.routes], _same_type)
+    yield Field(
+        "findings",
+        Kind.NUMBER,
+        lambda _, decoded: [int(bit).bit_length() - 1 for bit in decoded.findings],
+        _read_findings,
+        limits=(0, len(_BITS) - 1),
+        names=_BITS,
+        many=True,
+        doc="departures from what the protocols say",
+    )
+    yield Field(
+        "ros",
+        Kind.STRUCT,
+        lambda _, decoded: 0 if decoded.message else None,
+        _read_messages,
+        cost=MESSAGE,
+        doc="whether a ROS message was decoded",
+    )
+    yield Field("summary", Kind.TEXT, lambda _, decoded: decoded.summary, doc="the packet in a few words")
+    yield Field(
+        "stop",
+        Kind.TEXT,
+        lambda _, decoded: str(decoded.stop) if decoded.stop else None,
+        doc="why decoding went no further",
+    )
+    yield Field(
+        "payload",
+        Kind.BYTES,
+        lambda _, decoded: decoded.datagram.payload,
+        _read_payload,
+        cost=BYTES,
+        doc="the UDP payload",
+    )
+
+
+def _number(name: str, doc: str, pick: Any) -> Field:
+    return Field(
+        name,
+        Kind.NUMBER,
+        lambda _, decoded: pick(decoded),
+        lambda rows: Series(len(rows), rows.datagram(name)),
+        doc=doc,
+    )
+
+
+def _pick_mission_time(_: Rows, decoded: Decoded) -> int | None:
+    layer = decoded.layer("cfe_telemetry")
+    if layer is None:
+        return None
+    values = layer.values()
+    return cfe.mission_time_ns(values["seconds"], values["subseconds"])
+
+
+def _read_findings(rows: ColumnRows) -> Series:
+    column = rows.column("findings")
+    there = [bit for bit in _BITS if np.bitwise_or.reduce(column, initial=np.uint32(0)) & np.uint32(1 << bit)]
+    places = [np.flatnonzero(column & np.uint32(1 << bit)) for bit in there]
+    owner = np.concatenate([np.zeros(0, INDEX), *places])
+    values = np.repeat(np.array(there, INDEX), [len(item) for item in places])
+    order = np.argsort(owner, kind="stable")
+    return Series(len(rows), values[order], owner[order], np.arange(len(rows)))
+
+
+def _read_messages(rows: ColumnRows) -> Series:
+    """Tell which packets hold a message: what the decoder found valid, and a type is known for."""
+    types, routes = rows.context.types, rows.context.mission.routes
+    known = np.array([types is not None and types.has(route.type) for route in routes] + [False])
+    invalid = (rows.column("findings") & np.uint32(Finding.CDR_INVALID)) != 0
+    there = known[rows.routes()] & (rows.column("cdr_length") > 0)
+    cut = (rows.column("findings") & np.uint32(Finding.CAPTURE_CUT)) != 0
+    for row in np.flatnonzero(there & cut):
+        # The decoder blames a cut packet for nothing.
+        invalid[row] = rows.take(np.array([row])).packets()[0].message is None
+    return Series.of_chosen(np.zeros(len(rows), INDEX), there & ~invalid)
+
+
+def _read_payload(rows: ColumnRows) -> Series:
+    data = rows.batch.data
+    places = zip(rows.datagram("offset").tolist(), rows.datagram("length").tolist(), strict=True)
+    return Series.of_objects(len(rows), [data[at : at + length].tobytes() for at, length in places])
+
+
+def _endpoint(name: str, side: str) -> Field:
+    def read(rows: ColumnRows) -> Series:
+        version, port = rows.datagram("ip_version"), rows.datagram(f"{side}_port")
+        address = rows.datagram(f"{side}_address")
+        key = address.astype(np.uint64) << 17 | port.astype(np.uint64) << 1 | (version == 6)
+        return _distinct(rows, key, lambda row: str(Endpoint(_text(rows, side, row), int(port[row]))))
+
+    return Field(
+        name,
+        Kind.TEXT,
+        lambda _, decoded: str(getattr(decoded.datagram, side)),
+        read,
+        cost=BYTES,
+        alike=_same_endpoint,
+        doc="address and port",
+    )
+
+
+def _address(name: str, side: str) -> Field:
+    def read(rows: ColumnRows) -> Series:
+        key = rows.datagram(f"{side}_address").astype(np.uint64) << 1 | (rows.datagram("ip_version") == 6)
+        return _distinct(rows, key, lambda row: _text(rows, side, row))
+
+    return Field(
+        name, Kind.TEXT, lambda _, decoded: getattr(decoded.datagram, side).address, read, cost=BYTES
+    )
+
+
+def _port(name: str, side: str) -> Field:
+    return Field(
+        name,
+        Kind.NUMBER,
+        lambda _, decoded: getattr(decoded.datagram, side).port,
+        lambda rows: Series(len(rows), rows.datagram(f"{side}_port")),
+        limits=(0, 0xFFFF),
+    )
+
+
+def _text(rows: ColumnRows, side: str, row: int) -> str:
+    index = int(np.arange(len(rows.batch))[rows.chosen][row])
+    return rows.batch.address(int(getattr(rows.batch, f"{side}_address")[index]), index)
+
+
+def _distinct(rows: ColumnRows, key: Any, text: Any) -> Series:
+    """Return texts that equal keys share."""
+    _, first, codes = np.unique(key, return_index=True, return_inverse=True)
+    return Series(len(rows), codes.reshape(-1), table=[text(row) for row in first.tolist()])
+
+
+def _route(context: Context, name: str, texts: Sequence[str], alike: Any) -> Field:
+    def pick(_: Rows, decoded: Decoded) -> str | None:
+        packet = decoded.layer("ccsds")
+        if packet is None:
+            return None
+        msg_id = packet.values()["msg_id"]
+        route = int(context.route_of[decoded.link, msg_id])
+        route = route if route != NO_ROUTE else int(context.any_route_of[msg_id])
+        return texts[route] if route != NO_ROUTE else None
+
+    def read(rows: ColumnRows) -> Series:
+        routes = rows.routes()
+        there = np.flatnonzero((routes != NO_ROUTE) & (rows.column("msg_id") != NO_MSG_ID))
+        return Series(len(rows), routes[there], there, table=texts)
+
+    return Field(
+        name,
+        Kind.TEXT,
+        pick,
+        read,
+        cost=COLUMN,
+        choices=sorted(set(texts)),
+        alike=alike,
+        doc=f"the {name} of the route that its MsgId is",
+    )
+
+
+def _same_endpoint(text: str, word: str) -> bool:
+    return word in {text, text.rpartition(":")[0].strip("[]")}
+
+
+def _same_topic(text: str, word: str) -> bool:
+    return text in {word, f"/{word}"}
+
+
+def _same_type(text: str, word: str) -> bool:
+    return full_name(text) == full_name(word) or text.rpartition("/")[2] == word
