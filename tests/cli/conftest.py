@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import socket
 import struct
@@ -17,8 +18,6 @@ from edoras_tools.cli import main
 
 ROOT = Path(__file__).parents[2]
 EDORAS = Path(sys.executable).with_name("edoras")
-MORE = ROOT.parent / "shared/captures"
-"""Further captures, too large to be shipped; looked at where they are."""
 
 
 @pytest.fixture(scope="session")
@@ -32,15 +31,17 @@ def missions():
 
 
 @pytest.fixture(scope="session")
-def captures():
-    """A function: the path of a capture by name; the test is skipped where it is not there."""
+def captures(tmp_path_factory):
+    """A function: the path of a sample capture by name, unpacked where it is shipped packed."""
+    folder = tmp_path_factory.mktemp("captures")
 
     def path(name):
-        found = [folder / f"{name}.pcap" for folder in (ROOT / "samples/captures", MORE)]
-        for item in found:
-            if item.exists():
-                return item
-        pytest.skip(f"{name}.pcap is not shipped")
+        plain, unpacked = ROOT / f"samples/captures/{name}.pcap", folder / f"{name}.pcap"
+        if plain.exists():
+            return plain
+        if not unpacked.exists():
+            unpacked.write_bytes(gzip.decompress(plain.with_suffix(".pcap.gz").read_bytes()))
+        return unpacked
 
     return path
 
