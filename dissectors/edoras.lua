@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 humble.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "13a09020140d1f23"
+local DIGEST = "b4f3877dde2d78d6"
 local wanted = os.getenv("EDORAS_LUA")
 if EDORAS_DIGEST or (wanted and wanted ~= "" and wanted ~= DIGEST) then
 	return  -- Another copy is loaded, or shall be: a protocol can be there only once.
@@ -1056,71 +1056,26 @@ D.bridge_ports = {2236}
 D.cfs_addresses = {"127.0.0.1"}
 D.identities = {{66, 1}, {66, 3}}
 D.routes = {
-	{topic = "/cmd_vel", type = "geometry_msgs/msg/Twist", width = 8, little = true},
-	{topic = "/telemetry_pose", type = "geometry_msgs/msg/PoseStamped", width = 8, little = true},
-	{topic = "/command_pose", type = "geometry_msgs/msg/Pose", width = 8, little = true},
-	{
-		topic = "/telemetry_joint_state",
-		type = "sensor_msgs/msg/JointState",
-		width = 8,
-		little = true,
-	},
-	{topic = "/robot_1/ground/cmd_vel", type = "geometry_msgs/msg/Twist", width = 8, little = true},
-	{topic = "/robot_2/ground/cmd_vel", type = "geometry_msgs/msg/Twist", width = 8, little = true},
-	{
-		topic = "/robot_1/ground/pose",
-		type = "geometry_msgs/msg/PoseStamped",
-		width = 8,
-		little = true,
-	},
-	{
-		topic = "/robot_2/ground/pose",
-		type = "geometry_msgs/msg/PoseStamped",
-		width = 8,
-		little = true,
-	},
-	{topic = "/robot_1/pose", type = "geometry_msgs/msg/PoseStamped", width = 8, little = true},
-	{topic = "/robot_2/pose", type = "geometry_msgs/msg/PoseStamped", width = 8, little = true},
-	{topic = "/robot_1/cmd_vel", type = "geometry_msgs/msg/Twist", width = 8, little = true},
-	{topic = "/robot_2/cmd_vel", type = "geometry_msgs/msg/Twist", width = 8, little = true},
-	{topic = "/big_arm/ground/target", type = "geometry_msgs/msg/Pose", width = 8, little = true},
-	{topic = "/little_arm/ground/target", type = "geometry_msgs/msg/Pose", width = 8, little = true},
-	{
-		topic = "/big_arm/ground/joint_states",
-		type = "sensor_msgs/msg/JointState",
-		width = 8,
-		little = true,
-	},
-	{
-		topic = "/little_arm/ground/joint_states",
-		type = "sensor_msgs/msg/JointState",
-		width = 8,
-		little = true,
-	},
-	{
-		topic = "/big_arm/joint_states_throttled",
-		type = "sensor_msgs/msg/JointState",
-		width = 8,
-		little = true,
-	},
-	{
-		topic = "/little_arm/joint_states_throttled",
-		type = "sensor_msgs/msg/JointState",
-		width = 8,
-		little = true,
-	},
-	{
-		topic = "/big_arm/flight/target_pose",
-		type = "geometry_msgs/msg/Pose",
-		width = 8,
-		little = true,
-	},
-	{
-		topic = "/little_arm/flight/target_pose",
-		type = "geometry_msgs/msg/Pose",
-		width = 8,
-		little = true,
-	},
+	{topic = "/cmd_vel", type = "geometry_msgs/msg/Twist", format = 1},
+	{topic = "/telemetry_pose", type = "geometry_msgs/msg/PoseStamped", format = 1},
+	{topic = "/command_pose", type = "geometry_msgs/msg/Pose", format = 1},
+	{topic = "/telemetry_joint_state", type = "sensor_msgs/msg/JointState", format = 1},
+	{topic = "/robot_1/ground/cmd_vel", type = "geometry_msgs/msg/Twist", format = 1},
+	{topic = "/robot_2/ground/cmd_vel", type = "geometry_msgs/msg/Twist", format = 1},
+	{topic = "/robot_1/ground/pose", type = "geometry_msgs/msg/PoseStamped", format = 1},
+	{topic = "/robot_2/ground/pose", type = "geometry_msgs/msg/PoseStamped", format = 1},
+	{topic = "/robot_1/pose", type = "geometry_msgs/msg/PoseStamped", format = 1},
+	{topic = "/robot_2/pose", type = "geometry_msgs/msg/PoseStamped", format = 1},
+	{topic = "/robot_1/cmd_vel", type = "geometry_msgs/msg/Twist", format = 1},
+	{topic = "/robot_2/cmd_vel", type = "geometry_msgs/msg/Twist", format = 1},
+	{topic = "/big_arm/ground/target", type = "geometry_msgs/msg/Pose", format = 1},
+	{topic = "/little_arm/ground/target", type = "geometry_msgs/msg/Pose", format = 1},
+	{topic = "/big_arm/ground/joint_states", type = "sensor_msgs/msg/JointState", format = 1},
+	{topic = "/little_arm/ground/joint_states", type = "sensor_msgs/msg/JointState", format = 1},
+	{topic = "/big_arm/joint_states_throttled", type = "sensor_msgs/msg/JointState", format = 1},
+	{topic = "/little_arm/joint_states_throttled", type = "sensor_msgs/msg/JointState", format = 1},
+	{topic = "/big_arm/flight/target_pose", type = "geometry_msgs/msg/Pose", format = 1},
+	{topic = "/little_arm/flight/target_pose", type = "geometry_msgs/msg/Pose", format = 1},
 }
 D.exact = {
 	ci = {[6183] = {1, 3, 5, 13}, [6184] = {6, 14}},
@@ -1719,25 +1674,24 @@ end
 
 -- Return "ci", "to" or "sbn", or nil for none of them.
 local function link_of(pinfo, first_byte)
-	local source, destination = pinfo.src_port, pinfo.dst_port
+	local destination = pinfo.dst_port
+	if ports.sbn[destination] then return "sbn" end
 	local ci, to = ports.ci[destination], ports.to[destination]
 	local command = not first_byte or first_byte % 32 >= 16  -- TO never sends an empty datagram
-	if ports.sbn[destination] then
-		return "sbn"
-	elseif ci and to then
+	if ci and to then
 		local to_cfs, from_cfs = is_cfs(pinfo.dst), is_cfs(pinfo.src)
 		if to_cfs ~= from_cfs then command = to_cfs end
-		return command and "ci" or "to"
 	elseif ci then
 		return "ci"
 	elseif to then
 		return "to"
-	elseif ports.sbn[source] then
-		return "sbn"
-	elseif ports.ci[source] or ports.to[source] then
-		return nil
+	else
+		local source = pinfo.src_port
+		if ports.sbn[source] then return "sbn" end
+		if ports.ci[source] or ports.to[source] then return nil end
+		-- "Decode As": no port of ours has a say.
 	end
-	return command and "ci" or "to"  -- "Decode As": no port of ours has a say
+	return command and "ci" or "to"
 end
 
 -- CDR bodies by message type. A type is a list of steps, as in edoras_tools.ros.plan: a "run" of primitives at
@@ -1752,7 +1706,7 @@ local CODES = {
 	["?"] = "B", b = "b", B = "B", h = "i2", H = "I2", i = "i4", I = "I4", q = "e", Q = "E", f = "f", d = "d",
 }
 local MOST_WORDS, MOST_ITEMS = 8, 3  -- what fits in one line
-local NOTHING = string.rep("\0", 8)
+local MOST_AT_ONCE = 64
 
 local function value_field(abbreviation, name, code, array)
 	if array and code == "B" then
@@ -1761,6 +1715,17 @@ local function value_field(abbreviation, name, code, array)
 		return new_field("ros2cdr", abbreviation, KINDS[code], name)
 	end
 	return new_field("ros2cdr", abbreviation, KINDS[code], name, base.DEC)
+end
+
+-- Give a run of single values one format for them all.
+local function compile_run(run)
+	local format, position = {}, 0
+	for index, leaf in ipairs(run.leaves) do
+		if leaf.count or index > MOST_AT_ONCE then return end
+		format[#format + 1] = string.rep("x", leaf.offset - position) .. CODES[leaf.code]
+		position = leaf.offset + leaf.size
+	end
+	run.little, run.big = "<" .. table.concat(format), ">" .. table.concat(format)
 end
 
 -- Give every leaf its field. Elements have no index in a field's name.
@@ -1773,7 +1738,9 @@ local function compile(steps, prefix, array)
 				leaf.many = many
 				leaf.record = value_field(path, leaf.name ~= "" and leaf.name or path:match("[^.]*$"), leaf.code, many)
 				leaf.little, leaf.big = "<" .. CODES[leaf.code], ">" .. CODES[leaf.code]
+				leaf.said, leaf.in_header = leaf.name .. "=", leaf.name:sub(1, 7) == "header."
 			end
+			compile_run(step)
 		else
 			local path = prefix .. (step.name ~= "" and "." .. step.name or "")
 			if step.steps then
@@ -1798,7 +1765,8 @@ end
 
 -- Return where a body ends, or nil where it is not valid. `stop` is the last place that belongs to it.
 local function check(steps, s, p, start, stop, big)
-	for _, step in ipairs(steps) do
+	for index = 1, #steps do
+		local step = steps[index]
 		if step.leaves then
 			p = p + (start - p) % step.alignment + step.size
 			if p - 1 > stop then return nil end
@@ -1850,11 +1818,11 @@ local function text_value(step, s, p, count, big)
 end
 
 -- A primitive in a few characters.
-local function short_number(leaf, s, p, big)
-	local value = unpack(big and leaf.big or leaf.little, s, p)
-	if leaf.code == "d" or leaf.code == "f" then
+local function short_value(leaf, value)
+	local code = leaf.code
+	if code == "d" or code == "f" then
 		return value ~= value and "nan" or string.format("%.6g", value)
-	elseif leaf.code == "?" then
+	elseif code == "?" then
 		return value ~= 0 and "True" or "False"
 	elseif leaf.size == 8 then
 		return tostring(value)
@@ -1862,12 +1830,13 @@ local function short_number(leaf, s, p, big)
 	return string.format("%d", value)
 end
 
--- Tell a zero without decoding it; -0.0 is one too.
-local function is_zero(leaf, s, p, big)
-	if s:sub(p, p + leaf.size - 1) == NOTHING:sub(1, leaf.size) then
-		return true
-	end
-	return (leaf.code == "d" or leaf.code == "f") and unpack(big and leaf.big or leaf.little, s, p) == 0
+local function value_at(leaf, s, p, big)
+	return (unpack(big and leaf.big or leaf.little, s, p))
+end
+
+-- Tell a zero; -0.0 is one too. 64-bit integers are objects, which equal no number.
+local function is_zero(leaf, value)
+	return value == 0 or ((leaf.code == "q" or leaf.code == "Q") and tostring(value) == "0")
 end
 
 local function listed(items, count)
@@ -1877,7 +1846,7 @@ end
 local function short_numbers(leaf, s, p, count, big)
 	local items = {}
 	for index = 1, math.min(count, MOST_ITEMS) do
-		items[index] = short_number(leaf, s, p + (index - 1) * leaf.size, big)
+		items[index] = short_value(leaf, value_at(leaf, s, p + (index - 1) * leaf.size, big))
 	end
 	return listed(items, count)
 end
@@ -1916,26 +1885,42 @@ local function short_list(step, s, p, start, big)
 	return count > 0 and listed(items, count) or nil, p
 end
 
+local words, header = {}, {}  -- of the message that is told; lists of messages have their own
+
+local function say(name, value)
+	local list = name:sub(1, 7) == "header." and header or words
+	list[#list + 1] = name .. "=" .. value
+end
+
+-- Say the single values of a run, decoded at once where they can be.
+local function say_run(run, s, p, big)
+	local values = run.little and {unpack(big and run.big or run.little, s, p)}
+	local leaves = run.leaves
+	for index = 1, #leaves do
+		local leaf, value = leaves[index], values and values[index]
+		if leaf.count then
+			say(leaf.name, short_numbers(leaf, s, p + leaf.offset, leaf.count, big))
+		elseif not leaf.hidden then
+			if not values then value = value_at(leaf, s, p + leaf.offset, big) end
+			if not is_zero(leaf, value) then
+				local list = leaf.in_header and header or words
+				list[#list + 1] = leaf.said .. short_value(leaf, value)
+			end
+		end
+	end
+end
+
 -- Return a message in a few words: zeros left out, long arrays cut, the header last; and where it ends, which
 -- is known only where `whole` is asked for.
 function short_message(steps, s, p, start, big, whole)
-	local words, header, total = {}, {}, 0
-	local function say(name, value)
-		local list = name:sub(1, 7) == "header." and header or words
-		if #list <= MOST_WORDS then list[#list + 1] = name .. "=" .. value end
-	end
-	for _, step in ipairs(steps) do
+	local outer_words, outer_header = words, header
+	words, header = {}, {}
+	for index = 1, #steps do
+		local step = steps[index]
 		if #words > MOST_WORDS and not whole then break end
 		if step.leaves then
 			p = p + (start - p) % step.alignment
-			for _, leaf in ipairs(step.leaves) do
-				local at = p + leaf.offset
-				if leaf.count then
-					say(leaf.name, short_numbers(leaf, s, at, leaf.count, big))
-				elseif not leaf.hidden and not is_zero(leaf, s, at, big) then
-					say(leaf.name, short_number(leaf, s, at, big))
-				end
-			end
+			say_run(step, s, p, big)
 			p = p + step.size
 		elseif step.steps then
 			local text
@@ -1950,11 +1935,15 @@ function short_message(steps, s, p, start, big, whole)
 			p = p + length * step.width
 		end
 	end
-	for _, word in ipairs(header) do words[#words + 1] = word end
-	total = #words
+	local told, total = words, #words
+	for _, word in ipairs(header) do
+		total = total + 1
+		told[total] = word
+	end
+	words, header = outer_words, outer_header
 	if total == 0 then return "all zero", p end
-	local text = table.concat(words, " ", 1, math.min(total, MOST_WORDS))
-	return total > MOST_WORDS and text .. " ..." or text, p
+	if total <= MOST_WORDS then return table.concat(told, " "), p end
+	return table.concat(told, " ", 1, MOST_WORDS) .. " ...", p
 end
 
 -- Add one primitive, or a stretch of bytes.
@@ -2034,7 +2023,7 @@ end
 -- The work on one datagram, and the Software Bus Network's headers.
 
 local W = {serial = 0, layer = {}, at = {}, found = {}, is_found = {}}
-local peers, sequences, analysis = {}, {}, {}  -- what is known of senders, and per frame; see init()
+local peers, sequences, moving, analysis = {}, {}, {}, {}  -- what is known of senders, and per frame; see init()
 local read, L = D.read, D.layouts
 local identities = {}
 for _, pair in ipairs(D.identities) do
@@ -2047,7 +2036,7 @@ local function begin(s, link, pinfo)
 	W.s, W.link, W.pinfo, W.number = s, link, pinfo, pinfo.number
 	W.layers, W.findings = 0, 0
 	W.stop, W.kind, W.msg_id, W.code, W.route, W.message, W.envelope = nil, nil, nil, nil, nil, nil, nil
-	W.sender, W.padding, W.entries, W.summary, W.time, W.processor, W.bare = nil, nil, 0, nil, nil, 0, false
+	W.padding, W.entries, W.summary, W.time, W.processor, W.bare = nil, 0, nil, nil, 0, false
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -2106,19 +2095,24 @@ local function is_legacy(s)
 	return size == 0
 end
 
--- Return the endpoint that a datagram came from, as a text.
-local function sender()
-	W.sender = W.sender or string.format("%s:%d", tostring(W.pinfo.src), W.pinfo.src_port)
-	return W.sender
+-- Return what is known of the endpoint that a datagram came from: a table in `places`, by address and port.
+local function sender(places)
+	local address, port = tostring(W.pinfo.src), W.pinfo.src_port
+	local place = places[address]
+	if not place then
+		place = {}
+		places[address] = place
+	end
+	return place, port
 end
 
 -- Compare a sender with the one its endpoint is known by: the first identity that it gave.
 local function identify(spacecraft, processor, trusted)
-	local endpoint = sender()
-	local known = peers[endpoint]
+	local place, port = sender(peers)
+	local known = place[port]
 	if trusted and not known then
 		known = {spacecraft = spacecraft, processor = processor, since = W.number}
-		peers[endpoint] = known
+		place[port] = known
 	end
 	if known and known.since <= W.number
 		and (known.spacecraft ~= spacecraft or known.processor ~= processor)
@@ -2183,15 +2177,15 @@ end
 
 -- Space packets: the primary header, cFE's headers, what cFE itself sends, and the EDORAS envelope.
 
-local routes, route_types = D.routes, D.types
+local routes = D.routes
 local settings = {extended = D.extended_header, telemetry_header = D.telemetry_header}
-local envelope_layouts = {}
-for index, format in ipairs(D.formats) do
-	local order = format.little and "little" or "big"
-	format.read = read[string.format("envelope_%d_%s", format.width, order)]
+for _, format in ipairs(D.formats) do
+	format.read = read[string.format("envelope_%d_%s", format.width, format.little and "little" or "big")]
 	format.size = 2 * format.width
-	envelope_layouts[order .. string.format("%d", format.width)] = format
-	if index == 1 then D.default_format = format end
+end
+for _, route in ipairs(routes) do
+	route.format = D.formats[route.format]  -- nil where the bytes shall tell
+	route.kind = D.types[route.type]
 end
 
 local function claims_of(msg_id)
@@ -2216,16 +2210,16 @@ local function follow(msg_id, count)
 		counts = {}
 		sequences[stream] = counts
 	end
-	local endpoint = sender()
-	local before = counts[endpoint]
-	counts[endpoint] = count
+	local place, port = sender(counts)
+	local before = place[port]
+	place[port] = count
 	if not before then return end
 	local step = (count - before) % 16384
 	if step == 0 then
-		if counts.moving then analysis[W.number] = "duplicate" end
+		if moving[stream] then analysis[W.number] = "duplicate" end
 		return
 	end
-	counts.moving = true
+	moving[stream] = true
 	if step >= 8192 then
 		analysis[W.number] = "reordered"
 	elseif step > 1 then
@@ -2269,8 +2263,7 @@ local function detect(s, at)
 end
 
 local function format_of(route, at)
-	if route.width == 0 then return detect(W.s, at) or D.default_format end
-	return envelope_layouts[(route.little and "little" or "big") .. string.format("%d", route.width)]
+	return route.format or detect(W.s, at) or D.formats[1]
 end
 
 -- Tell whether the bytes hold a whole message of a route.
@@ -2280,14 +2273,15 @@ local function suits(route, at)
 	if #s < start + 4 then return false end
 	local length = format.read(s, at + 1)
 	local representation = length >= 4 and length <= #s - start and read.cdr(s, start + 1) or 2
-	local kind = route_types[route.type]
-	return representation <= 1 and kind ~= nil and is_message(kind, s, start + 5, start + length, representation == 0)
+	return representation <= 1 and route.kind ~= nil
+		and is_message(route.kind, s, start + L.cdr.size + 1, start + length, representation == 0)
 end
 
 local function envelope(claims, at)
-	local route, s = routes[claims[1]], W.s
+	local route, s, proven = routes[claims[1]], W.s, false
 	for index = 1, #claims > 1 and #claims or 0 do
-		if suits(routes[claims[index]], at) then
+		proven = suits(routes[claims[index]], at)
+		if proven then
 			route = routes[claims[index]]
 			break
 		end
@@ -2320,10 +2314,10 @@ local function envelope(claims, at)
 		W.stop = string.format("cdr at byte %d has representation 0x%04x; CDR is 0x0000 or 0x0001", start, representation)
 		return
 	end
-	local kind = route_types[route.type]
+	local kind = route.kind
 	if not kind then return end
 	W.big = representation == 0
-	if is_message(kind, s, W.body + 1, stop, W.big) then
+	if proven or is_message(kind, s, W.body + 1, stop, W.big) then
 		W.message = kind
 		W.summary = short_message(kind.steps, s, W.body + 1, W.body + 1, W.big)
 	else
@@ -2426,6 +2420,7 @@ edoras.prefs.short_telemetry_header = Pref.bool(
 	"12-byte telemetry header", D.telemetry_header == 12, "Older cFE builds: no spare in the telemetry header"
 )
 
+local PROTOCOL = {ci = "CI", to = "TO", sbn = "SBN"}
 local registered = {}
 
 local function register_ports()
@@ -2447,7 +2442,7 @@ function edoras.prefs_changed()
 end
 
 function edoras.init()
-	peers, sequences, analysis = {}, {}, {}
+	peers, sequences, moving, analysis = {}, {}, {}, {}
 	asked.last = math.huge
 end
 
@@ -2488,14 +2483,15 @@ local function badges()
 end
 
 local function info()
-	local msg_id, name, head = W.msg_id, "", W.kind or ""
+	local msg_id, summary, text = W.msg_id, W.summary, W.kind
 	if msg_id then
-		name = W.message and W.route.topic or name_of(msg_id)
-		head = string.format(name ~= "" and "%s 0x%04x %s" or "%s 0x%04x", head, msg_id, name)
+		local name = W.message and W.route.topic or name_of(msg_id)
+		summary = summary or said_of(msg_id)
+		if summary == name then summary = "" end
+		text = string.format("%s 0x%04x %s  %s%s", text, msg_id, name, badges(), summary)
+	else
+		text = (text and text .. "  " or "") .. badges() .. (summary or said_of())
 	end
-	local summary = W.summary or said_of(msg_id)
-	if summary == name then summary = "" end
-	local text = (head ~= "" and head .. "  " or "") .. (W.findings > 0 and badges() or "") .. summary
 	local missing = analysis[W.number]
 	if missing then
 		text = text .. (type(missing) == "number" and string.format("  [gap of %d]", missing) or "  [" .. missing .. "]")
@@ -2594,7 +2590,7 @@ local function dissect(tvb, pinfo, tree)
 	if tvb:reported_len() > #s then forgive() end
 
 	local columns = pinfo.cols
-	columns.protocol = string.upper(link)
+	columns.protocol = PROTOCOL[link]
 	columns.info = info()
 	local visible, node = tree.visible, tree
 	if visible or look_who_asks(tree, W.number) then node = show(tree, tvb, visible) end

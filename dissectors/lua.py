@@ -200,8 +200,7 @@ def _data(knowledge: Knowledge) -> str:
             {
                 "topic": item.topic,
                 "type": item.type,
-                "width": item.envelope.width if item.envelope else 0,
-                "little": item.envelope is None or item.envelope.byte_order == "little",
+                "format": FORMATS.index(item.envelope) + 1 if item.envelope else None,
             }
             for item in knowledge.routes
         ],

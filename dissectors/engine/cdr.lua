@@ -10,7 +10,7 @@ local CODES = {
 	["?"] = "B", b = "b", B = "B", h = "i2", H = "I2", i = "i4", I = "I4", q = "e", Q = "E", f = "f", d = "d",
 }
 local MOST_WORDS, MOST_ITEMS = 8, 3  -- what fits in one line
-local NOTHING = string.rep("\0", 8)
+local MOST_AT_ONCE = 64
 
 local function value_field(abbreviation, name, code, array)
 	if array and code == "B" then
@@ -19,6 +19,17 @@ local function value_field(abbreviation, name, code, array)
 		return new_field("ros2cdr", abbreviation, KINDS[code], name)
 	end
 	return new_field("ros2cdr", abbreviation, KINDS[code], name, base.DEC)
+end
+
+-- Give a run of single values one format for them all.
+local function compile_run(run)
+	local format, position = {}, 0
+	for index, leaf in ipairs(run.leaves) do
+		if leaf.count or index > MOST_AT_ONCE then return end
+		format[#format + 1] = string.rep("x", leaf.offset - position) .. CODES[leaf.code]
+		position = leaf.offset + leaf.size
+	end
+	run.little, run.big = "<" .. table.concat(format), ">" .. table.concat(format)
 end
 
 -- Give every leaf its field. Elements have no index in a field's name.
@@ -31,7 +42,9 @@ local function compile(steps, prefix, array)
 				leaf.many = many
 				leaf.record = value_field(path, leaf.name ~= "" and leaf.name or path:match("[^.]*$"), leaf.code, many)
 				leaf.little, leaf.big = "<" .. CODES[leaf.code], ">" .. CODES[leaf.code]
+				leaf.said, leaf.in_header = leaf.name .. "=", leaf.name:sub(1, 7) == "header."
 			end
+			compile_run(step)
 		else
 			local path = prefix .. (step.name ~= "" and "." .. step.name or "")
 			if step.steps then
@@ -56,7 +69,8 @@ end
 
 -- Return where a body ends, or nil where it is not valid. `stop` is the last place that belongs to it.
 local function check(steps, s, p, start, stop, big)
-	for _, step in ipairs(steps) do
+	for index = 1, #steps do
+		local step = steps[index]
 		if step.leaves then
 			p = p + (start - p) % step.alignment + step.size
 			if p - 1 > stop then return nil end
@@ -108,11 +122,11 @@ local function text_value(step, s, p, count, big)
 end
 
 -- A primitive in a few characters.
-local function short_number(leaf, s, p, big)
-	local value = unpack(big and leaf.big or leaf.little, s, p)
-	if leaf.code == "d" or leaf.code == "f" then
+local function short_value(leaf, value)
+	local code = leaf.code
+	if code == "d" or code == "f" then
 		return value ~= value and "nan" or string.format("%.6g", value)
-	elseif leaf.code == "?" then
+	elseif code == "?" then
 		return value ~= 0 and "True" or "False"
 	elseif leaf.size == 8 then
 		return tostring(value)
@@ -120,12 +134,13 @@ local function short_number(leaf, s, p, big)
 	return string.format("%d", value)
 end
 
--- Tell a zero without decoding it; -0.0 is one too.
-local function is_zero(leaf, s, p, big)
-	if s:sub(p, p + leaf.size - 1) == NOTHING:sub(1, leaf.size) then
-		return true
-	end
-	return (leaf.code == "d" or leaf.code == "f") and unpack(big and leaf.big or leaf.little, s, p) == 0
+local function value_at(leaf, s, p, big)
+	return (unpack(big and leaf.big or leaf.little, s, p))
+end
+
+-- Tell a zero; -0.0 is one too. 64-bit integers are objects, which equal no number.
+local function is_zero(leaf, value)
+	return value == 0 or ((leaf.code == "q" or leaf.code == "Q") and tostring(value) == "0")
 end
 
 local function listed(items, count)
@@ -135,7 +150,7 @@ end
 local function short_numbers(leaf, s, p, count, big)
 	local items = {}
 	for index = 1, math.min(count, MOST_ITEMS) do
-		items[index] = short_number(leaf, s, p + (index - 1) * leaf.size, big)
+		items[index] = short_value(leaf, value_at(leaf, s, p + (index - 1) * leaf.size, big))
 	end
 	return listed(items, count)
 end
@@ -174,26 +189,42 @@ local function short_list(step, s, p, start, big)
 	return count > 0 and listed(items, count) or nil, p
 end
 
+local words, header = {}, {}  -- of the message that is told; lists of messages have their own
+
+local function say(name, value)
+	local list = name:sub(1, 7) == "header." and header or words
+	list[#list + 1] = name .. "=" .. value
+end
+
+-- Say the single values of a run, decoded at once where they can be.
+local function say_run(run, s, p, big)
+	local values = run.little and {unpack(big and run.big or run.little, s, p)}
+	local leaves = run.leaves
+	for index = 1, #leaves do
+		local leaf, value = leaves[index], values and values[index]
+		if leaf.count then
+			say(leaf.name, short_numbers(leaf, s, p + leaf.offset, leaf.count, big))
+		elseif not leaf.hidden then
+			if not values then value = value_at(leaf, s, p + leaf.offset, big) end
+			if not is_zero(leaf, value) then
+				local list = leaf.in_header and header or words
+				list[#list + 1] = leaf.said .. short_value(leaf, value)
+			end
+		end
+	end
+end
+
 -- Return a message in a few words: zeros left out, long arrays cut, the header last; and where it ends, which
 -- is known only where `whole` is asked for.
 function short_message(steps, s, p, start, big, whole)
-	local words, header, total = {}, {}, 0
-	local function say(name, value)
-		local list = name:sub(1, 7) == "header." and header or words
-		if #list <= MOST_WORDS then list[#list + 1] = name .. "=" .. value end
-	end
-	for _, step in ipairs(steps) do
+	local outer_words, outer_header = words, header
+	words, header = {}, {}
+	for index = 1, #steps do
+		local step = steps[index]
 		if #words > MOST_WORDS and not whole then break end
 		if step.leaves then
 			p = p + (start - p) % step.alignment
-			for _, leaf in ipairs(step.leaves) do
-				local at = p + leaf.offset
-				if leaf.count then
-					say(leaf.name, short_numbers(leaf, s, at, leaf.count, big))
-				elseif not leaf.hidden and not is_zero(leaf, s, at, big) then
-					say(leaf.name, short_number(leaf, s, at, big))
-				end
-			end
+			say_run(step, s, p, big)
 			p = p + step.size
 		elseif step.steps then
 			local text
@@ -208,11 +239,15 @@ function short_message(steps, s, p, start, big, whole)
 			p = p + length * step.width
 		end
 	end
-	for _, word in ipairs(header) do words[#words + 1] = word end
-	total = #words
+	local told, total = words, #words
+	for _, word in ipairs(header) do
+		total = total + 1
+		told[total] = word
+	end
+	words, header = outer_words, outer_header
 	if total == 0 then return "all zero", p end
-	local text = table.concat(words, " ", 1, math.min(total, MOST_WORDS))
-	return total > MOST_WORDS and text .. " ..." or text, p
+	if total <= MOST_WORDS then return table.concat(told, " "), p end
+	return table.concat(told, " ", 1, MOST_WORDS) .. " ...", p
 end
 
 -- Add one primitive, or a stretch of bytes.

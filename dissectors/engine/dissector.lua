@@ -11,6 +11,7 @@ edoras.prefs.short_telemetry_header = Pref.bool(
 	"12-byte telemetry header", D.telemetry_header == 12, "Older cFE builds: no spare in the telemetry header"
 )
 
+local PROTOCOL = {ci = "CI", to = "TO", sbn = "SBN"}
 local registered = {}
 
 local function register_ports()
@@ -32,7 +33,7 @@ function edoras.prefs_changed()
 end
 
 function edoras.init()
-	peers, sequences, analysis = {}, {}, {}
+	peers, sequences, moving, analysis = {}, {}, {}, {}
 	asked.last = math.huge
 end
 
@@ -73,14 +74,15 @@ local function badges()
 end
 
 local function info()
-	local msg_id, name, head = W.msg_id, "", W.kind or ""
+	local msg_id, summary, text = W.msg_id, W.summary, W.kind
 	if msg_id then
-		name = W.message and W.route.topic or name_of(msg_id)
-		head = string.format(name ~= "" and "%s 0x%04x %s" or "%s 0x%04x", head, msg_id, name)
+		local name = W.message and W.route.topic or name_of(msg_id)
+		summary = summary or said_of(msg_id)
+		if summary == name then summary = "" end
+		text = string.format("%s 0x%04x %s  %s%s", text, msg_id, name, badges(), summary)
+	else
+		text = (text and text .. "  " or "") .. badges() .. (summary or said_of())
 	end
-	local summary = W.summary or said_of(msg_id)
-	if summary == name then summary = "" end
-	local text = (head ~= "" and head .. "  " or "") .. (W.findings > 0 and badges() or "") .. summary
 	local missing = analysis[W.number]
 	if missing then
 		text = text .. (type(missing) == "number" and string.format("  [gap of %d]", missing) or "  [" .. missing .. "]")
@@ -179,7 +181,7 @@ local function dissect(tvb, pinfo, tree)
 	if tvb:reported_len() > #s then forgive() end
 
 	local columns = pinfo.cols
-	columns.protocol = string.upper(link)
+	columns.protocol = PROTOCOL[link]
 	columns.info = info()
 	local visible, node = tree.visible, tree
 	if visible or look_who_asks(tree, W.number) then node = show(tree, tvb, visible) end

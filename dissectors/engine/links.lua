@@ -15,23 +15,22 @@ end
 
 -- Return "ci", "to" or "sbn", or nil for none of them.
 local function link_of(pinfo, first_byte)
-	local source, destination = pinfo.src_port, pinfo.dst_port
+	local destination = pinfo.dst_port
+	if ports.sbn[destination] then return "sbn" end
 	local ci, to = ports.ci[destination], ports.to[destination]
 	local command = not first_byte or first_byte % 32 >= 16  -- TO never sends an empty datagram
-	if ports.sbn[destination] then
-		return "sbn"
-	elseif ci and to then
+	if ci and to then
 		local to_cfs, from_cfs = is_cfs(pinfo.dst), is_cfs(pinfo.src)
 		if to_cfs ~= from_cfs then command = to_cfs end
-		return command and "ci" or "to"
 	elseif ci then
 		return "ci"
 	elseif to then
 		return "to"
-	elseif ports.sbn[source] then
-		return "sbn"
-	elseif ports.ci[source] or ports.to[source] then
-		return nil
+	else
+		local source = pinfo.src_port
+		if ports.sbn[source] then return "sbn" end
+		if ports.ci[source] or ports.to[source] then return nil end
+		-- "Decode As": no port of ours has a say.
 	end
-	return command and "ci" or "to"  -- "Decode As": no port of ours has a say
+	return command and "ci" or "to"
 end

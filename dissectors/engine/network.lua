@@ -1,7 +1,7 @@
 -- The work on one datagram, and the Software Bus Network's headers.
 
 local W = {serial = 0, layer = {}, at = {}, found = {}, is_found = {}}
-local peers, sequences, analysis = {}, {}, {}  -- what is known of senders, and per frame; see init()
+local peers, sequences, moving, analysis = {}, {}, {}, {}  -- what is known of senders, and per frame; see init()
 local read, L = D.read, D.layouts
 local identities = {}
 for _, pair in ipairs(D.identities) do
@@ -14,7 +14,7 @@ local function begin(s, link, pinfo)
 	W.s, W.link, W.pinfo, W.number = s, link, pinfo, pinfo.number
 	W.layers, W.findings = 0, 0
 	W.stop, W.kind, W.msg_id, W.code, W.route, W.message, W.envelope = nil, nil, nil, nil, nil, nil, nil
-	W.sender, W.padding, W.entries, W.summary, W.time, W.processor, W.bare = nil, nil, 0, nil, nil, 0, false
+	W.padding, W.entries, W.summary, W.time, W.processor, W.bare = nil, 0, nil, nil, 0, false
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -73,19 +73,24 @@ local function is_legacy(s)
 	return size == 0
 end
 
--- Return the endpoint that a datagram came from, as a text.
-local function sender()
-	W.sender = W.sender or string.format("%s:%d", tostring(W.pinfo.src), W.pinfo.src_port)
-	return W.sender
+-- Return what is known of the endpoint that a datagram came from: a table in `places`, by address and port.
+local function sender(places)
+	local address, port = tostring(W.pinfo.src), W.pinfo.src_port
+	local place = places[address]
+	if not place then
+		place = {}
+		places[address] = place
+	end
+	return place, port
 end
 
 -- Compare a sender with the one its endpoint is known by: the first identity that it gave.
 local function identify(spacecraft, processor, trusted)
-	local endpoint = sender()
-	local known = peers[endpoint]
+	local place, port = sender(peers)
+	local known = place[port]
 	if trusted and not known then
 		known = {spacecraft = spacecraft, processor = processor, since = W.number}
-		peers[endpoint] = known
+		place[port] = known
 	end
 	if known and known.since <= W.number
 		and (known.spacecraft ~= spacecraft or known.processor ~= processor)

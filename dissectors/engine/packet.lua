@@ -1,14 +1,14 @@
 -- Space packets: the primary header, cFE's headers, what cFE itself sends, and the EDORAS envelope.
 
-local routes, route_types = D.routes, D.types
+local routes = D.routes
 local settings = {extended = D.extended_header, telemetry_header = D.telemetry_header}
-local envelope_layouts = {}
-for index, format in ipairs(D.formats) do
-	local order = format.little and "little" or "big"
-	format.read = read[string.format("envelope_%d_%s", format.width, order)]
+for _, format in ipairs(D.formats) do
+	format.read = read[string.format("envelope_%d_%s", format.width, format.little and "little" or "big")]
 	format.size = 2 * format.width
-	envelope_layouts[order .. string.format("%d", format.width)] = format
-	if index == 1 then D.default_format = format end
+end
+for _, route in ipairs(routes) do
+	route.format = D.formats[route.format]  -- nil where the bytes shall tell
+	route.kind = D.types[route.type]
 end
 
 local function claims_of(msg_id)
@@ -33,16 +33,16 @@ local function follow(msg_id, count)
 		counts = {}
 		sequences[stream] = counts
 	end
-	local endpoint = sender()
-	local before = counts[endpoint]
-	counts[endpoint] = count
+	local place, port = sender(counts)
+	local before = place[port]
+	place[port] = count
 	if not before then return end
 	local step = (count - before) % 16384
 	if step == 0 then
-		if counts.moving then analysis[W.number] = "duplicate" end
+		if moving[stream] then analysis[W.number] = "duplicate" end
 		return
 	end
-	counts.moving = true
+	moving[stream] = true
 	if step >= 8192 then
 		analysis[W.number] = "reordered"
 	elseif step > 1 then
@@ -86,8 +86,7 @@ local function detect(s, at)
 end
 
 local function format_of(route, at)
-	if route.width == 0 then return detect(W.s, at) or D.default_format end
-	return envelope_layouts[(route.little and "little" or "big") .. string.format("%d", route.width)]
+	return route.format or detect(W.s, at) or D.formats[1]
 end
 
 -- Tell whether the bytes hold a whole message of a route.
@@ -97,14 +96,15 @@ local function suits(route, at)
 	if #s < start + 4 then return false end
 	local length = format.read(s, at + 1)
 	local representation = length >= 4 and length <= #s - start and read.cdr(s, start + 1) or 2
-	local kind = route_types[route.type]
-	return representation <= 1 and kind ~= nil and is_message(kind, s, start + 5, start + length, representation == 0)
+	return representation <= 1 and route.kind ~= nil
+		and is_message(route.kind, s, start + L.cdr.size + 1, start + length, representation == 0)
 end
 
 local function envelope(claims, at)
-	local route, s = routes[claims[1]], W.s
+	local route, s, proven = routes[claims[1]], W.s, false
 	for index = 1, #claims > 1 and #claims or 0 do
-		if suits(routes[claims[index]], at) then
+		proven = suits(routes[claims[index]], at)
+		if proven then
 			route = routes[claims[index]]
 			break
 		end
@@ -137,10 +137,10 @@ local function envelope(claims, at)
 		W.stop = string.format("cdr at byte %d has representation 0x%04x; CDR is 0x0000 or 0x0001", start, representation)
 		return
 	end
-	local kind = route_types[route.type]
+	local kind = route.kind
 	if not kind then return end
 	W.big = representation == 0
-	if is_message(kind, s, W.body + 1, stop, W.big) then
+	if proven or is_message(kind, s, W.body + 1, stop, W.big) then
 		W.message = kind
 		W.summary = short_message(kind.steps, s, W.body + 1, W.body + 1, W.big)
 	else
