@@ -17,8 +17,10 @@ from edoras_tools import __version__
 from edoras_tools.cli.decode import decode
 from edoras_tools.cli.demo import demo
 from edoras_tools.cli.info import info
+from edoras_tools.cli.inject import inject
 from edoras_tools.cli.record import record as record_command
 from edoras_tools.cli.recover import recover
+from edoras_tools.cli.replay import replay as replay_command
 from edoras_tools.cli.sim import sim
 from edoras_tools.cli.sniff import sniff as sniff_command
 from edoras_tools.errors import EdorasError
@@ -36,7 +38,7 @@ app = typer.Typer(
     context_settings=_SETTINGS,
     epilog="Start with: edoras demo",
 )
-for command in (demo, sniff_command, record_command, info, decode, recover, sim):
+for command in (demo, sniff_command, record_command, info, decode, recover, replay_command, inject, sim):
     app.command()(command)
 
 

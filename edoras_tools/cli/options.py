@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.sessions.faults import FaultPlan
 
 Command = Callable[..., None]
 LINKS = ("ci", "to", "sbn", "other")
@@ -230,7 +231,7 @@ def gathered(name: str, gather: Callable[..., object]) -> Callable[[Command], Co
 
 def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:
     """Return a function's parameters, by keyword, their annotations as values: as typer wants them."""
-    unimported = {"Settings": object, "Selection": object}
+    unimported = dict.fromkeys(("Settings", "Selection", "Orders", "FaultPlan"), object)
     hints = get_type_hints(function, localns=unimported, include_extras=True)
     return [
         item.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[item.name])
@@ -240,3 +241,35 @@ def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:
 
 takes_decoding = gathered("settings", decoding)
 takes_choice = gathered("selection", choice)
+
+
+FaultRule = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        metavar="RULE",
+        help="What goes wrong: drop:0.1, delay:200ms,msg_id=0x1827, corrupt:1%,from=10s; repeatable.",
+    ),
+]
+Profile = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Behave as a link of this kind: leo, geo, lunar or mars.")
+]
+Scenario = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Faults and their times from a YAML file.")
+]
+Seed = Annotated[
+    int | None,
+    typer.Option(metavar="N", parser=number, help="Chances hang on it: the same seed, the same faults; 0."),
+]
+
+
+def faults(
+    fault: FaultRule = None, profile: Profile = None, scenario: Scenario = None, seed: Seed = None
+) -> FaultPlan:
+    """Gather the options that say what goes wrong on purpose."""
+    from edoras_tools.pipelines.scenario import fault_plan
+
+    return fault_plan(fault or (), profile, scenario, seed)
+
+
+takes_faults = gathered("faults", faults)

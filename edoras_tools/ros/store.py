@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.ros.columns import MessageColumns
     from edoras_tools.ros.plan import Plan
     from edoras_tools.ros.reader import Span
-    from edoras_tools.ros.schema import Definition
+    from edoras_tools.ros.schema import Definition, Field
 
 _WIDE_OF_OLD = frozenset({"dashing", "eloquent", "foxy", "galactic", "humble", "iron"})
 """Distributions whose Fast CDR sends a ``wstring`` as 4 bytes a UTF-16 unit; later ones send 2."""
@@ -92,6 +92,11 @@ class TypeStore:
         found: dict[str, Definition] = {}
         self._collect(full_name(type_name), found)
         return complete_text(found.values())
+
+    def fields(self, type_name: str) -> tuple[Field, ...]:
+        """Return a type's fields, in wire order; those of a type that it uses are asked for by its name."""
+        self._plan(type_name)
+        return self._definition(full_name(type_name)).fields
 
     def decode(self, type_name: str, cdr: bytes) -> dict[str, Any]:
         """Return a message as plain values: dicts, lists, int, float, bool, str.

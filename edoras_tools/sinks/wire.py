@@ -72,7 +72,7 @@ class UdpWire:
         watched: Sequence[int] = (),
     ) -> None:
         self._transmitter = transmitter
-        self._sockets = [(answers, transmitter), *listeners]
+        self._sockets: list[tuple[Link, Transmitter | Listener]] = [(answers, transmitter), *listeners]
         self._watched = [*(item.fileno() for _, item in self._sockets), *watched]
         self.now = time.monotonic_ns
 

@@ -1,0 +1,296 @@
+"""Datagrams that are to be sent, in columns, and what may be changed in their headers on the way.
+
+Every change works on all of them at once, in a buffer that is theirs alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping  # noqa: TC003  Changes' annotations are read by people and tools
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
+from edoras_tools.sessions.profile import SECOND
+from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.order import by_value
+from edoras_tools.wire.window import copy_rows, put_rows, xor_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns, PacketBatch
+
+_COUNTS: Final = 1 << 14
+_UNSEGMENTED: Final = ccsds.UNSEGMENTED << 14
+_STAMP_AT: Final = 4
+"""Where a message that starts with a ``std_msgs/Header`` has its time: behind the encapsulation."""
+
+
+class SequenceRule(StrEnum):
+    """What to do with sequence words."""
+
+    KEEP = "keep"
+    COUNT = "count"
+    ZERO = "zero"
+
+
+class ChecksumRule(StrEnum):
+    """What to do with the checksums of commands."""
+
+    KEEP = "keep"
+    FIX = "fix"
+    ZERO = "zero"
+    WRONG = "wrong"
+
+
+@dataclass(frozen=True, slots=True)
+class Outgoing:
+    """Datagrams in sending order; offsets point into ``data``, arrays have one element a datagram.
+
+    Attributes:
+        link: which link they go to.
+        data: u8, their payloads and nothing else.
+        offset: i64, start of the datagram.
+        length: i32, its bytes.
+        time_ns: i64, when it was recorded.
+        packet_offset: i64, start of the space packet; -1 where there is none.
+        packet_length: i32, bytes of the space packet.
+        header_length: u8, cFE header bytes.
+        msg_id: i32, ``NO_MSG_ID`` where there is none.
+        cdr_offset: i64, start of the CDR; -1 where there is none.
+        route: i16, index into the mission's routes, or ``NO_ROUTE``.
+    """
+
+    link: Link
+    data: NDArray[np.uint8]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int32]
+    time_ns: NDArray[np.int64]
+    packet_offset: NDArray[np.int64]
+    packet_length: NDArray[np.int32]
+    header_length: NDArray[np.uint8]
+    msg_id: NDArray[np.int32]
+    cdr_offset: NDArray[np.int64]
+    route: NDArray[np.int16]
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+    def __getitem__(self, index: int) -> bytes:
+        start = int(self.offset[index])
+        return self.data[start : start + int(self.length[index])].tobytes()
+
+    def take(self, rows: NDArray[Any] | slice) -> Self:
+        """Return chosen rows over the same buffer."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
+
+    def copy(self) -> Self:
+        """Return the same datagrams over a buffer of their own."""
+        return replace(self, data=self.data.copy())
+
+    @classmethod
+    def of(cls, link: Link, batch: PacketBatch, columns: Columns) -> Outgoing:
+        """Take the payloads of a batch out of their frames."""
+        length = batch.length.astype(np.int64)
+        offset = np.cumsum(length) - length
+        shift = offset - batch.offset
+        data = np.empty(int(length.sum()), np.uint8)
+        copy_rows(data, offset, batch.data, batch.offset, length)
+        return cls(
+            link=link,
+            data=data,
+            offset=offset,
+            length=batch.length,
+            time_ns=batch.time_ns,
+            packet_offset=_moved(columns.packet_offset, shift),
+            packet_length=columns.packet_length,
+            header_length=columns.header_length,
+            msg_id=columns.msg_id,
+            cdr_offset=_moved(columns.cdr_offset, shift),
+            route=columns.route,
+        )
+
+    @classmethod
+    def packets(cls, link: Link, rows: Sequence[Packet], *, sender: sbn.Peer | None = None) -> Outgoing:
+        """Lay out space packets, one a datagram.
+
+        Args:
+            link: where they go.
+            rows: the packets.
+            sender: who sends them on the SBN link; needed there.
+        """
+        before = [
+            sbn.emit(sbn.MsgType.APP, sender, row.packet)[: sbn.HEADER.size] if sender else b""
+            for row in rows
+        ]
+        data = np.frombuffer(
+            b"".join(part for head, row in zip(before, rows, strict=True) for part in (head, row.packet)),
+            np.uint8,
+        ).copy()
+        packet_length = np.array([len(row.packet) for row in rows], np.int32)
+        extra = sbn.HEADER.size if sender else 0
+        length = packet_length + np.int32(extra)
+        offset = np.cumsum(length, dtype=np.int64) - length
+        cdr = np.array([row.cdr_at for row in rows], np.int64)
+        msg_id = np.array([int.from_bytes(row.packet[:2], "big") for row in rows], np.int32)
+        command = (msg_id & cfe.COMMAND_BIT) != 0
+        header = np.where(command, cfe.COMMAND_HEADER_BYTES, cfe.TELEMETRY_HEADER_BYTES)
+        return cls(
+            link=link,
+            data=data,
+            offset=offset,
+            length=length,
+            time_ns=np.array([row.time_ns for row in rows], np.int64),
+            packet_offset=offset + extra,
+            packet_length=packet_length,
+            header_length=header.astype(np.uint8),
+            msg_id=msg_id,
+            cdr_offset=np.where(cdr < 0, -1, offset + extra + cdr),
+            route=np.array([row.route for row in rows], np.int16),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """A space packet to lay out.
+
+    Attributes:
+        packet: its bytes, at least a primary header.
+        time_ns: when it was recorded, or is due.
+        route: index into the mission's routes.
+        cdr_at: where in it the CDR starts; -1 where there is none.
+    """
+
+    packet: bytes
+    time_ns: int = 0
+    route: int = NO_ROUTE
+    cdr_at: int = -1
+
+
+_COLUMNS: Final = tuple(name for name in Outgoing.__slots__ if name not in {"link", "data"})
+
+
+def _moved(place: NDArray[np.int64], shift: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.where(place < 0, -1, place + shift)
+
+
+def join(parts: Sequence[Outgoing]) -> Outgoing:
+    """Put datagrams end to end; at least one part."""
+    if len(parts) == 1:
+        return parts[0]
+    starts = np.cumsum([0, *(len(part.data) for part in parts[:-1])])
+    columns: dict[str, Any] = {}
+    for name in _COLUMNS:
+        values = [getattr(part, name) for part in parts]
+        if name.endswith("offset"):
+            values = [
+                np.where(value < 0, -1, value + start) for value, start in zip(values, starts, strict=True)
+            ]
+        columns[name] = np.concatenate(values)
+    return Outgoing(link=parts[0].link, data=np.concatenate([part.data for part in parts]), **columns)
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What is changed in the datagrams before they leave; nothing by default.
+
+    Attributes:
+        msg_ids: a MsgId to the one that takes its place.
+        sequence: of every space packet.
+        checksum: of every command; what else changes comes first.
+        restamp: bool (routes,), routes whose messages start with a header whose time becomes the time of
+            sending; None leaves all times alone.
+        sender: whom every SBN datagram calls its sender; None keeps what was captured.
+    """
+
+    msg_ids: Mapping[int, int] = field(default_factory=dict)
+    sequence: SequenceRule = SequenceRule.KEEP
+    checksum: ChecksumRule = ChecksumRule.KEEP
+    restamp: NDArray[np.bool_] | None = None
+    sender: sbn.Peer | None = None
+
+    @property
+    def differ(self) -> bool:
+        """Whether each pass over the datagrams changes them anew."""
+        return self.sequence is SequenceRule.COUNT or self.restamp is not None
+
+    def once(self, out: Outgoing) -> Outgoing:
+        """Return the datagrams with what is the same in every pass."""
+        if not self.msg_ids and self.sender is None:
+            return out if self.differ else self.each(out)
+        out = out.copy()
+        if self.sender is not None and out.link is Link.SBN:
+            self._introduce(out, self.sender)
+        if self.msg_ids:
+            msg_id = out.msg_id.copy()
+            for old, new in self.msg_ids.items():
+                rows = np.flatnonzero(out.msg_id == old)
+                put_rows(out.data, out.packet_offset[rows], np.full(len(rows), new, ">u2"))
+                msg_id[rows] = new
+            out = replace(out, msg_id=msg_id)
+        return out if self.differ else self.each(out)
+
+    def each(self, out: Outgoing, *, sent: int = 0, start_ns: int = 0, due_ns: Any = 0) -> Outgoing:
+        """Return the datagrams as one pass sends them.
+
+        Args:
+            out: as ``once`` returned them.
+            sent: passes before this one.
+            start_ns: when this pass starts, ns since 1970.
+            due_ns: i64 (n,), deadlines from then.
+        """
+        if self.sequence is SequenceRule.KEEP and self.checksum is ChecksumRule.KEEP and self.restamp is None:
+            return out
+        out = out.copy()
+        if self.restamp is not None:
+            rows = np.flatnonzero((out.cdr_offset >= 0) & (out.route != NO_ROUTE))
+            rows = rows[self.restamp[out.route[rows]]]
+            _stamp(out, rows, (start_ns + np.broadcast_to(due_ns, len(out)))[rows])
+        if self.sequence is not SequenceRule.KEEP:
+            _number(out, self.sequence, sent)
+        if self.checksum is not ChecksumRule.KEEP:
+            _check(out, self.checksum)
+        return out
+
+    @staticmethod
+    def _introduce(out: Outgoing, sender: sbn.Peer) -> None:
+        """Write the sender into every SBN header that is whole."""
+        whole = out.offset[out.length >= sbn.HEADER.size]
+        slot = sbn.HEADER.by_name["processor_id"]
+        identity = np.array([sender.processor_id, sender.spacecraft_id], ">u4").view("V8")
+        put_rows(out.data, whole + slot.start, np.repeat(identity, len(whole)))
+
+
+def _stamp(out: Outgoing, rows: NDArray[np.intp], time_ns: NDArray[np.int64]) -> None:
+    little = (out.data[out.cdr_offset[rows] + 1] & 1) != 0
+    for order, chosen in (("<", little), (">", ~little)):
+        picked = rows[chosen]
+        times = np.stack(np.divmod(time_ns[chosen], SECOND), axis=1).astype(f"{order}u4").view("V8")
+        put_rows(out.data, out.cdr_offset[picked] + _STAMP_AT, times[:, 0])
+
+
+def _number(out: Outgoing, rule: SequenceRule, sent: int) -> None:
+    rows = np.flatnonzero(out.msg_id != NO_MSG_ID)
+    word = np.zeros(len(rows), ">u2")
+    if rule is SequenceRule.COUNT:
+        for _, picked in by_value(out.msg_id[rows]):
+            count = np.arange(sent * len(picked), (sent + 1) * len(picked)) % _COUNTS
+            word[picked] = _UNSEGMENTED | count
+    put_rows(out.data, out.packet_offset[rows] + 2, word)
+
+
+def _check(out: Outgoing, rule: ChecksumRule) -> None:
+    whole = out.packet_length >= out.header_length
+    rows = np.flatnonzero((out.msg_id != NO_MSG_ID) & ((out.msg_id & cfe.COMMAND_BIT) != 0) & whole)
+    at = out.packet_offset[rows] + out.header_length[rows] - 1
+    out.data[at] = 0
+    if rule is not ChecksumRule.ZERO:
+        right = xor_bytes(out.data, out.packet_offset[rows], out.packet_length[rows]) ^ np.uint8(
+            cfe.CHECKSUM_SEED
+        )
+        out.data[at] = right if rule is ChecksumRule.FIX else ~right

@@ -1,0 +1,177 @@
+"""When each message is due: absolute deadlines from a recording's own times, a speed or rates.
+
+A deadline counts from the start of the run and never from the message before it, so lateness never adds up.
+Whole recordings are planned at once; nothing here waits, and no clock is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping  # noqa: TC003  Pacing's annotations are read by people and tools
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.sessions.profile import SECOND
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_STEPS: Final = 64
+"""Steps of the lateness scale to a doubling: a step is 1.1 %."""
+_FOLD: Final = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class Timetable:
+    """The order and the deadlines of one pass over a recording.
+
+    Attributes:
+        order: i64 (n,), rows of the recording in the order they are sent.
+        due_ns: i64 (n,), deadlines of ``order``, never decreasing, from 0 at the start of the pass.
+        period_ns: from the start of one pass to the start of the next.
+    """
+
+    order: NDArray[np.int64]
+    due_ns: NDArray[np.int64]
+    period_ns: int
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Messages per second that are asked for; None where no time is asked for at all."""
+        count = len(self.due_ns)
+        return count * SECOND / self.period_ns if self.period_ns and count else None
+
+
+@dataclass(frozen=True, slots=True)
+class Pacing:
+    """How fast a recording is sent.
+
+    Attributes:
+        speed: of the recording's own times; 2 is twice as fast.
+        rate_hz: send all messages evenly at this rate instead; 0 keeps their own times.
+        stream_rates: a stream to its own rate in Hz; the others are not touched by it.
+        unpaced: nothing is ever too early: as fast as it goes.
+        cap_hz: no two messages closer than this rate allows; 0 for no cap.
+    """
+
+    speed: float = 1.0
+    rate_hz: float = 0.0
+    stream_rates: Mapping[int, float] = field(default_factory=dict)
+    unpaced: bool = False
+    cap_hz: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check once.
+
+        Raises:
+            ConfigError: a speed or a rate is not a positive number, or they contradict each other.
+        """
+        rates = (self.rate_hz or 1.0, self.cap_hz or 1.0, *self.stream_rates.values())
+        for name, value in (("speed", self.speed), *(("rate", rate) for rate in rates)):
+            if not 0 < value < float("inf"):
+                raise ConfigError(f"{name} {value:g} is not allowed; more than 0")
+        asked = [self.speed != 1, bool(self.rate_hz or self.stream_rates), self.unpaced]
+        if sum(asked) > 1:
+            raise ConfigError("a speed, a rate and --max exclude each other; name one")
+
+    def timetable(self, time_ns: NDArray[np.int64], stream: NDArray[Any] | None = None) -> Timetable:
+        """Plan one pass.
+
+        Args:
+            time_ns: i64 (n,), when each message was recorded; where time steps back it stands still.
+            stream: (n,) what ``stream_rates`` goes by; needed only where there are some.
+        """
+        count = len(time_ns)
+        every = np.arange(count, dtype=np.int64)
+        if not count or self.unpaced:
+            return self._capped(every, np.zeros(count, np.int64), 0)
+        if self.rate_hz:
+            return self._capped(every, _evenly(count, self.rate_hz), _at(count, self.rate_hz))
+        due = np.maximum.accumulate(time_ns) - time_ns[0]
+        due = due if self.speed == 1 else np.rint(due / self.speed).astype(np.int64)
+        # A pass ends one mean interval after its last message, so that the next goes on at the same rate.
+        ends = [int(due[-1]) + int(due[-1]) // (count - 1) if count > 1 else SECOND]
+        order = every
+        if stream is not None and self.stream_rates:
+            own = np.zeros(count, bool)
+            for key, rate in self.stream_rates.items():
+                rows = np.flatnonzero(stream == key)
+                if len(rows):
+                    first = int(due[rows[0]])
+                    due[rows] = first + _evenly(len(rows), rate)
+                    ends.append(first + _at(len(rows), rate))
+                    own[rows] = True
+            if own.all():
+                ends = ends[1:]
+            order = np.argsort(due, kind="stable")
+            due = due[order]
+        return self._capped(order, due, max(ends))
+
+    def _capped(self, order: NDArray[np.int64], due: NDArray[np.int64], period_ns: int) -> Timetable:
+        if self.cap_hz and len(due):
+            least = _evenly(len(due), self.cap_hz)
+            due = np.maximum.accumulate(due - least) + least
+            period_ns = max(period_ns, int(due[-1]) + _at(1, self.cap_hz))
+        return Timetable(order, due, period_ns)
+
+
+def _evenly(count: int, rate_hz: float) -> NDArray[np.int64]:
+    """Return ``count`` deadlines, each rounded from its exact place: no rounding adds up."""
+    due: NDArray[np.int64] = np.rint(np.arange(count) * (SECOND / rate_hz)).astype(np.int64)
+    return due
+
+
+def _at(index: int, rate_hz: float) -> int:
+    return round(index * (SECOND / rate_hz))
+
+
+class Lateness:
+    """How late messages left, on a logarithmic scale: any number of them in bounded memory.
+
+    Attributes:
+        count: messages.
+        max_ns: the latest.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.max_ns = 0
+        self._waiting: list[int] = []
+        self._steps = np.zeros(_STEPS * 64, np.int64)
+
+    def add(self, late_ns: int) -> None:
+        """Take one message's lateness; one that was early was on time."""
+        self._waiting.append(late_ns)
+        if len(self._waiting) >= _FOLD:
+            self._fold(np.array(self._waiting, np.int64))
+            self._waiting.clear()
+
+    def add_all(self, late_ns: NDArray[np.int64]) -> None:
+        """Take those of many messages."""
+        if len(late_ns):
+            self._fold(late_ns)
+
+    def _fold(self, late_ns: NDArray[np.int64]) -> None:
+        late_ns = np.maximum(late_ns, 0)
+        self.count += len(late_ns)
+        self.max_ns = max(self.max_ns, int(late_ns.max()))
+        steps = np.ceil(np.log2(np.maximum(late_ns, 1)) * _STEPS).astype(np.int64)
+        self._steps += np.bincount(steps, minlength=len(self._steps))
+
+    def percentile_ns(self, percent: float) -> int | None:
+        """Return what so many percent were not later than, to 1.1 %; None without messages."""
+        if self._waiting:
+            self._fold(np.array(self._waiting, np.int64))
+            self._waiting.clear()
+        if not self.count:
+            return None
+        step = int(np.searchsorted(np.cumsum(self._steps), self.count * percent / 100))
+        return min(round(2 ** (step / _STEPS)), self.max_ns)
+
+    def summary(self) -> dict[str, float | None]:
+        """Return p50, p99 and max in us, one digit after the point; None without messages."""
+        found = {"p50": self.percentile_ns(50), "p99": self.percentile_ns(99)}
+        found["max"] = self.max_ns if self.count else None
+        return {name: None if value is None else round(value / 1000, 1) for name, value in found.items()}
