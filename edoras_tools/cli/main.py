@@ -18,6 +18,7 @@ from edoras_tools.cli.decode import decode
 from edoras_tools.cli.demo import demo
 from edoras_tools.cli.info import info
 from edoras_tools.cli.inject import inject
+from edoras_tools.cli.proxy import proxy as proxy_command
 from edoras_tools.cli.record import record as record_command
 from edoras_tools.cli.recover import recover
 from edoras_tools.cli.replay import replay as replay_command
@@ -38,7 +39,18 @@ app = typer.Typer(
     context_settings=_SETTINGS,
     epilog="Start with: edoras demo",
 )
-for command in (demo, sniff_command, record_command, info, decode, recover, replay_command, inject, sim):
+for command in (
+    demo,
+    sniff_command,
+    record_command,
+    info,
+    decode,
+    recover,
+    replay_command,
+    inject,
+    proxy_command,
+    sim,
+):
     app.command()(command)
 
 
@@ -151,3 +163,8 @@ def sniff() -> NoReturn:
 def record() -> NoReturn:
     """Run ``edoras-record``."""
     _start(_alone(record_command, "edoras-record"))
+
+
+def proxy() -> NoReturn:
+    """Run ``edoras-proxy``."""
+    _start(_alone(proxy_command, "edoras-proxy"))

@@ -72,8 +72,11 @@ class Alias:
 Tree: TypeAlias = Scalar | Sequence | Mapping | Alias
 
 
-def parse(text: str, report: Report) -> list[Tree]:
-    """Return the documents of a YAML text; empty, with a mistake in the report, where it is not YAML."""
+def parse(text: str, report: Report, form: str = FORM) -> list[Tree]:
+    """Return the documents of a YAML text; empty, with a mistake in the report, where it is not YAML.
+
+    ``form`` is what the file should look like, for people.
+    """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError
     from ruamel.yaml.reader import ReaderError
@@ -87,7 +90,7 @@ def parse(text: str, report: Report) -> list[Tree]:
             depth += _step(event)
             if depth > _DEEPEST:  # at once: ruamel takes minutes over thousands of brackets
                 report.mistake(
-                    event.start_mark.line + 1, "", f"nested more than {_DEEPEST} levels deep; {FORM}"
+                    event.start_mark.line + 1, "", f"nested more than {_DEEPEST} levels deep; {form}"
                 )
                 return []
             events.append(event)
@@ -98,10 +101,10 @@ def parse(text: str, report: Report) -> list[Tree]:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         why = ", ".join(filter(None, (error.context, error.problem)))
-        report.mistake(mark.line + 1 if mark else 1, "", f"not YAML: {printable(why, 200)}; {FORM}")
+        report.mistake(mark.line + 1 if mark else 1, "", f"not YAML: {printable(why, 200)}; {form}")
         return []
     except Exception as error:  # noqa: BLE001  ruamel lets errors of its own out of broken directives and escapes
-        report.mistake(1, "", f"not YAML: {printable(str(error), 200) or type(error).__name__}; {FORM}")
+        report.mistake(1, "", f"not YAML: {printable(str(error), 200) or type(error).__name__}; {form}")
         return []
     return list(_documents(iter(events)))
 

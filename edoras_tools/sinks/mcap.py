@@ -118,7 +118,7 @@ class McapSink:
             first = last
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
-        """Take what was done on purpose, with times in ns since 1970; this makes the topic where it is needed."""
+        """Take what was done on purpose, with times in ns since 1970; makes the topic where it is needed."""
         if FAULTS_TOPIC not in self._channels:
             self.flush()  # until then the file belongs to the thread
             with self._failing():

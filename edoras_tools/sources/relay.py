@@ -13,7 +13,6 @@ import errno
 import os
 import socket
 import struct
-import sys
 import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
@@ -22,7 +21,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import Endpoint
-from edoras_tools.sources.udp import bind_reason
+from edoras_tools.sources.udp import LINUX, bind_reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,7 +40,6 @@ _SO_RCVBUFFORCE: Final = 33
 _SO_SNDBUFFORCE: Final = 32
 _SO_TIMESTAMPNS: Final = 35
 _BUFFER: Final = 32 << 20
-_LINUX: Final = sys.platform.startswith("linux")
 
 _VECTOR: Final = np.dtype([("base", "u8"), ("length", "u8")])
 _CONTROL: Final = np.dtype([("size", "u8"), ("level", "i4"), ("kind", "i4"), ("seconds", "i8"), ("ns", "i8")])
@@ -133,7 +131,7 @@ class Arena(Protocol):
 
 def make_arena() -> Arena:
     """Return the fastest that this system has."""
-    if _LINUX and ctypes.sizeof(ctypes.c_void_p) == 8:
+    if LINUX and ctypes.sizeof(ctypes.c_void_p) == 8:
         with suppress(AttributeError, OSError):
             return VectorArena()
     return PlainArena()
@@ -420,9 +418,9 @@ def open_socket(family: int) -> socket.socket:
     for option, forced in ((socket.SO_RCVBUF, _SO_RCVBUFFORCE), (socket.SO_SNDBUF, _SO_SNDBUFFORCE)):
         with suppress(OSError):
             opened.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
-        if _LINUX:
+        if LINUX:
             with suppress(OSError):
                 opened.setsockopt(socket.SOL_SOCKET, forced, _BUFFER)
-    if _LINUX:
+    if LINUX:
         opened.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
     return opened

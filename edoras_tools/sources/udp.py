@@ -33,7 +33,7 @@ _MEMINFO_DROPS: Final = 8  # SK_MEMINFO_DROPS
 _IP_PKTINFO: Final = 8
 _IPV6_PKTINFO: Final = 50
 _IPV6_RECVPKTINFO: Final = 49
-_LINUX: Final = sys.platform.startswith("linux")
+LINUX: Final = sys.platform.startswith("linux")
 
 _LARGEST: Final = 65536
 """Bytes that hold any UDP payload."""
@@ -187,7 +187,7 @@ class Sockets:
 
     def count(self) -> None:
         """Ask the kernel what it dropped."""
-        if _LINUX:
+        if LINUX:
             self.drops = sum(kernel_drops(bound.socket) for bound in self._bound)
 
     def refuse(self) -> None:
@@ -264,7 +264,7 @@ def _configure(opened: socket.socket, version: int, receive_buffer: int) -> None
         opened.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
     with contextlib.suppress(OSError):  # some systems refuse more than their limit, others cut it
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
-    if not _LINUX:
+    if not LINUX:
         return
     with contextlib.suppress(PermissionError):  # past the limit for those who may
         opened.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, receive_buffer)
