@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from edoras_tools.decode.where_compare import Misfit, Test, test_of
 from edoras_tools.decode.where_names import Names, Unknown
 from edoras_tools.decode.where_rows import ColumnRows, Rows
 from edoras_tools.decode.where_series import Kind
@@ -26,7 +27,6 @@ from edoras_tools.decode.where_syntax import (
     WhereError,
     parse,
 )
-from edoras_tools.decode.where_tests import Misfit, Test, test_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

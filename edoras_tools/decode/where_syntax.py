@@ -13,7 +13,7 @@
     item        = value | range                 range = value ".." value
     value       = quoted text | bare word
 
-What a value means is for the field to say that it is compared with: see ``where_tests``.
+What a value means is for the field to say that it is compared with: see ``where_compare``.
 """
 
 from __future__ import annotations

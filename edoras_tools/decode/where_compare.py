@@ -194,7 +194,7 @@ def _no_number(field: Field, text: str) -> str:
 def _number(text: str) -> int | float | None:
     if _INTEGER.fullmatch(text):
         digits = text.lstrip("+-").lower()
-        size = int(digits, 16) if digits.startswith("0x") else int(digits) if len(digits) < 400 else _MOST
+        size = int(digits, 16) if digits.startswith("0x") else int(digits) if len(digits) < 400 else 2 * _MOST
         return -size if text.startswith("-") else size
     return float(text) if _REAL.fullmatch(text) else None
 
