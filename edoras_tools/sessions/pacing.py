@@ -128,16 +128,10 @@ def _at(index: int, rate_hz: float) -> int:
 
 
 class Lateness:
-    """How late messages left, on a logarithmic scale: any number of them in bounded memory.
-
-    Attributes:
-        count: messages.
-        max_ns: the latest.
-    """
+    """How late messages left, on a logarithmic scale: any number of them in bounded memory."""
 
     def __init__(self) -> None:
-        self.count = 0
-        self.max_ns = 0
+        self._count = self._max_ns = 0
         self._waiting: list[int] = []
         self._steps = np.zeros(_STEPS * 64, np.int64)
 
@@ -145,26 +139,37 @@ class Lateness:
         """Take one message's lateness; one that was early was on time."""
         self._waiting.append(late_ns)
         if len(self._waiting) >= _FOLD:
-            self._fold(np.array(self._waiting, np.int64))
-            self._waiting.clear()
+            self._fold()
 
     def add_all(self, late_ns: NDArray[np.int64]) -> None:
         """Take those of many messages."""
-        if len(late_ns):
-            self._fold(late_ns)
+        self._waiting += late_ns.tolist()
+        if len(self._waiting) >= _FOLD:
+            self._fold()
 
-    def _fold(self, late_ns: NDArray[np.int64]) -> None:
-        late_ns = np.maximum(late_ns, 0)
-        self.count += len(late_ns)
-        self.max_ns = max(self.max_ns, int(late_ns.max()))
-        steps = np.ceil(np.log2(np.maximum(late_ns, 1)) * _STEPS).astype(np.int64)
-        self._steps += np.bincount(steps, minlength=len(self._steps))
+    def _fold(self) -> None:
+        if self._waiting:
+            late_ns = np.maximum(np.array(self._waiting, np.int64), 0)
+            self._waiting.clear()
+            self._count += len(late_ns)
+            self._max_ns = max(self._max_ns, int(late_ns.max()))
+            steps = np.ceil(np.log2(np.maximum(late_ns, 1)) * _STEPS).astype(np.int64)
+            self._steps += np.bincount(steps, minlength=len(self._steps))
+
+    @property
+    def count(self) -> int:
+        """Messages."""
+        self._fold()
+        return self._count
+
+    @property
+    def max_ns(self) -> int:
+        """The latest; 0 without messages."""
+        self._fold()
+        return self._max_ns
 
     def percentile_ns(self, percent: float) -> int | None:
         """Return what so many percent were not later than, to 1.1 %; None without messages."""
-        if self._waiting:
-            self._fold(np.array(self._waiting, np.int64))
-            self._waiting.clear()
         if not self.count:
             return None
         step = int(np.searchsorted(np.cumsum(self._steps), self.count * percent / 100))

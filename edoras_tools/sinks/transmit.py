@@ -205,14 +205,14 @@ class _Vectors:
 @contextlib.contextmanager
 def _told(endpoint: Endpoint, what: str) -> Iterator[None]:
     """Turn what the system says of an endpoint into one clear line."""
+    if not 0 <= endpoint.port <= 0xFFFF:  # getaddrinfo takes some numbers beyond modulo 65536
+        raise CaptureError(f"UDP {endpoint} {what}: {endpoint.port} is no UDP port: 0 to 65535")
     try:
         yield
-    except (OSError, OverflowError, UnicodeError) as error:
+    except (OSError, UnicodeError) as error:
         number = getattr(error, "errno", None)
         if isinstance(error, socket.gaierror | UnicodeError):
             why = f"{endpoint.address!r} is neither an address nor a host that is known"
-        elif isinstance(error, OverflowError):
-            why = f"{endpoint.port} is no UDP port: 0 to 65535"
         elif number == errno.EADDRINUSE:
             why = "another program has that port (a bridge?); stop it, or choose another with --listen"
         elif number == errno.EADDRNOTAVAIL:

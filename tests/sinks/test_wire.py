@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import gc
+import os
+import socket
+
+import pytest
+
+from edoras_tools.model import Endpoint, Link
+from edoras_tools.sessions.outgoing import Outgoing, Packet
+from edoras_tools.sinks.transmit import Listener, Transmitter
+from edoras_tools.sinks.wire import UdpWire, precise_timing
+
+HOST = "127.0.0.1"
+
+
+@pytest.fixture
+def ends():
+    """A wire, the socket at its other end, and its listener."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind((HOST, 0))
+        other.settimeout(5)
+        ear = Listener(Endpoint(HOST, 0))
+        with Transmitter(Endpoint(HOST, other.getsockname()[1])) as transmitter:
+            yield UdpWire(transmitter, Link.SBN, [(Link.TO, ear)]), other, ear, transmitter
+        ear.close()
+
+
+def test_a_wait_ends_when_its_time_has_come_not_before(ends):
+    wire = ends[0]
+    until = wire.now() + 3_000_000
+    assert wire.wait(until)
+    assert wire.now() >= until
+    assert wire.wait(until - 10**9)  # past
+
+
+def test_a_wait_ends_early_when_something_arrives(ends):
+    wire, other, ear, transmitter = ends
+    until = wire.now() + 60 * 10**9
+    other.sendto(b"telemetry", (HOST, ear.local.port))
+    assert not wire.wait(until)
+    other.sendto(b"answer", (HOST, transmitter.local.port))
+    assert wire.receive() == [(Link.SBN, b"answer"), (Link.TO, b"telemetry")]
+    assert wire.now() < until
+
+
+def test_a_watched_descriptor_ends_a_wait_too(ends):
+    reading, writing = os.pipe()
+    os.write(writing, b"q")
+    wire = UdpWire(ends[3], Link.CI, (), [reading])
+    assert not wire.wait(wire.now() + 60 * 10**9)
+    os.close(reading)
+    os.close(writing)
+
+
+def test_one_and_many_are_sent(ends):
+    wire, other, *_ = ends
+    out = Outgoing.packets(Link.CI, [Packet(bytes([index]) * 8) for index in range(5)])
+    assert wire.send(out, 1, 2) == 1
+    assert wire.send(out, 2, 5) == 3
+    assert wire.put(b"own")
+    assert [other.recv(10) for _ in range(5)] == [*(bytes([index]) * 8 for index in range(1, 5)), b"own"]
+    assert wire.statistics.sent == 5
+
+
+def test_the_garbage_collector_is_given_back_as_it_was():
+    with precise_timing():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        with precise_timing():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
