@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 humble.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "b4f3877dde2d78d6"
+local DIGEST = "5cdf466fca1d43a0"
 local wanted = os.getenv("EDORAS_LUA")
 if EDORAS_DIGEST or (wanted and wanted ~= "" and wanted ~= DIGEST) then
 	return  -- Another copy is loaded, or shall be: a protocol can be there only once.
@@ -1717,6 +1717,11 @@ local function value_field(abbreviation, name, code, array)
 	return new_field("ros2cdr", abbreviation, KINDS[code], name, base.DEC)
 end
 
+-- A list's number of elements. No ROS field's name begins with an underscore.
+local function count_field(path, name)
+	return new_field("ros2cdr", path .. "._count", "uint32", name .. " items", base.DEC)
+end
+
 -- Give a run of single values one format for them all.
 local function compile_run(run)
 	local format, position = {}, 0
@@ -1736,6 +1741,7 @@ local function compile(steps, prefix, array)
 				local path = prefix .. (leaf.name ~= "" and "." .. leaf.name or "")
 				local many = leaf.count ~= nil or (array and leaf.name == "")
 				leaf.many = many
+				if leaf.count then leaf.counter = count_field(path, leaf.name) end
 				leaf.record = value_field(path, leaf.name ~= "" and leaf.name or path:match("[^.]*$"), leaf.code, many)
 				leaf.little, leaf.big = "<" .. CODES[leaf.code], ">" .. CODES[leaf.code]
 				leaf.said, leaf.in_header = leaf.name .. "=", leaf.name:sub(1, 7) == "header."
@@ -1744,6 +1750,8 @@ local function compile(steps, prefix, array)
 		else
 			local path = prefix .. (step.name ~= "" and "." .. step.name or "")
 			if step.steps then
+				step.counter = count_field(path, step.name ~= "" and step.name or path:match("[^.]*$"))
+				step.item = new_field("ros2cdr", path .. "._item", "none", "Item")
 				compile(step.steps, path, true)
 			else
 				step.record = new_field("ros2cdr", path, "string", step.name ~= "" and step.name or path:match("[^.]*$"))
@@ -1753,7 +1761,9 @@ local function compile(steps, prefix, array)
 end
 
 for name, kind in pairs(D.types) do
-	compile(kind.steps, "ros2." .. name:gsub("/msg/", "."):gsub("/", "."), false)
+	local prefix = "ros2." .. name:gsub("/msg/", "."):gsub("/", ".")
+	kind.record = new_field("ros2cdr", prefix, "none", name)
+	compile(kind.steps, prefix, false)
 end
 
 local function count_at(s, p, start, big)
@@ -1946,69 +1956,80 @@ function short_message(steps, s, p, start, big, whole)
 	return table.concat(told, " ", 1, MOST_WORDS) .. " ...", p
 end
 
--- Add one primitive, or a stretch of bytes.
-local function show_number(node, leaf, tvb, p, size, big)
-	local range = tvb(p - 1, size)
-	if big or leaf.size == 1 then
+local function show_number(node, leaf, tvb, p, big)
+	local range = tvb(p - 1, leaf.size)
+	if big then
 		node:add(leaf.record.field, range)
 	else
 		node:add_le(leaf.record.field, range)
 	end
 end
 
-local function show_numbers(node, leaf, tvb, p, count, big, title, visible)
-	if not (visible or leaf.record.on) or count == 0 then return end
+-- Add the node of a list; return it, or its parent where nobody asks for it.
+local function show_count(node, counter, range, name, count, visible)
+	if not (visible or counter.on) then return node end
+	local list = node:add(counter.field, range, count)
+	if visible then list:set_text(string.format("%s: %d items", name, count)) end
+	return list
+end
+
+local function show_numbers(node, leaf, counter, tvb, p, count, big, name, visible)
+	local range = tvb(p - 1, count * leaf.size)
 	if leaf.code == "B" then
-		show_number(node, leaf, tvb, p, count, big)
+		if visible or leaf.record.on then node:add(leaf.record.field, range) end
 		return
 	end
-	if visible then
-		node = node:add(tvb(p - 1, count * leaf.size), string.format("%s: %d items", title, count))
-	end
+	node = show_count(node, counter, range, name, count, visible)
+	if not (visible or leaf.record.on) then return end
 	for index = 0, count - 1 do
-		show_number(node, leaf, tvb, p + index * leaf.size, leaf.size, big)
+		show_number(node, leaf, tvb, p + index * leaf.size, big)
 	end
 end
 
+local show_steps
+
+local function show_list(node, step, tvb, s, p, start, big, visible)
+	local from, count = p, step.count
+	if not count then count, p = count_at(s, p, start, big) end
+	if step.element and count > 0 then
+		local leaf = step.steps[1].leaves[1]
+		p = p + (start - p) % leaf.size
+		show_numbers(node, leaf, step.counter, tvb, p, count, big, step.name, visible)
+		return p + count * leaf.size
+	end
+	local stop = visible and check({step}, s, from, start, #s, big) or p
+	local list = show_count(node, step.counter, tvb(from - 1, stop - from), step.name, count, visible)
+	for index = 0, count - 1 do
+		local item = list
+		if (visible or step.item.on) and not step.unnamed then
+			stop = visible and check(step.steps, s, p, start, #s, big) or p
+			item = list:add(step.item.field, tvb(p - 1, stop - p))
+			if visible then item:set_text(string.format("%s[%d]", step.name, index)) end
+		end
+		p = show_steps(item, step.steps, tvb, s, p, start, big, visible)
+	end
+	return p
+end
+
 -- Add every value of a valid message; return where it ends.
-local function show_steps(node, steps, tvb, s, p, start, big, visible)
-	for _, step in ipairs(steps) do
+function show_steps(node, steps, tvb, s, p, start, big, visible)
+	for index = 1, #steps do
+		local step = steps[index]
 		if step.leaves then
 			p = p + (start - p) % step.alignment
-			for _, leaf in ipairs(step.leaves) do
+			for place = 1, #step.leaves do
+				local leaf = step.leaves[place]
 				if leaf.count then
-					show_numbers(node, leaf, tvb, p + leaf.offset, leaf.count, big, leaf.name, visible)
+					show_numbers(node, leaf, leaf.counter, tvb, p + leaf.offset, leaf.count, big, leaf.name, visible)
 				elseif visible or leaf.record.on then
-					show_number(node, leaf, tvb, p + leaf.offset, leaf.size, big)
+					show_number(node, leaf, tvb, p + leaf.offset, big)
 				end
 			end
 			p = p + step.size
 		elseif step.steps then
-			local count, from = step.count, p
-			if not count then count, p = count_at(s, p, start, big) end
-			if step.element and count > 0 then
-				local leaf = step.steps[1].leaves[1]
-				p = p + (start - p) % leaf.size
-				show_numbers(node, leaf, tvb, p, count, big, step.name, visible)
-				p = p + count * leaf.size
-			else
-				local list = node
-				if visible then
-					local stop = check({step}, s, from, start, #s, big)
-					list = node:add(tvb(from - 1, stop - from), string.format("%s: %d items", step.name, count))
-				end
-				for index = 0, count - 1 do
-					local item = list
-					if visible and not step.unnamed then
-						local stop = check(step.steps, s, p, start, #s, big)
-						item = list:add(tvb(p - 1, stop - p), string.format("%s[%d]", step.name, index))
-					end
-					p = show_steps(item, step.steps, tvb, s, p, start, big, visible)
-				end
-			end
+			p = show_list(node, step, tvb, s, p, start, big, visible)
 		else
-			local length, from
-			from = p + (start - p) % 4
+			local from, length = p + (start - p) % 4, nil
 			length, p = count_at(s, p, start, big)
 			if visible or step.record.on then
 				local range = tvb(from - 1, 4 + length * step.width)
@@ -2194,8 +2215,10 @@ local function claims_of(msg_id)
 end
 
 local function name_of(msg_id)
+	local known = D.msg_id_names[msg_id]
+	if known then return known end
 	local claims = D.any_link[msg_id]
-	return D.msg_id_names[msg_id] or (claims and routes[claims[1]].topic) or ""
+	return W.route and W.route.topic or claims and routes[claims[1]].topic or ""
 end
 
 local LINK_NUMBER = {ci = 1, to = 2, sbn = 3}
@@ -2485,7 +2508,7 @@ end
 local function info()
 	local msg_id, summary, text = W.msg_id, W.summary, W.kind
 	if msg_id then
-		local name = W.message and W.route.topic or name_of(msg_id)
+		local name = W.message and W.route.topic or W.name
 		summary = summary or said_of(msg_id)
 		if summary == name then summary = "" end
 		text = string.format("%s 0x%04x %s  %s%s", text, msg_id, name, badges(), summary)
@@ -2512,12 +2535,11 @@ local function show_envelope(tree, tvb, visible)
 end
 
 local function show_message(tree, tvb, visible)
-	local size, name = W.body_end - W.body, W.route.type
-	local at = W.body
-	if size > 0 and visible and not W.message then tree:add(F.body.field, tvb(at, size)) end
-	if not W.message then return end
-	local node = visible and size > 0 and tree:add(tvb(at, size), name) or tree
-	show_steps(node, W.message.steps, tvb, W.s, at + 1, at + 1, W.big, visible)
+	local at, size, kind = W.body, W.body_end - W.body, W.message
+	local record = kind and kind.record or F.body
+	local node = tree
+	if size > 0 and (visible or record.on) then node = tree:add(record.field, tvb(at, size)) end
+	if kind then show_steps(node, kind.steps, tvb, W.s, at + 1, at + 1, W.big, visible) end
 end
 
 local function show_findings(node, visible)
@@ -2536,8 +2558,7 @@ local function show_facts(node, visible)
 	show_value(node, F.link, W.link, visible)
 	show_value(node, F.msg_id, W.msg_id, visible)
 	if W.msg_id then
-		local name = name_of(W.msg_id)
-		show_value(node, F.name, name ~= "" and name or nil, visible)
+		show_value(node, F.name, W.name ~= "" and W.name or nil, visible)
 		local known = W.code and (D.commands[W.msg_id] or (D.any_link[W.msg_id] and D.route_commands) or {})[W.code]
 		show_value(node, F.command, known and known.name, visible)
 	end
@@ -2587,6 +2608,7 @@ local function dissect(tvb, pinfo, tree)
 	local start = 0
 	if link == "sbn" then start = software_bus_network(s) end
 	if start then space_packet(start) end
+	if W.msg_id then W.name = name_of(W.msg_id) end
 	if tvb:reported_len() > #s then forgive() end
 
 	local columns = pinfo.cols

@@ -76,7 +76,7 @@ end
 local function info()
 	local msg_id, summary, text = W.msg_id, W.summary, W.kind
 	if msg_id then
-		local name = W.message and W.route.topic or name_of(msg_id)
+		local name = W.message and W.route.topic or W.name
 		summary = summary or said_of(msg_id)
 		if summary == name then summary = "" end
 		text = string.format("%s 0x%04x %s  %s%s", text, msg_id, name, badges(), summary)
@@ -103,12 +103,11 @@ local function show_envelope(tree, tvb, visible)
 end
 
 local function show_message(tree, tvb, visible)
-	local size, name = W.body_end - W.body, W.route.type
-	local at = W.body
-	if size > 0 and visible and not W.message then tree:add(F.body.field, tvb(at, size)) end
-	if not W.message then return end
-	local node = visible and size > 0 and tree:add(tvb(at, size), name) or tree
-	show_steps(node, W.message.steps, tvb, W.s, at + 1, at + 1, W.big, visible)
+	local at, size, kind = W.body, W.body_end - W.body, W.message
+	local record = kind and kind.record or F.body
+	local node = tree
+	if size > 0 and (visible or record.on) then node = tree:add(record.field, tvb(at, size)) end
+	if kind then show_steps(node, kind.steps, tvb, W.s, at + 1, at + 1, W.big, visible) end
 end
 
 local function show_findings(node, visible)
@@ -127,8 +126,7 @@ local function show_facts(node, visible)
 	show_value(node, F.link, W.link, visible)
 	show_value(node, F.msg_id, W.msg_id, visible)
 	if W.msg_id then
-		local name = name_of(W.msg_id)
-		show_value(node, F.name, name ~= "" and name or nil, visible)
+		show_value(node, F.name, W.name ~= "" and W.name or nil, visible)
 		local known = W.code and (D.commands[W.msg_id] or (D.any_link[W.msg_id] and D.route_commands) or {})[W.code]
 		show_value(node, F.command, known and known.name, visible)
 	end
@@ -178,6 +176,7 @@ local function dissect(tvb, pinfo, tree)
 	local start = 0
 	if link == "sbn" then start = software_bus_network(s) end
 	if start then space_packet(start) end
+	if W.msg_id then W.name = name_of(W.msg_id) end
 	if tvb:reported_len() > #s then forgive() end
 
 	local columns = pinfo.cols

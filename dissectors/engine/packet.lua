@@ -17,8 +17,10 @@ local function claims_of(msg_id)
 end
 
 local function name_of(msg_id)
+	local known = D.msg_id_names[msg_id]
+	if known then return known end
 	local claims = D.any_link[msg_id]
-	return D.msg_id_names[msg_id] or (claims and routes[claims[1]].topic) or ""
+	return W.route and W.route.topic or claims and routes[claims[1]].topic or ""
 end
 
 local LINK_NUMBER = {ci = 1, to = 2, sbn = 3}

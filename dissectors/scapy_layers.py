@@ -1,0 +1,465 @@
+# SPDX-License-Identifier: GPL-2.0-only
+"""EDORAS, cFE and SBN as scapy layers, made from the layouts; scapy is GPL-2.0-only, so this file is too.
+
+Importing it binds the layers to the standard UDP ports. Lengths and the checksum are filled in where they are not
+given::
+
+    IP(dst="127.0.0.1") / UDP() / SpacePacket(msg_id=0x1827) / CommandHeader(function_code=1) / EdorasEnvelope() / CDR(...)
+    IP() / UDP() / SBN(processor_id=3, spacecraft_id=0x42) / SpacePacket(msg_id=0x1829) / ...
+
+What a mission adds (which MsgIds carry an envelope, and of which type) is handed to :func:`use`. Without it an
+envelope is told from the bytes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from scapy.fields import BitEnumField, BitField, Field, PacketListField, StrFixedLenField, StrLenField, XBitField
+from scapy.layers.inet import UDP
+from scapy.packet import Packet, Raw, bind_top_down
+
+from edoras_tools.wire import ccsds, cdr, cfe, sbn
+from edoras_tools.wire.envelope import DEFAULT, FORMATS, EnvelopeFormat, detect
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from edoras_tools.wire.layout import Layout, Slot
+
+CI_TO_PORTS: Final = (1234, 1235, 1236, 1237)
+SBN_PORTS: Final = (2234, 2235, 2236)
+CAPTURE_FILTER: Final = "udp portrange 1234-1237 or udp portrange 2234-2236"
+"""For ``sniff(filter=...)``."""
+
+
+class Types(Protocol):
+    """What knows ROS types: an ``edoras_tools.ros.TypeStore``."""
+
+    def decode(self, type_name: str, cdr: bytes) -> dict[str, Any]:
+        """Return a message as plain values."""
+
+    def encode(self, type_name: str, values: Mapping[str, Any], *, big_endian: bool = False) -> bytes:
+        """Return a message from plain values, encapsulation included."""
+
+
+@dataclass(slots=True)
+class Knowledge:
+    """What the layers cannot tell from the bytes; see :func:`use`."""
+
+    routes: Mapping[int, str] = field(default_factory=dict)
+    types: Types | None = None
+    extended_header: bool = False
+    telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES
+    envelope: EnvelopeFormat | None = DEFAULT
+
+
+_known = Knowledge()
+
+
+def use(
+    routes: Mapping[int, str],
+    types: Types | None = None,
+    *,
+    extended_header: bool = False,
+    telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES,
+    envelope: EnvelopeFormat | None = DEFAULT,
+) -> None:
+    """Tell the layers what a mission knows.
+
+    Args:
+        routes: ROS type by MsgId; only these carry an envelope. Empty: the bytes tell.
+        types: decodes and encodes the bodies.
+        extended_header: packets carry cFE's extended header.
+        telemetry_header: 16, or 12 in older builds.
+        envelope: of all routes; None where the bytes shall tell.
+    """
+    global _known  # noqa: PLW0603  scapy's layers are classes of the process: so is what they know
+    _known = Knowledge(routes, types, extended_header, telemetry_header, envelope)
+
+
+class Number(Field):  # type: ignore[misc]  # scapy has no types
+    """A number of whole bytes, read as its layout says."""
+
+    __slots__ = ("slot",)
+
+    def __init__(self, slot: Slot, default: int | None, order: str) -> None:
+        letter = {1: "b", 2: "h", 4: "i", 8: "q"}[slot.end - slot.start]
+        super().__init__(slot.field.name, default, order + (letter if slot.field.kind == "int" else letter.upper()))
+        self.slot = slot
+
+    def i2repr(self, _packet: Any, value: Any) -> str:
+        """Return the value as people read it."""
+        return self.slot.field.text(value) if isinstance(value, int) else repr(value)
+
+
+class Text(StrFixedLenField):  # type: ignore[misc]
+    """NUL-terminated text in a field of fixed size."""
+
+    def m2i(self, _packet: Any, raw: bytes) -> str:
+        """Return the text up to its NUL."""
+        return raw.split(b"\0", 1)[0].decode("utf-8", "replace")
+
+    def i2m(self, _packet: Any, value: Any) -> bytes:
+        """Return the bytes; the field pads them."""
+        return value.encode() if isinstance(value, str) else bytes(value or b"")
+
+    def i2repr(self, _packet: Any, value: Any) -> str:
+        """Return the text quoted."""
+        return repr(value)
+
+
+def fields(layout: Layout, **defaults: Any) -> list[Any]:
+    """Return scapy fields of a layout; those not named in ``defaults`` are zero."""
+    return [_field(layout, slot, defaults.get(slot.field.name, 0)) for slot in layout.slots]
+
+
+def _field(layout: Layout, slot: Slot, default: Any) -> Any:
+    item, size = slot.field, slot.end - slot.start
+    if item.kind == "text":
+        return Text(item.name, default or "", size)
+    if item.kind == "bytes":
+        return StrFixedLenField(item.name, default or bytes(size), size)
+    if slot.mask == (1 << 8 * size) - 1:
+        return Number(slot, default, ">" if layout.byte_order == "big" else "<")
+    if item.names:
+        return BitEnumField(item.name, default, item.bits, dict(item.names))
+    return (XBitField if item.base == 16 else BitField)(item.name, default, item.bits)
+
+
+def _put(header: bytes, layout: Layout, name: str, value: int) -> bytes:
+    """Return a header with a field of whole bytes set; what does not fit is cut, as fuzzing may ask for."""
+    slot = layout.by_name[name]
+    raw = (value & slot.mask).to_bytes(slot.end - slot.start, layout.byte_order)
+    return header[: slot.start] + raw + header[slot.end :]
+
+
+_WORD: Final = 2
+"""Bytes of the MsgId: the fields that end within them make it up."""
+
+
+class SpacePacket(Packet):  # type: ignore[misc]
+    """CCSDS space packet; ``msg_id`` sets or tells its first word, as cFE names packets."""
+
+    name = ccsds.PRIMARY.title
+    fields_desc = fields(ccsds.PRIMARY, sequence_flags=ccsds.UNSEGMENTED, packet_data_length=None)
+
+    def __init__(self, *args: Any, msg_id: int | None = None, **values: Any) -> None:
+        if msg_id is not None:
+            word = msg_id.to_bytes(_WORD, ccsds.PRIMARY.byte_order)
+            first = [slot for slot in ccsds.PRIMARY.slots if slot.end <= _WORD]
+            values = {slot.field.name: ccsds.PRIMARY.read(slot, word) for slot in first} | values
+        super().__init__(*args, **values)
+
+    @property
+    def msg_id(self) -> int:
+        """cFE's MsgId."""
+        word = ccsds.msg_id({slot.field.name: self.getfieldval(slot.field.name) for slot in ccsds.PRIMARY.slots})
+        extended = self.getlayer(ExtendedHeader)
+        if extended is None:
+            return word
+        return cfe.extended_msg_id(self.apid, self.packet_type, extended.subsystem_id)
+
+    def post_build(self, header: bytes, payload: bytes) -> bytes:
+        """Fill in the length, and the checksum of a command."""
+        if self.packet_data_length is None:
+            total = len(header) + len(payload)
+            header = _put(header, ccsds.PRIMARY, "packet_data_length", total - ccsds.LENGTH_BIAS)
+        command = self.getlayer(CommandHeader)
+        if command is not None and command.checksum is None:
+            extra = cfe.EXTENDED.size if self.haslayer(ExtendedHeader) else 0
+            at = extra + cfe.COMMAND.by_name["checksum"].start
+            payload = payload[:at] + bytes([cfe.checksum(header + payload)]) + payload[at + 1 :]
+        return header + payload
+
+    def guess_payload_class(self, payload: bytes) -> type[Packet]:
+        """Choose the header by the type bit."""
+        if _known.extended_header and len(payload) >= cfe.EXTENDED.size:
+            return ExtendedHeader
+        return _secondary(self, payload, 0)
+
+
+def _secondary(packet: SpacePacket, payload: bytes, extra: int) -> type[Packet]:
+    """Choose the cFE header; a telemetry packet of 8 bytes in all has the command header, as wake-ups do."""
+    total = ccsds.PRIMARY.size + extra + len(payload)
+    bare = total == cfe.COMMAND_HEADER_BYTES + extra == packet.packet_data_length + ccsds.LENGTH_BIAS
+    if packet.packet_type or bare:
+        return CommandHeader if len(payload) >= cfe.COMMAND.size else Raw
+    short = _known.telemetry_header == ccsds.PRIMARY.size + cfe.TELEMETRY_SHORT.size
+    chosen, layout = (
+        (ShortTelemetryHeader, cfe.TELEMETRY_SHORT) if short else (TelemetryHeader, cfe.TELEMETRY)
+    )
+    return chosen if len(payload) >= layout.size else Raw
+
+
+class ExtendedHeader(Packet):  # type: ignore[misc]
+    """cFE's extended ("version 2") header."""
+
+    name = cfe.EXTENDED.title
+    fields_desc = fields(cfe.EXTENDED)
+
+    def guess_payload_class(self, payload: bytes) -> type[Packet]:
+        """Choose the header by the type bit."""
+        return _secondary(self.underlayer, payload, cfe.EXTENDED.size)
+
+
+class _Secondary(Packet):  # type: ignore[misc]
+    """What both cFE headers do with what follows them."""
+
+    name = "cFE Header"
+
+    def guess_payload_class(self, payload: bytes) -> type[Packet]:
+        """Choose an event, housekeeping, or an envelope."""
+        packet = self.underlayer
+        while packet is not None and not isinstance(packet, SpacePacket):
+            packet = packet.underlayer
+        msg_id = packet.msg_id if packet is not None else -1
+        if msg_id in _known.routes:
+            chosen = _known.envelope or detect(payload) or DEFAULT
+            return ENVELOPES[chosen] if len(payload) >= chosen.size else Raw
+        for known, layer, layout in (
+            (cfe.EVENT_MSG_ID, Event, cfe.EVENT),
+            (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, SoftwareBusHousekeeping, cfe.SOFTWARE_BUS_HOUSEKEEPING),
+        ):
+            if msg_id == known and len(payload) >= layout.size:
+                return layer
+        found = None if _known.routes else detect(payload)
+        return ENVELOPES[found] if found else Raw
+
+
+class CommandHeader(_Secondary):
+    """cFE command header."""
+
+    name = cfe.COMMAND.title
+    fields_desc = fields(cfe.COMMAND, checksum=None)
+
+
+class TelemetryHeader(_Secondary):
+    """cFE telemetry header."""
+
+    name = cfe.TELEMETRY.title
+    fields_desc = fields(cfe.TELEMETRY)
+
+
+class ShortTelemetryHeader(_Secondary):
+    """cFE telemetry header of older builds."""
+
+    name = cfe.TELEMETRY_SHORT.title
+    fields_desc = fields(cfe.TELEMETRY_SHORT)
+
+
+class Event(Packet):  # type: ignore[misc]
+    """Payload of a cFE event."""
+
+    name = cfe.EVENT.title
+    fields_desc = fields(cfe.EVENT)
+
+
+class SoftwareBusHousekeeping(Packet):  # type: ignore[misc]
+    """Payload of the software bus's housekeeping."""
+
+    name = cfe.SOFTWARE_BUS_HOUSEKEEPING.title
+    fields_desc = fields(cfe.SOFTWARE_BUS_HOUSEKEEPING)
+
+
+class _Envelope(Packet):  # type: ignore[misc]
+    """The EDORAS envelope of one format."""
+
+    name = "EDORAS Envelope"
+    format = DEFAULT
+
+    def post_build(self, header: bytes, payload: bytes) -> bytes:
+        """Fill in the lengths: of the CDR, not of what follows it."""
+        length = len(payload) - (len(bytes(self.payload.payload)) if isinstance(self.payload, CDR) else 0)
+        for name in ("buffer_length", "buffer_capacity"):
+            if self.getfieldval(name) is None:
+                header = _put(header, self.format.layout, name, length)
+        return header + payload
+
+    def guess_payload_class(self, payload: bytes) -> type[Packet]:
+        """Choose CDR where it is whole."""
+        return CDR if cdr.ENCAPSULATION.size <= self.buffer_length <= len(payload) else Raw
+
+
+def _envelope(chosen: EnvelopeFormat) -> type[Packet]:
+    suffix = "" if chosen == DEFAULT else f"{8 * chosen.width}{chosen.byte_order.title()}"
+    description = fields(chosen.layout, buffer_length=None, buffer_capacity=None)
+    members = {"format": chosen, "fields_desc": description, "__doc__": f"The EDORAS envelope, {chosen}."}
+    return type(_Envelope)(f"EdorasEnvelope{suffix}", (_Envelope,), {"__module__": __name__, **members})
+
+
+ENVELOPES: Final = {item: _envelope(item) for item in FORMATS}
+"""The envelope layer of each format."""
+EdorasEnvelope = ENVELOPES[DEFAULT]
+
+
+class _Body(StrLenField):  # type: ignore[misc]
+    """A CDR body, shown as the ROS message that it is where that is known."""
+
+    def i2repr(self, packet: Any, value: Any) -> str:
+        """Return the type and the values, or the bytes."""
+        values = packet.values
+        return repr(value) if values is None else f"{packet.type}: {values}"
+
+
+class CDR(Packet):  # type: ignore[misc]
+    """A ROS 2 message: encapsulation and body; what a fixed-size struct leaves behind it is its payload."""
+
+    name = cdr.ENCAPSULATION.title
+    fields_desc = [  # noqa: RUF012  scapy's way
+        *fields(cdr.ENCAPSULATION, representation=cdr.CDR_LE),
+        _Body("body", b"", length_from=lambda packet: packet.body_length()),
+    ]
+
+    @classmethod
+    def of(cls, type_name: str, values: Mapping[str, Any], *, big_endian: bool = False) -> CDR:
+        """Return a message from plain values; :func:`use` must have been given types."""
+        if _known.types is None:
+            raise ValueError("no types are known: scapy_layers.use(routes, TypeStore())")
+        return cls(_known.types.encode(type_name, values, big_endian=big_endian))
+
+    def body_length(self) -> int:
+        """Return the bytes of the body that the envelope promises, or all."""
+        if isinstance(self.underlayer, _Envelope):
+            return int(self.underlayer.buffer_length) - cdr.ENCAPSULATION.size
+        return 1 << 31
+
+    @property
+    def type(self) -> str | None:
+        """The configured ROS type, or None."""
+        packet = self.underlayer
+        while packet is not None and not isinstance(packet, SpacePacket):
+            packet = packet.underlayer
+        return _known.routes.get(packet.msg_id) if packet is not None else None
+
+    @property
+    def values(self) -> dict[str, Any] | None:
+        """The message as plain values, or None where its type is not known or it is not valid."""
+        from edoras_tools.errors import EdorasError
+
+        if self.type is None or _known.types is None:
+            return None
+        try:
+            return _known.types.decode(self.type, self.self_build())
+        except EdorasError:
+            return None
+
+
+class SBN(Packet):  # type: ignore[misc]
+    """Software Bus Network header."""
+
+    name = sbn.HEADER.title
+    fields_desc = fields(sbn.HEADER, msg_size=None, msg_type=sbn.MsgType.APP)
+    layout = sbn.HEADER
+
+    @classmethod
+    def dispatch_hook(cls, raw: bytes | None = None, *_args: Any, **_values: Any) -> type[Packet]:
+        """Choose the older 7-byte header where its size fits, and so does what then follows it."""
+        if cls is SBN and raw and _is_legacy(raw):
+            return SBNLegacy
+        return cls
+
+    def post_build(self, header: bytes, payload: bytes) -> bytes:
+        """Fill in the size."""
+        if self.msg_size is None:
+            header = _put(header, self.layout, "msg_size", len(payload))
+        return header + payload
+
+    def guess_payload_class(self, payload: bytes) -> type[Packet]:
+        """Choose by MsgType, where there is enough for it."""
+        chosen, layout = _MESSAGES.get(self.msg_type, (Raw, None))
+        return chosen if layout is not None and len(payload) >= layout.size else Raw
+
+
+class SBNLegacy(SBN):
+    """The header of older sources: no SpacecraftID."""
+
+    name = sbn.LEGACY_HEADER.title
+    fields_desc = fields(sbn.LEGACY_HEADER, msg_size=None, msg_type=sbn.MsgType.APP)
+    layout = sbn.LEGACY_HEADER
+
+
+class SBNSubscription(Packet):  # type: ignore[misc]
+    """One entry of a SUB or UNSUB."""
+
+    name = sbn.SUBSCRIPTION.title
+    fields_desc = fields(sbn.SUBSCRIPTION)
+
+    def extract_padding(self, raw: bytes) -> tuple[bytes, bytes]:
+        """Leave the rest to the next entry."""
+        return b"", raw
+
+
+class SBNSubscriptions(Packet):  # type: ignore[misc]
+    """Payload of SUB and UNSUB."""
+
+    name = sbn.SUBSCRIPTIONS.title
+    fields_desc = [  # noqa: RUF012  scapy's way
+        *fields(sbn.SUBSCRIPTIONS, ident=sbn.IDENT, count=None),
+        PacketListField("subscriptions", [], SBNSubscription, count_from=lambda packet: packet.whole()),
+    ]
+
+    def whole(self) -> int:
+        """Return how many entries are there whole; what is left of a cut one stays raw."""
+        there = len(self.original) - sbn.SUBSCRIPTIONS.size if self.original else 0
+        return min(int(self.count or 0), there // sbn.SUBSCRIPTION.size)
+
+    def post_build(self, header: bytes, payload: bytes) -> bytes:
+        """Fill in the count."""
+        if self.count is None:
+            header = _put(header, sbn.SUBSCRIPTIONS, "count", len(self.subscriptions))
+        return header + payload
+
+
+class SBNProto(Packet):  # type: ignore[misc]
+    """Payload of PROTO."""
+
+    name = sbn.PROTO.title
+    fields_desc = fields(sbn.PROTO, protocol_version=sbn.PROTOCOL_VERSION)
+
+
+_MESSAGES: Final[Mapping[int, tuple[type[Packet], Layout]]] = {
+    sbn.MsgType.SUB: (SBNSubscriptions, sbn.SUBSCRIPTIONS),
+    sbn.MsgType.UNSUB: (SBNSubscriptions, sbn.SUBSCRIPTIONS),
+    sbn.MsgType.APP: (SpacePacket, ccsds.PRIMARY),
+    sbn.MsgType.PROTO: (SBNProto, sbn.PROTO),
+}
+
+
+def _is_legacy(raw: bytes) -> bool:
+    at = sbn.LEGACY_HEADER.size
+    if len(raw) < at:
+        return False
+    head = sbn.LEGACY_HEADER.parse(raw)
+    kind, size = head["msg_type"], len(raw) - at
+    if head["msg_size"] != size or kind not in sbn.MSG_TYPE_NAMES:
+        return False
+    if kind == sbn.MsgType.APP:
+        whole = size >= ccsds.PRIMARY.size
+        return whole and ccsds.PRIMARY.parse(raw, at)["packet_data_length"] + ccsds.LENGTH_BIAS == size
+    if kind == sbn.MsgType.PROTO:
+        return size == sbn.PROTO.size
+    if kind in {sbn.MsgType.SUB, sbn.MsgType.UNSUB}:
+        return raw[at : at + 1] == b"$"
+    return size == 0
+
+
+def _bind(layers: Sequence[type[Packet]], **flags: int) -> None:
+    """Set the primary header's bits when a cFE header is put on it."""
+    for layer in layers:
+        bind_top_down(SpacePacket, layer, secondary_header_flag=1, **flags)
+
+
+_bind((CommandHeader,), packet_type=ccsds.TELECOMMAND)
+_bind((TelemetryHeader, ShortTelemetryHeader), packet_type=ccsds.TELEMETRY)
+bind_top_down(SBN, SBNSubscriptions, msg_type=sbn.MsgType.SUB)
+bind_top_down(SBN, SBNProto, msg_type=sbn.MsgType.PROTO)
+bind_top_down(UDP, SpacePacket, sport=1235, dport=1234)
+bind_top_down(UDP, SBN, sport=2236, dport=2234)
+# In front of all others: a source port that means something else elsewhere must not win.
+UDP.payload_guess[:0] = [
+    *(({"dport": port}, SBN) for port in SBN_PORTS),
+    *(({"dport": port}, SpacePacket) for port in CI_TO_PORTS),
+    *(({"sport": port}, SBN) for port in SBN_PORTS),
+]
