@@ -86,23 +86,29 @@ class Library:
         return parse(name, section.text, label, section.line)
 
     def _from_package(self, name: str) -> Definition | None:
-        file = OWN / f"{name}.msg"
-        return _read(name, file) if file.is_file() else None
+        return _read_if_there(name, OWN)
 
     def _from_distro(self, name: str) -> Definition | None:
         return _converted(name, self._standard) if name in self._standard else None
 
     def _sourced(self, name: str) -> Definition | None:
-        for folder in _sourced_folders():
-            if (file := folder / f"{name}.msg").is_file():
-                return _read(name, file)
-        return None
+        return next(filter(None, (_read_if_there(name, folder) for folder in _sourced_folders())), None)
 
     @cached_property
     def _standard(self) -> Typesdict:
         from rosbags.typesys import Stores, get_typestore
 
         return get_typestore(Stores(self._store)).fielddefs
+
+
+def _read_if_there(name: str, folder: Path) -> Definition | None:
+    """Read a type's definition from a folder of packages; None where it is not there."""
+    file = folder / f"{name}.msg"
+    try:
+        there = file.is_file()
+    except OSError:  # longer than the name of any file may be
+        return None
+    return _read(name, file) if there else None
 
 
 def _store_name(distro: str) -> str:

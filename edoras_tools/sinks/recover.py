@@ -21,6 +21,7 @@ from mcap.records import (
     AttachmentIndex,
     Channel,
     Chunk,
+    Header,
     Metadata,
     MetadataIndex,
     Schema,
@@ -41,6 +42,17 @@ _MESSAGE = struct.Struct("<HIQQ")
 """Channel, sequence, log time and publish time of a Message record."""
 _CHUNK = struct.Struct("<QQQII")
 """Start time, end time, uncompressed size, CRC, length of the compression's name."""
+_RECORDS: dict[int, Any] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.METADATA: Metadata,
+}
+"""What may stand among the data besides messages and chunks."""
+_PRIVATE = 0x80
+"""Opcodes from here on are anybody's own; readers pass over them."""
+_NO_INDEX: tuple[bytes, dict[int, int], dict[int, int], int, list[int]] = (b"", {}, {}, 0, [])
 _COPY_BYTES = 1 << 20
 _MAX_CHUNK_BYTES = 1 << 30
 """No chunk is larger; a length beyond it is a damaged one."""
@@ -82,8 +94,8 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     """Make a cut-off MCAP file whole, whoever wrote it.
 
     Whole records are kept byte for byte. Of a chunk that is cut off the messages that can still be
-    decompressed are kept; one that is damaged is left out. Message index, chunk index, statistics and summary
-    are built anew.
+    decompressed are kept; one that is damaged is left out, as is every record that no reader could read.
+    Message index, chunk index, statistics and summary are built anew.
 
     Args:
         source: the file that was cut off; it is only read.
@@ -104,6 +116,8 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             first = reader.prefix(len(MCAP0_MAGIC))
             if first is None or first[0] != Opcode.HEADER or first[2] > reader.size:
                 raise CaptureError(f"{source}: is cut off in its first record; there is nothing to recover")
+            if _parsed(Opcode.HEADER, reader.bytes(*first[1:])) is None:
+                raise CaptureError(f"{source}: is damaged in its first record; no reader would open the rest")
             if target.exists() and target.samefile(source):
                 raise CaptureError(f"{target}: is the recording itself; name another file to write")
             return _Rebuild(reader, target).run()
@@ -191,14 +205,17 @@ class _Rebuild:
         position = len(MCAP0_MAGIC)
         while (record := reader.prefix(position)) is not None:
             opcode, start, end = record
-            if opcode in {Opcode.DATA_END, Opcode.FOOTER} or (end > reader.size and opcode != Opcode.CHUNK):
+            past = end > reader.size and opcode != Opcode.CHUNK
+            if opcode in {0, Opcode.DATA_END, Opcode.FOOTER} or past:
                 break
             if opcode == Opcode.CHUNK:
                 position = self._chunk(position, start, end)
                 continue
             if opcode != Opcode.MESSAGE_INDEX:
-                self._note(opcode, start, end)
-                self._copy(position, end)
+                if self._note(opcode, start, end):
+                    self._copy(position, end)
+                else:
+                    self._lost += end - position
             position = end
         if record is None or record[0] not in {Opcode.DATA_END, Opcode.FOOTER}:
             self._lost += max(reader.size - position, 0)
@@ -216,11 +233,12 @@ class _Rebuild:
                 break
             after = record[2]
         whole = end <= reader.size
-        if whole and not sound:
+        index, places, counts, used, log_times = self._index(raw) if sound or not whole else _NO_INDEX
+        readable = counts.keys() <= self._summary.channels.keys()
+        if not readable or (whole and used < len(raw)) or (whole and not sound):
             # Nothing tells which of its bytes are wrong.
             self._lost += after - position
             return after
-        index, places, counts, used, log_times = self._index(raw)
         if whole:
             chunk = Chunk.read(ReadDataStream(BytesIO(content)))
         else:
@@ -259,8 +277,8 @@ class _Rebuild:
                 channels.append(channel_id)
                 log_times.append(log_time)
                 positions.append(position)
-            elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-                self._learn(opcode, raw[start : start + length])
+            elif not self._learn(_parsed(opcode, raw[start : start + length])):
+                break
             position = start + length
         index, places, counts = message_index(
             np.array(channels, dtype=np.uint16),
@@ -269,43 +287,53 @@ class _Rebuild:
         )
         return index, places, counts, position, log_times
 
-    def _note(self, opcode: int, start: int, end: int) -> None:
-        """Note a record that is about to be copied to where the target ends."""
+    def _note(self, opcode: int, start: int, end: int) -> bool:
+        """Note a record that may be copied to where the target ends; False where no reader could read it."""
         place, length = self._file.size, end - start + _PREFIX.size
         content = self._reader.bytes(start, end)
-        if opcode == Opcode.MESSAGE and len(content) >= _MESSAGE.size:
+        if opcode == Opcode.MESSAGE:
+            if len(content) < _MESSAGE.size:
+                return False
             channel_id, _, log_time, _ = _MESSAGE.unpack_from(content)
-            self._summary.add_messages({channel_id: 1}, log_time, log_time)
-        stream = ReadDataStream(BytesIO(content))
-        with suppress(McapError, struct.error, ValueError):
-            if opcode == Opcode.METADATA:
-                metadata = Metadata.read(stream)
-                self._metadata[metadata.name] = metadata.metadata
-                self._summary.metadata.append(MetadataIndex(place, length, metadata.name))
-            elif opcode == Opcode.ATTACHMENT:
-                item = Attachment.read(stream)
-                size = len(item.data)
-                self._summary.attachments.append(
-                    AttachmentIndex(
-                        place, length, item.log_time, item.create_time, size, item.name, item.media_type
-                    )
-                )
-            else:
-                self._learn(opcode, content)
+            known = channel_id in self._summary.channels
+            if known:
+                self._summary.add_messages({channel_id: 1}, log_time, log_time)
+            return known
+        record = _parsed(opcode, content)
+        if isinstance(record, Metadata):
+            self._metadata[record.name] = record.metadata
+            self._summary.metadata.append(MetadataIndex(place, length, record.name))
+        elif isinstance(record, Attachment):
+            times, size = (record.log_time, record.create_time), len(record.data)
+            self._summary.attachments.append(
+                AttachmentIndex(place, length, *times, size, record.name, record.media_type)
+            )
+        return self._learn(record) or opcode >= _PRIVATE
 
-    def _learn(self, opcode: int, content: bytes) -> None:
-        stream = ReadDataStream(BytesIO(content))
-        with suppress(McapError, struct.error, ValueError):
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                self._summary.schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(stream)
-                self._summary.channels[channel.id] = channel
+    def _learn(self, record: Any) -> bool:
+        """Note a schema or a channel; False where a reader could make nothing of the record."""
+        if isinstance(record, Schema):
+            self._summary.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            if record.schema_id and record.schema_id not in self._summary.schemas:
+                return False
+            self._summary.channels[record.id] = record
+        return record is not None
 
     def _copy(self, start: int, end: int) -> None:
         for here in range(start, end, _COPY_BYTES):
             self._file.add_bytes(self._reader.bytes(here, min(here + _COPY_BYTES, end)))
+
+
+def _parsed(opcode: int, content: bytes) -> Any:
+    """Return a record; None where the bytes are not exactly one of its kind: readers lose their way then."""
+    # mcap takes less than it asked for in silence: with a byte behind the record, taking too much shows.
+    stream = BytesIO(content + b"\0")
+    with suppress(McapError, struct.error, ValueError, OverflowError):
+        if opcode in _RECORDS:
+            record = _RECORDS[opcode].read(ReadDataStream(stream))
+            return record if stream.tell() == len(content) else None
+    return None
 
 
 def _unpack(content: bytes) -> tuple[bytes, bool]:
@@ -314,10 +342,12 @@ def _unpack(content: bytes) -> tuple[bytes, bool]:
         _, _, size, crc, named = _CHUNK.unpack_from(content)
     except struct.error:
         return b"", False
-    compression = content[_CHUNK.size : _CHUNK.size + named].decode(errors="replace")
-    packed = content[_CHUNK.size + named + 8 :]
+    data = _CHUNK.size + named + 8
+    compression = content[_CHUNK.size : data - 8].decode(errors="replace")
+    packed = content[data:]
     raw = b"".join(_inflate(packed, compression, min(size, _MAX_CHUNK_BYTES)))
-    return raw, len(raw) == size and (not crc or zlib.crc32(raw) == crc)
+    fits = int.from_bytes(content[data - 8 : data], "little") == len(packed)
+    return raw, fits and len(raw) == size and (not crc or zlib.crc32(raw) == crc)
 
 
 def _inflate(packed: bytes, compression: str, size: int) -> Iterator[bytes]:
