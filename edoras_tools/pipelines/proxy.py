@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 _TURNS: Final = 4
 """How often a busy socket is read before others have their turn."""
-_SPIN_NS: Final = 60_000
-"""For so long after a datagram the next is waited for awake: waking up takes as long as that."""
+_SPIN_NS: Final = 20_000
+"""For so long after a datagram the next is waited for awake: one of a burst need not wake anybody up."""
 _WAIT_MS: Final = 20
 """How late Ctrl-C, keys and idle clients are noticed at most."""
 _CHORES_NS: Final = 20_000_000
