@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 import numpy as np
 
 from edoras_tools.model import NO_MSG_ID, Finding, Link
+from edoras_tools.sessions.sequence import MODULUS, SequenceTracker
 from edoras_tools.wire.names import message_name
 from edoras_tools.wire.order import order_by
 
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch
-
-_MODULUS: Final = 1 << 14
-_FORWARD: Final = _MODULUS // 2
-"""A step of the sequence count beyond half its range is a step back: reordering, or a count begun anew."""
 
 
 @cache
@@ -36,7 +33,7 @@ class Account:
     """What is known of one stream: one MsgId (or SBN message type) of one processor on one link.
 
     Times are ns. ``interval_squares`` is in seconds squared, so that a day of traffic keeps its precision.
-    ``sequences`` holds the last sequence count of each endpoint that sent; ``counting`` tells that one moved.
+    ``sequences`` follows the sequence counts of each endpoint that sent.
     """
 
     link: Link
@@ -48,15 +45,26 @@ class Account:
     first_ns: int = 0
     last_ns: int = 0
     interval_squares: float = 0.0
-    sequences: dict[int, int] = field(default_factory=dict)
-    counting: bool = False
-    gaps: int = 0
-    duplicates: int = 0
-    reordered: int = 0
+    sequences: defaultdict[int, SequenceTracker] = field(default_factory=lambda: defaultdict(SequenceTracker))
     bytes_min: int = 1 << 31
     bytes_max: int = 0
     bytes: int = 0
     findings: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def gaps(self) -> int:
+        """Sequence counts that never came."""
+        return sum(item.gaps for item in self.sequences.values())
+
+    @property
+    def duplicates(self) -> int:
+        """Packets that came twice; a count that never moves repeats nothing."""
+        return sum(item.duplicates for item in self.sequences.values() if item.moved)
+
+    @property
+    def reordered(self) -> int:
+        """Packets that came late."""
+        return sum(item.reordered for item in self.sequences.values() if item.moved)
 
     @property
     def rate_hz(self) -> float:
@@ -185,23 +193,16 @@ class Ledger:
         begins = np.append(0, np.flatnonzero(changes) + 1)
         ends = np.append(begins[1:], len(stream)) - 1
         flows = list(zip(stream[begins].tolist(), sender[begins].tolist(), strict=True))
-        known = np.array([accounts[index].sequences.get(endpoint, -1) for index, endpoint in flows])
-        before = np.append(0, sequence[:-1])
-        before[begins] = np.where(known >= 0, known, sequence[begins] - 1)
-        steps = (sequence - before) & (_MODULUS - 1)
-        moved = steps != 0
-        moved[begins] &= known >= 0
-        gaps = np.add.reduceat(np.where((steps > 1) & (steps < _FORWARD), steps - 1, 0), begins).tolist()
-        duplicates = np.add.reduceat(steps == 0, begins, dtype=np.int64).tolist()
-        reordered = np.add.reduceat(steps >= _FORWARD, begins, dtype=np.int64).tolist()
-        counting = np.logical_or.reduceat(moved, begins).tolist()
-        for place, (index, endpoint) in enumerate(flows):
-            account = accounts[index]
-            account.gaps += gaps[place]
-            account.duplicates += duplicates[place]
-            account.reordered += reordered[place]
-            account.counting |= counting[place]
-            account.sequences[endpoint] = int(sequence[ends[place]])
+        breaks = np.diff(sequence) & (MODULUS - 1) != 1
+        breaks[ends[:-1]] = True
+        firsts = np.append(0, np.flatnonzero(breaks) + 1)
+        runs = np.stack(
+            (sequence[firsts], sequence[np.append(firsts[1:], len(sequence)) - 1]), axis=1
+        ).tolist()
+        owners = np.searchsorted(begins, firsts, side="right") - 1
+        for owner, (first, last) in zip(owners.tolist(), runs, strict=True):
+            index, endpoint = flows[owner]
+            accounts[index].sequences[endpoint].follow(first, last)
 
     def routes(self) -> list[dict[str, Any]]:
         """Return a row for every stream, in the shape of ``info --json``: configured topics first."""
@@ -238,7 +239,7 @@ class Ledger:
             "jitter_ms": round(account.jitter_ms, 3),
             "gaps": account.gaps,
             # cFE's own commands all carry count 0: what never moves does not count, and repeats nothing.
-            "duplicates": account.duplicates if account.counting else 0,
+            "duplicates": account.duplicates,
             "reordered": account.reordered,
             "bytes": account.bytes,
             "bytes_min": account.bytes_min,

