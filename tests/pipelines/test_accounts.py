@@ -116,7 +116,7 @@ def some_rows(draw):
                 ]
             )
         )
-        step = draw(st.sampled_from([1, 1, 1, 1, 0, 2, 5, 8191]))
+        step = draw(st.sampled_from([1, 1, 1, 1, 0, 2, 5, 8191, 8192, 16383]))
         sequence = (sequences.get((link, msg_id, port), draw(st.integers(16380, 16383))) + step) % 16384
         sequences[link, msg_id, port] = sequence
         rows.append(
