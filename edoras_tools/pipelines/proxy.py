@@ -362,7 +362,7 @@ class Proxy:
             for way in self.forth:
                 way.kernel_drops = dropped
         self.back.kernel_drops = self.sessions.drops()
-        if not self.machine.held:
+        if self.machine.next_ns is None:
             self.sessions.expire(now, self.plan.idle_ns)
         if self.recorder is not None:
             self.recorder.tick(now)

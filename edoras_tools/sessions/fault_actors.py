@@ -254,8 +254,8 @@ class _Reorder(Actor):
                 if item.gone or not left[0]:
                     waiting.remove((item, left))
                     if not item.gone:
-                        item.due_ns = call.now
-                        items.append(item)
+                        item.gone = True
+                        items.append(Item(item.payload, call.now, call.stream, call.to_cfs))
         return Acted(items)
 
 

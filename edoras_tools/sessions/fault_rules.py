@@ -170,7 +170,7 @@ def parse_rule(text: str) -> Rule:
         else:
             item, _, rest = rest.partition(",")
         key, equals, value = (part.strip() for part in item.partition("="))
-        words.append((key, value if equals else None))
+        words.append((key or ",", value if equals else None))
     rule, mistakes = make_rule(name, words, text)
     if rule is None:
         raise ConfigError(*(f"fault {text}: {what}" for _, what in mistakes))

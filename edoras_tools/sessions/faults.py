@@ -123,8 +123,7 @@ class FaultMachine:
         rules: in the order in which they act.
         enabled: which are in force; see ``switch``.
         struck: how many datagrams each struck.
-        held_bytes: bytes held back now.
-        held: datagrams held back now.
+        held_bytes: bytes held back now, with what holding them takes.
         overflowed: datagrams lost because ``HOLD_BYTES`` were held back.
     """
 
@@ -135,7 +134,7 @@ class FaultMachine:
         self.rules: Sequence[Rule] = sorted(plan.rules, key=attrgetter("kind.stage"))
         self.enabled = [rule.enabled for rule in self.rules]
         self.struck = [0] * len(self.rules)
-        self.held_bytes = self.held = self.overflowed = 0
+        self.held_bytes = self.overflowed = 0
         self._start = now
         self._serial = 0
         self._heap: list[tuple[int, int, Item]] = []
@@ -152,10 +151,15 @@ class FaultMachine:
             self._entries.append(Entry(index, rule, ordinal, matches, actor_for(rule)))
 
     @property
+    def held(self) -> int:
+        """Datagrams held back now."""
+        return sum(not item.gone for _, _, item in list(self._heap))
+
+    @property
     def next_ns(self) -> int | None:
         """When ``due`` has something to give; None while nothing is held back."""
         while self._heap and self._heap[0][2].gone:
-            heapq.heappop(self._heap)
+            self._pop()
         return self._heap[0][0] if self._heap else None
 
     def switch(self, index: int, on: bool, *, now: int) -> None:
@@ -282,9 +286,9 @@ class FaultMachine:
         """Return what was held back up to now, in order of time."""
         deliveries = []
         while self._heap and self._heap[0][0] <= now:
-            item = heapq.heappop(self._heap)[2]
+            item = self._pop()
             if not item.gone:
-                self._release(item)
+                item.gone = True
                 deliveries.append(Delivery(item.payload, item.due_ns, item.stream, item.to_cfs))
         return deliveries
 
@@ -356,26 +360,25 @@ class FaultMachine:
         deliveries = []
         for item in items:
             if item.due_ns <= now:
-                if item.room:
-                    self._release(item)
                 deliveries.append(Delivery(item.payload, item.due_ns, stream, to_cfs))
-            elif self.held_bytes + len(item.payload) > HOLD_BYTES:
+            elif not self._hold(item):
                 self.overflowed += 1
                 faults.append(
                     Fault(now, "overflow", "too much held back", payload, link, to_cfs, msg_id, "", stream)
                 )
-            else:
-                self._hold(item)
         return deliveries, faults
 
-    def _hold(self, item: Item) -> None:
+    def _hold(self, item: Item) -> bool:
+        """Hold a datagram back; tell whether there was room."""
         item.room = len(item.payload) + _HOLDING_BYTES
-        self.held += 1
+        if self.held_bytes + item.room > HOLD_BYTES:
+            return False
         self.held_bytes += item.room
         self._serial += 1
         heapq.heappush(self._heap, (item.due_ns, self._serial, item))
+        return True
 
-    def _release(self, item: Item) -> None:
-        item.gone = True
-        self.held -= 1
+    def _pop(self) -> Item:
+        item = heapq.heappop(self._heap)[2]
         self.held_bytes -= item.room
+        return item
