@@ -1,0 +1,259 @@
+"""Loss at applications' pipes: the counters say how many, the events which, the traffic of how many."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.diagnosis.events import STOPS_AFTER
+from edoras_tools.diagnosis.instances import NOBODY
+from edoras_tools.diagnosis.losses import COUNTERS, LEAD_NS, TAIL_NS, Loss, attributed, remainders
+from edoras_tools.diagnosis.spans import spans
+from edoras_tools.model import NO_ROUTE, Link
+from edoras_tools.sessions import telemetry_output
+from edoras_tools.sessions.profile import SECOND
+from edoras_tools.wire import names
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.diagnosis.counters import Track
+    from edoras_tools.diagnosis.events import Culprit, Said
+    from edoras_tools.diagnosis.losses import Known, PipeKind
+    from edoras_tools.diagnosis.spans import Span
+    from edoras_tools.diagnosis.streams import Stream
+    from edoras_tools.diagnosis.verdict import Confidence
+    from edoras_tools.sessions.profile import SimProfile
+
+_EVENT: Final = {"limit": 17, "overflow": 25}
+
+
+def app_losses(known: Known, telemetry: Sequence[Loss], profile: SimProfile) -> list[Loss]:
+    """Return every loss at a pipe that no gap shows.
+
+    Args:
+        known: what is known.
+        telemetry: the losses that gaps show, whose share of the counters is taken.
+        profile: the constants of cFS.
+    """
+    seen = {(loss.instance, loss.msg_id, loss.kind) for loss in telemetry}
+    found: list[Loss] = []
+    for culprit, said in known.culprits.items():
+        if not culprit.at_pipe:
+            continue
+        if (culprit.instance, culprit.msg_id, culprit.kind) in seen and (
+            culprit.at_output or culprit.at_peer
+        ):
+            continue
+        rivals = [
+            (other, told)
+            for other, told in known.culprits.items()
+            if (other.instance, other.kind) == (culprit.instance, culprit.kind)
+            and not (
+                (other.instance, other.msg_id, other.kind) in seen and (other.at_output or other.at_peer)
+            )
+        ]
+        found += _named(known, telemetry, culprit, said, rivals)
+    found += _unnamed(known, [*telemetry, *found], profile)
+    return found
+
+
+def _named(
+    known: Known,
+    telemetry: Sequence[Loss],
+    culprit: Culprit,
+    said: Said,
+    rivals: Sequence[tuple[Culprit, Said]],
+) -> Iterator[Loss]:
+    """Count what events name, a span of its traffic at a time."""
+    track = known.tracks.get(culprit.instance)
+    stream = _input(known, culprit)
+    share = said.count / sum(told.count for _, told in rivals)
+    suppressed = sum(told.count for _, told in rivals) >= STOPS_AFTER
+    parts: list[Span | None] = list(spans(stream, known.rows)) if stream else [None]
+    for index, span in enumerate(parts):
+        if span is None:
+            start_ns, end_ns = said.first_ns, said.last_ns
+            window = (start_ns - TAIL_NS, end_ns + TAIL_NS)
+            if suppressed and track:
+                window = window[0], track.times[-1]
+        else:
+            start_ns, end_ns = span.start_ns, span.end_ns
+            after = parts[index + 1] if index + 1 < len(parts) else None
+            limit = after.start_ns if after else end_ns + TAIL_NS
+            window = start_ns - LEAD_NS, min(end_ns + TAIL_NS, max(limit, end_ns))
+        events = said.within(*window)
+        name = _EVENT[_pipe_kind(culprit)]
+        evidence = [f"event CFE_SB {name} x{events}: {said.records[0].message}"] if events else []
+        stopped = _stopped(track, _pipe_kind(culprit), said, window)
+        if track is None:
+            if events:
+                text = "0x803 is not in the capture: the events are counted, and they stop after 16"
+                yield _loss(culprit, stream, span, events, start_ns, end_ns, [*evidence, text], "low")
+            continue
+        grown = track.growth(COUNTERS[_pipe_kind(culprit)], *window)
+        left = grown - attributed(telemetry, culprit.instance, _pipe_kind(culprit), *window)
+        lost = left if len(rivals) == 1 else max(events, round(left * share))
+        if lost <= 0:
+            continue
+        which = "MsgLimit" if culprit.kind == "limit" else "PipeOverflow"
+        evidence.append(f"0x803: {which} +{grown:,} in this time")
+        if left < grown:
+            evidence.append(f"{grown - left:,} of these are telemetry, which leaves gaps of its own")
+        if len(rivals) > 1:
+            others = ", ".join(
+                f"0x{other.msg_id:04x} at {other.pipe}" for other, _ in rivals if other != culprit
+            )
+            evidence.append(f"events name {others} too: shared out by events")
+        if stopped:
+            evidence.append(f"cFS stops this event after {STOPS_AFTER}, here {stopped}; the counter goes on")
+        yield _loss(
+            culprit, stream, span, lost, start_ns, end_ns, evidence, "high" if len(rivals) == 1 else "medium"
+        )
+
+
+def _loss(
+    culprit: Culprit,
+    stream: Stream | None,
+    span: Span | None,
+    lost: int,
+    start_ns: int,
+    end_ns: int,
+    evidence: list[str],
+    confidence: Confidence,
+) -> Loss:
+    return Loss(
+        kind=_pipe_kind(culprit),
+        instance=culprit.instance,
+        hop=culprit.pipe,
+        msg_id=culprit.msg_id,
+        stream=stream,
+        span=span,
+        lost=lost,
+        of=span.count if span else None,
+        start_ns=start_ns,
+        end_ns=end_ns,
+        confidence=confidence,
+        evidence=evidence,
+        sender=culprit.sender,
+    )
+
+
+def _stopped(track: Track | None, kind: PipeKind, said: Said, window: tuple[int, int]) -> str:
+    """Return when the events fell silent while their counter went on; empty where they did not."""
+    if track is None or track.growth(COUNTERS[kind], said.last_ns + LEAD_NS, window[1]) < 1:
+        return ""
+    first = track.times[0]
+    return (
+        f"{(said.last_ns - first) / SECOND:.0f} s after the first 0x803" if said.last_ns > first else "before"
+    )
+
+
+def _pipe_kind(culprit: Culprit) -> PipeKind:
+    return "limit" if culprit.kind == "limit" else "overflow"
+
+
+def _input(known: Known, culprit: Culprit) -> Stream | None:
+    """Return the traffic that a culprit's messages came from, if the capture has it."""
+    wanted = Link.SBN if culprit.sender.startswith("SBN") else Link.CI
+    return next(
+        (
+            stream
+            for stream in known.streams
+            if stream.msg_id == culprit.msg_id
+            and stream.link is wanted
+            and (stream.link is Link.CI or _goes_to(known, stream, culprit.instance))
+        ),
+        None,
+    )
+
+
+def _goes_to(known: Known, stream: Stream, instance: int) -> bool:
+    if instance == NOBODY:
+        return True
+    name = known.instances.items[instance].name
+    return not name or known.network.identity_of.get(stream.receiver, name) == name
+
+
+def _unnamed(known: Known, losses: Sequence[Loss], profile: SimProfile) -> list[Loss]:
+    """Find what counters count and no event names: by which traffic is more than a pipe takes."""
+    found = []
+    for instance, kind, left, total in remainders(known, losses):
+        suspects = list(_suspects(known, instance, kind, profile))
+        which = "MsgLimit" if kind == "limit" else "PipeOverflow"
+        evidence = [f"0x803: {which} +{total:,} in the capture, {left:,} of them not explained otherwise"]
+        track = known.tracks[instance]
+        if len(suspects) == 1:
+            stream, hop, text = suspects[0]
+            times = known.rows.time_ns[stream.rows]
+            times = times[(times >= track.times[0] - TAIL_NS) & (times <= track.times[-1])]
+            start_ns, end_ns = (
+                (int(times[0]), int(times[-1])) if len(times) else (track.times[0], track.times[-1])
+            )
+            evidence += [text, "no event names it: suppressed, filtered, or lost itself"]
+            found.append(
+                Loss(
+                    kind=kind,
+                    instance=instance,
+                    hop=hop,
+                    msg_id=stream.msg_id,
+                    stream=stream,
+                    span=None,
+                    lost=left,
+                    of=len(times) if len(times) >= left else None,
+                    start_ns=start_ns,
+                    end_ns=end_ns,
+                    confidence="medium",
+                    evidence=evidence,
+                )
+            )
+            continue
+        evidence += [text for _, _, text in suspects]
+        found.append(
+            Loss(
+                kind="unknown",
+                instance=instance,
+                hop="",
+                msg_id=-1,
+                stream=None,
+                span=None,
+                lost=left,
+                of=None,
+                start_ns=track.times[0],
+                end_ns=track.times[-1],
+                confidence="low",
+                evidence=evidence,
+            )
+        )
+    return found
+
+
+def _suspects(
+    known: Known, instance: int, kind: PipeKind, profile: SimProfile
+) -> Iterator[tuple[Stream, str, str]]:
+    """Yield traffic into an instance that is more than a pipe takes at once."""
+    if kind != "limit":
+        return
+    leaving = {stream.msg_id for stream in known.streams if stream.link is Link.TO}
+    for stream in known.streams:
+        if stream.msg_id in names.MSG_ID_NAMES and stream.route == NO_ROUTE:
+            continue
+        if stream.link is Link.CI:
+            most = _most_within(known, stream, profile.ci_wake_ns)
+            if most > profile.app_msg_limit:
+                text = f"up to {most} of 0x{stream.msg_id:04x} in one CI wake-up; a pipe takes "
+                yield stream, "application pipe", f"{text}{profile.app_msg_limit}"
+        elif stream.link is Link.SBN and stream.msg_id in leaving and _goes_to(known, stream, instance):
+            most = _most_within(known, stream, profile.to_wake_ns)
+            limit = profile.to_limits.get(stream.msg_id, profile.to_default_limit)
+            if most > limit and known.owner(stream) != instance:
+                text = f"up to {most} of 0x{stream.msg_id:04x} came over SBN in one TO round; its table lets "
+                yield stream, telemetry_output.PIPE, f"{text}{limit} wait"
+
+
+def _most_within(known: Known, stream: Stream, period_ns: int) -> int:
+    """Return the most messages of a stream that lie within a period of time."""
+    times = known.rows.time_ns[stream.rows]
+    ends = np.searchsorted(times, times + period_ns)
+    return int((ends - np.arange(len(times))).max())

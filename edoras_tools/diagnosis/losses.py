@@ -1,0 +1,283 @@
+"""Loss, and where it happened: gaps, counters and events put together.
+
+Telemetry is counted when it is published, so what is lost behind that leaves a gap: at Telemetry Output's
+pipe, at an SBN peer's pipe, or on the way to the capture. The counters of 0x803 tell which. Commands are
+never counted; for them the counters say how many, and the events say which.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping  # noqa: TC003  COUNTERS is annotated with it
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from edoras_tools.diagnosis.instances import NOBODY
+from edoras_tools.diagnosis.spans import Comb, Span, comb, spans
+from edoras_tools.model import Link
+from edoras_tools.sessions import telemetry_output
+from edoras_tools.sessions.profile import MILLISECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.diagnosis.counters import Track
+    from edoras_tools.diagnosis.events import Culprit, Said
+    from edoras_tools.diagnosis.instances import Instances
+    from edoras_tools.diagnosis.matching import Hop
+    from edoras_tools.diagnosis.peers import Network
+    from edoras_tools.diagnosis.streams import Stream
+    from edoras_tools.diagnosis.table import Rows
+    from edoras_tools.diagnosis.verdict import Confidence
+
+PipeKind = Literal["limit", "overflow"]
+Kind = PipeKind | Literal["after", "unknown"]
+
+LEAD_NS: Final = 700 * MILLISECOND
+"""A loss may be counted so long before the next message of the stream is seen."""
+TAIL_NS: Final = 2500 * MILLISECOND
+"""Housekeeping that tells of it comes within a second, and Telemetry Output holds it for half of one."""
+COUNTERS: Final[Mapping[PipeKind, str]] = {"limit": "msg_limits", "overflow": "pipe_overflows"}
+"""The counter of 0x803 that a loss at a pipe raises."""
+
+
+@dataclass(slots=True)
+class Loss:
+    """Messages of one route that were lost in one span of time.
+
+    Attributes:
+        kind: over a limit, out of a full pipe, after cFS, or unknown.
+        instance: the cFS that lost them.
+        hop: where.
+        msg_id: which.
+        stream: where they were seen, or missed; None where they are not in the capture.
+        span: when; None for all of the capture.
+        lost: how many.
+        of: of how many sent; None where unknown.
+        start_ns: when it began.
+        end_ns: when it ended.
+        confidence: how sure that is.
+        evidence: what was seen.
+        comb: the rounds in which the stream arrives.
+        sender: application that sent them, as an event names it.
+    """
+
+    kind: Kind
+    instance: int
+    hop: str
+    msg_id: int
+    stream: Stream | None
+    span: Span | None
+    lost: int
+    of: int | None
+    start_ns: int
+    end_ns: int
+    confidence: Confidence
+    evidence: list[str] = field(default_factory=list)
+    comb: Comb | None = None
+    sender: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What losses are told from."""
+
+    rows: Rows
+    streams: Sequence[Stream]
+    instances: Instances
+    tracks: Mapping[int, Track]
+    culprits: Mapping[Culprit, Said]
+    network: Network
+    upstream: Mapping[int, Hop]
+    """id of a stream to the hop by which its packets came unchanged."""
+
+    def owner(self, stream: Stream) -> int:
+        """Return the instance whose pipe a telemetry stream comes out of."""
+        start_ns = int(self.rows.time_ns[stream.rows[0]])
+        if stream.link is Link.TO:
+            return self.instances.owner(stream.sender, start_ns)
+        if stream.instance != NOBODY:
+            return stream.instance
+        return self.instances.named(self.network.identity_of.get(stream.sender, ""), start_ns)
+
+    def rounds(self, stream: Stream, span: Span) -> Comb:
+        """Return the rounds in which a MsgId comes, whoever made it: they share what may wait."""
+        times = np.concatenate(
+            [
+                self.rows.time_ns[item.rows]
+                for item in self.streams
+                if (item.link, item.sender, item.receiver, item.msg_id)
+                == (stream.link, stream.sender, stream.receiver, stream.msg_id)
+                or (item.link, item.sender, item.msg_id) == (Link.TO, stream.sender, stream.msg_id)
+            ]
+        )
+        return comb(np.sort(times[(times >= span.start_ns) & (times <= span.end_ns)]))
+
+    def hop(self, stream: Stream) -> str:
+        """Return the name of the pipe that a telemetry stream comes out of."""
+        if stream.link is Link.TO:
+            return telemetry_output.PIPE
+        spacecraft, _, processor = self.network.identity_of.get(stream.receiver, "").partition(":")
+        return f"SBN_{processor}_{spacecraft}_Pipe" if processor else "SBN peer pipe"
+
+    def named(self, instance: int, msg_id: int, kind: str, *, output: bool) -> Said | None:
+        """Return the events that name a MsgId at Telemetry Output's pipe, or at a peer's."""
+        for culprit, said in self.culprits.items():
+            if (culprit.instance, culprit.msg_id, culprit.kind) == (instance, msg_id, kind) and (
+                culprit.at_output if output else culprit.at_peer
+            ):
+                return said
+        return None
+
+
+def telemetry_losses(known: Known) -> list[Loss]:
+    """Return every loss that leaves gaps on Telemetry Output's link or between SBN peers."""
+    found = []
+    for stream in known.streams:
+        if stream.link is Link.CI:
+            continue
+        if id(stream) in known.upstream or (stream.counted and stream.missing.any()):
+            parts = spans(stream, known.rows)
+            for index, span in enumerate(parts):
+                following = parts[index + 1].start_ns if index + 1 < len(parts) else None
+                loss = _telemetry_loss(known, stream, span, following)
+                if loss is not None:
+                    found.append(loss)
+    return found
+
+
+def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | None) -> Loss | None:
+    owner = known.owner(stream)
+    track = known.tracks.get(owner)
+    end_ns = span.end_ns + TAIL_NS
+    if following is not None:
+        end_ns = min(end_ns, max(following - LEAD_NS, span.end_ns))
+    window = span.start_ns - LEAD_NS, end_ns
+    grown: dict[Kind, int] = {
+        kind: track.growth(name, *window) if track else 0 for kind, name in COUNTERS.items()
+    }
+    hop = known.upstream.get(id(stream))
+    if hop is not None:
+        # What was lost further up is that link's loss: here counts what came in and did not go out.
+        due = hop.missing + int(hop.latency.p50 * MILLISECOND if hop.latency else 0)
+        until = following if following is not None else span.end_ns + 1
+        lost = int(((due >= span.start_ns) & (due < until)).sum())
+        came = f"the {hop.into.link.label.upper()} link"
+        evidence = [f"{lost:,} of {span.count + lost:,} that came in on {came} did not go out"]
+    else:
+        paused = int(stream.missing[span.last]) if stream.pauses[span.last] else 0
+        lost = span.missing - paused - _not_routed(known, stream, span)
+        if paused:
+            lost += _behind_pause(known, stream, span, track, paused)
+        # Late arrivals filled some gaps.
+        lost -= min(lost, stream.reordered)
+        evidence = [f"sequence count: {lost:,} of {span.count + lost:,} never came"]
+    if lost <= 0:
+        return None
+    kind, confidence = _judge(known, stream, span, track, grown, lost, evidence)
+    if kind in COUNTERS and lost < grown[kind] <= lost + 0.7 * span.offered_hz + 2:
+        # What was lost behind the last message that came, only the counter tells.
+        lost = grown[kind]
+    return Loss(
+        kind=kind,
+        instance=owner,
+        hop=known.hop(stream) if kind in COUNTERS else "between cFS and the capture",
+        msg_id=stream.msg_id,
+        stream=stream,
+        span=span,
+        lost=lost,
+        of=span.count + lost,
+        start_ns=span.start_ns,
+        end_ns=span.end_ns,
+        confidence=confidence,
+        evidence=evidence,
+        comb=known.rounds(stream, span),
+    )
+
+
+def _not_routed(known: Known, stream: Stream, span: Span) -> int:
+    """Return counts that went on while the way out was closed: the peer was gone, or the MsgId not wanted."""
+    if stream.link is not Link.SBN:
+        return 0
+    connection = known.network.crossing(stream.sender, stream.receiver)
+    closed = 0
+    for at in stream.missing[span.first : span.last].nonzero()[0].tolist():
+        row = span.first + at
+        start, end = (int(known.rows.time_ns[stream.rows[item]]) for item in (row, row + 1))
+        if (connection and connection.broken_within(start, end)) or known.network.unsubscribed_within(
+            stream.msg_id, start, end
+        ):
+            closed += int(stream.missing[row])
+    return closed
+
+
+def _behind_pause(known: Known, stream: Stream, span: Span, track: Track | None, paused: int) -> int:
+    """Return how many of the counts missing behind a pause were lost, not just never sent this way."""
+    resumed = int(known.rows.time_ns[stream.rows[span.last + 1]])
+    connection = known.network.crossing(stream.sender, stream.receiver) if stream.link is Link.SBN else None
+    if track is None or (connection and connection.broken_within(span.end_ns, resumed)):
+        return 0
+    end_ns = min(span.end_ns + TAIL_NS, resumed)
+    grown = max(track.growth(name, span.end_ns - LEAD_NS, end_ns) for name in COUNTERS.values())
+    return min(paused, grown)
+
+
+def _judge(
+    known: Known,
+    stream: Stream,
+    span: Span,
+    track: Track | None,
+    grown: Mapping[Kind, int],
+    lost: int,
+    evidence: list[str],
+) -> tuple[Kind, Confidence]:
+    """Tell by counters and events why messages are missing."""
+    owner, output = known.owner(stream), stream.link is Link.TO
+    said = {kind: known.named(owner, stream.msg_id, kind, output=output) for kind in COUNTERS}
+    for kind_, events in said.items():
+        if events:
+            number = 17 if kind_ == "limit" else 25
+            evidence.append(f"event CFE_SB {number} x{events.count}: {events.records[0].message}")
+    if track is None:
+        named = [item for item in COUNTERS if said[item]]
+        if named:
+            return named[0], "high"
+        evidence.append("0x803 of this cFS is not in the capture, so its counters cannot tell where")
+        return "unknown", "low"
+    text = f"0x803: MsgLimit +{grown['limit']:,}, PipeOverflow +{grown['overflow']:,} in this time"
+    evidence.append(text)
+    if not any(grown.values()):
+        if track.watches(span.start_ns) or track.watches(span.end_ns):
+            return "after", "medium"
+        return "unknown", "low"
+    kind: PipeKind = "overflow" if grown["overflow"] >= grown["limit"] else "limit"
+    if said["limit"] and not said["overflow"] and grown["limit"]:
+        kind = "limit"
+    if said[kind]:
+        return kind, "high"
+    return kind, "high" if grown[kind] >= 0.5 * lost else "low"
+
+
+def attributed(losses: Sequence[Loss], instance: int, kind: str, start_ns: int, end_ns: int) -> int:
+    """Return how much of a counter's growth in a span of time known losses explain."""
+    total = 0.0
+    for loss in losses:
+        if loss.instance != instance or loss.kind != kind:
+            continue
+        low, high = max(loss.start_ns, start_ns), min(loss.end_ns, end_ns)
+        length = loss.end_ns - loss.start_ns
+        if high >= low:
+            total += loss.lost * ((high - low) / length if length > 0 else 1.0)
+    return round(total)
+
+
+def remainders(known: Known, losses: Sequence[Loss]) -> Iterator[tuple[int, PipeKind, int, int]]:
+    """Yield what counters say that no loss explains: instance, kind, how many, out of how many."""
+    for instance, track in known.tracks.items():
+        for kind, name in COUNTERS.items():
+            total = track.growth(name)
+            told = sum(loss.lost for loss in losses if loss.instance == instance and loss.kind == kind)
+            left = total - told
+            if left > max(2, total // 20):
+                yield instance, kind, left, total

@@ -1,0 +1,97 @@
+"""Messages that nobody on the software bus takes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.words import plural
+from edoras_tools.model import Finding, Link
+from edoras_tools.sessions.profile import MILLISECOND
+from edoras_tools.wire.names import MSG_ID_NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.case import Case
+
+ID = "no_subscriber"
+_COUNTED_NS = 2200 * MILLISECOND
+"""From a datagram to the 0x803 that counts it, at most."""
+_FEW = 8
+
+
+def judge(case: Case) -> Iterator[Verdict]:
+    """Say which, where an event or the only command before a count tells."""
+    told: set[tuple[int, int]] = set()
+    for culprit, said in case.culprits.items():
+        if culprit.kind != "no_subscriber" or not culprit.sender.startswith(("CI", "SBN")):
+            continue
+        told.add((culprit.instance, culprit.msg_id))
+        link = Link.CI if culprit.sender.startswith("CI") else Link.SBN
+        rows = case.rows
+        sent = np.flatnonzero((rows.link == link) & (rows.msg_id == culprit.msg_id))
+        yield _verdict(case, culprit.msg_id, link, sent.tolist(), (f"cFS said: {said.records[0]}",))
+    counted = _counted(case)
+    for (instance, msg_id), members in counted.items():
+        if (instance, msg_id) not in told:
+            text = (
+                "0x803: NoSubscribers grew right after, and nothing else was sent (the event stops after 4)"
+            )
+            yield _verdict(case, msg_id, Link(int(case.rows.link[members[0]])), members, (text,))
+
+
+def _counted(case: Case) -> dict[tuple[int, int], list[int]]:
+    """Find growth of the counter that one command alone can have caused."""
+    rows = case.rows
+    arriving = np.flatnonzero(
+        ((rows.link == Link.CI) | (rows.link == Link.SBN))
+        & (rows.function_code >= 0)
+        & ~rows.has(Finding.INVALID_MSG_ID | Finding.OVER_SOFTWARE_BUS)
+    )
+    arriving = arriving[~np.isin(rows.msg_id[arriving], list(MSG_ID_NAMES))]
+    times = rows.time_ns[arriving]
+    found: dict[tuple[int, int], list[int]] = {}
+    for instance, track in case.tracks.items():
+        totals = track.totals["no_subscribers"]
+        for at in range(1, len(totals)):
+            if totals[at] - totals[at - 1] != 1:
+                continue
+            low, high = np.searchsorted(times, (track.times[at] - _COUNTED_NS, track.times[at]))
+            if high - low == 1:
+                row = int(arriving[low])
+                found.setdefault((instance, int(rows.msg_id[row])), []).append(row)
+    # A MsgId that is taken at other times was not what the counter counted.
+    return {
+        key: members
+        for key, members in found.items()
+        if len(members) * 2 > int((rows.msg_id[arriving] == key[1]).sum())
+    }
+
+
+def _verdict(case: Case, msg_id: int, link: Link, members: list[int], evidence: tuple[str, ...]) -> Verdict:
+    rows = case.rows
+    times = rows.time_ns[members] if members else np.array([case.start_ns])
+    packets = ", ".join(str(rows.number[row]) for row in members[:_FEW])
+    if packets:
+        more = ", ..." if len(members) > _FEW else ""
+        evidence = (f"packet {packets}{more}, the first at {case.at(int(times[0]))}", *evidence)
+    return Verdict(
+        ID,
+        Severity.ERROR,
+        f"{plural(len(members), 'message') if members else 'messages'} on {case.name(msg_id)} without a "
+        "subscriber in cFS: the software bus drops them",
+        msg_id=msg_id,
+        topic=case.topic(msg_id),
+        link=link.label,
+        hop="software bus",
+        lost=len(members) or None,
+        of=len(members) or None,
+        start_ns=int(times[0]),
+        end_ns=int(times[-1]),
+        evidence=evidence,
+        remedy="correct the MsgId in the mission file, or have the application subscribe to it",
+        confidence="medium" if "cFS said" not in evidence[-1] else "high",
+    )

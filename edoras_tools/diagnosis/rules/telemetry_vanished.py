@@ -1,0 +1,157 @@
+"""A telemetry MsgId came steadily and then never again, while the rest goes on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.diagnosis.rules import struct_overrun
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.model import Link
+from edoras_tools.sessions import telemetry_output
+from edoras_tools.sessions.profile import SECOND
+from edoras_tools.wire.names import MSG_ID_NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.streams import Stream
+
+ID = "telemetry_vanished"
+_LEAST: Final = 5
+_WAIT_NS: Final = 5 * SECOND
+_WAIT_PERIODS: Final = 6
+_NEAR_NS: Final = 3 * SECOND
+_CLOCKWORK: Final = 0.9
+
+
+def judge(case: Case) -> Iterator[Verdict]:
+    """Look for a stream that ended for good, and for what happened just then."""
+    for stream in case.streams:
+        if stream.link is not Link.TO or len(stream) < _LEAST or _asked_for(case, stream):
+            continue
+        if stream.instance != case.known.owner(stream):
+            continue  # handed on for a peer, which may be gone
+        times = case.rows.time_ns[stream.rows]
+        last_ns, usual = int(times[-1]), float(np.median(np.diff(times)))
+        peers = [item for item in case.streams if item.link is Link.TO and item.sender == stream.sender]
+        alive_ns = max(int(case.rows.time_ns[item.rows[-1]]) for item in peers)
+        if alive_ns - last_ns < max(_WAIT_NS, _WAIT_PERIODS * usual):
+            continue
+        signs = list(_signs(case, stream, last_ns, alive_ns))
+        if not signs:
+            if _steady(times):
+                yield _ended(case, stream, last_ns, alive_ns, usual)
+            continue
+        signs += _longer(case, last_ns)
+        missed = round((alive_ns - last_ns) / usual) if usual > 0 else None
+        yield Verdict(
+            ID,
+            Severity.ERROR,
+            f"{case.name(stream.msg_id)} came every {usual / SECOND:.1f} s until {case.at(last_ns)} and "
+            "never again, while other telemetry goes on: its header in the application's memory was "
+            "overwritten",
+            msg_id=stream.msg_id,
+            topic=case.topic(stream.msg_id),
+            link="to",
+            hop="flight application",
+            lost=missed,
+            of=missed + len(stream) if missed is not None else None,
+            start_ns=last_ns,
+            end_ns=alive_ns,
+            evidence=tuple(signs),
+            remedy="make the struct in front of it large enough (see struct_overrun), and restart the "
+            "application: the MsgId does not come back by itself",
+            confidence="high" if len(signs) > 1 else "medium",
+        )
+
+
+def _steady(times: NDArray[np.int64]) -> bool:
+    """Tell whether a stream came like a clock, as what an application sends on request does."""
+    steps = np.diff(times)
+    usual = float(np.median(steps))
+    return len(steps) >= 2 * _LEAST and bool((np.abs(steps - usual) < usual / 2).mean() > _CLOCKWORK)
+
+
+def _ended(case: Case, stream: Stream, last_ns: int, alive_ns: int, usual: float) -> Verdict:
+    """Say modestly that a stream ended: its source may have, too."""
+    return Verdict(
+        ID,
+        Severity.WARNING,
+        f"{case.name(stream.msg_id)} came every {usual / SECOND:.1f} s until {case.at(last_ns)} and never "
+        "again, while other telemetry goes on; whether the application, its robot or TO's table ended it "
+        "is not observable from here",
+        msg_id=stream.msg_id,
+        topic=case.topic(stream.msg_id),
+        link="to",
+        hop="flight application",
+        start_ns=last_ns,
+        end_ns=alive_ns,
+        evidence=(f"{len(stream):,} messages, then {(alive_ns - last_ns) / SECOND:.1f} s without one",),
+        remedy="look at the application's console and events; capture its SBN link or its input to see "
+        "whether it still gets what it needs",
+        confidence="low",
+    )
+
+
+def _asked_for(case: Case, stream: Stream) -> bool:
+    """Tell whether Telemetry Output was told to stop sending it."""
+    last_ns = int(case.rows.time_ns[stream.rows[-1]])
+    stops = {telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL}
+    return any(
+        item.function_code in stops
+        and item.msg_id in {-1, stream.msg_id}
+        and abs(int(case.rows.time_ns[item.row]) - last_ns) < _NEAR_NS
+        for item in case.payloads.output
+    )
+
+
+def _signs(case: Case, stream: Stream, last_ns: int, alive_ns: int) -> Iterator[str]:
+    """Yield what happened when it stopped: a message too long, a MsgId that is garbage."""
+    for verdict in struct_overrun.judge(case):
+        if abs(verdict.start_ns - last_ns) < _NEAR_NS and verdict.msg_id is not None:
+            yield f"{case.name(verdict.msg_id)} overran its struct at {case.at(verdict.start_ns)}"
+    for culprit, said in case.culprits.items():
+        internal = not culprit.sender.startswith(("CI_LAB", "SBN"))
+        told = internal and not culprit.at_pipe
+        if told and -_NEAR_NS < said.first_ns - last_ns < 2 * _NEAR_NS:
+            yield f"event at {case.at(said.first_ns)}: {said.records[0]}"
+    for other in case.streams:
+        first_ns = int(case.rows.time_ns[other.rows[0]])
+        strange = other.msg_id not in MSG_ID_NAMES and case.route(other.msg_id) is None
+        same_size = case.rows.packet_length[other.rows[0]] == case.rows.packet_length[stream.rows[-1]]
+        if other.link is Link.TO and strange and same_size and 0 < first_ns - last_ns < _NEAR_NS:
+            yield f"0x{other.msg_id:04x}, of the same size and nobody's, came first at {case.at(first_ns)}"
+    owner = case.instances.owner(stream.sender, last_ns)
+    track = case.tracks.get(owner)
+    if track:
+        errors = track.growth("send_errors", last_ns, last_ns + 2 * _NEAR_NS)
+        losses = sum(
+            track.growth(name, last_ns, last_ns + 2 * _NEAR_NS) for name in ("msg_limits", "pipe_overflows")
+        )
+        if errors > losses:
+            yield f"0x803: {errors - losses} sends failed just after, and no pipe was to blame"
+        unheard = track.growth("no_subscribers", last_ns, alive_ns)
+        before = track.growth("no_subscribers", last_ns - (alive_ns - last_ns), last_ns)
+        usual = float(np.median(np.diff(case.rows.time_ns[stream.rows])))
+        if unheard > before + 2 and usual > 0 and unheard >= 0.5 * (alive_ns - last_ns) / usual:
+            yield f"0x803: from then on {unheard} messages have no subscriber, as many as are missing here"
+
+
+def _longer(case: Case, last_ns: int) -> Iterator[str]:
+    """Yield messages into cFS that were longer than all before, just when it stopped."""
+    for stream in case.streams:
+        if stream.link is Link.TO:
+            continue
+        rows = case.rows
+        times, sizes = rows.time_ns[stream.rows], rows.cdr_length[stream.rows]
+        near = (times > last_ns - _NEAR_NS) & (times < last_ns + _NEAR_NS)
+        before = sizes[times <= last_ns - _NEAR_NS]
+        if near.any() and len(before) and int(sizes[near].max()) > int(before.max()):
+            at = int(times[near][int(sizes[near].argmax())])
+            text = f"{int(sizes[near].max())} bytes of CDR at {case.at(at)}, longer than any before"
+            yield f"{case.name(stream.msg_id)} into cFS: {text} ({int(before.max())})"

@@ -1,0 +1,65 @@
+"""Telemetry Output's table lets so many of a MsgId wait between two of its rounds; the rest is dropped."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.sessions import telemetry_output
+from edoras_tools.sessions.profile import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.losses import Loss
+
+ID = "to_message_limit"
+_FULL = 0.3
+
+
+def judge(case: Case) -> Iterator[Verdict]:
+    """Name the MsgId, and the rate that gets through, as measured where it can be."""
+    for loss in case.losses:
+        if loss.kind == "limit" and loss.hop == telemetry_output.PIPE:
+            yield _verdict(case, loss)
+
+
+def _verdict(case: Case, loss: Loss) -> Verdict:
+    limit, period, measured = clean(case, loss)
+    rate = limit * SECOND / period
+    offered = f"published at {loss.span.offered_hz:.0f}/s, " if loss.span and loss.span.offered_hz else ""
+    of = f" of {loss.of:,}" if loss.of else ""
+    reason = (
+        f"{loss.lost:,}{of} messages on {case.name(loss.msg_id)} lost at {loss.hop}: {offered}{limit} of "
+        f"this MsgId may wait and TO sends every {period / 1e6:.0f} ms, so {rate:.1f}/s get through"
+    )
+    evidence = list(loss.evidence)
+    if measured:
+        evidence.append(
+            f"at most {limit} came in one round, every {period / 1e6:.1f} ms: {rate:.1f} Hz is clean"
+        )
+    return Verdict(
+        ID,
+        Severity.ERROR,
+        reason,
+        msg_id=loss.msg_id,
+        topic=case.topic(loss.msg_id),
+        link="to",
+        hop=loss.hop,
+        lost=loss.lost,
+        of=loss.of,
+        start_ns=loss.start_ns,
+        end_ns=loss.end_ns,
+        evidence=(*evidence, *case.drops_text()),
+        remedy=f"publish at most {rate:.0f} Hz, or raise the MsgId's limit in TO's table (to_lab_sub)",
+        confidence=loss.confidence,
+    )
+
+
+def clean(case: Case, loss: Loss) -> tuple[int, int, bool]:
+    """Return how many get through a round, how long a round is, and whether that was measured."""
+    rounds, period = loss.comb, case.profile.to_wake_ns
+    if rounds and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
+        return rounds.most, rounds.period_ns, True
+    return case.profile.to_limits.get(loss.msg_id, case.profile.to_default_limit), period, False

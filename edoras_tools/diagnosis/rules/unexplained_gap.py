@@ -1,0 +1,47 @@
+"""Counts are missing, and nothing in the capture tells where they were lost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from edoras_tools.diagnosis.budget import limit
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.case import Case
+
+ID = "unexplained_gap"
+
+
+def judge(case: Case) -> Iterator[Verdict]:
+    """Say which capture would tell."""
+    for loss in case.losses:
+        if loss.kind != "unknown" or loss.stream is None:
+            continue
+        clean, pipe, why = limit(loss.stream.link, loss.msg_id, case.profile, to_cfs=False)
+        offered = loss.span.offered_hz if loss.span else 0.0
+        evidence = list(loss.evidence)
+        if offered > clean:
+            evidence.append(
+                f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
+            )
+        yield Verdict(
+            ID,
+            Severity.ERROR,
+            f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)} are missing behind the "
+            "point where they were counted; where is not observable from here",
+            msg_id=loss.msg_id,
+            topic=case.topic(loss.msg_id),
+            link=loss.stream.link.label,
+            hop=pipe if offered > clean else None,
+            lost=loss.lost,
+            of=loss.of,
+            start_ns=loss.start_ns,
+            end_ns=loss.end_ns,
+            evidence=(*evidence, *case.drops_text()),
+            remedy="capture Telemetry Output's link with 0x803 and 0x808 in TO's table: its counters and "
+            "events tell",
+            confidence="low",
+        )

@@ -1,0 +1,64 @@
+"""SBN datagrams of a spacecraft and processor that the receiver's table does not name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.diagnosis.rules.bad_network_message import answers
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.words import plural
+from edoras_tools.model import Finding, Link
+from edoras_tools.sessions.profile import SECOND
+from edoras_tools.wire import sbn
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.case import Case
+
+ID = "unknown_peer"
+
+
+def judge(case: Case) -> Iterator[Verdict]:
+    """Name every such sender: by cFS's own words, or by an endpoint that has another name."""
+    rows = case.rows
+    listed = np.isin(rows.sbn_msg_type, (sbn.MsgType.SUB, sbn.MsgType.UNSUB))
+    foreign = (rows.link == Link.SBN) & rows.has(Finding.SBN_ID_MISMATCH) & ~listed
+    for record in case.said(case.start_ns, case.end_ns, "SBN"):
+        _, found, name = record.message.partition("unknown peer ")
+        if found and name.count(":") == 1 and name.replace(":", "").isdigit():
+            spacecraft, processor = map(int, name.split(":"))
+            near = (rows.time_ns <= record.time_ns) & (rows.time_ns > record.time_ns - 2 * SECOND)
+            foreign |= (
+                near
+                & (rows.link == Link.SBN)
+                & (rows.sbn_msg_type >= 0)
+                & (rows.spacecraft_id == spacecraft)
+                & (rows.processor_id == processor)
+                & ~rows.has(Finding.TRUNCATED)
+            )
+    identity = rows.spacecraft_id.astype(np.uint64) << 32 | rows.processor_id
+    for who in np.unique(identity[foreign]).tolist():
+        members = np.flatnonzero(foreign & (identity == who))
+        first, start_ns = int(members[0]), int(rows.time_ns[members[0]])
+        name = f"{who >> 32}:{who & 0xFFFFFFFF}"
+        said = answers(case, start_ns, f"unknown peer {name}")
+        yield Verdict(
+            ID,
+            Severity.ERROR,
+            f"{plural(len(members), 'SBN datagram')} from {name}, which is not the peer known at "
+            f"{case.endpoints[rows.source[first]]}: "
+            + ("cFS refuses them" if said else "a cFS whose table does not name it refuses them"),
+            link="sbn",
+            hop="SBN",
+            lost=len(members),
+            of=len(members),
+            start_ns=start_ns,
+            end_ns=int(rows.time_ns[members[-1]]),
+            evidence=(f"packet {rows.number[first]} at {case.at(start_ns)}", *said),
+            remedy="make spacecraft_id and processor_id of the bridge agree with cFS's SBN table "
+            "(sbn_conf_tbl)",
+            confidence="high" if said else "medium",
+        )

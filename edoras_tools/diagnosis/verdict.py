@@ -1,0 +1,78 @@
+"""What a diagnosis says: one verdict per rule, route and span of time."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+from typing import Any, Literal
+
+Confidence = Literal["high", "medium", "low"]
+
+
+class Severity(IntEnum):
+    """How much a verdict matters."""
+
+    HABIT = 0
+    """What these senders always do; nothing is wrong with this link."""
+    NOTE = 1
+    """Worth knowing; nothing is lost by it."""
+    WARNING = 2
+    """Odd, refused, or lost at some receivers only."""
+    ERROR = 3
+    """Data was lost or garbled."""
+
+    @property
+    def label(self) -> str:
+        """``habit``, ``note``, ``warning`` or ``error``."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """One thing that is so, and why that is believed.
+
+    Attributes:
+        rule: id of the rule, as its page of documentation names it.
+        severity: how much it matters.
+        reason: one sentence: what, where and because of what.
+        msg_id: of the route; None where it concerns no single one.
+        topic: configured topic of the route, or None.
+        link: ``ci``, ``to``, ``sbn``, or None.
+        hop: where it happened: a pipe, a process, a stretch of network.
+        lost: messages lost; None where that cannot be counted from here.
+        of: messages sent, as far as they are known.
+        start_ns: first sign of it, capture time.
+        end_ns: last sign of it.
+        evidence: what was seen, a line each.
+        remedy: what to change.
+        confidence: ``high``: counted or said by cFS; ``medium``: follows from what was seen; ``low``: likely.
+    """
+
+    rule: str
+    severity: Severity
+    reason: str
+    msg_id: int | None = None
+    topic: str | None = None
+    link: str | None = None
+    hop: str | None = None
+    lost: int | None = None
+    of: int | None = None
+    start_ns: int = 0
+    end_ns: int = 0
+    evidence: tuple[str, ...] = ()
+    remedy: str = ""
+    confidence: Confidence = "high"
+
+    @property
+    def key(self) -> tuple[str, int | None, str | None, str | None, int]:
+        """What tells a verdict apart from others while a live diagnosis goes on."""
+        return self.rule, self.msg_id, self.link, self.hop, self.start_ns // 1_000_000_000
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the verdict in the shape of ``doctor --json``."""
+        return {
+            **asdict(self),
+            "severity": self.severity.label,
+            "msg_id": None if self.msg_id is None else f"0x{self.msg_id:04x}",
+            "evidence": list(self.evidence),
+        }

@@ -1,0 +1,67 @@
+"""The doctor as a library: what is wrong on a link, where and why.
+
+>>> from edoras_tools import doctor
+>>> diagnosis = doctor.examine("rover.pcap", config=["rover_ground.yaml"])  # doctest: +SKIP
+>>> [verdict.reason for verdict in diagnosis.verdicts]  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edoras_tools.diagnosis.examination import Diagnosis, Examination
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edoras_tools.diagnosis.budget import Budget
+    from edoras_tools.sessions.profile import SimProfile
+    from edoras_tools.sources import Source
+
+__all__ = ["Diagnosis", "Examination", "Severity", "Verdict", "examine", "predict"]
+
+
+def examine(
+    source: str | os.PathLike[str] | Source,
+    *,
+    config: Sequence[str | os.PathLike[str]] = (),
+    profile: SimProfile | None = None,
+) -> Diagnosis:
+    """Read a capture or a recording to its end and judge it.
+
+    Args:
+        source: a file (pcap, pcapng or MCAP), or any ``Source``.
+        config: mission files; those that a recording carries hold where none is named.
+        profile: the constants of the cFS on the link.
+
+    Raises:
+        CaptureError: the file cannot be read, or ended early.
+        ConfigError: a mission file has mistakes.
+    """
+    from edoras_tools.pipelines.doctor import examine as run
+    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.sources import open_file
+
+    opened = open_file(Path(source)) if isinstance(source, (str, os.PathLike)) else source
+    bench = Settings(configs=[Path(item) for item in config]).workbench(opened.info.attachments)
+    findings = run(opened, bench, profile=profile)
+    if findings.failure is not None:
+        raise findings.failure
+    return findings.diagnosis
+
+
+def predict(config: Sequence[str | os.PathLike[str]], *, profile: SimProfile | None = None) -> list[Budget]:
+    """Return the highest clean rate of every route of some mission files.
+
+    Raises:
+        ConfigError: a mission file has mistakes.
+    """
+    from edoras_tools.diagnosis.budget import predict as run
+    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.sessions.profile import SimProfile
+
+    bench = Settings(configs=[Path(item) for item in config]).workbench()
+    return run(bench.mission, bench.types, profile or SimProfile())
