@@ -19,6 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import pacing
 import proxy
 
 HERE = Path(__file__).parent
@@ -156,7 +157,7 @@ def main() -> None:
     """Run all benchmarks, or one."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--packets", type=int, default=1_000_000)
-    parser.add_argument("--only", choices=["record", "memory", "live", "startup", "proxy"])
+    parser.add_argument("--only", choices=["record", "memory", "live", "startup", "pacing", "proxy"])
     options = parser.parse_args()
     if not shutil.which("tshark"):
         sys.exit("tshark is missing: make tshark")
@@ -170,6 +171,7 @@ def main() -> None:
             "record": lambda: record_beside_tshark(folder, options.packets),
             "memory": lambda: memory_of_a_large_file(folder, 4 * options.packets),
             "live": lambda: live(folder),
+            "pacing": lambda: pacing.measure(folder),
             "proxy": lambda: proxy.measure(folder),
         }.items():
             if options.only in {None, key}:

@@ -11,6 +11,7 @@ from edoras_tools.cli import options, sending
 if TYPE_CHECKING:
     from edoras_tools.pipelines.orders import Orders
     from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.sessions.faults import FaultPlan
 
 
 def hexadecimal(text: str) -> bytes:
@@ -23,9 +24,11 @@ def hexadecimal(text: str) -> bytes:
 
 @options.takes_decoding
 @sending.takes_sending
+@options.takes_faults
 def inject(
     settings: Settings,
     orders: Orders,
+    faults: FaultPlan,
     what: Annotated[
         str, typer.Argument(metavar="[WHAT]", help="A topic; or a command: to-enable, noop APP, ci-noop ...")
     ] = "",
@@ -62,12 +65,8 @@ def inject(
         ),
     ] = None,
     arbitrary: Annotated[
-        bool, typer.Option("--every-field-random", help="Make all values up, new ones each time.")
+        bool, typer.Option("--every-field-random", help="Make all values up, new ones each time; --seed.")
     ] = False,
-    seed: Annotated[
-        int | None,
-        typer.Option(metavar="N", parser=options.number, help="For the same values again."),
-    ] = None,
     dry_run: sending.DryRun = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -96,7 +95,7 @@ def inject(
         1 if code is None else code,
         count or (0 if rate else 1),
         arbitrary,
-        seed or 0,
+        faults.seed,
     )
     bench = settings.workbench()
     orders = replace(
@@ -107,4 +106,4 @@ def inject(
     loaded, orders = make(order, bench, orders)
     changes = Changes(sequence=orders.sequence, checksum=orders.checksum)
     transmission = Transmission.of(loaded, orders, bench.mission, changes)
-    sending.carry_out(transmission, dry_run=dry_run, json=json, quiet=quiet)
+    sending.carry_out(transmission, bench, faults, dry_run=dry_run, json=json, quiet=quiet)

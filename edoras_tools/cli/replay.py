@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.orders import Orders
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.sessions.faults import FaultPlan
 
 
 def pair(text: str) -> tuple[str, str]:
@@ -26,10 +27,12 @@ def pair(text: str) -> tuple[str, str]:
 @options.takes_decoding
 @options.takes_choice
 @sending.takes_sending
+@options.takes_faults
 def replay(
     settings: Settings,
     selection: Selection,
     orders: Orders,
+    faults: FaultPlan,
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="pcap, pcapng or MCAP; with --from-topics also rosbag2.")
     ],
@@ -136,4 +139,4 @@ def replay(
     names = pipeline.remapped(pairs, bench.mission, extended=settings.options.extended_header)
     changes = pipeline.changes_for(orders, names, bench.mission, bench.types, restamp=restamp)
     transmission = Transmission.of(loaded, orders, bench.mission, changes)
-    sending.carry_out(transmission, dry_run=dry_run, json=json, quiet=quiet)
+    sending.carry_out(transmission, bench, faults, dry_run=dry_run, json=json, quiet=quiet)

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.orders import Orders
     from edoras_tools.pipelines.transmission import Transmission
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.sessions.faults import FaultPlan
     from edoras_tools.wire.sbn import Peer
 
 _TIMEOUT_NS = 10_000_000_000
@@ -184,8 +186,18 @@ def one_of(kind: Any, text: str, option: str) -> Any:
 takes_sending = options.gathered("orders", sending)
 
 
-def carry_out(transmission: Transmission, *, dry_run: bool, json: bool, quiet: bool) -> None:
+def carry_out(
+    transmission: Transmission, bench: Workbench, faults: FaultPlan, *, dry_run: bool, json: bool, quiet: bool
+) -> None:
     """Send, or say what would be sent; tell people or programs what came of it.
+
+    Args:
+        transmission: what.
+        bench: compiles the filters of faults.
+        faults: what goes wrong on purpose.
+        dry_run: send nothing.
+        json: print JSON.
+        quiet: print nothing else.
 
     Raises:
         EdorasError: it could not be sent.
@@ -193,13 +205,15 @@ def carry_out(transmission: Transmission, *, dry_run: bool, json: bool, quiet: b
     """
     from edoras_tools.cli.endings import LOST
     from edoras_tools.cli.output import print_json
+    from edoras_tools.pipelines.fault_where import compiler
     from edoras_tools.pipelines.safety import check_target
     from edoras_tools.render import replay as view
     from edoras_tools.render.console import error_console, output_console
 
     orders = transmission.orders
+    machine = faults.start(where=compiler(bench)) if faults else None
     if dry_run:
-        plan = transmission.plan()
+        plan = {**transmission.plan(), "faults": [str(rule) for rule in faults.rules]}
         if json:
             print_json(plan)
         else:
@@ -214,7 +228,7 @@ def carry_out(transmission: Transmission, *, dry_run: bool, json: bool, quiet: b
 
         keys = Keys()
     with view.watching(transmission.total, quiet=quiet, keys=keys is not None) as watcher:
-        report = transmission.run(keys=keys, watcher=watcher)
+        report = transmission.run(faults=machine, keys=keys, watcher=watcher)
     summary = report.summary()
     if json:
         print_json(summary)

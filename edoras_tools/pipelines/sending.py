@@ -214,7 +214,7 @@ class Sending:
             )
             start = self._one_pass(batch, start) + self._table.period_ns
             done += 1
-        while self._faults and (held_ns := self._faults.next_ns) is not None and not self.stopped:
+        while not self.stopped and (held_ns := self._held_ns()) is not None:
             self._pass_time(held_ns)
 
     def _one_pass(self, out: Outgoing, start: int) -> int:
@@ -257,14 +257,19 @@ class Sending:
 
     def _pass_time(self, until_ns: int) -> None:
         """Wait until a time, a round, or something that comes in."""
-        held_ns = self._faults.next_ns if self._faults else None
+        held_ns = self._held_ns()
         if not self._wire.wait(min(until_ns, self._round_ns, until_ns if held_ns is None else held_ns)):
             self._round_ns = 0
         now = self._wire.now()
         if now >= self._round_ns:
             self._look_around()
         if self._faults and held_ns is not None and now >= held_ns:
-            self._deliver(self._faults.due(now), now)
+            self._deliver(self._faults.due(now + self._epoch_ns), now)
+
+    def _held_ns(self) -> int | None:
+        """Return when a datagram that a fault holds back is due; faults tell time since 1970."""
+        held_ns = self._faults.next_ns if self._faults else None
+        return None if held_ns is None else held_ns - self._epoch_ns
 
     def _look_around(self) -> int:
         """Take what came in, keep the session alive, obey the keyboard; return the time."""
@@ -316,7 +321,9 @@ class Sending:
         assert self._faults is not None
         to_cfs = out.link is not Link.TO
         for index in range(first, last):
-            deliveries, faults = self._faults.apply(out[index], link=out.link, to_cfs=to_cfs, now=now)
+            deliveries, faults = self._faults.apply(
+                out[index], link=out.link, to_cfs=to_cfs, now=now + self._epoch_ns
+            )
             for fault in faults:
                 self.report.faults[fault.kind] = self.report.faults.get(fault.kind, 0) + 1
             self._deliver(deliveries, now)

@@ -92,6 +92,8 @@ def plan(summary: Mapping[str, Any]) -> RenderableType:
         facts.add_row("listening", f"at {summary['listen']}{as_whom}")
     if summary["wait_for"]:
         facts.add_row("waits for", ", ".join(summary["wait_for"]))
+    for rule in summary["faults"]:
+        facts.add_row("fault", plain(rule, palette.STRONG))
     for note in summary["notes"]:
         facts.add_row("note", plain(note))
     return Group(facts, Text(), _routes(summary["routes"]))

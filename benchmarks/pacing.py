@@ -1,0 +1,174 @@
+"""How evenly and how fast datagrams leave: edoras beside tcpreplay and beside a sleep between messages.
+
+Every sender's datagrams are timed by the kernel as they pass the loopback interface, so that all are judged
+alike; what tcpreplay injects there reaches no socket. Needs CAP_NET_RAW.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from operator import itemgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+EDORAS = str(Path(sys.executable).with_name("edoras"))
+RATE, SECONDS = 1000, 10
+LOOPS = 200
+ROUNDS = 2
+SO_TIMESTAMPNS = 35
+BYTES = 76
+
+
+class Receiver:
+    """A port that somebody listens at, and the kernel's time of each datagram to it."""
+
+    def __init__(self) -> None:
+        self._port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._port.bind(("127.0.0.1", 0))
+        self.port = self._port.getsockname()[1]
+        self._tap = socket.socket(socket.AF_PACKET, socket.SOCK_RAW)
+        self._tap.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 32 << 20)
+        self._tap.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        self._tap.bind(("lo", 0x0800))
+        self._tap.settimeout(0.5)
+        self.times: list[int] = []
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        wanted = self.port.to_bytes(2, "big")
+        while True:
+            try:
+                frame, ancillary, _, sender = self._tap.recvmsg(2048, 64)
+            except TimeoutError:
+                if self._done.is_set():
+                    return
+                continue
+            if sender[2] == socket.PACKET_OUTGOING or frame[36:38] != wanted:
+                continue
+            seconds, nanoseconds = struct.unpack("qq", ancillary[0][2])
+            self.times.append(seconds * 10**9 + nanoseconds)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+        self._tap.close()
+        self._port.close()
+
+    def lateness(self) -> dict[str, object]:
+        """Judge arrivals: late is what comes after the place that the most punctual one gives it."""
+        late = [stamp - index * 10**9 // RATE for index, stamp in enumerate(self.times)]
+        punctual = min(late)
+        ordered = sorted((value - punctual) / 1000 for value in late)
+        tenth = max(len(late) // 10, 1)
+
+        def middle(values: list[int]) -> int:
+            return sorted(values)[len(values) // 2]
+
+        return {
+            "received": len(late),
+            "late_us_p50": round(ordered[len(ordered) // 2], 1),
+            "late_us_p99": round(ordered[len(ordered) * 99 // 100], 1),
+            "late_us_max": round(ordered[-1], 1),
+            "drift_us": round((middle(late[-tenth:]) - middle(late[:tenth])) / 1000, 1),
+        }
+
+
+def write_capture(path: Path, port: int) -> None:
+    """Write a pcap of commands, one a millisecond, to a port."""
+    payload = struct.pack(">HHHBB", 0x1827, 0, BYTES - 7, 1, 0) + bytes(BYTES - 8)
+    udp = struct.pack(">HHHH", 4000, port, 8 + BYTES, 0) + payload
+    head = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0, b"\x7f\0\0\1", b"\x7f\0\0\1")
+    total = sum(struct.unpack(">10H", head))
+    total = (total & 0xFFFF) + (total >> 16)
+    head = head[:10] + struct.pack(">H", ~(total + (total >> 16)) & 0xFFFF) + head[12:]
+    frame = bytes(12) + b"\x08\x00" + head + udp
+    with path.open("wb") as file:
+        file.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262144, 1))
+        for index in range(RATE * SECONDS):
+            second, microsecond = divmod(index * 1_000_000 // RATE, 1_000_000)
+            file.write(
+                struct.pack("<IIII", 1_795_241_000 + second, microsecond, len(frame), len(frame)) + frame
+            )
+
+
+def replay(path: Path, port: int, *options: str) -> dict[str, object]:
+    """Send the capture by edoras."""
+    command = [EDORAS, "replay", str(path), "--to", "ci", "--target", f"127.0.0.1:{port}", "--no-listen"]
+    done = subprocess.run(
+        [*command, "--port", f"ci:{port}", "--json", *options], check=True, capture_output=True, text=True
+    )
+    report: dict[str, object] = json.loads(done.stdout)
+    return report
+
+
+def sleeping(port: int) -> None:
+    """Send as many players do: a sleep between one message and the next."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.connect(("127.0.0.1", port))
+        for _ in range(RATE * SECONDS):
+            sender.send(bytes(BYTES))
+            time.sleep(1 / RATE)
+
+
+def paced(folder: Path, sender: Callable[[Path, int], object]) -> dict[str, object]:
+    """Judge one sender of the capture."""
+    path = folder / "paced.pcap"
+    with Receiver() as receiver:
+        write_capture(path, receiver.port)
+        told = sender(path, receiver.port)
+    return {**receiver.lateness(), **({"own_report_us": told} if told else {})}
+
+
+def by_edoras(path: Path, port: int) -> object:
+    """Send by edoras; return what it says of itself."""
+    return replay(path, port)["lateness_us"]
+
+
+def by_tcpreplay(path: Path, _port: int) -> None:
+    """Send by tcpreplay."""
+    command = ["tcpreplay", "-q", "-i", "lo", f"--pps={RATE}", str(path)]
+    subprocess.run(command, check=True, capture_output=True)
+
+
+def by_sleeping(_path: Path, port: int) -> None:
+    """Send by a process that sleeps between messages."""
+    subprocess.run([sys.executable, __file__, str(port)], check=True)
+
+
+def measure(folder: Path) -> dict[str, object]:
+    """1 kHz for 10 s by each sender in turn, the better of two rounds; then as fast as it goes."""
+    found: dict[str, object] = {"rate_hz": RATE, "seconds": SECONDS}
+    senders = {"edoras": by_edoras, "tcpreplay": by_tcpreplay, "sleep_between": by_sleeping}
+    if not shutil.which("tcpreplay"):
+        del senders["tcpreplay"]
+    rounds = [{name: paced(folder, sender) for name, sender in senders.items()} for _ in range(ROUNDS)]
+    for name in senders:
+        found[name] = min((one[name] for one in rounds), key=itemgetter("late_us_p99"))
+    path = folder / "paced.pcap"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
+        sink.bind(("127.0.0.1", 0))
+        port = sink.getsockname()[1]
+        write_capture(path, port)
+        report = replay(path, port, "--max", "--loop", str(LOOPS))
+    found["max_sent"] = report["sent"]
+    found["max_per_s"] = round(float(str(report["rate_achieved_hz"])))
+    return found
+
+
+if __name__ == "__main__":
+    sleeping(int(sys.argv[1]))
