@@ -37,10 +37,15 @@ def nothing_shown(source: Source, shown: int, *, live: bool) -> None:
     """
     if not shown and not live:
         no_datagrams(source)
-    if not shown and source.statistics.datagrams:
-        there = source.statistics.datagrams
-        sys.stderr.write(f"edoras: none of the {there:,} datagrams was chosen; -a shows every link\n")
+    if not shown:
+        _none_chosen(source, "; -a shows every link")
     lost(source)
+
+
+def _none_chosen(source: Source, hint: str = "") -> None:
+    there = source.statistics.datagrams
+    if there:
+        sys.stderr.write(f"edoras: none of the {there:,} datagrams was chosen{hint}\n")
 
 
 def lost(source: Source) -> None:
@@ -72,4 +77,6 @@ def finish(report: Report, *, live: bool) -> None:
         sys.stderr.write(f"edoras: interrupted after {report.ledger.datagrams:,} datagrams\n")
     elif not live:
         no_datagrams(report.source)
+        if not report.ledger.datagrams:
+            _none_chosen(report.source)
     lost(report.source)

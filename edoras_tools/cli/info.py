@@ -10,12 +10,15 @@ import typer
 from edoras_tools.cli import options
 
 if TYPE_CHECKING:
+    from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings
 
 
 @options.takes_decoding
+@options.takes_choice
 def info(
     settings: Settings,
+    selection: Selection,
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="pcap, pcapng or MCAP; - is stdin.")],
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -28,7 +31,7 @@ def info(
 
     source, bench = open_input(files, None, None, settings)
     with watcher(source, None, quiet=quiet or json, live=False) as watch:
-        report = inspect(source, bench, watcher=watch)
+        report = inspect(source, bench, selection=selection, watcher=watch)
     if json:
         from edoras_tools.cli.output import print_json
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from edoras_tools.cli import options
+from edoras_tools.cli import options, views
 
 if TYPE_CHECKING:
     from edoras_tools.pipelines.selection import Selection
@@ -39,6 +39,10 @@ def sniff(
     findings: Annotated[
         bool, typer.Option("--findings", help="Only packets with a warning or an error.")
     ] = False,
+    fields: views.Fields = None,
+    layout: views.Format = views.Layout.TABLE,
+    sequence: views.Drawn = None,
+    stat: views.Stat = None,
     every: Annotated[bool, typer.Option("--all", "-a", help="Also UDP that belongs to no link.")] = False,
     count: options.Count = None,
     duration: options.Duration = None,
@@ -51,6 +55,7 @@ def sniff(
     from dataclasses import replace
     from time import monotonic_ns
 
+    from edoras_tools.cli.endings import nothing_shown
     from edoras_tools.cli.inputs import open_input
     from edoras_tools.model import Link
     from edoras_tools.pipelines.sniff import as_json
@@ -63,12 +68,34 @@ def sniff(
     from edoras_tools.render.terminal import look
     from edoras_tools.wire.names import MSG_ID_NAMES
 
+    views.check_one(
+        ("--fields", fields),
+        ("--sequence", sequence),
+        ("--stat", stat),
+        ("--json", json and not stat),
+        ("-V", tree),
+        ("-x", hexdump),
+    )
     chosen = replace(
         selection,
         links=selection.links or (() if every or listen else (Link.CI, Link.TO, Link.SBN)),
         notable=NOTABLE if findings else 0,
     )
     source, bench = open_input(read, interface, listen, settings, every_port=every)
+    waits = read is None or str(read[0]) == "-"
+    limits: dict[str, Any] = {"count": count or 0, "clock": monotonic_ns, "duration_ns": duration or 0}
+    if fields or sequence or stat:
+        from edoras_tools.pipelines.chosen import chosen as chosen_rows
+
+        blocks = chosen_rows(source, bench, selection=chosen, **limits)
+        if fields:
+            shown = views.print_fields(blocks, bench, fields, layout, flush=waits)
+        elif sequence:
+            shown = views.print_sequence(blocks, bench, sequence)
+        else:
+            shown = views.print_statistics(blocks, bench, stat or (), json=json)
+        nothing_shown(source, shown, live=read is None)
+        return
     bench.dissector.detail = tree or hexdump
     terminal = look(sys.stdout)
     view = PacketList(
@@ -78,14 +105,11 @@ def sniff(
         names=MSG_ID_NAMES,
         verbose=verbose,
     )
-    waits = read is None or str(read[0]) == "-"
     shown = 0
     out = sys.stdout
     if json:
         from json import dumps
-    for decoded in packets(
-        source, bench, selection=chosen, count=count or 0, clock=monotonic_ns, duration_ns=duration or 0
-    ):
+    for decoded in packets(source, bench, selection=chosen, **limits):
         if json:
             out.write(dumps(as_json(decoded), ensure_ascii=False, separators=(",", ":")) + "\n")
         elif hexdump:
@@ -99,6 +123,4 @@ def sniff(
         shown += 1
         if waits or shown == 1:
             out.flush()
-    from edoras_tools.cli.endings import nothing_shown
-
     nothing_shown(source, shown, live=read is None)

@@ -26,6 +26,7 @@ from edoras_tools.decode.where_syntax import (
     Presence,
     WhereError,
     parse,
+    parse_names,
 )
 
 if TYPE_CHECKING:
@@ -175,22 +176,45 @@ def _compile(node: Node, text: str, names: Names) -> _Test:
             return _comparison(node, text, names)
 
 
-def _fields(operand: Operand, text: str, names: Names) -> list[Field]:
+def fields(text: str, context: Context, option: str = "--fields") -> list[tuple[str, list[Field]]]:
+    """Return what names between commas mean: each name, and its field, or several that share it.
+
+    Raises:
+        WhereError: one is no field, or a group of fields.
+    """
+    names, found = Names(context), []
+    for operand in parse_names(text, option):
+        items = _fields(operand, text, names, option)
+        if all(item.kind is Kind.STRUCT for item in items):
+            why = _is_group(items[0], names)
+            raise WhereError(text, operand.at, operand.end, why, option)
+        found.append((items[0].name, items))
+    return found
+
+
+def _fields(operand: Operand, text: str, names: Names, option: str = "--where") -> list[Field]:
     try:
-        return [replace(field, name=operand.name) for field in names.find(operand.name)]
+        found = [replace(field, name=operand.name) for field in names.find(operand.name)]
     except Unknown as error:
-        raise WhereError(text, operand.at, operand.end, str(error)) from None
+        raise WhereError(text, operand.at, operand.end, str(error), option) from None
+    if operand.wrap != "len":
+        return found
+    counted = [item.length() for item in found if item.many or item.kind in {Kind.TEXT, Kind.BYTES}]
+    if not counted:
+        why = f"len counts what is in a list or a text; {operand.name} is neither"
+        raise WhereError(text, operand.at, operand.end, why, option)
+    return counted
+
+
+def _is_group(field: Field, names: Names) -> str:
+    inside = names.inside(field)
+    hint = f"; name one of its fields: {', '.join(inside[:3])}" if inside else ""
+    return f"{field.name} is {field.kind.value}, not a value{hint}"
 
 
 def _comparison(node: Comparison, text: str, names: Names) -> _Test:
     operand = node.operand
     fields = _fields(operand, text, names)
-    if operand.wrap == "len":
-        fields = [item for item in fields if item.many or item.kind in {Kind.TEXT, Kind.BYTES}]
-        if not fields:
-            why = f"len counts what is in a list or a text; {operand.name} is neither"
-            raise WhereError(text, operand.at, operand.end, why)
-        fields = [item.length() for item in fields]
     tests: list[tuple[Field, Test]] = []
     misfit: Misfit | None = None
     for field in fields:
@@ -200,9 +224,7 @@ def _comparison(node: Comparison, text: str, names: Names) -> _Test:
             misfit = misfit or error
     if not tests and misfit is not None:
         if fields[0].kind is Kind.STRUCT:
-            inside = names.inside(fields[0])
-            hint = f"; name one of its fields: {', '.join(inside[:3])}" if inside else ""
-            raise WhereError(text, operand.at, operand.end, misfit.why + hint)
+            raise WhereError(text, operand.at, operand.end, _is_group(fields[0], names))
         place = misfit.value or node
         raise WhereError(text, place.at, place.end, misfit.why)
     every = operand.wrap == "all" or (operand.wrap != "any" and node.operator in {"!=", "not in"})

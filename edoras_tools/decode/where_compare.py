@@ -71,7 +71,7 @@ def test_of(field: Field, comparison: Comparison) -> Test:
         Misfit: the field cannot be compared like that.
     """
     if field.kind is Kind.STRUCT:
-        raise Misfit(f"{field.name} is {field.kind.value}, not a value")
+        raise Misfit(f"{field.name} is no value")
     symbol, items = comparison.operator, comparison.items
     if symbol == "matches":
         return _matches(field, items[0])

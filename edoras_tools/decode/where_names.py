@@ -273,7 +273,7 @@ def _port(name: str, side: str) -> Field:
 
 
 def _text(rows: ColumnRows, side: str, row: int) -> str:
-    index = int(np.arange(len(rows.batch))[rows.chosen][row])
+    index = int(rows.indices()[row])
     return rows.batch.address(int(getattr(rows.batch, f"{side}_address")[index]), index)
 
 

@@ -106,6 +106,10 @@ class ColumnRows(Rows):
         column: NDArray[Any] = getattr(self.batch, name)[self.chosen]
         return column
 
+    def indices(self) -> NDArray[np.int64]:
+        """Return where in the batch these rows are."""
+        return np.arange(len(self.batch))[self.chosen]
+
     def routes(self) -> NDArray[np.int16]:
         """Return the route whose message a packet carries: one of its link, else of any link."""
 
@@ -119,9 +123,8 @@ class ColumnRows(Rows):
     def packets(self) -> Sequence[Decoded]:
         """Return the packets, dissected one by one."""
         dissector = Dissector(self.context, detail=False)
-        index = np.arange(len(self.batch))[self.chosen].tolist()
         packets: Sequence[Decoded] = self.once(
-            "packets", lambda: [dissector.dissect(self.batch[row]) for row in index]
+            "packets", lambda: [dissector.dissect(self.batch[row]) for row in self.indices().tolist()]
         )
         return packets
 

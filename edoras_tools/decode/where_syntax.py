@@ -48,12 +48,14 @@ class WhereError(ConfigError):
         end: one past the last such character.
     """
 
-    def __init__(self, text: str, at: int, end: int, why: str) -> None:
+    def __init__(self, text: str, at: int, end: int, why: str, option: str = "--where") -> None:
         start = max(0, min(at - _SHOWN // 2, len(text) - _SHOWN))
         shown = text[start : start + _SHOWN]
         plain = "".join(char if char.isprintable() else "." for char in shown)
         mark = "^" * max(1, min(end, start + _SHOWN) - at)
-        super().__init__(f"--where, character {at + 1}: {why}", f"  {plain}", f"  {' ' * (at - start)}{mark}")
+        super().__init__(
+            f"{option}, character {at + 1}: {why}", f"  {plain}", f"  {' ' * (at - start)}{mark}"
+        )
         self.why = why
         self.at = at
         self.end = end
@@ -132,23 +134,21 @@ def parse(text: str) -> Node:
     return _Parser(text).whole()
 
 
-def parse_name(text: str) -> Operand:
-    """Read a field's name alone, as ``--fields`` takes it.
+def parse_names(text: str, option: str) -> list[Operand]:
+    """Read names of fields between commas, as ``--fields`` takes them; ``len(...)`` is one too.
 
     Raises:
-        WhereError: it is none.
+        WhereError: one is none.
     """
-    match = _NAME.fullmatch(text)
-    if match is None:
-        raise WhereError(text, 0, len(text), f"{text!r} is no field's name")
-    return Operand(text, 0, len(text))
+    return _Parser(text, option).names()
 
 
 class _Parser:
     """Recursive descent over the characters: what a token is depends on where it stands."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, option: str = "--where") -> None:
         self._text = text
+        self._option = option
         self._at = 0
         self._depth = 0
 
@@ -161,9 +161,21 @@ class _Parser:
             raise self._wrong("expected and, or, or the end")
         return node
 
+    def names(self) -> list[Operand]:
+        self._space()
+        found = [self._operand()]
+        while self._take(","):
+            found.append(self._operand())
+        wrong = next((item for item in found if item.wrap in {"any", "all"}), None)
+        if wrong is not None:
+            raise self._wrong(f"{wrong.wrap}(...) is for comparisons", wrong.at, wrong.end)
+        if self._at < len(self._text):
+            raise self._wrong("expected a comma or the end")
+        return found
+
     def _wrong(self, why: str, at: int | None = None, end: int | None = None) -> WhereError:
         at = self._at if at is None else at
-        return WhereError(self._text, at, at + 1 if end is None else end, why)
+        return WhereError(self._text, at, at + 1 if end is None else end, why, self._option)
 
     def _space(self) -> None:
         match = _SPACE.match(self._text, self._at)
@@ -258,7 +270,7 @@ class _Parser:
 
     def _operand(self) -> Operand:
         if self._at == len(self._text):
-            raise self._wrong("the filter ends where a field's name belongs")
+            raise self._wrong("a field's name belongs here, as msg_id")
         match = _NAME.match(self._text, self._at)
         if match is None:
             raise self._wrong("a field's name belongs here, as msg_id")

@@ -85,14 +85,17 @@ class Selection:
             chosen &= (columns.findings & np.uint32(self.notable)) != 0
         return chosen
 
+    def rows(self, batch: PacketBatch, columns: Columns, mission: Mission) -> NDArray[np.int64]:
+        """Return the indices of the chosen rows."""
+        rows = np.flatnonzero(self.mask(columns, mission))
+        assert not self.where or self._filter is not None, "a filter takes effect in what over() returns"
+        return rows if self._filter is None else rows[self._filter.mask(batch, columns, rows)]
+
     def apply(self, batch: PacketBatch, columns: Columns, mission: Mission) -> tuple[PacketBatch, Columns]:
         """Return the chosen rows of both."""
         if not self:
             return batch, columns
-        rows = np.flatnonzero(self.mask(columns, mission))
-        assert not self.where or self._filter is not None, "a filter takes effect in what over() returns"
-        if self._filter is not None:
-            rows = rows[self._filter.mask(batch, columns, rows)]
+        rows = self.rows(batch, columns, mission)
         return batch.take(rows), columns.take(rows)
 
     def _routes(self, mission: Mission) -> list[int]:

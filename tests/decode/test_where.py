@@ -252,7 +252,7 @@ MISTAKES = [
     ("0x827 == msg_id", "0", "a field's name belongs here"),
     ("msg_id ==", None, "ends where a value belongs"),
     ("msg_id == )", ")", "a value belongs here"),
-    ("link == ci and", None, "ends where a field's name belongs"),
+    ("link == ci and", None, "a field's name belongs here"),
     ("   ", None, "the filter is empty"),
     ("position[x] == 1", "[", "an index is a whole number"),
     ("length == " + "9" * 500, "9" * 500, "beyond every field"),
