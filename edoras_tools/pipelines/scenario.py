@@ -18,6 +18,7 @@ Every mistake of a file is told at once, with file, line and key.
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
@@ -93,7 +94,7 @@ def load_scenario(path: Path) -> FaultPlan:
     if documents:
         plan = _plan(documents[0], report)
     if report.mistakes:
-        raise ConfigError(*(line for _, line in sorted(report.mistakes)))
+        raise ConfigError(*(line for _, line in sorted(report.mistakes, key=itemgetter(0))))
     return plan
 
 
