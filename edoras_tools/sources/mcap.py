@@ -349,7 +349,7 @@ class McapSource:
                 attachment = Attachment.read(stream)
                 if attachment.media_type == "application/yaml":
                     self._attachments[attachment.name] = attachment.data
-        except (McapError, struct.error, ValueError):
+        except (McapError, struct.error, ValueError, OverflowError):
             self.statistics.warnings.append(f"{self._name}: a {Opcode(opcode).name} record is damaged")
 
     def _prefix(self, position: int) -> tuple[int, int, int] | None:
