@@ -19,6 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import filters
 import pacing
 import proxy
 
@@ -157,7 +158,7 @@ def main() -> None:
     """Run all benchmarks, or one."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--packets", type=int, default=1_000_000)
-    parser.add_argument("--only", choices=["record", "memory", "live", "startup", "pacing", "proxy"])
+    parser.add_argument("--only", choices=["record", "memory", "live", "startup", "pacing", "proxy", "where"])
     options = parser.parse_args()
     if not shutil.which("tshark"):
         sys.exit("tshark is missing: make tshark")
@@ -173,6 +174,7 @@ def main() -> None:
             "live": lambda: live(folder),
             "pacing": lambda: pacing.measure(folder),
             "proxy": lambda: proxy.measure(folder),
+            "where": lambda: filters.measure(folder, options.packets),
         }.items():
             if options.only in {None, key}:
                 results[key] = run()
