@@ -73,21 +73,26 @@ local function badges()
 	return text
 end
 
+-- A line has no line ends; a format would end at a NUL.
+local function printable(text)
+	return text:find("%c") and text:gsub("%c", " ") or text
+end
+
 local function info()
 	local msg_id, summary, text = W.msg_id, W.summary, W.kind
 	if msg_id then
 		local name = W.message and W.route.topic or W.name
-		summary = summary or said_of(msg_id)
+		summary = printable(summary or said_of(msg_id))
 		if summary == name then summary = "" end
 		text = string.format("%s 0x%04x %s  %s%s", text, msg_id, name, badges(), summary)
 	else
-		text = (text and text .. "  " or "") .. badges() .. (summary or said_of())
+		text = (text and text .. "  " or "") .. badges() .. printable(summary or said_of())
 	end
 	local missing = analysis[W.number]
 	if missing then
 		text = text .. (type(missing) == "number" and string.format("  [gap of %d]", missing) or "  [" .. missing .. "]")
 	end
-	return text:find("%c") and text:gsub("%c", " ") or text
+	return text
 end
 
 local function show_envelope(tree, tvb, visible)

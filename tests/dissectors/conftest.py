@@ -1,5 +1,6 @@
 """Running tshark with our Lua, and reading what it says."""
 
+import re
 import struct
 import subprocess
 from dataclasses import dataclass, field
@@ -8,8 +9,11 @@ from xml.parsers import expat
 
 import pytest
 
+from edoras_tools.model import Link
 from edoras_tools.pipelines.wireshark import dissector
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.render.severity import EXPLANATIONS, Severity, ranked
+from edoras_tools.ros import TypeStore
 
 OURS = "ccsds_sp cfe sbn edoras ros2cdr"
 PREFIXES = tuple(f"{name}." for name in (*OURS.split(), "ros2"))
@@ -65,6 +69,138 @@ class Tshark:
             frame = found.setdefault(int(number), Frame())
             frame.protocol, frame.info = protocol, info
         return found
+
+
+LAYERS = {
+    "ccsds": "ccsds_sp",
+    "cfe_extended": "cfe.extended",
+    "cfe_command": "cfe.command",
+    "cfe_telemetry": "cfe.telemetry",
+    "cfe_event": "cfe.event",
+    "cfe_software_bus": "cfe.software_bus",
+    "sbn": "sbn",
+    "sbn_sub": "sbn.sub",
+    "sbn_proto": "sbn.proto",
+    "edoras": "edoras",
+    "cdr": "ros2cdr",
+}
+RENAMED = {"ccsds_sp.msg_id": "edoras.msg_id", "sbn.sub.msg_ids": "sbn.subscription.msg_id"}
+CONTROLS = dict.fromkeys((*range(32), 127), " ")
+INDEX = re.compile(r"\[\d+\]")
+
+
+def header_fields(packet):
+    """Return Wireshark's field name to values, of every header."""
+    found = {}
+    for layer in packet.layers:
+        for item in layer.fields if layer.name in LAYERS else ():
+            name = f"{LAYERS[layer.name]}.{item.name}"
+            values = list(item.value) if isinstance(item.value, list) else [item.value]
+            if values:
+                found[RENAMED.get(name, name)] = values
+    return found
+
+
+def ros_fields(packet, types):
+    """Return Wireshark's field name to values, of the ROS message."""
+    found = {}
+    if packet.message is not None:
+        prefix = "ros2." + packet.message.type.replace("/msg/", ".")
+        for path, value, _, _ in types.spans(packet.message.type, packet.message.cdr):
+            values = value if isinstance(value, list) else [value]
+            if values:
+                found.setdefault(f"{prefix}.{INDEX.sub('', path)}", []).extend(values)
+    return found
+
+
+def bits(value):
+    """Return a value so that floats compare to the bit."""
+    return struct.pack("<d", value) if isinstance(value, float) else value
+
+
+def read_header(shown, raw, like):
+    if isinstance(like, bytes):
+        return bytes.fromhex(raw)
+    return text(shown, like) if isinstance(like, str) else int(shown, 0)
+
+
+def text(shown, like):
+    """Return the text meant: Wireshark's ends at a NUL, and what cannot be printed it spells out."""
+    like_shown = like.partition("\0")[0]
+    return like if shown == like_shown or not like_shown.isprintable() else shown
+
+
+def read_ros(shown, raw, like, order):
+    if isinstance(like, str):
+        return text(shown, like)
+    data = bytes.fromhex(raw)
+    if isinstance(like, float):
+        return struct.unpack(f"{order}{'f' if len(data) == 4 else 'd'}", data)[0]
+    if isinstance(like, bool):
+        return data != b"\0"
+    return int.from_bytes(data, "big" if order == ">" else "little", signed=like < 0)
+
+
+def agree_with_tshark(packet, frame, types):
+    """Hold a frame of tshark's to a packet of ours; all that one says the other must say."""
+    fields = dict(frame.fields)
+    if packet.link is Link.OTHER or not packet.datagram.payload:
+        assert not fields
+        return 0
+    headers, messages = header_fields(packet), ros_fields(packet, types)
+    for name, values in headers.items():
+        assert [read_header(*item, values[0]) for item in fields[name]] == values, name
+    order = ">" if headers.get("ros2cdr.representation") == [0] else "<"
+    for name, values in messages.items():
+        there = fields[name]
+        if len(there) == 1 and len(values) > 1:  # bytes
+            assert list(bytes.fromhex(there[0][1])) == values, name
+            continue
+        read = [read_ros(*item, like, order) for item, like in zip(there, values, strict=True)]
+        assert list(map(bits, read)) == list(map(bits, values)), name
+    said = {"edoras.link": [packet.link.label], "edoras.finding": packet.findings.labels}
+    if packet.message is not None:
+        said |= {"edoras.topic": [packet.message.topic], "edoras.type": [packet.message.type]}
+    for name, values in said.items():
+        assert [shown for shown, _ in fields.get(name, [])] == values, name
+    expert = {f"edoras.finding.{label}" for label in packet.findings.labels}
+    assert {name for name in fields if name.startswith("edoras.finding.")} == expert
+    assert ("edoras.stop" in fields) == (packet.stop is not None)
+    more = {name for name in fields if name not in headers and name not in messages}
+    ours = ("edoras.", "sbn.subscription.")
+    left = {name for name in more if not name.startswith(ours) and not name.endswith(("._count", "._item"))}
+    types = {f"ros2.{packet.message.type.replace('/msg/', '.')}"} if packet.message else {"ros2cdr.body"}
+    assert left <= types
+    return len(headers) + len(messages)
+
+
+def agree_with_columns(packet, frame):
+    """Hold the packet list to ours: the same words."""
+    if packet.link is Link.OTHER or not packet.datagram.payload:
+        return
+    assert frame.protocol == packet.link.name
+    layers = {layer.name: layer.values() for layer in packet.layers}
+    words = packet.summary.translate(CONTROLS)
+    for finding in ranked(packet.findings, at_least=Severity.WARNING):
+        assert EXPLANATIONS[finding].short in frame.info
+    if "ccsds" in layers:
+        assert f"0x{layers['ccsds']['msg_id']:04x}" in frame.info
+    if packet.message:
+        assert packet.message.topic in frame.info
+    info = re.sub(r"  \[(gap of \d+|duplicate|reordered)\]$", "", frame.info)
+    assert words.strip() in info, (words, info)
+
+
+@pytest.fixture(scope="session")
+def judge():
+    """Hold a frame of tshark's to a packet of our own decoder: tree, findings and packet list."""
+    humble = TypeStore()
+
+    def hold(packet, frame, types=humble):
+        agree_with_columns(packet, frame)
+        return agree_with_tshark(packet, frame, types)
+
+    return hold
 
 
 @pytest.fixture(scope="session")
