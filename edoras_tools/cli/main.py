@@ -24,6 +24,7 @@ from edoras_tools.cli.recover import recover
 from edoras_tools.cli.replay import replay as replay_command
 from edoras_tools.cli.sim import sim
 from edoras_tools.cli.sniff import sniff as sniff_command
+from edoras_tools.cli.wireshark import wireshark
 from edoras_tools.errors import EdorasError
 
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
@@ -52,6 +53,7 @@ for command in (
     sim,
 ):
     app.command()(command)
+app.add_typer(wireshark)
 
 
 def _show_version(wanted: bool) -> None:

@@ -1,0 +1,72 @@
+"""The program that Wireshark runs for ``EDORAS CI``, ``TO`` and ``SBN``; not for people."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edoras_tools.errors import ConfigError, EdorasError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Answer one question of Wireshark's, or capture; return the exit code."""
+    parser = argparse.ArgumentParser(prog="edoras-extcap", description=__doc__, allow_abbrev=False)
+    for name in ("interfaces", "dlts", "config"):
+        parser.add_argument(f"--extcap-{name}", action="store_true")
+    parser.add_argument("--extcap-interface", default="")
+    parser.add_argument("--capture", action="store_true")
+    parser.add_argument("--fifo", type=Path)
+    parser.add_argument("--interface", default="any")
+    parser.add_argument("--listen", default="")
+    parser.add_argument("--ports", default="")
+    parser.add_argument("--config", default="")
+    asked, _ = parser.parse_known_args(arguments)  # newer versions of Wireshark ask for more
+    try:
+        for line in _answer(asked):
+            sys.stdout.write(f"{line}\n")
+    except EdorasError as error:
+        sys.stderr.write(f"edoras: {error}\n")
+        return error.exit_code
+    return 0
+
+
+def _answer(asked: argparse.Namespace) -> list[str]:
+    from edoras_tools.pipelines import extcap
+
+    if asked.extcap_interfaces:
+        return extcap.interfaces()
+    link = extcap.link_of(asked.extcap_interface)
+    if asked.extcap_dlts:
+        return extcap.link_types()
+    if asked.extcap_config:
+        return extcap.options()
+    if not asked.capture or asked.fifo is None:
+        raise ConfigError("Wireshark runs this program; for people there is: edoras sniff -i IFACE")
+    wish = extcap.Wish(
+        link,
+        asked.interface,
+        _words(asked.listen),
+        [Path(asked.config)] if asked.config else [],
+        [_port(word) for word in _words(asked.ports)],
+    )
+    extcap.capture(wish, asked.fifo)
+    return []
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def _port(text: str) -> int:
+    if not text.isdigit() or not 0 < int(text) < 65536:
+        raise ConfigError(f"--ports {text}: not a UDP port from 1 to 65535")
+    return int(text)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
