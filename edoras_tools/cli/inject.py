@@ -67,6 +67,7 @@ def inject(
     arbitrary: Annotated[
         bool, typer.Option("--every-field-random", help="Make all values up, new ones each time; --seed.")
     ] = False,
+    output: sending.Output = None,
     dry_run: sending.DryRun = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -106,4 +107,4 @@ def inject(
     loaded, orders = make(order, bench, orders)
     changes = Changes(sequence=orders.sequence, checksum=orders.checksum)
     transmission = Transmission.of(loaded, orders, bench.mission, changes)
-    sending.carry_out(transmission, bench, faults, dry_run=dry_run, json=json, quiet=quiet)
+    sending.carry_out(transmission, bench, faults, output=output, dry_run=dry_run, json=json, quiet=quiet)

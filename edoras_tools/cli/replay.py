@@ -88,6 +88,7 @@ def replay(
     restamp: Annotated[
         bool, typer.Option("--restamp", help="Header stamps become the time of sending.")
     ] = False,
+    output: sending.Output = None,
     dry_run: sending.DryRun = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -139,4 +140,13 @@ def replay(
     names = pipeline.remapped(pairs, bench.mission, extended=settings.options.extended_header)
     changes = pipeline.changes_for(orders, names, bench.mission, bench.types, restamp=restamp)
     transmission = Transmission.of(loaded, orders, bench.mission, changes)
-    sending.carry_out(transmission, bench, faults, dry_run=dry_run, json=json, quiet=quiet)
+    sending.carry_out(
+        transmission,
+        bench,
+        faults,
+        inputs=(file,),
+        output=output,
+        dry_run=dry_run,
+        json=json,
+        quiet=quiet,
+    )

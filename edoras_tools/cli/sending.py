@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -132,6 +133,15 @@ Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send to another machine 
 Sequence = Annotated[str, typer.Option(metavar="RULE", help="Sequence counts: keep, count or zero.")]
 Checksum = Annotated[str, typer.Option(metavar="RULE", help="Checksums: keep, fix, zero or wrong.")]
 Step = Annotated[bool, typer.Option("--step", help="One by one: n sends the next, space runs, q ends.")]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="Record what is sent and what comes back, to .mcap, .pcapng or .pcap; faults into .mcap.",
+    ),
+]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be sent, and send nothing.")]
 
 
@@ -187,7 +197,15 @@ takes_sending = options.gathered("orders", sending)
 
 
 def carry_out(
-    transmission: Transmission, bench: Workbench, faults: FaultPlan, *, dry_run: bool, json: bool, quiet: bool
+    transmission: Transmission,
+    bench: Workbench,
+    faults: FaultPlan,
+    *,
+    inputs: tuple[Path, ...] = (),
+    output: Path | None,
+    dry_run: bool,
+    json: bool,
+    quiet: bool,
 ) -> None:
     """Send, or say what would be sent; tell people or programs what came of it.
 
@@ -195,6 +213,8 @@ def carry_out(
         transmission: what.
         bench: compiles the filters of faults.
         faults: what goes wrong on purpose.
+        inputs: files that are read, and not to be overwritten.
+        output: where to record what crosses the wire.
         dry_run: send nothing.
         json: print JSON.
         quiet: print nothing else.
@@ -203,6 +223,8 @@ def carry_out(
         EdorasError: it could not be sent.
         typer.Exit: with code 3, when something sent was surely lost.
     """
+    from functools import partial
+
     from edoras_tools.cli.endings import LOST
     from edoras_tools.cli.output import print_json
     from edoras_tools.pipelines.fault_where import compiler
@@ -222,13 +244,22 @@ def carry_out(
     assert orders.target is not None
     asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     check_target(orders.target, yes=orders.yes, confirm=_confirm if asks else None)
+    tape = None
+    if output is not None:
+        from edoras_tools.pipelines.record import Target as Goal
+        from edoras_tools.pipelines.record import check_target as check_output
+        from edoras_tools.pipelines.tape import Tape
+
+        goal = Goal(output)
+        check_output(goal, inputs)
+        tape = partial(Tape, target=goal, bench=bench)
     keys = None
     if orders.step or asks:
         from edoras_tools.pipelines.keys import Keys
 
         keys = Keys()
     with view.watching(transmission.total, quiet=quiet, keys=keys is not None) as watcher:
-        report = transmission.run(faults=machine, keys=keys, watcher=watcher)
+        report = transmission.run(faults=machine, keys=keys, watcher=watcher, tape=tape)
     summary = report.summary()
     if json:
         print_json(summary)

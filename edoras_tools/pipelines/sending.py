@@ -17,13 +17,13 @@ from edoras_tools.sessions.pacing import Lateness, Timetable
 from edoras_tools.sessions.profile import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from edoras_tools.errors import EdorasError
     from edoras_tools.pipelines.gates import Gate
     from edoras_tools.pipelines.keys import Keys
     from edoras_tools.pipelines.seen import Seen
-    from edoras_tools.sessions.faults import Delivery, FaultMachine
+    from edoras_tools.sessions.faults import Delivery, Fault, FaultMachine
     from edoras_tools.sessions.sbn_client import Peering
     from edoras_tools.sinks.wire import Wire
 
@@ -119,6 +119,7 @@ class Sending:
         passes: how often; 0 until it is stopped.
         session: the SBN session that this is part of.
         faults: what spoils datagrams on purpose.
+        note: told of each fault.
         keys: the keyboard.
         paused: begin in single steps.
         linger_ns: how long to listen after the last datagram.
@@ -137,6 +138,7 @@ class Sending:
         passes: int = 1,
         session: Peering | None = None,
         faults: FaultMachine | None = None,
+        note: Callable[[Sequence[Fault]], None] = lambda _: None,
         keys: Keys | None = None,
         paused: bool = False,
         linger_ns: int = 0,
@@ -148,6 +150,7 @@ class Sending:
         self._changes = changes or Changes()
         self._passes = passes
         self._session, self._faults, self._keys, self._watcher = session, faults, keys, watcher
+        self._note = note
         self._paused = paused
         self._steps = 0
         self._linger_ns = linger_ns
@@ -275,10 +278,10 @@ class Sending:
         """Take what came in, keep the session alive, obey the keyboard; return the time."""
         now = self._wire.now()
         session = self._session
-        for link, data in self._wire.receive():
-            self.report.seen.add(link, data, now + self._epoch_ns)
-            if session is not None and link is Link.SBN:
-                self._put(session.receive_datagram(data, now=now))
+        for item in self._wire.receive():
+            self.report.seen.add(item.link, item.payload, now + self._epoch_ns)
+            if session is not None and item.link is Link.SBN:
+                self._put(session.receive_datagram(item.payload, now=now))
         if session is not None:
             if now - self.report.last_ns < _ROUND_NS:
                 session.sent(now=now)
@@ -326,6 +329,8 @@ class Sending:
             )
             for fault in faults:
                 self.report.faults[fault.kind] = self.report.faults.get(fault.kind, 0) + 1
+            if faults:
+                self._note(faults)
             self._deliver(deliveries, now)
 
     def _deliver(self, deliveries: Iterable[Delivery], now: int) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from edoras_tools.errors import CaptureError
 from edoras_tools.model import NO_MSG_ID, Link
 from edoras_tools.pipelines.gates import gates
 from edoras_tools.pipelines.orders import Role, To
@@ -28,10 +29,12 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.orders import Orders
     from edoras_tools.pipelines.replay import Loaded
     from edoras_tools.pipelines.sending import Watcher
+    from edoras_tools.pipelines.tape import Tape
     from edoras_tools.sessions.faults import FaultMachine
     from edoras_tools.sessions.outgoing import Changes, Outgoing
     from edoras_tools.sessions.pacing import Timetable
     from edoras_tools.sessions.sbn_client import Peering
+    from edoras_tools.sinks.wire import Wire
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +119,7 @@ class Transmission:
         faults: FaultMachine | None = None,
         keys: Keys | None = None,
         watcher: Watcher | None = None,
+        tape: Callable[[Wire], Tape] | None = None,
         ready: Callable[[Endpoint], None] = lambda _: None,
     ) -> Report:
         """Open the sockets and send.
@@ -124,10 +128,12 @@ class Transmission:
             faults: what spoils datagrams on purpose.
             keys: the keyboard.
             watcher: looks on.
+            tape: begins a recording of what crosses the wire.
             ready: told where answers come in, once the sockets are open.
 
         Raises:
-            CaptureError: a socket cannot be opened; what goes wrong later is in ``Report.failure``.
+            CaptureError: a socket cannot be opened, or a recording not begun; what goes wrong later is in
+                ``Report.failure``.
         """
         orders = self.orders
         assert orders.target is not None
@@ -141,7 +147,9 @@ class Transmission:
                 stack.callback(listener.close)
                 ears.append((Link.TO if orders.to is To.CI else Link.CI, listener))
             local = ears[0][1].local if ears else transmitter.local
-            wire = UdpWire(transmitter, orders.to.link, ears, [keys.fileno()] if keys else ())
+            wire: Wire = UdpWire(transmitter, orders.to.link, ears, [keys.fileno()] if keys else ())
+            recording = tape(wire) if tape else None
+            wire = recording or wire
             session = self._session(wire.now())
             sending = Sending(
                 wire,
@@ -153,6 +161,7 @@ class Transmission:
                 passes=orders.passes,
                 session=session,
                 faults=faults,
+                note=recording.note if recording else lambda _: None,
                 keys=keys,
                 paused=orders.step,
                 linger_ns=orders.linger_ns or 0,
@@ -163,7 +172,13 @@ class Transmission:
             asked = gates(
                 self.out, orders, self.mission, seen=report.seen, session=session, wire=wire, local=local
             )
-            return sending.run(asked, orders.timeout_ns)
+            sending.run(asked, orders.timeout_ns)
+        if recording is not None:
+            try:
+                recording.close()
+            except CaptureError as error:
+                report.failure = report.failure or error
+        return report
 
     def _session(self, now: int) -> Peering | None:
         if not self.orders.has_session:

@@ -117,7 +117,7 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
     if late["p50"] is not None:
         facts.add_row(
             "lateness",
-            "  ".join(f"{name} {units.milliseconds(late[name] / 1e3)}" for name in ("p50", "p99", "max")),
+            "  ".join(f"{name} {_micro(late[name])}" for name in ("p50", "p99", "max")),
         )
     for why, count in summary["errors"].items():
         facts.add_row("not sent", Text(f"{count:,}: {why}", Severity.ERROR.style))
@@ -143,6 +143,11 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
 
 def _rate(hertz: float | None) -> str:
     return "as fast as it goes" if hertz is None else units.rate(hertz)
+
+
+def _micro(microseconds: float) -> str:
+    small = microseconds < 999.5
+    return f"{microseconds:.1f} µs" if small else units.milliseconds(microseconds / 1e3)
 
 
 def _facts() -> Table:

@@ -147,12 +147,12 @@ class Transmitter:
         self.statistics.sent += taken
         return taken
 
-    def receive(self, most: int = 256) -> list[bytes]:
-        """Return the datagrams that have arrived, ``most`` at most."""
-        found: list[bytes] = []
+    def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
+        """Return the datagrams that the target has answered, ``most`` at most, and where they come from."""
+        found: list[tuple[bytes, Endpoint]] = []
         while len(found) < most:
             try:
-                found.append(self._socket.recv(_LARGEST, socket.MSG_DONTWAIT))
+                found.append((self._socket.recv(_LARGEST, socket.MSG_DONTWAIT), self.target))
             except BlockingIOError:
                 break
             except ConnectionRefusedError:
@@ -253,12 +253,13 @@ class Listener:
         """Return the descriptor, which becomes readable when something comes."""
         return self._socket.fileno()
 
-    def receive(self, most: int = 256) -> list[bytes]:
-        """Return the datagrams that have arrived, ``most`` at most."""
-        found: list[bytes] = []
+    def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
+        """Return the datagrams that have arrived, ``most`` at most, and where they come from."""
+        found: list[tuple[bytes, Endpoint]] = []
         with contextlib.suppress(OSError):
             while len(found) < most:
-                found.append(self._socket.recv(_LARGEST, socket.MSG_DONTWAIT))
+                data, sender = self._socket.recvfrom(_LARGEST, socket.MSG_DONTWAIT)
+                found.append((data, Endpoint(*sender[:2])))
         return found
 
     def close(self) -> None:

@@ -7,12 +7,12 @@ import ctypes
 import gc
 import select
 import time
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from edoras_tools.model import Link
+    from edoras_tools.model import Endpoint, Link
     from edoras_tools.sessions.outgoing import Outgoing
     from edoras_tools.sinks.transmit import Listener, SendStatistics, Transmitter
 
@@ -21,8 +21,29 @@ SPIN_NS: Final = 200_000
 _SET_TIMER_SLACK: Final = 29  # PR_SET_TIMERSLACK
 
 
+class Arrival(NamedTuple):
+    """A datagram that came back.
+
+    Attributes:
+        link: it belongs to, by the socket that it came to.
+        payload: its bytes.
+        source: who sent it.
+        destination: where it came to.
+    """
+
+    link: Link
+    payload: bytes
+    source: Endpoint
+    destination: Endpoint
+
+
 class Wire(Protocol):
     """Where datagrams go; time is monotonic, in ns."""
+
+    @property
+    def ends(self) -> tuple[Endpoint, Endpoint]:
+        """Where datagrams are sent from, and where to."""
+        ...
 
     @property
     def statistics(self) -> SendStatistics:
@@ -49,8 +70,8 @@ class Wire(Protocol):
         """Send one datagram of the caller's own; tell whether it left."""
         ...
 
-    def receive(self) -> list[tuple[Link, bytes]]:
-        """Return what has arrived, and on which link."""
+    def receive(self) -> list[Arrival]:
+        """Return what has arrived."""
         ...
 
 
@@ -75,6 +96,7 @@ class UdpWire:
         self._sockets: list[tuple[Link, Transmitter | Listener]] = [(answers, transmitter), *listeners]
         self._watched = [*(item.fileno() for _, item in self._sockets), *watched]
         self.now = time.monotonic_ns
+        self.ends = transmitter.local, transmitter.target
 
     @property
     def statistics(self) -> SendStatistics:
@@ -106,9 +128,13 @@ class UdpWire:
         """Send one datagram of the caller's own; tell whether it left."""
         return self._transmitter.send(payload)
 
-    def receive(self) -> list[tuple[Link, bytes]]:
-        """Return what has arrived, and on which link."""
-        return [(link, data) for link, item in self._sockets for data in item.receive()]
+    def receive(self) -> list[Arrival]:
+        """Return what has arrived."""
+        return [
+            Arrival(link, data, source, item.local)
+            for link, item in self._sockets
+            for data, source in item.receive()
+        ]
 
 
 @contextlib.contextmanager

@@ -24,6 +24,7 @@ from edoras_tools.sessions.profile import MILLISECOND, SECOND
 from edoras_tools.sessions.sbn_client import SbnClient
 from edoras_tools.sim import Simulation
 from edoras_tools.sinks.transmit import SendStatistics
+from edoras_tools.sinks.wire import Arrival
 from edoras_tools.wire import cfe, sbn
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -50,7 +51,7 @@ class SimulatedWire:
         for item in self.simulation.run(until_ns):
             link = self.links.get(item.destination.port)
             if link is not None:
-                self._arrived.append((link, item.payload))
+                self._arrived.append(Arrival(link, item.payload, item.source, item.destination))
                 return False
         return True
 

@@ -79,7 +79,7 @@ def test_refusals_are_noticed(many, closed_port):
         if many:
             sender.send_many(*laid_out([b"a"] * 10))
         else:
-            assert all([sender.send(b"a") for _ in range(10)])
+            assert [sender.send(b"a") for _ in range(10)] == [True] * 10
         assert sender.receive() == []
         assert sender.statistics.sent == 10
         assert 1 <= sender.statistics.refused <= 10
@@ -90,8 +90,8 @@ def test_answers_are_received(sender, receiver):
     receiver.connect((sender.local.address, sender.local.port))
     for payload in (b"one", b"", b"two"):
         receiver.send(payload)
-    assert sender.receive(2) == [b"one", b""]
-    assert sender.receive() == [b"two"]
+    assert sender.receive(2) == [(b"one", sender.target), (b"", sender.target)]
+    assert sender.receive() == [(b"two", sender.target)]
     assert sender.receive() == []
 
 
@@ -107,7 +107,7 @@ def test_a_listener_hears_everybody(sender):
     with Transmitter(ear.local) as one, Transmitter(ear.local) as other:
         one.send(b"1")
         other.send(b"2")
-        assert ear.receive() == [b"1", b"2"]
+        assert ear.receive() == [(b"1", one.local), (b"2", other.local)]
     ear.close()
 
 
@@ -127,7 +127,7 @@ def test_an_endpoint_that_is_none_is_one_clear_line(kind, endpoint, words):
 
 def test_a_port_in_use_says_what_to_do(receiver):
     taken = Endpoint(HOST, receiver.getsockname()[1])
-    with pytest.raises(CaptureError, match="another program has that port.*--listen"):
+    with pytest.raises(CaptureError, match=r"another program has that port.*--listen"):
         Listener(taken)
     with pytest.raises(CaptureError, match="another program has that port"):
         Transmitter(taken, taken)

@@ -40,7 +40,11 @@ def test_a_wait_ends_early_when_something_arrives(ends):
     other.sendto(b"telemetry", (HOST, ear.local.port))
     assert not wire.wait(until)
     other.sendto(b"answer", (HOST, transmitter.local.port))
-    assert wire.receive() == [(Link.SBN, b"answer"), (Link.TO, b"telemetry")]
+    sender = Endpoint(*other.getsockname())
+    assert wire.receive() == [
+        (Link.SBN, b"answer", sender, transmitter.local),
+        (Link.TO, b"telemetry", sender, ear.local),
+    ]
     assert wire.now() < until
 
 
