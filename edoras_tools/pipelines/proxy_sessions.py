@@ -180,8 +180,8 @@ class Sessions:
                 port = open_socket(family)
                 ports.append(port)
                 if bind is not None:
-                    _told(bind.endpoint, lambda: port.bind(bind.host))  # noqa: B023  called at once
-                _told(target.endpoint, lambda: port.connect(target.host))  # noqa: B023
+                    _bind(port, bind)
+                _connect(port, target)
         except CaptureError:
             for port in ports:
                 port.close()
@@ -205,8 +205,17 @@ class Sessions:
                 port.close()
 
 
-def _told(endpoint: Endpoint, act: Callable[[], None]) -> None:
+def _bind(port: socket.socket, address: Address) -> None:
     try:
-        act()
+        port.bind(address.host)
     except OSError as error:
-        raise CaptureError(f"{endpoint}: {bind_reason(error, endpoint.port)}") from error
+        endpoint = address.endpoint
+        raise CaptureError(f"--bind {endpoint}: {bind_reason(error, endpoint.port)}") from error
+
+
+def _connect(port: socket.socket, address: Address) -> None:
+    try:
+        port.connect(address.host)
+    except OSError as error:
+        why = error.strerror or error
+        raise CaptureError(f"--target {address.endpoint}: cannot be sent to: {why}; name another") from error

@@ -407,7 +407,7 @@ def open_port(endpoint: Endpoint) -> socket.socket:
         opened.bind(address.host)
     except OSError as error:
         opened.close()
-        raise CaptureError(f"{endpoint}: {bind_reason(error, endpoint.port)}") from error
+        raise CaptureError(f"--listen {endpoint}: {bind_reason(error, endpoint.port)}") from error
     return opened
 
 

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import socket
+import threading
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
+from edoras_tools.model import Columns, Endpoint, Link, PacketBatch, SourceInfo, SourceStatistics
+from edoras_tools.pipelines import proxy
+from edoras_tools.pipelines.proxy import Proxy
+from edoras_tools.pipelines.proxy_plan import ProxyPlan
+from edoras_tools.sessions.fault_rules import parse_rule
+from edoras_tools.sessions.faults import FaultPlan
+from edoras_tools.sources.relay import PlainArena
 
 ROOT = Path(__file__).parents[2]
+HOST = "127.0.0.1"
+ANY = Endpoint(HOST, 0)
+PATIENCE_S = 10
 
 
 def _batch(rows):
@@ -119,3 +131,60 @@ def made_up():
 def captures():
     """A function: the path of a sample capture."""
     return lambda name: ROOT / f"samples/captures/{name}.pcap"
+
+
+class Ends:
+    """Sockets that are closed at the end, and proxies that are stopped."""
+
+    def __init__(self, stack):
+        self._stack = stack
+
+    def port(self, number=0):
+        """A bound socket, as a target."""
+        opened = self._stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 << 20)
+        opened.bind((HOST, number))
+        opened.settimeout(PATIENCE_S)
+        return opened
+
+    def client(self, proxy):
+        """A socket that speaks to a proxy."""
+        opened = self.port()
+        opened.connect((proxy.endpoint.address, proxy.endpoint.port))
+        return opened
+
+    def proxy(self, *targets, rules=(), seed=1, recorder=None, where=None, keys=None, **plan):
+        """A running proxy."""
+        faults = FaultPlan(tuple(parse_rule(rule) for rule in rules), seed)
+        ends = tuple(Endpoint(*target.getsockname()) for target in targets)
+        made = Proxy(
+            ProxyPlan(**{"link": Link.CI, "listen": ANY, "targets": ends, "faults": faults} | plan),
+            recorder=recorder,
+            where=where,
+        )
+        thread = threading.Thread(target=made.run, kwargs={"keys": keys})
+        thread.start()
+
+        def end():
+            made.stop()
+            thread.join(PATIENCE_S)
+            assert not thread.is_alive()
+            made.close()
+
+        made.end = end
+        self._stack.callback(end)
+        return made
+
+
+@pytest.fixture
+def ends():
+    """Sockets and running proxies, ended after the test."""
+    with ExitStack() as stack:
+        yield Ends(stack)
+
+
+@pytest.fixture(params=["vectors", "plain"])
+def arena(request, monkeypatch):
+    """Both ways of moving datagrams."""
+    if request.param == "plain":
+        monkeypatch.setattr(proxy, "make_arena", PlainArena)
