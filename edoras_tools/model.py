@@ -393,6 +393,7 @@ class SourceInfo:
         time_resolution_ns: 1, 1000, ...; the step of its timestamps.
         snap_length: the capture's limit on a frame's bytes.
         attachments: mission files and the like that the source carries, by name.
+        definitions: message definitions that it carries, complete ``ros2msg`` texts by type.
     """
 
     name: str
@@ -400,6 +401,7 @@ class SourceInfo:
     time_resolution_ns: int = 1
     snap_length: int = 262144
     attachments: Mapping[str, bytes] = field(default_factory=dict)
+    definitions: Mapping[str, str] = field(default_factory=dict)
 
 
 def concatenate(batches: Sequence[PacketBatch]) -> PacketBatch:

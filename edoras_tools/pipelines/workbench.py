@@ -51,16 +51,21 @@ class Settings:
     msg_paths: Sequence[Path] = ()
     options: Options = Options()  # noqa: RUF009  frozen, and the same for all
 
-    def workbench(self, attachments: Mapping[str, bytes] | None = None) -> Workbench:
+    def workbench(
+        self,
+        attachments: Mapping[str, bytes] | None = None,
+        definitions: Mapping[str, str] | None = None,
+    ) -> Workbench:
         """Set up.
 
         Args:
             attachments: mission files that a recording carries; they hold where no mission is named.
+            definitions: message definitions that a recording carries; they hold before the distribution's.
 
         Raises:
             ConfigError: a mission, a type folder or an option has mistakes.
         """
-        types = TypeStore(self.distro, self.msg_paths)
+        types = TypeStore(self.distro, self.msg_paths, definitions)
         if self.configs:
             mission = load(self.configs, check_type=types.check)
         elif attachments:

@@ -17,7 +17,7 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata
+from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from edoras_tools.errors import CaptureError
@@ -75,7 +75,7 @@ class McapSource:
 
     Attributes:
         info: resolution and snap length are those of the capture it was recorded from; the attachments are
-            its mission files.
+            its mission files, the definitions its schemas.
         statistics: frames and datagrams counted so far.
 
     Raises:
@@ -92,6 +92,7 @@ class McapSource:
         self._topics: dict[int, str] = {}
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, bytes] = {}
+        self._definitions: dict[str, str] = {}
         self.statistics = SourceStatistics(total_bytes=self._size)
         self._demux = Demux()
         try:
@@ -108,6 +109,7 @@ class McapSource:
             time_resolution_ns=_positive(values, "time_resolution_ns", 1),
             snap_length=_positive(values, "snap_length", 262144),
             attachments=self._attachments,
+            definitions=self._definitions,
         )
 
     def batches(self) -> Iterator[PacketBatch]:
@@ -332,14 +334,18 @@ class McapSource:
         return True
 
     def _remember(self, opcode: int, start: int, end: int) -> None:
-        if opcode in {Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT}:
+        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT}:
             self._learn(opcode, self._read(start, end))
 
     def _learn(self, opcode: int, content: bytes) -> None:
-        """Keep what a channel, metadata or attachment record says; one that is not sound says nothing."""
+        """Keep what a record about the recording says; one that is not sound says nothing."""
         stream = ReadDataStream(BytesIO(content))
         try:
-            if opcode == Opcode.CHANNEL:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                if schema.encoding == "ros2msg":
+                    self._definitions[schema.name] = schema.data.decode()
+            elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(stream)
                 self._topics[channel.id] = channel.topic
             elif opcode == Opcode.METADATA:

@@ -52,6 +52,7 @@ class MergedSource:
             time_resolution_ns=min(info.time_resolution_ns for info in infos),
             snap_length=max(info.snap_length for info in infos),
             attachments={name: data for info in reversed(infos) for name, data in info.attachments.items()},
+            definitions={name: text for info in reversed(infos) for name, text in info.definitions.items()},
         )
 
     @property

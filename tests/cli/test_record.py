@@ -260,3 +260,20 @@ def test_programs_of_one_command(captures, command, tmp_path):
     assert (recorded.returncode, sniffed.returncode) == (0, 0)
     assert target.read_bytes() == captures("a_rover").read_bytes()
     assert sniffed.stdout.startswith(b'{"number":1,')
+
+
+def test_a_recording_brings_its_own_types(call, captures, recording, tmp_path):
+    """Types from a folder are in the recording; read on a machine without the folder it is the same."""
+    (tmp_path / "types/my_msgs/msg").mkdir(parents=True)
+    (tmp_path / "types/my_msgs/msg/Six.msg").write_text("float64[6] numbers\n")
+    mission = tmp_path / "mission.yaml"
+    text = (ROOT / "samples/missions/rover_ground.yaml").read_text(encoding="utf-8")
+    mission.write_text(text.replace("geometry_msgs/msg/Twist", "my_msgs/msg/Six"), encoding="utf-8")
+    first, again = tmp_path / "first.mcap", tmp_path / "again.mcap"
+    options = ["-c", mission, "--msg-path", tmp_path / "types"]
+    assert call("record", "-q", "-r", captures("a_rover"), *options, "-o", first).code == 0
+    assert call("record", "-q", "-r", first, "-o", again).code == 0
+    assert recording(again).counts == recording(first).counts
+    shown = call("sniff", "-r", again, "-r", first, "--topic", "/cmd_vel", "-n", "1", "--json").lines()
+    assert shown[0]["message"] == {"numbers": [0.5, 0.0, 0.0, 0.0, 0.0, 0.2]}
+    assert call("info", captures("a_rover"), "-c", mission).code == 2

@@ -1,0 +1,154 @@
+"""``edoras proxy`` as a shell runs it: what it prints, what it returns, and how it ends."""
+
+import json
+import signal
+import socket
+import subprocess
+import time
+
+import pytest
+
+HOST = "127.0.0.1"
+
+
+@pytest.fixture
+def target():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.bind((HOST, 0))
+        opened.settimeout(10)
+        yield opened
+
+
+@pytest.fixture
+def started(command):
+    """A function: start a proxy before a target; return it, and where it listens."""
+    running = []
+
+    def start(target, *arguments, link="ci"):
+        ends = ["--listen", f"{HOST}:0", "--target", f"{HOST}:{target.getsockname()[1]}"]
+        process = subprocess.Popen(
+            [command, "proxy", link, *ends, *map(str, arguments)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        running.append(process)
+        told = process.stderr.readline()
+        assert told.startswith(f"relaying {link} {HOST}:"), told
+        return process, (HOST, int(told.split()[2].rpartition(":")[2]))
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+def send(count, address):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        for number in range(count):
+            client.sendto(bytes.fromhex("1827c000000101") + bytes([number]), address)
+            time.sleep(0.002)
+
+
+def test_ctrl_c_prints_the_report_and_closes_the_recording(started, target, tmp_path, recording):
+    path = tmp_path / "a.mcap"
+    process, listen = started(target, "-o", path, "--fault", "drop:1,every=4", "--json")
+    send(20, listen)
+    assert [target.recv(99)[-1] for _ in range(15)] == [number for number in range(20) if number % 4 != 3]
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 0, err
+    report = json.loads(out)
+    assert [(way["name"], way["received"], way["sent"]) for way in report["ways"]] == [
+        (f"to {HOST}:{target.getsockname()[1]}", 20, 15),
+        ("to clients", 0, 0),
+    ]
+    assert report["faults"] == [{"rule": "drop:1,every=4", "kind": "drop", "on": True, "struck": 5}]
+    assert (report["recorded"], report["lost"]) == (15, 0)
+    assert report["ways"][0]["latency_us"]["p50"] > 0
+    counts = recording(path).counts
+    assert (counts["/edoras/datagrams"], counts["/edoras/faults"]) == (15, 5)
+
+
+def test_a_report_for_people_says_who_refused(started, target):
+    process, listen = started(target)
+    target.close()
+    send(5, listen)
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out) == (0, "")
+    assert "refused" in err
+    assert "nothing listens there" in err
+
+
+def test_a_loss_of_the_proxys_own_is_told_with_3(started, target):
+    # 256 KiB of receive buffer would do; what overflows here is what may be held back.
+    process, listen = started(target, "--fault", "delay:1h", "--duration", "400ms", "-q")
+    send(3, listen)
+    assert process.wait(20) == 0
+    assert "3 datagrams still held back on purpose" in process.stderr.read()
+
+
+def test_a_dry_run_says_what_would_be_and_opens_nothing(call, target):
+    port = target.getsockname()[1]
+    ends = ("--listen", f"{HOST}:{port}", "--target", f"{HOST}:9")  # the port is in use: nobody asks for it
+    result = call(
+        "proxy", "to", *ends, "--to", "localhost:8", "--profile", "lunar", "--limit", "30", "--dry-run"
+    )
+    assert result.code == 0
+    assert result.out.splitlines()[0] == (
+        f"would relay to {HOST}:{port} → {HOST}:9, localhost:8; nothing was opened"
+    )
+    assert "  fault  delay:1282ms" in result.out
+    assert "  fault  rate:30" in result.out
+    plan = call("proxy", "to", *ends, "--seed", "7", "--dry-run", "--json").json()
+    assert (plan["link"], plan["targets"], plan["seed"], plan["faults"]) == ("to", [f"{HOST}:9"], 7, [])
+
+
+SCENARIO = "faults:\n  - drip: 0.1\n  - delay: soon\n"
+WRONG = {
+    ("ci", "--listen", "1", "--target", "1x"): (2, ["1x"]),
+    ("ci", "--listen", "1"): (2, ["Missing option '--target'"]),
+    ("cd", "--listen", "1", "--target", "2"): (2, ["cd"]),
+    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:9"): (2, ["in a circle"]),
+    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "--fault", "drop:2", "--fault", "drip"): (
+        2,
+        ["fault drop:2: p '2': a probability", "fault drip: no such fault 'drip'; did you mean drop?"],
+    ),
+    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "--scenario", "s.yaml"): (
+        2,
+        ["s.yaml:2: faults[0]: none of drip is a fault", "s.yaml:3: faults[1].delay: time 'soon'"],
+    ),
+    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "--fault", "drop:1,where=x ="): (2, [""]),
+    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "--limit", "/cmd_vel=3"): (1, ["no topic"]),
+    ("ci", "--target", "192.0.2.1:9", "--listen", f"{HOST}:0"): (2, ["is not on this machine's loopback"]),
+    ("ci", "--target", "no.such.host.invalid:9", "--listen", f"{HOST}:0", "--yes"): (1, ["no such host"]),
+    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "-o", "a.txt"): (
+        2,
+        ["names no kind of recording"],
+    ),
+    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "-o", "no/where.mcap"): (1, ["no/where.mcap"]),
+}
+
+
+@pytest.mark.parametrize("arguments", WRONG, ids=range(len(WRONG)))
+def test_what_is_wrong_is_one_line_a_mistake(call, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.yaml").write_text(SCENARIO)
+    result = call("proxy", *arguments, "--duration", "100ms")
+    code, lines = WRONG[arguments]
+    assert result.code == code, result.err
+    assert result.out == ""
+    assert len(result.err) == len(lines), result.err
+    for line, part in zip(result.err, lines, strict=True):
+        assert line.startswith("edoras: ")
+        assert part in line
+
+
+def test_a_port_in_use_is_told_before_a_recording_is_begun(call, target, tmp_path):
+    ends = ("--listen", f"{HOST}:{target.getsockname()[1]}", "--target", f"{HOST}:9")
+    result = call("proxy", "ci", *ends, "-o", tmp_path / "a.mcap")
+    assert result.code == 1
+    assert "another program has port" in result.err[0]
+    assert not list(tmp_path.iterdir())
