@@ -31,6 +31,6 @@ def recover(
     if json:
         from edoras_tools.cli.output import print_json
 
-        print_json({**asdict(report), "output": str(target)})
+        print_json({**asdict(report), "output": None if report.whole else str(target)})
         return
     sys.stdout.write(f"{report}\n")

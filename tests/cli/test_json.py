@@ -133,6 +133,9 @@ def test_recover(call, captures, tmp_path):
     assert list(report) == names
     assert (report["whole"], report["output"]) == (False, str(tmp_path / "y.mcap"))
     assert report["messages"]["/edoras/datagrams"] == 1827
+    whole = call("recover", "--json", tmp_path / "y.mcap", "-o", tmp_path / "z.mcap").json()
+    assert (whole["whole"], whole["output"], whole["messages"]) == (True, None, report["messages"])
+    assert not (tmp_path / "z.mcap").exists()
 
 
 class Lossy:
