@@ -89,6 +89,25 @@ def test_what_is_held_back_at_the_end_is_told_and_is_no_loss(started, target):
     assert "3 datagrams still held back on purpose" in process.stderr.read()
 
 
+def test_what_the_proxy_itself_loses_is_counted_to_the_last_and_told_with_3(started, target):
+    process, listen = started(target, "--json")
+    process.send_signal(signal.SIGSTOP)  # it cannot keep up
+    count, size = 150_000, 1000  # more than the largest receive buffer holds
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.connect(listen)
+        for _ in range(count):
+            client.send(bytes(size))
+    process.send_signal(signal.SIGCONT)
+    time.sleep(0.3)
+    process.send_signal(signal.SIGINT)
+    report, err = process.communicate(timeout=30)
+    report = json.loads(report)
+    assert process.returncode == 3
+    assert report["lost"] == report["ways"][0]["kernel_drops"] > 0
+    assert report["ways"][0]["received"] + report["lost"] == count
+    assert f"{report['lost']:,} datagrams lost before the proxy read them" in err
+
+
 def test_a_dry_run_says_what_would_be_and_opens_nothing(call, target):
     port = target.getsockname()[1]
     ends = ("--listen", f"{HOST}:{port}", "--target", f"{HOST}:9")  # the port is in use: nobody asks for it
