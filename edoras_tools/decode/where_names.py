@@ -98,7 +98,7 @@ class Names:
             if found and not found[0].many:
                 return f"{plain} is no list of a message, so it takes no index"
         prefix = "ros." if name.startswith("ros.") else ""
-        known = {item.lower(): prefix + item for item in self.all()}
+        known = {item.lower(): prefix + item for item in self.all() if "." in item or "." not in name}
         near = get_close_matches(name.removeprefix(prefix).lower(), known, 3, _CLOSE)
         why = f"{name!r} is no field; "
         if near:
