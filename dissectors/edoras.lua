@@ -3,12 +3,15 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 humble.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "b25a1f0c58eba1a6"
+local DIGEST = "b3dad9ea97b7d5bb"
 local wanted = os.getenv("EDORAS_LUA")
-if EDORAS_DIGEST or (wanted and wanted ~= "" and wanted ~= DIGEST) then
-	return  -- Another copy is loaded, or shall be: a protocol can be there only once.
+if wanted and wanted ~= "" and wanted ~= DIGEST then
+	return  -- another copy shall be loaded
 end
-EDORAS_DIGEST = DIGEST
+local first, EDORAS = pcall(Proto, "edoras", "EDORAS")
+if not first then
+	return  -- another copy is loaded: a protocol can be there only once
+end
 
 local D = {}
 D.layouts = {
@@ -1524,7 +1527,7 @@ end
 -- What Wireshark shows: the protocols, a field for every slot of every layout, and the expert information.
 
 local P = {
-	edoras = Proto("edoras", "EDORAS"),
+	edoras = EDORAS,
 	ccsds_sp = Proto("ccsds_sp", "CCSDS Space Packet"),
 	cfe = Proto("cfe", "core Flight System"),
 	sbn = Proto("sbn", "Software Bus Network"),

@@ -94,7 +94,7 @@ class Knowledge:
         routes: all routes.
         exact: by link, MsgId to the routes that may claim it; the first whose type fits the bytes is taken.
         any_link: the same whatever the link.
-        types: ROS types by name: ``{"wide": bytes, "fixed": bytes or None, "steps": [...]}``, see ``cdr.lua``.
+        types: ROS types by name: ``{"fixed": bytes or None, "steps": [...]}``, as ``engine/cdr.lua`` reads.
         extended_header: packets carry cFE's extended header.
         telemetry_header: 16 or 12.
         note: what the head of the file says of where the routes are from.
@@ -141,10 +141,13 @@ def _head(note: str, mark: str) -> str:
 
 local DIGEST = {quoted(mark)}
 local wanted = os.getenv("{GUARD}")
-if EDORAS_DIGEST or (wanted and wanted ~= "" and wanted ~= DIGEST) then
-	return  -- Another copy is loaded, or shall be: a protocol can be there only once.
+if wanted and wanted ~= "" and wanted ~= DIGEST then
+	return  -- another copy shall be loaded
 end
-EDORAS_DIGEST = DIGEST
+local first, EDORAS = pcall(Proto, "edoras", "EDORAS")
+if not first then
+	return  -- another copy is loaded: a protocol can be there only once
+end
 
 """
 
@@ -253,7 +256,9 @@ def _readers() -> str:
     for name, (layout, _) in LAYOUTS.items():
         lines += _reader(name, layout)
     for item in FORMATS:
-        lines += _reader(f"envelope_{item.width}_{'little' if item.byte_order == 'little' else 'big'}", item.layout)
+        lines += _reader(
+            f"envelope_{item.width}_{'little' if item.byte_order == 'little' else 'big'}", item.layout
+        )
     return "\n".join(lines) + "\n"
 
 

@@ -53,12 +53,12 @@ def _key(key: int | str) -> str:
 
 
 def _sorted(values: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Return a dict without its Nones; numbered entries in order, so that the text never changes by chance."""
+    """Return a dict without its Nones; numbered entries in order, so that the text is stable."""
     kept = {key: item for key, item in values.items() if item is not None}
     return dict(sorted(kept.items())) if all(isinstance(key, int) for key in kept) else kept
 
 
 _RESERVED = frozenset(
-    ("and break do else elseif end false for function goto if in local nil not or repeat return then true "
-     "until while").split()
+    {"and", "break", "do", "else", "elseif", "end", "false", "for", "function", "goto", "if", "in", "local"}
+    | {"nil", "not", "or", "repeat", "return", "then", "true", "until", "while"}
 )

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: GPL-2.0-only
 """EDORAS, cFE and SBN as scapy layers, made from the layouts; scapy is GPL-2.0-only, so this file is too.
 
-Importing it binds the layers to the standard UDP ports. Lengths and the checksum are filled in where they are not
-given::
+Importing it binds the layers to the standard UDP ports. Lengths and the checksum are filled in where they are
+not given::
 
-    IP(dst="127.0.0.1") / UDP() / SpacePacket(msg_id=0x1827) / CommandHeader(function_code=1) / EdorasEnvelope() / CDR(...)
-    IP() / UDP() / SBN(processor_id=3, spacecraft_id=0x42) / SpacePacket(msg_id=0x1829) / ...
+    packet = SpacePacket(msg_id=0x1827) / CommandHeader(function_code=1) / EdorasEnvelope() / CDR(...)
+    IP(dst="127.0.0.1") / UDP() / packet
+    IP() / UDP() / SBN(processor_id=3, spacecraft_id=0x42) / packet
 
-What a mission adds (which MsgIds carry an envelope, and of which type) is handed to :func:`use`. Without it an
-envelope is told from the bytes.
+What a mission adds (which MsgIds carry an envelope, and of which type) is handed to :func:`use`. Without it
+an envelope is told from the bytes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from scapy.fields import BitEnumField, BitField, Field, PacketListField, StrFixedLenField, StrLenField, XBitField
+from scapy.fields import (
+    BitEnumField,
+    BitField,
+    Field,
+    PacketListField,
+    StrFixedLenField,
+    StrLenField,
+    XBitField,
+)
 from scapy.layers.inet import UDP
 from scapy.packet import Packet, Raw, bind_top_down
 
@@ -86,7 +95,9 @@ class Number(Field):  # type: ignore[misc]  # scapy has no types
 
     def __init__(self, slot: Slot, default: int | None, order: str) -> None:
         letter = {1: "b", 2: "h", 4: "i", 8: "q"}[slot.end - slot.start]
-        super().__init__(slot.field.name, default, order + (letter if slot.field.kind == "int" else letter.upper()))
+        super().__init__(
+            slot.field.name, default, order + (letter if slot.field.kind == "int" else letter.upper())
+        )
         self.slot = slot
 
     def i2repr(self, _packet: Any, value: Any) -> str:
@@ -154,8 +165,10 @@ class SpacePacket(Packet):  # type: ignore[misc]
 
     @property
     def msg_id(self) -> int:
-        """cFE's MsgId."""
-        word = ccsds.msg_id({slot.field.name: self.getfieldval(slot.field.name) for slot in ccsds.PRIMARY.slots})
+        """The MsgId by which cFE knows the packet."""
+        word = ccsds.msg_id(
+            {slot.field.name: self.getfieldval(slot.field.name) for slot in ccsds.PRIMARY.slots}
+        )
         extended = self.getlayer(ExtendedHeader)
         if extended is None:
             return word
@@ -284,9 +297,13 @@ class _Envelope(Packet):  # type: ignore[misc]
 
 def _envelope(chosen: EnvelopeFormat) -> type[Packet]:
     suffix = "" if chosen == DEFAULT else f"{8 * chosen.width}{chosen.byte_order.title()}"
-    description = fields(chosen.layout, buffer_length=None, buffer_capacity=None)
-    members = {"format": chosen, "fields_desc": description, "__doc__": f"The EDORAS envelope, {chosen}."}
-    return type(_Envelope)(f"EdorasEnvelope{suffix}", (_Envelope,), {"__module__": __name__, **members})
+    members = {
+        "__module__": __name__,
+        "__doc__": f"The EDORAS envelope, {chosen}.",
+        "format": chosen,
+        "fields_desc": fields(chosen.layout, buffer_length=None, buffer_capacity=None),
+    }
+    return type(f"EdorasEnvelope{suffix}", (_Envelope,), members)
 
 
 ENVELOPES: Final = {item: _envelope(item) for item in FORMATS}

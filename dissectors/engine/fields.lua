@@ -1,7 +1,7 @@
 -- What Wireshark shows: the protocols, a field for every slot of every layout, and the expert information.
 
 local P = {
-	edoras = Proto("edoras", "EDORAS"),
+	edoras = EDORAS,
 	ccsds_sp = Proto("ccsds_sp", "CCSDS Space Packet"),
 	cfe = Proto("cfe", "core Flight System"),
 	sbn = Proto("sbn", "Software Bus Network"),

@@ -76,7 +76,10 @@ def run(
         list[str] | None, typer.Argument(metavar="-- ARGUMENTS", help="For tshark or Wireshark.")
     ] = None,
 ) -> None:
-    """Run tshark, or Wireshark, with the dissector: edoras wireshark run -r FILE -c MISSION -- -V"""
+    """Run tshark, or Wireshark, with the dissector.
+
+    For example: edoras wireshark run -r FILE -c MISSION -- -V
+    """
     from edoras_tools.pipelines import wireshark_program
 
     code = wireshark_program.run(_dissector(settings), read, arguments or [], graphical=gui)

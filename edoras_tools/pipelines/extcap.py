@@ -1,7 +1,8 @@
 """Our links as capture interfaces of Wireshark: what its extcap protocol asks for, and the capture itself.
 
 Wireshark runs the launcher once for each question (``--extcap-interfaces``, ``--extcap-dlts``,
-``--extcap-config``) and reads sentences of ``key {name=value}``; with ``--capture`` it reads pcapng from a fifo.
+``--extcap-config``) and reads sentences of ``key {name=value}``; with ``--capture`` it reads pcapng from a
+fifo.
 """
 
 from __future__ import annotations
@@ -26,11 +27,14 @@ if TYPE_CHECKING:
     from edoras_tools.sources.device import DeviceSource
 
 INTERFACES: Final = {"edoras-ci": Link.CI, "edoras-to": Link.TO, "edoras-sbn": Link.SBN}
-_WHAT: Final = {
-    Link.CI: "EDORAS CI (commands to cFS)",
-    Link.TO: "EDORAS TO (telemetry from cFS)",
-    Link.SBN: "EDORAS SBN (Software Bus Network)",
-}
+
+
+_OPTIONS: Final = (
+    ("interface", "Capture from", "selector", "Where the datagrams pass; needs the privilege to capture"),
+    ("listen", "Or bind [HOST:]PORT", "string", "Be the receiver yourself; needs no privilege"),
+    ("ports", "Further ports", "string", "UDP ports of this link besides the standard ones, as 5010,5011"),
+    ("config", "Mission", "fileselect", "EDORAS bridge YAML, which names ports and addresses"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +59,9 @@ class Wish:
 def interfaces() -> list[str]:
     """Return the answer to ``--extcap-interfaces``."""
     lines = [f"extcap {{version={__version__}}}{{display=EDORAS: CI, TO and SBN of a cFS}}"]
-    return lines + [f"interface {{value={name}}}{{display={_WHAT[link]}}}" for name, link in INTERFACES.items()]
+    return lines + [
+        f"interface {{value={name}}}{{display=EDORAS {link.name}}}" for name, link in INTERFACES.items()
+    ]
 
 
 def link_of(interface: str) -> Link:
@@ -79,14 +85,8 @@ def options() -> list[str]:
     from edoras_tools.sources.live import interfaces as live_interfaces
 
     lines = [
-        "arg {number=0}{call=--interface}{display=Capture from}{type=selector}"
-        "{tooltip=The interface that the link's datagrams pass; needs the privilege to capture}",
-        "arg {number=1}{call=--listen}{display=Or bind [HOST:]PORT}{type=string}"
-        "{tooltip=Be the receiver of the link yourself; needs no privilege}",
-        "arg {number=2}{call=--ports}{display=Further ports}{type=string}"
-        "{tooltip=UDP ports of this link besides the standard ones, as 5010,5011}",
-        "arg {number=3}{call=--config}{display=Mission}{type=fileselect}{mustexist=true}"
-        "{tooltip=EDORAS bridge YAML, which names ports and addresses}",
+        f"arg {{number={number}}}{{call=--{name}}}{{display={display}}}{{type={kind}}}{{tooltip={tooltip}}}"
+        for number, (name, display, kind, tooltip) in enumerate(_OPTIONS)
     ]
     lines += [
         f"value {{arg=0}}{{value={name}}}{{display={name}}}{{default={'true' if name == 'any' else 'false'}}}"

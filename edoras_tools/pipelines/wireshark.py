@@ -1,7 +1,7 @@
 """The Lua dissector for a mission: what the layouts do not say, gathered as plain values.
 
-Without a mission it knows the four demos of the EDORAS paper. Where two of them use one MsgId, the first whose
-message type fits the bytes is taken.
+Without a mission it knows the four demos of the EDORAS paper. Where two of them use one MsgId, the first
+whose message type fits the bytes is taken.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.dissectors.lua import FindingText, Knowledge, RouteText, generate
 from edoras_tools.mission import load, loads
 from edoras_tools.model import NO_ROUTE, Finding, Link
-from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.severity import EXPLANATIONS, Severity
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.plan import Repeat, Run, Text
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from edoras_tools.mission import Mission
+    from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.ros.plan import Plan
 
 DEMOS: Final = (

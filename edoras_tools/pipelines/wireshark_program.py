@@ -1,4 +1,4 @@
-"""Wireshark and tshark as they are installed: which, how old, with Lua or not, and where their folders are."""
+"""Wireshark and tshark as they are installed: which, how old, with Lua or not, and their folders."""
 
 from __future__ import annotations
 
@@ -37,15 +37,21 @@ def program(*names: str) -> str:
     """
     found = next((path for path in map(shutil.which, names) if path), None)
     if found is None:
-        raise CaptureError(f"{' or '.join(names)} is not installed; on Debian and Ubuntu: apt install {names[0]}")
+        raise CaptureError(
+            f"{' or '.join(names)} is not installed; on Debian and Ubuntu: apt install {names[0]}"
+        )
     told = _ask(found, "--version")
     version = re.search(r"(\d+)\.(\d+)\.\d+", told)
     if version is None:
         raise CaptureError(f"{found}: does not say its version; is it Wireshark's?")
     if (int(version[1]), int(version[2])) < OLDEST:
-        raise CaptureError(f"{found}: version {version[0]} is too old; {OLDEST[0]}.{OLDEST[1]} or newer is needed")
+        raise CaptureError(
+            f"{found}: version {version[0]} is too old; {OLDEST[0]}.{OLDEST[1]} or newer is needed"
+        )
     if not re.search(r"with\s+Lua", told):
-        raise CaptureError(f"{found}: version {version[0]} was built without Lua; install a build that has it")
+        raise CaptureError(
+            f"{found}: version {version[0]} was built without Lua; install a build that has it"
+        )
     return found
 
 

@@ -4,10 +4,10 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from edoras_tools.dissectors import scapy_layers
 from scapy.packet import Raw
 
 from edoras_tools.decode import Context, Dissector
+from edoras_tools.dissectors import scapy_layers
 from edoras_tools.mission import load
 from edoras_tools.model import Link
 from edoras_tools.ros import TypeStore
