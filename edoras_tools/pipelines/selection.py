@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.decode.where import Where
 from edoras_tools.errors import RouteError
 
 if TYPE_CHECKING:
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.decode.where import Where
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
@@ -58,7 +58,11 @@ class Selection:
             ConfigError: the filter has a mistake.
         """
         self.check(bench.mission)
-        return replace(self, _filter=Where(self.where, bench.columns.context)) if self.where else self
+        if not self.where:
+            return self
+        from edoras_tools.decode.where import Where
+
+        return replace(self, _filter=Where(self.where, bench.columns.context))
 
     def check(self, mission: Mission) -> None:
         """Find out early whether a mission has what is chosen.

@@ -302,6 +302,30 @@ def test_without_a_mission_message_fields_ask_for_one():
         Where("pose.position.x > 1", Context(Mission(), TYPES))
 
 
+def test_addresses_of_version_6():
+    _, (batch, _, _) = CAPTURES["a_rover"]
+    two = replace(
+        batch.take(slice(0, 2)),
+        ip_version=np.array([6, 4], np.uint8),
+        source_address=np.array([1, 0x0A000002], np.uint32),
+        destination_address=np.array([0, 0x0A000003], np.uint32),
+        ipv6=(bytes(16), bytes(15) + b"\1"),
+    )
+    columns = ColumnDecoder(ROVER).decode(two)
+    for told, expected in {
+        "source == ::1": [True, False],
+        'source == "[::1]:2234"': [True, False],
+        "source.address in {::1, 10.0.0.2}": [True, True],
+        "address == 10.0.0.2": [False, True],
+        "source matches '^10[.]'": [False, True],
+    }.items():
+        where = Where(told, ROVER)
+        assert where.mask(two, columns).tolist() == expected, told
+        assert where.judge([Dissector(ROVER).dissect(two[row]) for row in range(2)]).tolist() == expected, (
+            told
+        )
+
+
 def test_names_that_two_types_share_mean_both():
     text = (ROOT / "samples/missions/rover_ground.yaml").read_text()
     more = "\n    tlm_arm: {type: sensor_msgs/msg/JointState, topic: arm, mid: 0x829}\n"
