@@ -100,7 +100,8 @@ class Names:
         prefix = "ros." if name.startswith("ros.") else ""
         known = {item.lower(): prefix + item for item in self.all() if "." in item or "." not in name}
         near = get_close_matches(name.removeprefix(prefix).lower(), known, 3, _CLOSE)
-        why = f"{name!r} is no field; "
+        shown = name if len(name) <= 60 else f"{name[:60]}..."
+        why = f"{shown!r} is no field; "
         if near:
             return why + f"did you mean {' or '.join(known[item] for item in near)}?"
         if not self._messages:
