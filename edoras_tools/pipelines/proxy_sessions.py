@@ -94,7 +94,8 @@ class Sessions:
         self._by_client: dict[bytes, Session] = {}
         self._by_number: dict[int, Session] = {}
         self._number = 0
-        self._drops_of_closed = 0
+        self._dropped = 0  # at sockets that are closed
+        self._closed = False
         self._bound: list[socket.socket] | None = None
         ports = self._open(bind)  # a target that cannot be reached is told of at once
         if bind is None:
@@ -128,14 +129,17 @@ class Sessions:
 
     def drops(self) -> int:
         """Return what the kernel dropped on the way back, for want of room in receive buffers."""
-        ports = self._bound or [port for session in self for port in session.ports]
-        return self._drops_of_closed + (sum(map(kernel_drops, ports)) if LINUX else 0)
+        if self._closed or not LINUX:
+            return self._dropped
+        return self._dropped + sum(map(kernel_drops, self._ports()))
 
     def close(self) -> None:
-        """Close every socket."""
+        """Close every socket; the table stays, for reports."""
+        self._dropped = self.drops()
+        self._closed = True
         for session in self:
-            self._end(session)
-        for port in self._bound or ():
+            self._settle(session)
+        for port in {port.fileno(): port for port in self._ports()}.values():
             self._forget(port)
             port.close()
 
@@ -188,21 +192,26 @@ class Sessions:
             raise
         return ports
 
+    def _ports(self) -> list[socket.socket]:
+        return self._bound or [port for session in self for port in session.ports]
+
     def _leave(self, session: Session) -> None:
         """Take a session out of the table."""
         self._by_number.pop(session.number, None)
         self._by_client.pop(session.client.packed, None)
+        self._settle(session)
+
+    @staticmethod
+    def _settle(session: Session) -> None:
         for outlet in (*session.forth, session.back):
             outlet.close()
 
     def _end(self, session: Session) -> None:
         self._leave(session)
-        if self._bound is None:
-            if LINUX:
-                self._drops_of_closed += sum(map(kernel_drops, session.ports))
-            for port in session.ports:
-                self._forget(port)
-                port.close()
+        for port in session.ports:
+            self._dropped += kernel_drops(port) if LINUX else 0
+            self._forget(port)
+            port.close()
 
 
 def _bind(port: socket.socket, address: Address) -> None:

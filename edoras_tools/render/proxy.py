@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console, RenderableType
 
-_REFRESH_S: Final = 0.25
+_REFRESH_S: Final = 0.5
 _MOST_CLIENTS: Final = 8
 
 
@@ -46,7 +46,8 @@ class ProxyTable:
         self._output, self._keys = output, keys
         self._rates = Rates()
         self._began = self._drawn = time.monotonic()
-        self._live = Live(console=console, auto_refresh=False, redirect_stdout=False)
+        # Transient: the report takes its place.
+        self._live = Live(console=console, auto_refresh=False, redirect_stdout=False, transient=True)
 
     def __enter__(self) -> Self:
         self._live.start()
