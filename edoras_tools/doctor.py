@@ -46,7 +46,9 @@ def examine(
     from edoras_tools.sources import open_file
 
     opened = open_file(Path(source)) if isinstance(source, (str, os.PathLike)) else source
-    bench = Settings(configs=[Path(item) for item in config]).workbench(opened.info.attachments)
+    bench = Settings(configs=[Path(item) for item in config]).workbench(
+        opened.info.attachments, opened.info.definitions
+    )
     findings = run(opened, bench, profile=profile)
     if findings.failure is not None:
         raise findings.failure

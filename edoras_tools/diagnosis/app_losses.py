@@ -10,7 +10,7 @@ from edoras_tools.diagnosis.events import STOPS_AFTER
 from edoras_tools.diagnosis.instances import NOBODY
 from edoras_tools.diagnosis.losses import COUNTERS, LEAD_NS, TAIL_NS, Loss, attributed, remainders
 from edoras_tools.diagnosis.spans import spans
-from edoras_tools.model import NO_ROUTE, Link
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
 from edoras_tools.sessions import telemetry_output
 from edoras_tools.sessions.profile import SECOND
 from edoras_tools.wire import names
@@ -54,7 +54,7 @@ def app_losses(known: Known, telemetry: Sequence[Loss], profile: SimProfile) -> 
                 (other.instance, other.msg_id, other.kind) in seen and (other.at_output or other.at_peer)
             )
         ]
-        found += _named(known, telemetry, culprit, said, rivals)
+        found += _named(known, telemetry, culprit, said, rivals, profile)
     found += _unnamed(known, [*telemetry, *found], profile)
     return found
 
@@ -65,11 +65,12 @@ def _named(
     culprit: Culprit,
     said: Said,
     rivals: Sequence[tuple[Culprit, Said]],
+    profile: SimProfile,
 ) -> Iterator[Loss]:
     """Count what events name, a span of its traffic at a time."""
     track = known.tracks.get(culprit.instance)
     stream = _input(known, culprit)
-    share = said.count / sum(told.count for _, told in rivals)
+    share = _share(known, culprit, said, rivals, profile)
     suppressed = sum(told.count for _, told in rivals) >= STOPS_AFTER
     parts: list[Span | None] = list(spans(stream, known.rows)) if stream else [None]
     for index, span in enumerate(parts):
@@ -94,7 +95,7 @@ def _named(
             continue
         grown = track.growth(COUNTERS[_pipe_kind(culprit)], *window)
         left = grown - attributed(telemetry, culprit.instance, _pipe_kind(culprit), *window)
-        lost = left if len(rivals) == 1 else max(events, round(left * share))
+        lost = left if len(rivals) == 1 else round(left * share)
         if lost <= 0:
             continue
         which = "MsgLimit" if culprit.kind == "limit" else "PipeOverflow"
@@ -105,12 +106,37 @@ def _named(
             others = ", ".join(
                 f"0x{other.msg_id:04x} at {other.pipe}" for other, _ in rivals if other != culprit
             )
-            evidence.append(f"events name {others} too: shared out by events")
+            evidence.append(f"events name {others} too: shared out by rates, or by events")
         if stopped:
             evidence.append(f"cFS stops this event after {STOPS_AFTER}, here {stopped}; the counter goes on")
         yield _loss(
             culprit, stream, span, lost, start_ns, end_ns, evidence, "high" if len(rivals) == 1 else "medium"
         )
+
+
+def _share(
+    known: Known,
+    culprit: Culprit,
+    said: Said,
+    rivals: Sequence[tuple[Culprit, Said]],
+    profile: SimProfile,
+) -> float:
+    """Return a culprit's share: by how far each is over what its pipe takes, where all can be seen."""
+    over = {}
+    for other, _ in rivals:
+        stream = _input(known, other)
+        seconds = _seconds(known, stream) if stream else 0.0
+        if stream and seconds:
+            burst = profile.app_msg_limit * SECOND / profile.ci_wake_ns
+            over[other] = max(0.0, len(stream) / seconds - burst)
+    if len(over) == len(rivals) and all(over.values()):
+        return over[culprit] / sum(over.values())
+    return said.count / sum(told.count for _, told in rivals)
+
+
+def _seconds(known: Known, stream: Stream) -> float:
+    times = known.rows.time_ns[stream.rows]
+    return float(times[-1] - times[0]) / SECOND
 
 
 def _loss(
@@ -184,14 +210,18 @@ def _unnamed(known: Known, losses: Sequence[Loss], profile: SimProfile) -> list[
         which = "MsgLimit" if kind == "limit" else "PipeOverflow"
         evidence = [f"0x803: {which} +{total:,} in the capture, {left:,} of them not explained otherwise"]
         track = known.tracks[instance]
-        if len(suspects) == 1:
-            stream, hop, text = suspects[0]
+        excess = [most - limit for _, _, most, limit in suspects]
+        for (stream, hop, most, limit), over in zip(suspects, excess, strict=True):
+            share = round(left * over / sum(excess))
+            text = f"up to {most} of 0x{stream.msg_id:04x} came in one round, and {limit} may wait"
             times = known.rows.time_ns[stream.rows]
             times = times[(times >= track.times[0] - TAIL_NS) & (times <= track.times[-1])]
             start_ns, end_ns = (
                 (int(times[0]), int(times[-1])) if len(times) else (track.times[0], track.times[-1])
             )
-            evidence += [text, "no event names it: suppressed, filtered, or lost itself"]
+            why = [text, "no event names it: suppressed, filtered, or lost itself"]
+            if len(suspects) > 1:
+                why.append("others are suspect too: shared out by how far each is over its limit")
             found.append(
                 Loss(
                     kind=kind,
@@ -200,39 +230,38 @@ def _unnamed(known: Known, losses: Sequence[Loss], profile: SimProfile) -> list[
                     msg_id=stream.msg_id,
                     stream=stream,
                     span=None,
-                    lost=left,
-                    of=len(times) if len(times) >= left else None,
+                    lost=share,
+                    of=len(times) if len(times) >= share else None,
                     start_ns=start_ns,
                     end_ns=end_ns,
-                    confidence="medium",
+                    confidence="medium" if len(suspects) == 1 else "low",
+                    evidence=[*evidence, *why],
+                )
+            )
+        if not suspects:
+            found.append(
+                Loss(
+                    kind="unknown",
+                    instance=instance,
+                    hop="",
+                    msg_id=NO_MSG_ID,
+                    stream=None,
+                    span=None,
+                    lost=left,
+                    of=None,
+                    start_ns=track.times[0],
+                    end_ns=track.times[-1],
+                    confidence="low",
                     evidence=evidence,
                 )
             )
-            continue
-        evidence += [text for _, _, text in suspects]
-        found.append(
-            Loss(
-                kind="unknown",
-                instance=instance,
-                hop="",
-                msg_id=-1,
-                stream=None,
-                span=None,
-                lost=left,
-                of=None,
-                start_ns=track.times[0],
-                end_ns=track.times[-1],
-                confidence="low",
-                evidence=evidence,
-            )
-        )
     return found
 
 
 def _suspects(
     known: Known, instance: int, kind: PipeKind, profile: SimProfile
-) -> Iterator[tuple[Stream, str, str]]:
-    """Yield traffic into an instance that is more than a pipe takes at once."""
+) -> Iterator[tuple[Stream, str, int, int]]:
+    """Yield traffic into an instance that is more than a pipe takes: where, how many at once, of how many."""
     if kind != "limit":
         return
     leaving = {stream.msg_id for stream in known.streams if stream.link is Link.TO}
@@ -242,14 +271,12 @@ def _suspects(
         if stream.link is Link.CI:
             most = _most_within(known, stream, profile.ci_wake_ns)
             if most > profile.app_msg_limit:
-                text = f"up to {most} of 0x{stream.msg_id:04x} in one CI wake-up; a pipe takes "
-                yield stream, "application pipe", f"{text}{profile.app_msg_limit}"
+                yield stream, "application pipe", most, profile.app_msg_limit
         elif stream.link is Link.SBN and stream.msg_id in leaving and _goes_to(known, stream, instance):
             most = _most_within(known, stream, profile.to_wake_ns)
             limit = profile.to_limits.get(stream.msg_id, profile.to_default_limit)
             if most > limit and known.owner(stream) != instance:
-                text = f"up to {most} of 0x{stream.msg_id:04x} came over SBN in one TO round; its table lets "
-                yield stream, telemetry_output.PIPE, f"{text}{limit} wait"
+                yield stream, telemetry_output.PIPE, most, limit
 
 
 def _most_within(known: Known, stream: Stream, period_ns: int) -> int:

@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.instances import NOBODY
 from edoras_tools.diagnosis.spans import Comb, Span, comb, spans
 from edoras_tools.model import Link
 from edoras_tools.sessions import telemetry_output
-from edoras_tools.sessions.profile import MILLISECOND
+from edoras_tools.sessions.profile import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -77,6 +77,12 @@ class Loss:
     evidence: list[str] = field(default_factory=list)
     comb: Comb | None = None
     sender: str = ""
+
+    @property
+    def offered_hz(self) -> float:
+        """Messages sent a second, those that were lost included; 0 where that is not known."""
+        seconds = (self.end_ns - self.start_ns) / SECOND
+        return (self.of - 1) / seconds if self.of and seconds > 0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +164,7 @@ def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | N
         kind: track.growth(name, *window) if track else 0 for kind, name in COUNTERS.items()
     }
     hop = known.upstream.get(id(stream))
+    ended_ns = span.end_ns
     if hop is not None:
         # What was lost further up is that link's loss: here counts what came in and did not go out.
         due = hop.missing + int(hop.latency.p50 * MILLISECOND if hop.latency else 0)
@@ -168,8 +175,14 @@ def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | N
     else:
         paused = int(stream.missing[span.last]) if stream.pauses[span.last] else 0
         lost = span.missing - paused - _not_routed(known, stream, span)
-        if paused:
-            lost += _behind_pause(known, stream, span, track, paused)
+        behind = _behind_pause(known, stream, span, track, paused) if paused else 0
+        if behind:
+            resumed = int(known.rows.time_ns[stream.rows[span.last + 1]])
+            pace = span.seconds / max(1, span.count + span.missing - paused - 1)
+            # A few fit between the last round and the end; many say that the loss went on.
+            if behind * pace * SECOND > TAIL_NS:
+                ended_ns = min(resumed, span.end_ns + round(behind * pace * SECOND))
+        lost += behind
         # Late arrivals filled some gaps.
         lost -= min(lost, stream.reordered)
         evidence = [f"sequence count: {lost:,} of {span.count + lost:,} never came"]
@@ -189,7 +202,7 @@ def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | N
         lost=lost,
         of=span.count + lost,
         start_ns=span.start_ns,
-        end_ns=span.end_ns,
+        end_ns=ended_ns,
         confidence=confidence,
         evidence=evidence,
         comb=known.rounds(stream, span),
@@ -218,8 +231,7 @@ def _behind_pause(known: Known, stream: Stream, span: Span, track: Track | None,
     connection = known.network.crossing(stream.sender, stream.receiver) if stream.link is Link.SBN else None
     if track is None or (connection and connection.broken_within(span.end_ns, resumed)):
         return 0
-    end_ns = min(span.end_ns + TAIL_NS, resumed)
-    grown = max(track.growth(name, span.end_ns - LEAD_NS, end_ns) for name in COUNTERS.values())
+    grown = max(track.growth(name, span.end_ns - LEAD_NS, resumed) for name in COUNTERS.values())
     return min(paused, grown)
 
 

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.streams import Stream
     from edoras_tools.diagnosis.table import Rows
 
-_LONGEST_NS: Final = 5 * SECOND
-"""No message is under way for longer."""
+_LONGEST_NS: Final = 120 * SECOND
+"""No message is under way for longer: a full socket at CI is read within a minute and a half."""
 _NEWER_NS: Final = SECOND
-"""A newer message that goes on within this time takes the place of an older one."""
+"""Messages that go in so close together reach an application that keeps the newest in one burst."""
 _ALIKE: Final = 0.5
 _LEAST_DIFFERENT: Final = 3
 
@@ -139,17 +139,17 @@ def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went
     sound = delay <= _LONGEST_NS
     goes_row, from_row, delay = goes_row[sound], from_row[sound], delay[sound]
 
-    left = np.full(len(came), np.iinfo(np.int64).max)
-    np.minimum.at(left, from_row, out_ns[goes_row])
-    matched = left < np.iinfo(np.int64).max
+    matched = np.zeros(len(came), bool)
+    matched[from_row] = True
     seen = came != 0
     if len(from_row):
         # Before the first and after the last that came out, the way out may not have been there.
         seen &= (in_ns >= in_ns[from_row.min()]) & (in_ns <= in_ns[from_row.max()])
-    # An application that rewrites keeps the newest: it took an older one's place where it went on in time.
-    next_left = np.minimum.accumulate(left[::-1])[::-1]
-    taken = ~matched & (next_left < np.iinfo(np.int64).max) & (into.msg_id != out.msg_id)
-    taken[taken] = next_left[taken] - in_ns[taken] <= _NEWER_NS
+    # An application that rewrites may keep the newest only: of a burst, the last goes on.
+    never = np.iinfo(np.int64).max
+    next_ns = np.minimum.accumulate(np.where(matched, in_ns, never)[::-1])[::-1]
+    taken = ~matched & (next_ns < never) & (into.msg_id != out.msg_id)
+    taken[taken] = next_ns[taken] - in_ns[taken] <= _NEWER_NS
     values, counts = np.unique(came, return_counts=True)
     single = np.isin(came[from_row], values[counts == 1])
     delay, when = delay[single], out_ns[goes_row][single]

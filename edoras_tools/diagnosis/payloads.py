@@ -139,7 +139,7 @@ class Payloads:
                 read(batch, row, base, _payload(batch, columns, row))
         listed = (columns.sbn_msg_type == sbn.MsgType.SUB) | (columns.sbn_msg_type == sbn.MsgType.UNSUB)
         for row in np.flatnonzero(listed).tolist():
-            self._subscriptions(batch, columns, row, base)
+            self._subscriptions(batch, row, base)
         output = (columns.msg_id == telemetry_output.COMMAND_MSG_ID) & (columns.function_code >= 0)
         for row in np.flatnonzero(output & (columns.link != Link.TO)).tolist():
             self._output(int(columns.function_code[row]), row, base, _payload(batch, columns, row))
@@ -184,7 +184,7 @@ class Payloads:
             )
         )
 
-    def _subscriptions(self, batch: PacketBatch, columns: Columns, row: int, base: int) -> None:
+    def _subscriptions(self, batch: PacketBatch, row: int, base: int) -> None:
         if len(self.subscriptions) >= _MOST:
             return
         start = int(batch.offset[row]) + sbn.HEADER.size

@@ -64,9 +64,9 @@ class Verdict:
     confidence: Confidence = "high"
 
     @property
-    def key(self) -> tuple[str, int | None, str | None, str | None, int]:
-        """What tells a verdict apart from others while a live diagnosis goes on."""
-        return self.rule, self.msg_id, self.link, self.hop, self.start_ns // 1_000_000_000
+    def key(self) -> tuple[str, int | None, str | None, str | None]:
+        """What it is about, whenever it was: spans of one trouble share it."""
+        return self.rule, self.msg_id, self.link, self.hop
 
     def as_json(self) -> dict[str, Any]:
         """Return the verdict in the shape of ``doctor --json``."""

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Protocol
 
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
-from edoras_tools.errors import EdorasError
+from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.sessions.profile import SimProfile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.sessions.profile import SimProfile
     from edoras_tools.sources import Source
 
 
@@ -100,6 +101,31 @@ def examine(
     finally:
         source.close()
     return Findings(examination.diagnose(_capture(source)), source, failure, interrupted)
+
+
+def profile_with(constants: Sequence[str]) -> SimProfile:
+    """Return the constants of cFS with some of them replaced.
+
+    Args:
+        constants: ``NAME=VALUE`` each, whole numbers.
+
+    Raises:
+        ConfigError: there is no such constant, or it cannot have that value.
+    """
+    profile = SimProfile()
+    known = {item.name for item in fields(profile) if type(getattr(profile, item.name)) is int}
+    changes: dict[str, Any] = {}
+    for text in constants:
+        name, _, value = text.partition("=")
+        if name not in known:
+            near = get_close_matches(name, sorted(known), 1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(known))}"
+            raise ConfigError(f"constant {name!r} is not known; {hint}")
+        try:
+            changes[name] = int(value, 0)
+        except ValueError:
+            raise ConfigError(f"constant {text!r}: {value!r} is no whole number; write {name}=8") from None
+    return replace(profile, **changes)
 
 
 def _capture(source: Source) -> Capture:

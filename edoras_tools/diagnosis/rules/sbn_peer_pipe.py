@@ -32,7 +32,7 @@ def _verdict(case: Case, loss: Loss) -> Verdict:
         limit, period = rounds.most, rounds.period_ns
         evidence.append(f"at most {limit} came in one round, every {period / 1e6:.1f} ms")
     rate = limit * SECOND / period
-    offered = f"published at {loss.span.offered_hz:.0f}/s, " if loss.span and loss.span.offered_hz else ""
+    offered = f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
     of = f" of {loss.of:,}" if loss.of else ""
     return Verdict(
         ID,

@@ -43,7 +43,7 @@ def _verdict(case: Case, link: Link, msg_id: int, members: NDArray[np.intp], of:
     told = f"{claimed:,}" if claimed < 1 << 24 else "millions"
     evidence = [
         (
-            f"packet {rows.number[first]} at {case.at(start_ns)}: {rows.packet_length[first]} bytes with room "
+            f"packet {rows.number[first]} at {case.at(start_ns)}: {rows.packet_length[first]} bytes, room "
             f"for {held} of CDR; its envelope claims {told}"
         )
     ]

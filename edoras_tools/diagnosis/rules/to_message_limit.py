@@ -28,7 +28,7 @@ def judge(case: Case) -> Iterator[Verdict]:
 def _verdict(case: Case, loss: Loss) -> Verdict:
     limit, period, measured = clean(case, loss)
     rate = limit * SECOND / period
-    offered = f"published at {loss.span.offered_hz:.0f}/s, " if loss.span and loss.span.offered_hz else ""
+    offered = f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
     of = f" of {loss.of:,}" if loss.of else ""
     reason = (
         f"{loss.lost:,}{of} messages on {case.name(loss.msg_id)} lost at {loss.hop}: {offered}{limit} of "

@@ -41,7 +41,7 @@ def _together(loss: Loss, other: Loss) -> bool:
 
 def _verdict(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
     profile = case.profile
-    offered = f"published at {loss.span.offered_hz:.0f}/s, " if loss.span and loss.span.offered_hz else ""
+    offered = f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
     of = f" of {loss.of:,}" if loss.of else ""
     room = profile.to_pipe_depth * 1e9 / profile.to_wake_ns
     reason = (

@@ -21,7 +21,7 @@ def judge(case: Case) -> Iterator[Verdict]:
         if loss.kind != "unknown" or loss.stream is None:
             continue
         clean, pipe, why = limit(loss.stream.link, loss.msg_id, case.profile, to_cfs=False)
-        offered = loss.span.offered_hz if loss.span else 0.0
+        offered = loss.offered_hz
         evidence = list(loss.evidence)
         if offered > clean:
             evidence.append(

@@ -1,0 +1,306 @@
+"""What the doctor says, for people: verdicts with their evidence, then the accounts they rest on."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, Final
+
+from rich.console import Group
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from edoras_tools.diagnosis.verdict import Severity as Grade
+from edoras_tools.render import palette, units
+from edoras_tools.render.info import link_of, msg_id_of, name_of
+from edoras_tools.render.severity import Severity
+from edoras_tools.render.table import Column, build, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from rich.console import RenderableType
+
+    from edoras_tools.diagnosis.budget import Budget
+    from edoras_tools.diagnosis.comparison import Comparison
+    from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.diagnosis.verdict import Verdict
+
+_STYLES: Final = {Grade.ERROR: Severity.ERROR, Grade.WARNING: Severity.WARNING, Grade.NOTE: Severity.NOTE}
+_MOST_SPANS: Final = 24
+_STATES: Final = {
+    "connected": "green",
+    "silent": "yellow",
+    "timed_out": "bold red",
+    "disconnected": "yellow",
+}
+
+
+def diagnosis(found: Diagnosis, name: str, width: int) -> RenderableType:
+    """Return the whole view: verdicts first.
+
+    Args:
+        found: what the doctor found.
+        name: of the source.
+        width: of the terminal.
+    """
+    parts: list[RenderableType] = [_head(found, name), Text()]
+    ordered = sorted(found.verdicts, key=_order)
+    for _, group in groupby(ordered, key=_order):
+        parts += [_verdict(found, list(group)), Text()]
+    if found.routes:
+        parts += [_routes(found.routes, width), Text()]
+    if found.peers:
+        parts += [_peers(found), Text()]
+    if found.habits:
+        parts.append(
+            Text("Habits of these senders; nothing is wrong with this link for them", palette.STRONG)
+        )
+        parts += [
+            Padding(Text(item.reason, palette.DIM), (0, 0, 0, 2), expand=False) for item in found.habits
+        ]
+        parts.append(Text())
+    parts.append(_conclusion(found))
+    return Group(*parts)
+
+
+def _order(verdict: Verdict) -> tuple[Any, ...]:
+    """Put the gravest first, and spans of one trouble together."""
+    return (
+        -verdict.severity,
+        verdict.rule != "capture_drops",
+        verdict.lost is None,
+        verdict.rule,
+        verdict.link or "",
+        verdict.msg_id if verdict.msg_id is not None else -1,
+        verdict.hop or "",
+        0 if _is_span(verdict) else id(verdict),
+    )
+
+
+def _is_span(verdict: Verdict) -> bool:
+    """Tell whether a verdict is one span of several that one table can show."""
+    return (
+        verdict.lost is not None and verdict.rule != "bad_command" and "network_message" not in verdict.rule
+    )
+
+
+def _head(found: Diagnosis, name: str) -> Text:
+    line = Text.assemble(plain(name, palette.STRONG), f"  {units.plural(found.datagrams, 'datagram')}")
+    if found.datagrams:
+        seconds = (found.end_ns - found.start_ns) / 1e9
+        line.append(f" over {units.duration(seconds)}, from {units.utc(found.start_ns, digits=3)} UTC")
+    return line
+
+
+def _verdict(found: Diagnosis, group: Sequence[Verdict]) -> RenderableType:
+    """Return one trouble: its worst span in full, all of its spans in a table."""
+    worst = max(group, key=lambda item: item.lost or 0)
+    grade = _STYLES[worst.severity]
+    title = Text.assemble((f"{grade.mark} {worst.rule}", grade.style))
+    if len(group) == 1:
+        title.append(f"  {_when(found, worst)}, confidence {worst.confidence}", palette.DIM)
+    else:
+        lost, of = sum(item.lost or 0 for item in group), sum(item.of or 0 for item in group)
+        title.append(f"  {len(group)} spans of time, {lost:,} of {of:,} in all", palette.DIM)
+    body: list[RenderableType] = [plain(worst.reason, palette.STRONG)]
+    if len(group) > 1:
+        body.append(_spans(found, group))
+    body += [Text.assemble(("· ", palette.DIM), plain(line)) for line in worst.evidence]
+    if worst.remedy:
+        body.append(Text.assemble(("→ ", "green"), plain(worst.remedy)))
+    return Group(title, *(Padding(item, (0, 0, 0, 2), expand=False) for item in body))
+
+
+def _when(found: Diagnosis, verdict: Verdict) -> str:
+    start, end = ((time_ns - found.start_ns) / 1e9 for time_ns in (verdict.start_ns, verdict.end_ns))
+    return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
+
+
+def _spans(found: Diagnosis, group: Sequence[Verdict]) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.DIM)
+    for title in ("when", "lost", "of", "", "sent at", "confidence"):
+        table.add_column(title, justify="left" if title in {"when", "confidence"} else "right", no_wrap=True)
+    ordered = sorted(group, key=lambda item: item.start_ns)
+    for item in ordered[:_MOST_SPANS]:
+        share = f"{100 * (item.lost or 0) / item.of:.0f}%" if item.of else ""
+        seconds = (item.end_ns - item.start_ns) / 1e9
+        rate = units.rate(item.of / seconds) if item.of and seconds > 0 else units.NONE
+        cells = (units.count(item.lost), units.count(item.of), share, rate, item.confidence)
+        table.add_row(_when(found, item), *cells)
+    if len(ordered) > _MOST_SPANS:
+        table.add_row(f"... {len(ordered) - _MOST_SPANS} more")
+    return table
+
+
+def _ms(value: Mapping[str, Any] | None, key: str) -> Text:
+    return Text(units.milliseconds(value[key]) if value else "")
+
+
+def _latency(row: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the latency that says most: across cFS where it is known, else since publication."""
+    crossing = next((item["latency"] for item in row["crossings"] if item["latency"]), None)
+    latency: Mapping[str, Any] | None = crossing or row["delay"]
+    return latency
+
+
+def _lost(row: Mapping[str, Any]) -> Text:
+    return Text(units.count(row["lost"]), Severity.ERROR.style if row["lost"] else palette.DIM)
+
+
+def _from(row: Mapping[str, Any]) -> Text:
+    return plain(", ".join(f"{item['from_link'].upper()} {item['from']}" for item in row["crossings"]))
+
+
+_COLUMNS: Final = (
+    Column("Link", link_of, justify="left"),
+    Column("MsgId", msg_id_of, justify="left"),
+    Column("Topic", name_of, justify="left", elastic=True),
+    Column("Sent", lambda row: Text(units.count(row["sent"]))),
+    Column("Lost", _lost),
+    Column("Rate", lambda row: Text(units.rate(row["rate_hz"] or None)), rank=1),
+    Column("Clean to", lambda row: Text(units.rate(row["limit_hz"])), rank=1),
+    Column("p50", lambda row: _ms(_latency(row), "p50_ms"), rank=2),
+    Column("p99", lambda row: _ms(_latency(row), "p99_ms"), rank=2),
+    Column("max", lambda row: _ms(_latency(row), "max_ms"), rank=3),
+    Column(
+        "In rounds of", lambda row: Text(units.milliseconds(row["comb_ms"]) if row["comb_ms"] else ""), rank=3
+    ),
+    Column("Came in as", _from, rank=4, justify="left"),
+    Column("Bytes", lambda row: Text(units.count(row["bytes_max"])), rank=5),
+)
+
+
+def _routes(rows: Sequence[Mapping[str, Any]], width: int) -> Table:
+    return build(_COLUMNS, rows, width, apart=lambda row: "topic" if row.get("topic") else row.get("link"))
+
+
+def _peers(found: Diagnosis) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
+    table.add_column("SBN peer", no_wrap=True)
+    table.add_column("seen by", no_wrap=True)
+    table.add_column("")
+    for row in found.peers:
+        line = Text()
+        for change in row["states"]:
+            state = change["state"]
+            at = (change["time_ns"] - found.start_ns) / 1e9
+            line.append(f"{at:.1f} s ", palette.DIM).append(state.replace("_", " "), _STATES[state]).append(
+                "  "
+            )
+        table.add_row(row["peer"], row["observer"], line)
+    return table
+
+
+def _conclusion(found: Diagnosis) -> Text:
+    if found.lost:
+        return Text(f"Lost: {units.plural(found.lost, 'message')}.", Severity.ERROR.style)
+    if any(item.severity >= Grade.WARNING for item in found.verdicts):
+        return Text("No loss found; see the warnings above.", Severity.WARNING.style)
+    return Text("No loss, nothing wrong." if found.datagrams else "No traffic of CI, TO or SBN.", "green")
+
+
+def verdict_table(found: Diagnosis, title: str, height: int) -> RenderableType:
+    """Return the table that a live diagnosis keeps current.
+
+    Args:
+        found: the diagnosis as it is.
+        title: what is watched.
+        height: lines of the terminal.
+    """
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
+    for head, side in (
+        ("", "left"),
+        ("Lost", "right"),
+        ("Of", "right"),
+        ("Since", "right"),
+        ("Verdict", "left"),
+    ):
+        table.add_column(head, justify="right" if side == "right" else "left", no_wrap=head != "Verdict")
+    merged = merge(found.verdicts)
+    for item in merged[: max(3, (height - 4) // 2)]:
+        grade = _STYLES[item.severity]
+        since = f"{(item.start_ns - found.start_ns) / 1e9:.0f} s"
+        lost = units.count(item.lost) if item.lost is not None else ""
+        of = units.count(item.of) if item.of is not None else ""
+        table.add_row(Text(grade.mark, grade.style), lost, of, since, plain(item.reason))
+    quiet = Text("nothing wrong so far", "green")
+    return Group(_head(found, title), table if merged else quiet, _conclusion(found))
+
+
+def merge(verdicts: Sequence[Verdict]) -> list[Verdict]:
+    """Return one verdict for each trouble: the last of its spans, with the losses of all."""
+    from dataclasses import replace
+
+    found: dict[tuple[Any, ...], Verdict] = {}
+    for item in verdicts:
+        known = found.get(item.key)
+        if known is None:
+            found[item.key] = item
+            continue
+        last = max(known, item, key=lambda verdict: verdict.end_ns)
+        lost = (known.lost or 0) + (item.lost or 0) if known.lost or item.lost else None
+        of = (known.of or 0) + (item.of or 0) if known.of or item.of else None
+        found[item.key] = replace(last, start_ns=min(known.start_ns, item.start_ns), lost=lost, of=of)
+    return list(found.values())
+
+
+def one_line(verdict: Verdict) -> str:
+    """Return a verdict in a line, for logs."""
+    return f"{verdict.severity.label}: {verdict.rule}: {verdict.reason}"
+
+
+_BUDGET: Final = (
+    Column("Link", link_of, justify="left"),
+    Column("MsgId", msg_id_of, justify="left"),
+    Column("Topic", name_of, justify="left", elastic=True),
+    Column("Clean to", lambda row: Text(units.rate(row["limit_hz"] or None), palette.STRONG)),
+    Column("Bytes", lambda row: Text(units.count(row["bytes"]))),
+    Column("Where", lambda row: plain(row["hop"]), rank=1, justify="left"),
+    Column("Why", lambda row: plain(row["reason"]), rank=2, justify="left"),
+)
+
+
+def budgets(found: Sequence[Budget], width: int) -> RenderableType:
+    """Return the table of what every route can carry."""
+    rows = [item.as_json() for item in found]
+    parts: list[RenderableType] = [build(_BUDGET, rows, width, apart=lambda row: row["link"])]
+    parts += [
+        Text.assemble(
+            (f"{Severity.WARNING.mark} ", Severity.WARNING.style), plain(f"{item.route.topic}: {trap}")
+        )
+        for item in found
+        for trap in item.traps
+    ]
+    return Group(*parts)
+
+
+_DIFF: Final = (
+    Column("Link", link_of, justify="left"),
+    Column("MsgId", msg_id_of, justify="left"),
+    Column("Topic", name_of, justify="left", elastic=True),
+    Column("First", lambda row: Text(units.count(row["first"]))),
+    Column("Second", lambda row: Text(units.count(row["second"]))),
+    Column("Same", lambda row: Text(units.count(row["same"]))),
+    Column("Lost", _lost),
+    Column("Extra", lambda row: Text(units.count(row["extra"])), rank=1),
+    Column("Altered", lambda row: Text(units.count(row["altered"])), rank=1),
+    Column("Late", lambda row: Text(units.count(row["late"])), rank=1),
+    Column("p50", lambda row: _ms(row["latency"], "p50_ms"), rank=2),
+    Column("p99", lambda row: _ms(row["latency"], "p99_ms"), rank=2),
+    Column("max", lambda row: _ms(row["latency"], "max_ms"), rank=3),
+)
+
+
+def comparison(found: Comparison, width: int) -> RenderableType:
+    """Return the table that holds one capture against another."""
+    rows = found.as_json()["routes"]
+    offset = f"clocks differ by {units.milliseconds(found.offset_ns / 1e6)}; latencies are beyond that"
+    lost = sum(row["lost"] for row in rows)
+    end = (
+        f"Lost between the two: {units.plural(lost, 'message')}." if lost else "Nothing lost between the two."
+    )
+    style = Severity.ERROR.style if lost else "green"
+    return Group(
+        Text(offset, palette.DIM), build(_DIFF, rows, width, apart=lambda row: row["link"]), Text(end, style)
+    )
