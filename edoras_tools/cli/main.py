@@ -16,12 +16,14 @@ import typer
 from edoras_tools import __version__
 from edoras_tools.cli.decode import decode
 from edoras_tools.cli.demo import demo
+from edoras_tools.cli.doctor import doctor
 from edoras_tools.cli.info import info
 from edoras_tools.cli.inject import inject
 from edoras_tools.cli.proxy import proxy as proxy_command
 from edoras_tools.cli.record import record as record_command
 from edoras_tools.cli.recover import recover
 from edoras_tools.cli.replay import replay as replay_command
+from edoras_tools.cli.report import report
 from edoras_tools.cli.sim import sim
 from edoras_tools.cli.sniff import sniff as sniff_command
 from edoras_tools.cli.sweep import sweep
@@ -52,6 +54,8 @@ for command in (
     inject,
     sweep,
     proxy_command,
+    doctor,
+    report,
     sim,
 ):
     app.command()(command)
