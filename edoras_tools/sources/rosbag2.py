@@ -6,7 +6,7 @@ What is read is the CDR that was recorded, not decoded: it goes into a space pac
 from __future__ import annotations
 
 import sqlite3
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,6 +15,8 @@ from edoras_tools.errors import CaptureError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
+
+    from mcap.reader import McapReader
 
 _SQLITE = b"SQLite format 3\0"
 _MCAP = b"\x89MCAP0\r\n"
@@ -122,16 +124,31 @@ def _kind(path: Path) -> str:
 
 
 def _mcap_topics(path: Path) -> dict[str, str]:
-    return {topic: name for topic, name, _, _ in _mcap_records(path, None)}
+    with _readable(path) as reader:
+        summary = reader.get_summary()
+        if summary is not None and summary.channels:
+            pairs = [
+                (summary.schemas.get(channel.schema_id), channel) for channel in summary.channels.values()
+            ]
+        else:
+            pairs = [(schema, channel) for schema, channel, _ in reader.iter_messages()]
+        return {
+            channel.topic: schema.name
+            for schema, channel in pairs
+            if channel.message_encoding == _CDR and schema is not None
+        }
 
 
 def _mcap(path: Path, topics: Collection[str]) -> Iterator[RecordedMessage]:
-    for topic, name, time_ns, data in _mcap_records(path, topics):
-        yield RecordedMessage(time_ns, topic, name, data)
+    with _readable(path) as reader:
+        for schema, channel, message in reader.iter_messages(topics):
+            if channel.message_encoding == _CDR and schema is not None:
+                yield RecordedMessage(message.log_time, channel.topic, schema.name, message.data)
 
 
-def _mcap_records(path: Path, topics: Collection[str] | None) -> Iterator[tuple[str, str, int, bytes]]:
-    """Yield (topic, type, time, CDR) of messages; of channels alone, without a message, for topics None."""
+@contextmanager
+def _readable(path: Path) -> Iterator[McapReader]:
+    """Give a reader; what it stumbles over becomes one clear line."""
     import struct
 
     from mcap.exceptions import McapError
@@ -139,18 +156,7 @@ def _mcap_records(path: Path, topics: Collection[str] | None) -> Iterator[tuple[
 
     try:
         with path.open("rb") as file:
-            reader = make_reader(file)
-            if topics is None:
-                summary = reader.get_summary()
-                if summary is not None and summary.channels:
-                    for channel in summary.channels.values():
-                        schema = summary.schemas.get(channel.schema_id)
-                        if channel.message_encoding == _CDR and schema is not None:
-                            yield channel.topic, schema.name, 0, b""
-                    return
-            for schema, channel, message in reader.iter_messages(topics):
-                if channel.message_encoding == _CDR and schema is not None:
-                    yield channel.topic, schema.name, message.log_time, message.data
+            yield make_reader(file)
     except (McapError, OSError, struct.error, ValueError, RuntimeError) as error:
         raise CaptureError(f"{path}: is damaged or cut off: {str(error) or type(error).__name__}") from None
 
