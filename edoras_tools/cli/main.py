@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import os
 import sys
@@ -152,7 +151,7 @@ def _start(program: typer.Typer) -> NoReturn:
         run(program)
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 0
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             sys.stdout.flush()
             sys.stderr.flush()
         os._exit(code)

@@ -79,9 +79,9 @@ def record(
     if json:
         from edoras_tools.cli.output import print_json
 
-        print_json({**report.summary(), "output": str(path)})
+        print_json({**report.summary(), "outputs": [str(item) for item in report.outputs]})
     elif not quiet:
         from edoras_tools.render.watch import recorded
 
-        sys.stderr.write(recorded(report.summary(), path) + "\n")
+        sys.stderr.write(recorded(report.summary(), report.outputs) + "\n")
     finish(report, live=live)

@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 
 from edoras_tools.model import NO_MSG_ID, Finding, Link
-from edoras_tools.sessions.sequence import MODULUS, SequenceTracker
+from edoras_tools.sessions.sequence import SequenceTracker, runs
 from edoras_tools.wire.names import message_name
 from edoras_tools.wire.order import order_by
 
@@ -188,21 +188,14 @@ class Ledger:
         if turns.any():
             again = np.lexsort((sender, stream))
             rows, stream, sender = rows[again], stream[again], sender[again]
-        sequence = columns.sequence_count[rows].astype(np.int64)
         changes = (stream[1:] != stream[:-1]) | (sender[1:] != sender[:-1])
         begins = np.append(0, np.flatnonzero(changes) + 1)
-        ends = np.append(begins[1:], len(stream)) - 1
-        flows = list(zip(stream[begins].tolist(), sender[begins].tolist(), strict=True))
-        breaks = np.diff(sequence) & (MODULUS - 1) != 1
-        breaks[ends[:-1]] = True
-        firsts = np.append(0, np.flatnonzero(breaks) + 1)
-        runs = np.stack(
-            (sequence[firsts], sequence[np.append(firsts[1:], len(sequence)) - 1]), axis=1
-        ).tolist()
-        owners = np.searchsorted(begins, firsts, side="right") - 1
-        for owner, (first, last) in zip(owners.tolist(), runs, strict=True):
-            index, endpoint = flows[owner]
-            accounts[index].sequences[endpoint].follow(first, last)
+        trackers = [
+            accounts[index].sequences[endpoint]
+            for index, endpoint in zip(stream[begins].tolist(), sender[begins].tolist(), strict=True)
+        ]
+        for owner, _, first, last in runs(columns.sequence_count[rows], begins):
+            trackers[owner].follow(first, last)
 
     def routes(self) -> list[dict[str, Any]]:
         """Return a row for every stream, in the shape of ``info --json``: configured topics first."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from edoras_tools.errors import CaptureError, ConfigError, EdorasError
@@ -11,7 +11,7 @@ from edoras_tools.pipelines.interrupt import interruptible
 from edoras_tools.pipelines.selection import Selection
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from edoras_tools.model import Columns, PacketBatch
@@ -56,12 +56,14 @@ class Report:
         ledger: counts by route.
         source: the source, for its statistics.
         interrupted: ended by Ctrl-C.
+        outputs: the files that were written, or the rosbag2 directory.
         failure: why the source ended early, if it did; all before it is written.
     """
 
     ledger: Ledger
     source: Source
     interrupted: bool = False
+    outputs: list[Path] = field(default_factory=list)
     failure: EdorasError | None = None
 
     @property
@@ -180,7 +182,7 @@ def record(
     began = flushed = clock()
     try:
         with interruptible(source) as (batches, asked):
-            for batch in batches:
+            for batch in _until_failure(batches, report):
                 if len(batch):
                     columns = bench.columns.decode(batch)
                     chosen, columns = selection.apply(batch, columns, bench.mission)
@@ -201,9 +203,16 @@ def record(
                 if full or (duration_ns and now - began >= duration_ns):
                     break
             report.interrupted = asked.is_set()
-    except CaptureError as error:
-        report.failure = error
     finally:
         source.close()
         sink.close(source.statistics)
+    report.outputs = [file.path for file in getattr(sink, "files", ())] or [target.path]
     return report
+
+
+def _until_failure(batches: Iterator[PacketBatch], report: Report) -> Iterator[PacketBatch]:
+    """Yield batches; a source that ends early ends them, and the report says why."""
+    try:
+        yield from batches
+    except CaptureError as error:
+        report.failure = error

@@ -11,7 +11,7 @@ from edoras_tools.render.terminal import look
 from edoras_tools.render.text import clean
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
@@ -78,12 +78,12 @@ def watcher(
     return LiveTable(title, console=error_console(), output=output)
 
 
-def recorded(summary: Mapping[str, Any], path: Path) -> str:
+def recorded(summary: Mapping[str, Any], outputs: Sequence[Path]) -> str:
     """Return the line that says what a recording holds.
 
     Args:
         summary: in the shape of ``info --json``.
-        path: the file or directory written.
+        outputs: the files or the directory written, at least one.
     """
     topics = [row for row in summary.get("routes", ()) if row.get("topic")]
     messages = sum(row.get("count", 0) for row in topics)
@@ -91,10 +91,11 @@ def recorded(summary: Mapping[str, Any], path: Path) -> str:
     if summary.get("datagrams"):
         words[0] += f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}"
     words.append(f"{units.plural(messages, 'message')} on {units.plural(len(topics), 'topic')}")
-    written = size_of(path)
+    written = sum(map(size_of, outputs))
     if written:
         words.append(units.size(written))
-    return f"{clean(str(path))}: {', '.join(words)}"
+    name = str(outputs[0]) if len(outputs) == 1 else f"{outputs[0]} to {outputs[-1].name}"
+    return f"{clean(name)}: {', '.join(words)}"
 
 
 def size_of(path: Path) -> int:

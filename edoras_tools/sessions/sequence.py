@@ -8,7 +8,14 @@ at every packet. So a stream is followed as strands: a packet belongs to the str
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
 
 MODULUS: Final = 1 << 14
 """CCSDS 133.0-B 4.1.3.4.3: the packet sequence count has 14 bits."""
@@ -110,3 +117,24 @@ class SequenceTracker:
         strand = _Strand(0, lone=lone)
         self._strands = [strand, *self._strands[: _MOST_STRANDS - 1]]
         return strand
+
+
+def runs(counts: NDArray[np.uint16], begins: NDArray[np.integer]) -> Iterator[tuple[int, int, int, int]]:
+    """Yield the runs of counts that go up by one: what ``SequenceTracker.follow`` takes.
+
+    Args:
+        counts: u16 (n,), of at least one packet; those of one stream side by side, in the order they came.
+        begins: where each stream begins, increasing, 0 first.
+
+    Yields:
+        the stream's place in ``begins``, the run's first packet, and its first and last count.
+    """
+    counts = counts.astype(np.int64)
+    breaks = np.diff(counts) & (MODULUS - 1) != 1
+    breaks[begins[1:] - 1] = True
+    firsts = np.append(0, np.flatnonzero(breaks) + 1)
+    lasts = np.append(firsts[1:], len(counts)) - 1
+    owners = np.searchsorted(begins, firsts, side="right") - 1
+    yield from zip(
+        owners.tolist(), firsts.tolist(), counts[firsts].tolist(), counts[lasts].tolist(), strict=True
+    )

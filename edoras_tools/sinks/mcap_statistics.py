@@ -133,8 +133,9 @@ class LinkStatistics:
         stamp(heads, time_ns)
         heads["rate_hz"] = groups["count"]
         heads["kernel_drops"] = self._statistics.kernel_drops if self._statistics else 0
-        for name in ("bytes", "count", "gaps", "largest"):
+        for name in ("bytes", "count", "largest"):
             heads[name] = groups[name]
+        heads["gaps"] = np.maximum(groups["gaps"], 0)
         heads["link"] = groups["flow"] >> _MSG_ID_BITS
         heads["msg_id"] = (groups["flow"] & _MSG_ID_MASK) - 1
         heads["topic_length"] = length[which]

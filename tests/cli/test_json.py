@@ -107,7 +107,7 @@ def test_record_reports_as_info_does_and_names_its_output(call, captures, missio
     done = call("record", "--json", "-r", *options, "-o", tmp_path / "x.mcap")
     report = done.json()
     check_report(report)
-    assert report.pop("output") == str(tmp_path / "x.mcap")
+    assert report.pop("outputs") == [str(tmp_path / "x.mcap")]
     assert {name: report[name] for name in said} == said
     assert done.err == []
 

@@ -125,11 +125,10 @@ def test_the_end_of_a_cut_source_is_told_after_all_was_written(bench, batches, m
 
 def test_an_output_that_fails_ends_the_recording(bench, batches, made_up, sink):
     opened, source = sink(fail_at=2), made_up(batches)
-    report = record(source, bench, TARGET, clock=lambda: 0)
+    with pytest.raises(CaptureError, match="No space left"):
+        record(source, bench, TARGET, clock=lambda: 0)
     assert opened.done == [100, 100, "close"]
-    assert "No space left" in str(report.failure)
     assert source.closed
-    assert report.ledger.datagrams == 200
 
 
 def test_losses_are_exit_code_3(bench, batches, made_up, sink, capsys):

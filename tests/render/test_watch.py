@@ -42,16 +42,16 @@ def test_no_terminal_shows_nothing(monkeypatch):
 def test_recorded_says_what_the_file_holds(summary, tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(bytes(13_000_000))
-    said = watch.recorded(summary, path)
+    said = watch.recorded(summary, [path])
     assert said == f"{path}: 1,827 datagrams over 65.3 s, 663 messages on 2 topics, 12.4 MiB"
 
 
 def test_recorded_counts_a_directory_and_bears_an_empty_one(summary, tmp_path):
     (tmp_path / "metadata.yaml").write_bytes(bytes(1000))
     (tmp_path / "a.db3").write_bytes(bytes(1048))
-    assert watch.recorded(summary, tmp_path).endswith(", 2.0 KiB")
+    assert watch.recorded(summary, [tmp_path]).endswith(", 2.0 KiB")
     nothing = {"datagrams": 0, "routes": []}
     assert (
-        watch.recorded(nothing, tmp_path / "gone")
+        watch.recorded(nothing, [tmp_path / "gone"])
         == f"{tmp_path / 'gone'}: 0 datagrams, 0 messages on 0 topics"
     )

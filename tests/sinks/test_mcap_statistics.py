@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edoras_tools.model import Finding, Link, SourceStatistics
+from edoras_tools.sessions.sequence import SequenceTracker
 from edoras_tools.sinks.mcap_rows import RECORD_BYTES
 from edoras_tools.sinks.mcap_statistics import LinkStatistics
 
@@ -32,7 +33,7 @@ def decode(types, messages):
 def expected(batch, columns, routes):
     """What each second amounts to, a datagram at a time; in order of second, link and MsgId."""
     groups = defaultdict(lambda: {"count": 0, "bytes": 0, "largest": 0, "gaps": 0})
-    last, second = {}, 0
+    senders, second = defaultdict(SequenceTracker), 0
     for row in range(len(batch)):
         link, msg_id = int(columns.link[row]), int(columns.msg_id[row])
         second = max(second, int(batch.time_ns[row] - batch.time_ns[0]) // SECOND)
@@ -42,13 +43,17 @@ def expected(batch, columns, routes):
         group["bytes"] += size
         group["largest"] = max(group["largest"], size)
         if msg_id >= 0 and not columns.findings[row] & Finding.SEQUENCE_UNSET:
-            flow, count = (link, msg_id, int(columns.processor_id[row])), int(columns.sequence_count[row])
-            step = (count - last.get(flow, count - 1)) % 16384
-            group["gaps"] += step - 1 if 1 < step < 8192 else 0
-            last[flow] = count
+            sender, count = (
+                senders[link, msg_id, int(columns.processor_id[row])],
+                int(columns.sequence_count[row]),
+            )
+            before = sender.gaps
+            sender.follow(count, count)
+            group["gaps"] += sender.gaps - before
     for (_, link, msg_id), group in sorted(groups.items()):
         label = Link(link).label
-        other = f"{label}/0x{msg_id:04X}" if msg_id >= 0 else label
+        other = f"{label}/0x{msg_id:04x}" if msg_id >= 0 else label
+        group["gaps"] = max(group["gaps"], 0)
         yield {"link": link, "msg_id": msg_id, "topic": routes.get((link, msg_id), other), **group}
 
 
