@@ -172,6 +172,11 @@ def record() -> NoReturn:
     _start(_alone(record_command, "edoras-record"))
 
 
+def replay() -> NoReturn:
+    """Run ``edoras-replay``."""
+    _start(_alone(replay_command, "edoras-replay"))
+
+
 def proxy() -> NoReturn:
     """Run ``edoras-proxy``."""
     _start(_alone(proxy_command, "edoras-proxy"))

@@ -1,0 +1,368 @@
+"""Replay and inject as people run them; loopback only, on ports that are free."""
+
+import json
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+
+from edoras_tools.sessions.profile import SbnPeerConfig, SimProfile
+from edoras_tools.sim import Simulation, serve
+from edoras_tools.wire import sbn
+
+HOST = "127.0.0.1"
+TWIST = bytes.fromhex("1827")
+
+
+def ports(count):
+    opened = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for item in opened:
+        item.bind((HOST, 0))
+    found = [item.getsockname()[1] for item in opened]
+    for item in opened:
+        item.close()
+    return found
+
+
+@pytest.fixture
+def receiver():
+    """Somebody who listens: its port, and all that came so far."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 << 20)
+        opened.bind((HOST, 0))
+
+        def take():
+            found = []
+            while True:
+                try:
+                    found.append(opened.recv(65536, socket.MSG_DONTWAIT))
+                except BlockingIOError:
+                    return found
+
+        yield f"{HOST}:{opened.getsockname()[1]}", take
+
+
+@pytest.fixture
+def flight_side():
+    """A function: an emulated cFS on free ports, in a thread; gives the simulation and the ports."""
+    stops = []
+
+    def run(scenario):
+        ci, to, own, peer = ports(4)
+        profile = replace(
+            SimProfile(),
+            ci_port=ci,
+            to_port=to,
+            sbn_port=own,
+            sbn_peers=(SbnPeerConfig(sbn.Peer(0x42, 3), peer),),
+        )
+        simulation = Simulation(profile, scenario, bridges=False)
+        for _ in simulation.run(3 * 10**9):
+            pass
+        stop, ready = threading.Event(), threading.Event()
+        thread = threading.Thread(target=serve, args=(simulation, HOST, 60, stop, ready.set))
+        thread.start()
+        assert ready.wait(10)
+        stops.append((stop, thread))
+        return simulation
+
+    yield run
+    for stop, thread in stops:
+        stop.set()
+        thread.join(10)
+
+
+def commands(datagrams, path):
+    return [item.payload for item in datagrams(path) if item.destination == 1234]
+
+
+FAST = ("--max", "--no-listen")
+
+
+def test_every_byte_of_every_command(call, captures, datagrams, receiver):
+    target, take = receiver
+    done = call("replay", captures("a_rover"), "--to", "ci", "--target", target, *FAST, "--json")
+    wanted = commands(datagrams, captures("a_rover"))
+    assert take() == wanted
+    report = done.json()
+    assert done.code == 0
+    assert (report["sent"], report["send_errors"], report["rate_asked_hz"]) == (601, 0, None)
+    assert report["lateness_us"] == {"p50": None, "p99": None, "max": None}
+    assert report["rate_achieved_hz"] > 0
+    assert report["seen"] == {"events": [], "counters": {}, "telemetry": [], "sbn": {}}
+
+
+@pytest.mark.parametrize("through", ["x.mcap", "x.pcapng"])
+def test_a_recording_of_a_capture_sends_the_same(through, call, captures, datagrams, receiver, tmp_path):
+    assert call("record", "-q", "-r", captures("e_ci_errors"), "-o", tmp_path / through).code == 0
+    target, take = receiver
+    call("replay", tmp_path / through, "--to", "ci", "--target", target, *FAST, "-q")
+    assert take() == commands(datagrams, captures("e_ci_errors"))
+
+
+def test_pace_and_report(call, captures, receiver):
+    target, take = receiver
+    options = ["--rate", "200", "-n", "101", "--loop", "2", "--no-listen", "--json"]
+    done = call("replay", captures("a_rover"), "--to", "ci", "--target", target, *options)
+    report = done.json()
+    assert len(take()) == report["sent"] == 202
+    assert report["rate_asked_hz"] == 200
+    assert report["rate_achieved_hz"] == pytest.approx(200, rel=0.1)
+    assert report["duration_s"] == pytest.approx(1.005, rel=0.1)
+    assert report["lateness_us"]["p50"] <= report["lateness_us"]["p99"] <= report["lateness_us"]["max"]
+
+
+def test_what_is_changed_on_the_way(call, captures, missions, receiver):
+    target, take = receiver
+    options = ["--remap", "0x1827:=0x1829", "--sequence", "count", "--checksum", "fix", "--route", "cmd_vel"]
+    call(
+        *("replay", captures("a_rover"), *missions("rover_ground"), "--to", "ci", "--target", target),
+        *(*options, *FAST, "-q"),
+    )
+    sent = take()
+    assert len(sent) == 600
+    for index, packet in enumerate(sent):
+        assert struct.unpack_from(">HH", packet) == (0x1829, 0xC000 | index)
+        check = 0xFF
+        for octet in packet:
+            check ^= octet
+        assert check == 0
+
+
+def test_messages_of_another_tool(call, captures, missions, receiver, datagrams, tmp_path):
+    bag = tmp_path / "bag"
+    call("record", "-q", "-r", captures("a_rover"), *missions("rover_ground"), "--rosbag2", "-o", bag)
+    target, take = receiver
+    done = call(
+        *("replay", bag, "--from-topics", *missions("rover_ground"), "--to", "ci", "--target", target),
+        *(*FAST, "-q"),
+    )
+    assert done.code == 0
+    wanted = [item for item in commands(datagrams, captures("a_rover")) if item[:2] == TWIST]
+    assert take() == wanted
+
+
+def test_faults_strike_the_same_ones_every_time(call, captures, datagrams, receiver, recording, tmp_path):
+    target, take = receiver
+    rounds = []
+    for name in ("a.mcap", "b.mcap"):
+        done = call(
+            *("replay", captures("a_rover"), "--to", "ci", "--target", target, *FAST, "--json"),
+            *("--fault", "drop:0.2", "--seed", "5", "-o", tmp_path / name),
+        )
+        rounds.append((take(), done.json()["faults"]))
+    assert rounds[0] == rounds[1]
+    sent, faults = rounds[0]
+    assert faults == {"drop": 601 - len(sent)}
+    assert 80 < faults["drop"] < 160
+    counts = recording(tmp_path / "a.mcap").counts
+    assert (counts["/edoras/faults"], counts["/edoras/datagrams"]) == (faults["drop"], len(sent))
+
+
+def test_into_the_emulated_cfs_and_what_comes_back(call, captures, missions, flight_side):
+    simulation = flight_side("rover")
+    profile = simulation.cfs.profile
+    done = call(
+        *("replay", captures("a_rover"), *missions("rover_ground"), "--to", "ci", "--route", "0x1827"),
+        *("--target", f"{HOST}:{profile.ci_port}", "--listen", f"{HOST}:{profile.to_port}"),
+        *("--rate", "40", "-n", "30", "--wait-for", "to-enabled", "--json"),
+    )
+    report = done.json()
+    lost = simulation.cfs.bus.counters.msg_limits
+    assert 0 < lost < 30
+    assert done.code == 3
+    assert report["sent"] == 30
+    assert report["seen"]["counters"]["message_limit_error_counter"]["gained"] == lost
+    told = {event["message"] for event in report["seen"]["events"]}
+    assert "Msg Limit Err,MsgId 0x1827,pipe EDORAS_APP_PIPE,sender CI_LAB_APP" in told
+    assert {row["topic"] for row in report["seen"]["telemetry"]} >= {"/telemetry_pose"}
+
+
+def test_as_a_peer_of_the_emulated_cfs(call, missions, flight_side):
+    simulation = flight_side("two-rovers")
+    profile = simulation.cfs.profile
+    done = call(
+        *("inject", "/robot_1/pose", "{pose: {position: {x: 2}}}", *missions("two_rovers_flight")),
+        *("--target", f"{HOST}:{profile.sbn_port}", "--listen", f"{HOST}:{profile.sbn_peers[0].port}"),
+        *("--hz", "20", "-n", "3", "--linger", "500ms", "--json"),
+    )
+    assert (done.code, done.json()["sent"]) == (0, 3)
+    assert done.json()["seen"]["sbn"].items() >= {"PROTO": 1}.items()
+    until = time.monotonic() + 10
+    while time.monotonic() < until:
+        told = [text.partition("SBN ")[2] for _, text in list(simulation.cfs.console) if "66:3" in text]
+        if "5: Disconnected from peer 66:3." in told:
+            break
+        time.sleep(0.05)
+    assert told[-1] == "5: Disconnected from peer 66:3."
+    assert "5: Peer 66:3 connected." in told
+
+
+def test_a_dry_run_sends_nothing(call, captures, receiver):
+    target, take = receiver
+    done = call("replay", captures("a_rover"), "--to", "ci", "--target", target, "--dry-run", "--json")
+    assert (done.code, done.json()["datagrams"], take()) == (0, 601, [])
+    text = call("replay", captures("a_rover"), "--to", "ci", "--target", target, "--dry-run")
+    assert f"601 datagrams to ci at {target}" in text.out
+
+
+def test_another_machine_is_not_sent_to_without_a_yes(call, captures):
+    for command in (["replay", captures("a_rover"), "--to", "ci"], ["inject", "noop", "ci"]):
+        done = call(*command, "--target", "192.0.2.1:1234")
+        assert (done.code, len(done.err)) == (2, 1)
+        assert "192.0.2.1:1234 is not on this machine's loopback; nothing was sent" in done.err[0]
+        assert call(*command, "--target", "192.0.2.1:1234", "--dry-run").code == 0
+
+
+def test_a_target_that_refuses(call, captures):
+    (closed,) = ports(1)
+    target = f"{HOST}:{closed}"
+    done = call("replay", captures("a_rover"), "--to", "ci", "--target", target, "--no-listen", "-q")
+    assert (done.code, len(done.err)) == (1, 1)
+    assert f"{target} refuses: nobody listens there (ICMP port unreachable)" in done.err[0]
+    once = call("inject", "noop", "ci", "--target", target, "--no-listen", "--json")
+    assert once.code == 1
+    assert once.json()["send_errors"] == 1
+
+
+def test_a_port_in_use(call, receiver, captures):
+    taken, _ = receiver
+    done = call("replay", captures("a_rover"), "--to", "ci", "--listen", taken)
+    assert (done.code, len(done.err)) == (1, 1)
+    assert f"UDP {taken} cannot be bound: another program has that port" in done.err[0]
+
+
+def test_a_peer_that_never_answers(call, captures, receiver):
+    target, take = receiver
+    (own,) = ports(1)
+    done = call(
+        *("replay", captures("f_sbn_disconnect"), "--to", "sbn", "--target", target, "-q"),
+        *("--listen", f"{HOST}:{own}", "--timeout", "1.5s", "--as", "0x42:7"),
+    )
+    assert (done.code, len(done.err)) == (1, 1)
+    for words in (
+        f"no SBN peer answered at {target} within 1.5 s",
+        f"tried PROTO and SUB, once a second, as 66:7 from {HOST}:{own}",
+        "usually cFS is not up",
+    ):
+        assert words in done.err[0]
+    assert [data[2] for data in take()] == [sbn.MsgType.PROTO, sbn.MsgType.SUB] * 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (
+            ["replay", "{a_rover}", "--to", "sbn"],
+            1,
+            "holds no SBN datagrams towards cFS; it has 601 for --to ci",
+        ),
+        (["replay", "{a_rover}", "--to", "moon"], 2, "'moon' is none of ci, sbn, ground"),
+        (["replay", "{a_rover}"], 2, "--to"),
+        (["replay", "/nowhere.pcap", "--to", "ci"], 1, "/nowhere.pcap"),
+        (["replay", "{a_rover}", "--to", "ci", "--rate", "fast"], 2, "'fast' is no rate"),
+        (["replay", "{a_rover}", "--to", "ci", "--speed", "0"], 2, "'0' is not a number above 0"),
+        (["replay", "{a_rover}", "--to", "ci", "--remap", "a=b"], 2, "'a=b' is no A:=B"),
+        (["replay", "{a_rover}", "--to", "ci", "--speed", "2", "--max"], 2, "exclude each other"),
+        (["replay", "{a_rover}", "--to", "ci", "--end", "5", "--duration", "5"], 2, "both say when to stop"),
+        (["replay", "{a_rover}", "--to", "ci", "--as", "three"], 2, "'three' is no SC:CPU"),
+        (["replay", "{a_rover}", "--to", "ci", "--target", "nohost:99999"], 2, "99999"),
+        (["replay", "{a_rover}", "--to", "ci", "--allow", "0x1827"], 2, "not on the allow-list"),
+        (["replay", "{a_rover}", "--to", "ci", "--restamp"], 2, "--restamp"),
+        (["replay", "{a_rover}", "--to", "ci", "--fault", "gremlins"], 2, "gremlins"),
+        (["replay", "{a_rover}", "--to", "ci", "--from-topics"], 1, "holds no ROS messages"),
+        (["inject"], 2, "name one thing"),
+        (["inject", "/cmd_vel"], 1, "no topic is configured; give mission files with -c"),
+        (["inject", "/cmd_vel", "{linear: {y: a}}", "-c", "{rover}"], 1, "linear.y: takes a number"),
+        (["inject", "--command", "0x1880", "six"], 2, "'six' is no whole number"),
+        (["inject", "--command", "0x1880", "6", "--hex", "xyz"], 2, "is no row of bytes in hex"),
+        (["inject", "noop", "ci", "--hex", "00"], 2, "name that too"),
+    ],
+)
+def test_one_clear_line(arguments, code, words, call, captures, missions):
+    names = {"a_rover": captures("a_rover"), "rover": missions("rover_ground")[1]}
+    done = call(
+        *(
+            str(item).replace("{a_rover}", str(names["a_rover"])).replace("{rover}", names["rover"])
+            for item in arguments
+        )
+    )
+    assert (done.code, len(done.err)) == (code, 1), done.err
+    assert words in done.err[0]
+    assert done.out == ""
+
+
+def test_ctrl_c_prints_the_report(command, captures, receiver, tmp_path):
+    target, take = receiver
+    arguments = ["replay", captures("a_rover"), "--to", "ci", "--target", target, "--no-listen", "--json"]
+    with subprocess.Popen(
+        [command, *map(str, arguments), "-o", str(tmp_path / "x.mcap")], stdout=subprocess.PIPE, text=True
+    ) as process:
+        sent = []
+        while len(sent) < 3:
+            time.sleep(0.05)
+            sent += take()
+        process.send_signal(signal.SIGINT)
+        report = json.loads(process.communicate(timeout=20)[0])
+    assert process.returncode == 0
+    assert report["interrupted"]
+    assert 3 <= report["sent"] == len(sent + take()) < 601
+    info = subprocess.run([command, "info", "--json", tmp_path / "x.mcap"], capture_output=True, check=True)
+    assert json.loads(info.stdout)["datagrams"] == report["sent"]
+
+
+def test_steps_from_a_pipe(command, captures, receiver):
+    target, take = receiver
+    arguments = [
+        "replay",
+        captures("a_rover"),
+        "--to",
+        "ci",
+        "--target",
+        target,
+        "--no-listen",
+        "--step",
+        "--json",
+    ]
+    with subprocess.Popen(
+        [command, *map(str, arguments)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        process.stdin.write("nnn")
+        process.stdin.flush()
+        sent = []
+        while len(sent) < 3:
+            time.sleep(0.05)
+            sent += take()
+        process.stdin.write("q")
+        report = json.loads(process.communicate(timeout=20)[0])
+    assert (report["sent"], take(), report["interrupted"]) == (3, [], True)
+
+
+def test_the_program_of_one_command(captures, receiver):
+    target, take = receiver
+    words = [captures("a_rover"), "--to", "ci", "--target", target, *FAST, "-q", "-n", "4"]
+    done = subprocess.run(
+        [sys.executable, "-c", "from edoras_tools.cli.main import replay; replay()", *map(str, words)],
+        check=False,
+    )
+    assert (done.returncode, len(take())) == (0, 4)
+
+
+def test_inject_at_a_rate(call, missions, receiver):
+    target, take = receiver
+    done = call(
+        *("inject", "/cmd_vel", "{linear: {x: 0.5}}", *missions("rover_ground"), "--target", target),
+        *("--hz", "100", "-n", "50", "--sequence", "count", "--no-listen", "--json"),
+    )
+    sent = take()
+    assert (done.code, len(sent), done.json()["sent"]) == (0, 50, 50)
+    assert [packet[2] << 8 | packet[3] for packet in sent] == [0xC000 | index for index in range(50)]
+    assert {packet[4:] for packet in sent} == {sent[0][4:]}
+    assert struct.unpack_from("<d", sent[0], 28) == (0.5,)
+    assert done.json()["rate_achieved_hz"] == pytest.approx(100, rel=0.1)
