@@ -110,7 +110,7 @@ def _examine(
         raise findings.failure
     if not live:
         no_datagrams(source)
-    if findings.diagnosis.lost:
+    if findings.diagnosis.lost or findings.diagnosis.capture.drops:
         raise typer.Exit(LOST)
 
 

@@ -59,5 +59,5 @@ def report(
         sys.stderr.write(f"{path}: {told}, {verdicts} verdicts, {size / 1024:.0f} KiB\n")
     if findings.failure is not None:
         raise findings.failure
-    if findings.diagnosis.lost:
+    if findings.diagnosis.lost or findings.diagnosis.capture.drops:
         raise typer.Exit(LOST)

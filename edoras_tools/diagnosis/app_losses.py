@@ -71,14 +71,14 @@ def _named(
     track = known.tracks.get(culprit.instance)
     stream = _input(known, culprit)
     share = _share(known, culprit, said, rivals, profile)
-    suppressed = sum(told.count for _, told in rivals) >= STOPS_AFTER
     parts: list[Span | None] = list(spans(stream, known.rows)) if stream else [None]
     for index, span in enumerate(parts):
         if span is None:
+            # Its traffic is not in the capture: whatever the counter counts from the first event on is its.
             start_ns, end_ns = said.first_ns, said.last_ns
-            window = (start_ns - TAIL_NS, end_ns + TAIL_NS)
-            if suppressed and track:
-                window = window[0], track.times[-1]
+            if track and track.growth(COUNTERS[_pipe_kind(culprit)], end_ns + LEAD_NS):
+                end_ns = track.times[-1]
+            window = start_ns - TAIL_NS, end_ns + TAIL_NS
         else:
             start_ns, end_ns = span.start_ns, span.end_ns
             after = parts[index + 1] if index + 1 < len(parts) else None
@@ -109,9 +109,8 @@ def _named(
             evidence.append(f"events name {others} too: shared out by rates, or by events")
         if stopped:
             evidence.append(f"cFS stops this event after {STOPS_AFTER}, here {stopped}; the counter goes on")
-        yield _loss(
-            culprit, stream, span, lost, start_ns, end_ns, evidence, "high" if len(rivals) == 1 else "medium"
-        )
+        sure: Confidence = "high" if len(rivals) == 1 and (stream or lost <= events) else "medium"
+        yield _loss(culprit, stream, span, lost, start_ns, end_ns, evidence, sure)
 
 
 def _share(

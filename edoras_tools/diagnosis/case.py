@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.diagnosis.app_losses import app_losses
+from edoras_tools.diagnosis.clocks import steadied
 from edoras_tools.diagnosis.counters import Track, tracks
 from edoras_tools.diagnosis.events import Culprit, Said, culprits
 from edoras_tools.diagnosis.instances import NOBODY, Instances
@@ -48,6 +49,7 @@ class Case:
 
     Attributes:
         rows: a row a datagram.
+        jumps: clocks that were set meanwhile; times are as if they had not been.
         payloads: counters, events, subscriptions, TO commands.
         endpoints: what ``source`` and ``destination`` of the rows index.
         samples: (link, MsgId) to some CDR messages by length.
@@ -57,8 +59,9 @@ class Case:
     """
 
     def __init__(self, recorder: Recorder, profile: SimProfile, capture: Capture) -> None:
-        self.rows: Rows = recorder.rows()
-        self.payloads: Payloads = recorder.payloads
+        rows, self.jumps = steadied(recorder.rows(), recorder.payloads.events)
+        self.rows: Rows = rows
+        self.payloads: Payloads = recorder.payloads.timed(rows.time_ns) if self.jumps else recorder.payloads
         self.endpoints: Sequence[Endpoint] = recorder.endpoints
         self.samples = recorder.samples
         self.context: Context = recorder.context
@@ -180,7 +183,7 @@ class Case:
 
     def at(self, time_ns: int) -> str:
         """Return a time as people are told of it: seconds into the capture."""
-        return f"{(time_ns - self.start_ns) / SECOND:.1f} s"
+        return f"{max(0, time_ns - self.start_ns) / SECOND:.1f} s"
 
     def label(self, instance: int) -> str:
         """Return how people are told of an instance."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.accounts import accounts
 from edoras_tools.diagnosis.case import Capture, Case
-from edoras_tools.diagnosis.rules import RULES, older_losses, topic_never_seen
+from edoras_tools.diagnosis.rules import RULES, capture_drops, older_losses, topic_never_seen
 from edoras_tools.diagnosis.table import Recorder
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.sessions.profile import SimProfile
@@ -48,8 +48,8 @@ class Diagnosis:
 
     @property
     def lost(self) -> int:
-        """Messages found lost, of all verdicts."""
-        return sum(verdict.lost or 0 for verdict in self.verdicts)
+        """Messages found lost, of all verdicts; frames that the capture itself lost are none of them."""
+        return sum(verdict.lost or 0 for verdict in self.verdicts if verdict.rule != capture_drops.ID)
 
     def as_json(self) -> dict[str, Any]:
         """Return the diagnosis in the shape of ``doctor --json``."""

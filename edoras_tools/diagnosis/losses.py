@@ -107,6 +107,10 @@ class Known:
             return stream.instance
         return self.instances.named(self.network.identity_of.get(stream.sender, ""), start_ns)
 
+    def label(self, instance: int) -> str:
+        """Return how people are told of an instance."""
+        return "a cFS" if instance == NOBODY else self.instances.items[instance].label
+
     def rounds(self, stream: Stream, span: Span) -> Comb:
         """Return the rounds in which a MsgId comes, whoever made it: they share what may wait."""
         times = np.concatenate(
@@ -266,9 +270,17 @@ def _judge(
     kind: PipeKind = "overflow" if grown["overflow"] >= grown["limit"] else "limit"
     if said["limit"] and not said["overflow"] and grown["limit"]:
         kind = "limit"
-    if said[kind]:
+    handed_on = stream.link is Link.TO and stream.instance != owner
+    if handed_on and id(stream) not in known.upstream and grown[kind] < lost:
+        evidence.append(
+            f"it came over SBN from {known.label(stream.instance)}, and that link is not in the capture: its "
+            "peer pipe may have lost some of these"
+        )
+        return "unknown", "low"
+    if said[kind] or grown[kind] >= 0.5 * lost:
         return kind, "high"
-    return kind, "high" if grown[kind] >= 0.5 * lost else "low"
+    evidence.append("the counters explain only part of it")
+    return "unknown", "low"
 
 
 def attributed(losses: Sequence[Loss], instance: int, kind: str, start_ns: int, end_ns: int) -> int:

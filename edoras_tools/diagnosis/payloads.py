@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -13,6 +13,8 @@ from edoras_tools.sessions import command_ingest, telemetry_output
 from edoras_tools.wire import cfe, sbn
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from edoras_tools.model import Columns, PacketBatch
 
 _MOST: Final = 200_000
@@ -143,6 +145,15 @@ class Payloads:
         output = (columns.msg_id == telemetry_output.COMMAND_MSG_ID) & (columns.function_code >= 0)
         for row in np.flatnonzero(output & (columns.link != Link.TO)).tolist():
             self._output(int(columns.function_code[row]), row, base, _payload(batch, columns, row))
+
+    def timed(self, time_ns: NDArray[np.int64]) -> Payloads:
+        """Return them with other capture times, one a row of the table."""
+        return replace(
+            self,
+            housekeeping=[replace(item, time_ns=int(time_ns[item.row])) for item in self.housekeeping],
+            ingest=[replace(item, time_ns=int(time_ns[item.row])) for item in self.ingest],
+            events=[replace(item, time_ns=int(time_ns[item.row])) for item in self.events],
+        )
 
     def _housekeeping(self, batch: PacketBatch, row: int, base: int, payload: bytes) -> None:
         if len(payload) < cfe.SOFTWARE_BUS_HOUSEKEEPING.size or len(self.housekeeping) >= _MOST:

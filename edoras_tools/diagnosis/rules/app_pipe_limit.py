@@ -33,8 +33,10 @@ def _verdict(case: Case, loss: Loss) -> Verdict:
     limit = profile.app_msg_limit
     clean = limit * SECOND / period
     of = f" of {loss.of:,}" if loss.of else ""
+    least = "at least " if loss.instance not in case.tracks else ""
     reason = (
-        f"{loss.lost:,}{of} commands on {case.name(loss.msg_id)} lost at {loss.hop}: more than {limit} of "
+        f"{least}{loss.lost:,}{of} commands on {case.name(loss.msg_id)} lost at {loss.hop}: more than "
+        f"{limit} of "
         f"one MsgId waiting while {who} delivers in {period // 1_000_000} ms bursts"
     )
     evidence = list(loss.evidence)

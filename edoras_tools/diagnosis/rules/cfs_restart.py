@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.rules.clock_jump import jumps
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.sessions.profile import SECOND
 
@@ -19,7 +18,6 @@ ID = "cfs_restart"
 def judge(case: Case) -> Iterator[Verdict]:
     """Find boots of the same name, one after the other."""
     items = sorted(case.instances.items, key=lambda item: item.first_ns)
-    set_clocks = {(case.instances.items[a], case.instances.items[b]) for a, b in jumps(case)}
     for at, later in enumerate(items):
         earlier = next(
             (
@@ -29,7 +27,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             ),
             None,
         )
-        if earlier is None or (earlier, later) in set_clocks or not later.name:
+        if earlier is None or not later.name:
             continue
         yield Verdict(
             ID,

@@ -5,34 +5,56 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.model import NO_ROUTE
+from edoras_tools.wire.names import MSG_ID_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.losses import Loss
 
 ID = "lost_after_cfs"
 
 
 def judge(case: Case) -> Iterator[Verdict]:
-    """Say that the counters clear cFS."""
-    for loss in case.losses:
-        if loss.kind != "after" or loss.stream is None:
-            continue
-        yield Verdict(
-            ID,
-            Severity.ERROR,
-            f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)} are missing, and the "
-            "software bus lost none: they were lost between cFS and the capture, or by the capture",
-            msg_id=loss.msg_id,
-            topic=case.topic(loss.msg_id),
-            link=loss.stream.link.label,
-            hop=loss.hop,
-            lost=loss.lost,
-            of=loss.of,
-            start_ns=loss.start_ns,
-            end_ns=loss.end_ns,
-            evidence=(*loss.evidence, *case.drops_text()),
-            remedy="capture on the cFS host itself: what is there and not here, the network lost",
-            confidence="low" if case.capture.drops else loss.confidence,
-        )
+    """Say that the counters clear cFS: a verdict a topic, and one for all housekeeping of a sender."""
+    after = [loss for loss in case.losses if loss.kind == "after" and loss.stream is not None]
+    groups: dict[tuple[object, ...], list[Loss]] = {}
+    for loss in after:
+        assert loss.stream is not None
+        known = loss.msg_id in MSG_ID_NAMES and loss.stream.route == NO_ROUTE
+        key = (loss.stream.sender, loss.stream.link) if known else (id(loss),)
+        groups.setdefault(key, []).append(loss)
+    for members in groups.values():
+        yield _verdict(case, members)
+
+
+def _verdict(case: Case, members: list[Loss]) -> Verdict:
+    first = members[0]
+    assert first.stream is not None
+    lost, of = (sum(getattr(loss, name) or 0 for loss in members) for name in ("lost", "of"))
+    names = list(dict.fromkeys(case.name(loss.msg_id) for loss in members))
+    one = len(names) == 1
+    evidence = (
+        list(first.evidence) if one else [f"{case.name(loss.msg_id)}: {loss.lost:,}" for loss in members]
+    )
+    if not one:
+        evidence.append("0x803: no counter grew in this time")
+    return Verdict(
+        ID,
+        Severity.ERROR,
+        f"{lost:,} of {of:,} messages on {names[0] if one else f'{len(names)} MsgIds'} are missing, and the "
+        "software bus lost none: they were lost between cFS and the capture, or by the capture",
+        msg_id=first.msg_id if one else None,
+        topic=case.topic(first.msg_id) if one else None,
+        link=first.stream.link.label,
+        hop=first.hop,
+        lost=lost,
+        of=of,
+        start_ns=min(loss.start_ns for loss in members),
+        end_ns=max(loss.end_ns for loss in members),
+        evidence=(*evidence, *case.drops_text()),
+        remedy="capture on the cFS host itself: what is there and not here, the network lost",
+        confidence="low" if case.capture.drops else first.confidence,
+    )

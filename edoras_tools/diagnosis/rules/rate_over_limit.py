@@ -32,7 +32,8 @@ def judge(case: Case) -> Iterator[Verdict]:
         times = case.rows.time_ns[stream.rows]
         usual = float(np.median(np.diff(times)))
         rate = SECOND / usual if usual > 0 else 0.0
-        if rate <= clean * _OVER or _counted(case, stream):
+        named = any(loss.msg_id == stream.msg_id and loss.kind == "limit" for loss in case.losses)
+        if rate <= clean * _OVER or named or _counted(case, stream):
             continue
         yield Verdict(
             ID,
