@@ -224,7 +224,7 @@ def test_ready_and_silence(listen):
 
 def test_another_system(listen, monkeypatch):
     # Without Linux's extras the time is taken here and the destination is what was bound.
-    monkeypatch.setattr(udp, "_LINUX", False)
+    monkeypatch.setattr(udp, "LINUX", False)
     source = listen(LOCAL)
     before = time.time_ns()
     send(source.endpoints[0], b"x")
