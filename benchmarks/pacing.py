@@ -70,10 +70,10 @@ class Receiver:
         self._port.close()
 
     def lateness(self) -> dict[str, object]:
-        """Judge arrivals: late is what comes after the place that the most punctual one gives it."""
+        """Judge arrivals: late is what comes after the place that the most punctual hundredth gives it."""
         late = [stamp - index * 10**9 // RATE for index, stamp in enumerate(self.times)]
-        punctual = min(late)
-        ordered = sorted((value - punctual) / 1000 for value in late)
+        punctual = sorted(late)[len(late) // 100]
+        ordered = sorted(max(value - punctual, 0) / 1000 for value in late)
         tenth = max(len(late) // 10, 1)
 
         def middle(values: list[int]) -> int:

@@ -17,7 +17,7 @@ from edoras_tools.render.table import plain
 from edoras_tools.render.terminal import look
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from contextlib import AbstractContextManager
     from typing import TextIO
 
@@ -157,16 +157,13 @@ def _facts() -> Table:
     return table
 
 
-def _routes(rows: list[Mapping[str, Any]]) -> Table:
+def _routes(rows: Sequence[Mapping[str, Any]]) -> Table:
+    linked = any(row.get("link") for row in rows)
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
-    for title, side in (("Link", "left"), ("MsgId", "left"), ("Topic", "left"), ("Count", "right")):
-        table.add_column(title, justify="right" if side == "right" else "left", no_wrap=True)
+    for title in ("Link", "MsgId", "Topic", "Count")[not linked :]:
+        table.add_column(title, justify="right" if title == "Count" else "left", no_wrap=True)
     for row in rows:
         name = row.get("topic") or row.get("name") or units.NONE
-        table.add_row(
-            (row.get("link") or "").upper(),
-            row["msg_id"] or units.NONE,
-            plain(name),
-            units.count(row["count"]),
-        )
+        cells = (plain(row["msg_id"] or units.NONE), plain(name), plain(units.count(row["count"])))
+        table.add_row(*((plain((row.get("link") or "").upper()),) if linked else ()), *cells)
     return table
