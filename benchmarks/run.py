@@ -20,6 +20,7 @@ import time
 from pathlib import Path
 
 import filters
+import lua
 import pacing
 import proxy
 
@@ -158,7 +159,9 @@ def main() -> None:
     """Run all benchmarks, or one."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--packets", type=int, default=1_000_000)
-    parser.add_argument("--only", choices=["record", "memory", "live", "startup", "pacing", "proxy", "where"])
+    parser.add_argument(
+        "--only", choices=["record", "memory", "live", "startup", "pacing", "proxy", "where", "lua"]
+    )
     options = parser.parse_args()
     if not shutil.which("tshark"):
         sys.exit("tshark is missing: make tshark")
@@ -175,6 +178,7 @@ def main() -> None:
             "pacing": lambda: pacing.measure(folder),
             "proxy": lambda: proxy.measure(folder),
             "where": lambda: filters.measure(folder, options.packets),
+            "lua": lambda: lua.measure(folder, options.packets // 5),
         }.items():
             if options.only in {None, key}:
                 results[key] = run()

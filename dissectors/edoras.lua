@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 humble.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "b3dad9ea97b7d5bb"
+local DIGEST = "e660c37eee0ad943"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1542,7 +1542,7 @@ local function new_field(protocol, abbreviation, kind, ...)
 	local record = by_name[abbreviation]
 	if not record then
 		local made = ProtoField[kind](abbreviation, ...)
-		record = {field = made, on = false}
+		record = {field = made, protocol = protocol, on = false}
 		by_name[abbreviation] = record
 		table.insert(members[protocol], made)
 		table.insert(members, record)
@@ -1614,18 +1614,23 @@ for _, made in pairs(EXPERT) do table.insert(experts, made) end
 
 -- Without a tree for people, only what a filter or a tap refers to is added. What it refers to changes only
 -- between passes over the packets, and every pass begins before where the last one ended.
-local asked = {any = false, protocols = {}, last = math.huge}
+local asked = {any = false, messages = false, protocols = {}, last = math.huge}
 
 local function look_who_asks(tree, number)
 	if number <= asked.last then
-		asked.any = false
+		asked.any, asked.messages = false, false
+		for name in pairs(P) do
+			asked.protocols[name] = tree:referenced(Dissector.get(name))
+			asked.any = asked.any or asked.protocols[name]
+		end
 		for _, record in ipairs(members) do
 			record.on = tree:referenced(record.field)
 			asked.any = asked.any or record.on
+			asked.messages = asked.messages or (record.on and record.protocol == "ros2cdr")
 		end
-		for name in pairs(P) do
-			local dissector = Dissector.get(name)
-			asked.any = asked.any or (dissector and tree:referenced(dissector)) or false
+		for _, layout in pairs(D.layouts) do
+			layout.on = asked.protocols[layout.protocol]
+			for _, slot in ipairs(layout.fields) do layout.on = layout.on or slot.record.on end
 		end
 	end
 	asked.last = number
@@ -1633,9 +1638,10 @@ local function look_who_asks(tree, number)
 end
 
 -- Add a header that starts at an offset; return its tree.
-local function show_layout(tree, layout, tvb, at)
+local function show_layout(tree, layout, tvb, at, visible)
+	if not (visible or layout.on) then return tree end
 	local node = tree:add(P[layout.protocol], tvb(at, layout.size), layout.title)
-	local visible, little = tree.visible, layout.little
+	local little = layout.little
 	for _, slot in ipairs(layout.fields) do
 		local record = slot.record
 		if visible or record.on then
@@ -2584,13 +2590,13 @@ local function show(tree, tvb, visible)
 	for index = 1, W.layers do
 		local layout, at = W.layer[index], W.at[index]
 		if layout == L.cdr then node = show_envelope(tree, tvb, visible) end
-		local header = show_layout(tree, layout, tvb, at)
+		local header = show_layout(tree, layout, tvb, at, visible)
 		if layout == L.subscriptions then
 			for entry = 0, W.entries - 1 do
-				show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size)
+				show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
 			end
 		elseif layout == L.cdr then
-			show_message(header, tvb, visible)
+			if visible or asked.messages then show_message(header, tvb, visible) end
 		end
 	end
 	if not node and W.envelope then node = show_envelope(tree, tvb, visible) end

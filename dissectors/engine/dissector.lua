@@ -149,13 +149,13 @@ local function show(tree, tvb, visible)
 	for index = 1, W.layers do
 		local layout, at = W.layer[index], W.at[index]
 		if layout == L.cdr then node = show_envelope(tree, tvb, visible) end
-		local header = show_layout(tree, layout, tvb, at)
+		local header = show_layout(tree, layout, tvb, at, visible)
 		if layout == L.subscriptions then
 			for entry = 0, W.entries - 1 do
-				show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size)
+				show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
 			end
 		elseif layout == L.cdr then
-			show_message(header, tvb, visible)
+			if visible or asked.messages then show_message(header, tvb, visible) end
 		end
 	end
 	if not node and W.envelope then node = show_envelope(tree, tvb, visible) end

@@ -16,7 +16,7 @@ local function new_field(protocol, abbreviation, kind, ...)
 	local record = by_name[abbreviation]
 	if not record then
 		local made = ProtoField[kind](abbreviation, ...)
-		record = {field = made, on = false}
+		record = {field = made, protocol = protocol, on = false}
 		by_name[abbreviation] = record
 		table.insert(members[protocol], made)
 		table.insert(members, record)
@@ -88,18 +88,23 @@ for _, made in pairs(EXPERT) do table.insert(experts, made) end
 
 -- Without a tree for people, only what a filter or a tap refers to is added. What it refers to changes only
 -- between passes over the packets, and every pass begins before where the last one ended.
-local asked = {any = false, protocols = {}, last = math.huge}
+local asked = {any = false, messages = false, protocols = {}, last = math.huge}
 
 local function look_who_asks(tree, number)
 	if number <= asked.last then
-		asked.any = false
+		asked.any, asked.messages = false, false
+		for name in pairs(P) do
+			asked.protocols[name] = tree:referenced(Dissector.get(name))
+			asked.any = asked.any or asked.protocols[name]
+		end
 		for _, record in ipairs(members) do
 			record.on = tree:referenced(record.field)
 			asked.any = asked.any or record.on
+			asked.messages = asked.messages or (record.on and record.protocol == "ros2cdr")
 		end
-		for name in pairs(P) do
-			local dissector = Dissector.get(name)
-			asked.any = asked.any or (dissector and tree:referenced(dissector)) or false
+		for _, layout in pairs(D.layouts) do
+			layout.on = asked.protocols[layout.protocol]
+			for _, slot in ipairs(layout.fields) do layout.on = layout.on or slot.record.on end
 		end
 	end
 	asked.last = number
@@ -107,9 +112,10 @@ local function look_who_asks(tree, number)
 end
 
 -- Add a header that starts at an offset; return its tree.
-local function show_layout(tree, layout, tvb, at)
+local function show_layout(tree, layout, tvb, at, visible)
+	if not (visible or layout.on) then return tree end
 	local node = tree:add(P[layout.protocol], tvb(at, layout.size), layout.title)
-	local visible, little = tree.visible, layout.little
+	local little = layout.little
 	for _, slot in ipairs(layout.fields) do
 		local record = slot.record
 		if visible or record.on then
