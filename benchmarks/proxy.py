@@ -76,7 +76,7 @@ def send_at(port: int, rate: int, seconds: float, burst: int) -> None:
     stamps = arena.rooms[:burst, 8:16]
     sent, step_ns = 0, burst * 10**9 // rate
     with precise_timing():
-        due = time.monotonic_ns() + 10**6
+        began = due = time.monotonic_ns() + 10**6
         end = due + int(seconds * 1e9)
         while due < end:
             ahead = due - time.monotonic_ns()
@@ -85,7 +85,7 @@ def send_at(port: int, rate: int, seconds: float, burst: int) -> None:
             stamps[:] = np.frombuffer(time.time_ns().to_bytes(8, "little"), np.uint8)
             sent += arena.send(opened, burst, None).done
             due += step_ns
-    print(json.dumps({"sent": sent}))
+    print(json.dumps({"sent": sent, "seconds": (time.monotonic_ns() - began) / 1e9}))
 
 
 def receive(port: int, *, digests: bool) -> None:
@@ -168,6 +168,7 @@ def throughput(folder: Path, *, recording: bool) -> list[dict[str, object]]:
         row = {
             "rate_hz": rate,
             "sent": found["sent"]["sent"],
+            "sent_per_s": round(found["sent"]["sent"] / found["sent"]["seconds"]),
             "received": found["received"]["received"],
             "lost_by_proxy": report["lost"],
             "lost_by_receiver": found["received"]["drops"],
