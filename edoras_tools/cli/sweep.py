@@ -166,13 +166,13 @@ def sweep(
     with view.watching(quiet=quiet) as trying:
         found = carry_out(plan, bench, trying=trying)
     summary = found.summary()
-    if found.steps:
-        _draw(summary, svg, png)
     if json:
         print_json(summary)
     elif not quiet and (found.steps or found.failure is None):
         console = output_console()
         console.print(view.outcome(summary, console.width))
+    if found.steps:
+        _draw(summary, svg, png)
     if found.failure is not None:
         raise found.failure
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import Link
 from edoras_tools.pipelines import sweep_evidence as evidence
 from edoras_tools.pipelines import sweep_plan as packets
-from edoras_tools.pipelines.gates import gates
+from edoras_tools.pipelines.gates import Gate, gates
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.safety import called
+from edoras_tools.pipelines.sweep_found import Step, Sweep
 from edoras_tools.pipelines.sweep_line import COMMAND_NS, Line, reset_filters
 from edoras_tools.pipelines.sweep_simulated import emulated
 from edoras_tools.pipelines.sweep_verdict import verdict
@@ -29,11 +29,11 @@ from edoras_tools.wire.limits import BRIDGE_BUFFER
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from edoras_tools.errors import EdorasError
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.sweep_evidence import Account
     from edoras_tools.pipelines.sweep_plan import Plan
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.sessions.sbn_client import Peering
     from edoras_tools.sinks.wire import Wire
 
 _SLACK_NS: Final = SECOND
@@ -42,110 +42,6 @@ _BEHIND_NS: Final = 5 * SECOND
 """Who has not read a step's messages so long after it falls behind."""
 _BACKGROUND_NS: Final = 4 * SECOND
 _GENERATOR_NS: Final = 4 * SECOND
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One rate and one size.
-
-    Attributes:
-        rate_hz: messages a second.
-        size: bytes of their space packets.
-        account: what became of them.
-        hop: where most were lost; empty where none was.
-        reason: why.
-    """
-
-    rate_hz: float
-    size: int
-    account: Account
-    hop: str = ""
-    reason: str = ""
-
-    @property
-    def lost(self) -> int:
-        """How many were lost."""
-        return self.account.lost
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it in the shape of ``sweep --json``."""
-        return {
-            "rate_hz": self.rate_hz,
-            "size": self.size,
-            "sent": self.account.sent,
-            "delivered": self.account.delivered,
-            "lost": self.account.lost,
-            "hop": self.hop or None,
-            "evidence": self.account.as_json(),
-        }
-
-
-@dataclass(slots=True)
-class Sweep:
-    """What was found.
-
-    Attributes:
-        plan: what was asked for.
-        steps: in the order they were done.
-        watched: nothing was published for it; it only looked.
-        interrupted: ended by Ctrl-C.
-        failure: why it ended early.
-        notes: one line each, for people.
-    """
-
-    plan: Plan
-    steps: list[Step] = field(default_factory=list)
-    watched: bool = False
-    interrupted: bool = False
-    failure: EdorasError | None = None
-    notes: list[str] = field(default_factory=list)
-
-    def value(self, step: Step) -> float:
-        """Return what is swept, of a step."""
-        return step.size if self.plan.by_size else step.rate_hz
-
-    @property
-    def bad(self) -> Step | None:
-        """The lowest step that lost something."""
-        return min((step for step in self.steps if step.lost), key=self.value, default=None)
-
-    @property
-    def good(self) -> Step | None:
-        """The highest step below that one that lost nothing; None as well where nothing was ever lost."""
-        bad = self.bad
-        if bad is None:
-            return None
-        below = (step for step in self.steps if not step.lost and self.value(step) < self.value(bad))
-        return max(below, key=self.value, default=None)
-
-    def note(self, text: str) -> None:
-        """Tell people something, once."""
-        if text not in self.notes:
-            self.notes.append(text)
-
-    def summary(self) -> dict[str, Any]:
-        """Return the shape of ``sweep --json``."""
-        route, good, bad, by_size = self.plan.route, self.good, self.bad, self.plan.by_size
-        return {
-            "route": route.topic,
-            "msg_id": f"0x{route.msg_id:04x}",
-            "type": route.type or None,
-            "link": route.link.label,
-            "to_cfs": self.plan.to_cfs,
-            "emulated": self.plan.scenario,
-            "swept": "size" if by_size else "rate",
-            "steps": [step.as_json() for step in self.steps],
-            "threshold_hz": good.rate_hz if good and not by_size else None,
-            "first_loss_hz": bad.rate_hz if bad and not by_size else None,
-            "threshold_bytes": good.size if good and by_size else None,
-            "first_loss_bytes": bad.size if bad and by_size else None,
-            "limiting_hop": bad.hop if bad else None,
-            "reason": bad.reason if bad else None,
-            "watched": self.watched,
-            "interrupted": self.interrupted,
-            "failure": str(self.failure) if self.failure else None,
-            "notes": self.notes,
-        }
 
 
 def sweep(
@@ -233,9 +129,15 @@ class _Sweeper:
             sender=session.peer if session else None,
         )
         out = first if plan.to_cfs else first.take(slice(0, 0))
-        self._gates = gates(
-            out, plan.orders, bench.mission, seen=self.hearing.seen, session=session, wire=wire, local=local
-        )
+        seen = self.hearing.seen
+        self._gates = [
+            *gates(out, plan.orders, bench.mission, seen=seen, session=session, wire=wire, local=local)
+        ]
+        if session is not None:
+            # cFS sends its own subscriptions to peers that it does not hear, too.
+            self._gates.append(
+                Gate("messages", lambda: bool(seen.counts), lambda s: _deaf(session, local, s))
+            )
 
     def run(self) -> None:
         """Do all of it."""
@@ -382,3 +284,11 @@ class _Sweeper:
             )
         if self.plan.by_size and self.plan.to_cfs and self.plan.route.link is Link.SBN:
             self.found.note("nothing echoes what an SBN peer sends: a cut in it would not be seen")
+
+
+def _deaf(session: Peering, local: Endpoint, seconds: float) -> str:
+    return (
+        f"SBN peer {session.answered} sent none of the messages that {session.peer} at {local} subscribed "
+        f"to, within {seconds:.1f} s; usually its peer table calls UDP {local.port} something else: say "
+        "--as SC:CPU as the table does"
+    )

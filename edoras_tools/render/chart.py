@@ -112,12 +112,13 @@ def terminal(chart: Chart, width: int, height: int = 12) -> list[Text]:
         line.rstrip()
         lines.append(line)
     lines.append(Text(" " * margin + " └" + "─" * room, palette.DIM))
-    scale = [" "] * (room + 1)
+    scale = ""
     for value in ticks(end_x):
-        text, at = _figure(value), place(value, 0)[0]
-        at = min(max(0, at - len(text) // 2), len(scale) - len(text))
-        scale[at : at + len(text)] = text
-    lines.append(Text(" " * (margin + 2) + "".join(scale).rstrip(), palette.DIM))
+        text = _figure(value)
+        at = min(max(0, place(value, 0)[0] - len(text) // 2), room - len(text))
+        if at > len(scale) or not scale:
+            scale = scale.ljust(at) + text
+    lines.append(Text(" " * (margin + 2) + scale, palette.DIM))
     lines.append(Text(chart.across.rjust(width), palette.DIM))
     return lines
 

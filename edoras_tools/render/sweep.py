@@ -38,7 +38,10 @@ def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
     if len(steps) > 1:
         shown += [*terminal(Chart.of(summary), min(width, _CHART_WIDTH)), Text()]
     facts = _facts()
-    facts.add_row("route", plain(f"{summary['route']} ({summary['msg_id']}), {_way(summary)}"))
+    name = (
+        summary["route"] if summary["route"] == summary["msg_id"] else "{route} ({msg_id})".format(**summary)
+    )
+    facts.add_row("route", plain(f"{name}, {_way(summary)}"))
     facts.add_row("threshold", Text(threshold(summary), palette.STRONG))
     if summary["limiting_hop"]:
         facts.add_row("limiting hop", plain(summary["limiting_hop"], Severity.ERROR.style))
