@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -77,19 +78,21 @@ def loops(text: str) -> int:
     return value
 
 
+_option = partial(typer.Option, rich_help_panel="Sending")
+
 Target = Annotated[
     Any,
-    typer.Option(
+    _option(
         "--target", metavar="HOST:PORT", parser=endpoint, help="Where to; this machine unless it is named."
     ),
 ]
 As = Annotated[
     Any,
-    typer.Option("--as", metavar="SC:CPU", parser=peer, help="SBN: send under this identity, as 66:3."),
+    _option("--as", metavar="SC:CPU", parser=peer, help="SBN: send under this identity, as 66:3."),
 ]
 RoleName = Annotated[
     str,
-    typer.Option(
+    _option(
         "--role",
         metavar="ROLE",
         help="SBN: behave as a stock peer, as the bridge, or as captured: nothing but what it sent.",
@@ -97,42 +100,42 @@ RoleName = Annotated[
 ]
 Ear = Annotated[
     Any,
-    typer.Option(
+    _option(
         "--listen",
         metavar="[HOST:]PORT",
         parser=endpoint,
         help="Where answers come in; SBN: send from there.",
     ),
 ]
-NoListen = Annotated[bool, typer.Option("--no-listen", help="Leave the telemetry port to others.")]
+NoListen = Annotated[bool, _option("--no-listen", help="Leave the telemetry port to others.")]
 WaitFor = Annotated[
     list[str] | None,
-    typer.Option(
+    _option(
         metavar="GATE",
         help="First wait for peer, to-enabled (asks for it) or event:TEXT; or for nothing; repeatable.",
     ),
 ]
 Timeout = Annotated[
     int | None,
-    typer.Option(metavar="TIME", parser=options.duration, help="How long to wait for gates; 10s."),
+    _option(metavar="TIME", parser=options.duration, help="How long to wait for gates; 10s."),
 ]
 Linger = Annotated[
     int | None,
-    typer.Option(metavar="TIME", parser=options.duration, help="Listen so long after the last datagram."),
+    _option(metavar="TIME", parser=options.duration, help="Listen so long after the last datagram."),
 ]
 Allow = Annotated[
     list[str] | None,
-    typer.Option(metavar="ROUTE", help="Send nothing but these, as 0x1827 or '0x18*'; repeatable."),
+    _option(metavar="ROUTE", help="Send nothing but these, as 0x1827 or '0x18*'; repeatable."),
 ]
 MaxRate = Annotated[
     float | None,
-    typer.Option(metavar="HZ", parser=positive, help="Never faster; 1000 to other machines."),
+    _option(metavar="HZ", parser=positive, help="Never faster; 1000 to other machines."),
 ]
-Unlimited = Annotated[bool, typer.Option("--unlimited", help="Lift the cap on the rate.")]
+Unlimited = Annotated[bool, _option("--unlimited", help="Lift the cap on the rate.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send to another machine without asking.")]
-Sequence = Annotated[str, typer.Option(metavar="RULE", help="Sequence counts: keep, count or zero.")]
-Checksum = Annotated[str, typer.Option(metavar="RULE", help="Checksums: keep, fix, zero or wrong.")]
-Step = Annotated[bool, typer.Option("--step", help="One by one: n sends the next, space runs, q ends.")]
+Sequence = Annotated[str, _option(metavar="RULE", help="Sequence counts: keep, count or zero.")]
+Checksum = Annotated[str, _option(metavar="RULE", help="Checksums: keep, fix, zero or wrong.")]
+Step = Annotated[bool, _option("--step", help="One by one: n sends the next, space runs, q ends.")]
 Output = Annotated[
     Path | None,
     typer.Option(
@@ -223,8 +226,6 @@ def carry_out(
         EdorasError: it could not be sent.
         typer.Exit: with code 3, when something sent was surely lost.
     """
-    from functools import partial
-
     from edoras_tools.cli.endings import LOST
     from edoras_tools.cli.output import print_json
     from edoras_tools.pipelines.fault_where import compiler

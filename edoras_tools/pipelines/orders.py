@@ -110,6 +110,8 @@ class Orders:
         if self.unlimited and self.max_rate_hz:
             raise ConfigError("--unlimited lifts the cap that --max-rate sets; name one of them")
         hears = not self.deaf or self.to is To.SBN
+        if self.listen is not None and not hears:
+            raise ConfigError("--listen and --no-listen exclude each other; name one of them")
         for item in self.wait_for:
             if item not in {"peer", "to-enabled", "nothing"} and not item.startswith("event:"):
                 raise ConfigError(

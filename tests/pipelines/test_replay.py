@@ -263,7 +263,8 @@ def test_places_come_from_the_mission_and_stay_on_this_machine(two_rovers):
         ({"wait_for": ["to-enabled"], "to": To.SBN}, "needs --to ci"),
         ({"wait_for": ["to-enabled"], "deaf": True}, "leave --no-listen out"),
         ({"wait_for": ["event:x"], "deaf": True}, "leave --no-listen out"),
-        ({"unlimited": True, "max_rate_hz": 5}, "name one of them"),
+        ({"unlimited": True, "max_rate_hz": 5}, "lifts the cap"),
+        ({"listen": Endpoint("127.0.0.1", 5), "deaf": True}, "exclude each other"),
     ],
 )
 def test_orders_that_cannot_be_meant(given, words):
