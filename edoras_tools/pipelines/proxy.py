@@ -18,7 +18,8 @@ from edoras_tools.pipelines.proxy_sessions import Sessions
 from edoras_tools.pipelines.proxy_spoil import Outbox, Spoiler
 from edoras_tools.pipelines.proxy_threads import shown, threads_take_turns
 from edoras_tools.pipelines.proxy_ways import Way
-from edoras_tools.sources.relay import ROOMS, SPARE, address_of, make_arena, open_port, resolve
+from edoras_tools.sources.relay import ROOMS, SPARE, make_arena, open_port
+from edoras_tools.sources.sockaddr import address_of, resolve
 from edoras_tools.sources.udp import LINUX, kernel_drops
 
 if TYPE_CHECKING:

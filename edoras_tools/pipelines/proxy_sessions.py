@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Protocol
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.pipelines.proxy_ways import Outlet, Way
-from edoras_tools.sources.relay import host_of, open_socket
+from edoras_tools.sources.relay import open_socket
+from edoras_tools.sources.sockaddr import host_of
 from edoras_tools.sources.udp import LINUX, bind_reason, kernel_drops
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.model import Endpoint
-    from edoras_tools.sources.relay import Address
+    from edoras_tools.sources.sockaddr import Address
 
 
 class Flows(Protocol):

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.sources.relay import Address, Arena, Sent
+    from edoras_tools.sources.relay import Arena, Sent
+    from edoras_tools.sources.sockaddr import Address
 
 _LATE: Final = 4096
 """Latencies that wait to be counted: one by one it would cost more than the rest."""

@@ -41,9 +41,6 @@ class Chance(NamedTuple):
         return draw(self.key, self.number, salt)
 
 
-Wrong = "Callable[[bytes, Link, Mapping[str, Any], Chance], Wronged]"
-
-
 def packet_offset(payload: bytes, link: Link) -> int:
     """Return where the space packet starts, -1 where there is none."""
     at = 0

@@ -25,9 +25,6 @@ class Change(NamedTuple):
         """Return the number changed."""
         return value + self.amount if self.relative else self.amount
 
-    def __str__(self) -> str:
-        return f"{self.amount:+d}" if self.relative else str(self.amount)
-
 
 def time_ns(text: str) -> int:
     """Read a length of time in ns: ``200ms``, ``1.5s``, ``2m``; a bare number is seconds.
@@ -128,12 +125,6 @@ def change(text: str) -> Change:
     if value is None or abs(value) >= 1 << 64:
         raise ValueError("a number to put in is needed, as 12, or one to add, as +3 or -3")
     return Change(value, text[:1] in {"+", "-"})
-
-
-def show_time(value: int) -> str:
-    """Return a length of time in its largest whole unit, as ``200ms``; what :func:`time_ns` reads."""
-    name = next((name for name in ("s", "ms", "us") if value % _TIMES[name] == 0), "ns")
-    return f"{value // _TIMES[name]}{name}"
 
 
 def _decimal(text: str) -> float:

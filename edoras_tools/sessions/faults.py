@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.fault_lanes import Predicate
     from edoras_tools.sessions.fault_rules import Rule
 
-__all__ = ["HEAD_BYTES", "HOLD_BYTES", "LOSSES", "Delivery", "Fault", "FaultMachine", "FaultPlan"]
+__all__ = ["HEAD_BYTES", "HOLD_BYTES", "Delivery", "Fault", "FaultMachine", "FaultPlan"]
 
 _INVOLVED: Final = 1
 _STRUCK: Final = 2
@@ -39,8 +39,6 @@ _HOLDING_BYTES: Final = 256
 
 HOLD_BYTES: Final = 256 << 20
 """What may be held back at once; a line that long delayed and that busy is more than a test needs."""
-LOSSES: Final = frozenset({"drop", "silence", "rate", "bandwidth"})
-"""Kinds that make a datagram go away."""
 
 
 class Delivery(NamedTuple):

@@ -12,7 +12,6 @@ import ctypes
 import errno
 import os
 import socket
-import struct
 import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
@@ -20,11 +19,14 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.model import Endpoint
+from edoras_tools.sources.sockaddr import PACKED_BYTES, address_of, resolve
 from edoras_tools.sources.udp import LINUX, bind_reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from edoras_tools.model import Endpoint
+    from edoras_tools.sources.sockaddr import Address
 
 ROOMS: Final = 256
 """Datagrams that one ``receive`` takes at most."""
@@ -34,8 +36,6 @@ LARGEST: Final = 65507
 """Bytes that UDP carries over IPv4; over IPv6 it is 20 more."""
 _STRIDE: Final = 65536 + 64
 """From room to room: not a power of two, which would put all rooms into the same lines of the caches."""
-_NAME: Final = 32
-"""Bytes for a socket address: 16 of IPv4, 28 of IPv6."""
 _SO_RCVBUFFORCE: Final = 33
 _SO_SNDBUFFORCE: Final = 32
 _SO_TIMESTAMPNS: Final = 35
@@ -53,25 +53,6 @@ _HEADER: Final = np.dtype(
     }
 )
 """``struct mmsghdr`` of 64-bit Linux."""
-
-
-class Address(NamedTuple):
-    """Where a datagram comes from or goes to, in both forms that systems want.
-
-    Attributes:
-        packed: the socket address as bytes, zeros behind it; tells senders apart.
-        host: as ``socket.sendto`` takes it.
-        length: bytes of ``packed`` that count.
-    """
-
-    packed: bytes
-    host: tuple[Any, ...]
-    length: int
-
-    @property
-    def endpoint(self) -> Endpoint:
-        """Address and port as people read them."""
-        return Endpoint(str(self.host[0]), int(self.host[1]))
 
 
 class Sent(NamedTuple):
@@ -167,18 +148,18 @@ class VectorArena:
         self.rooms = np.zeros((total, _STRIDE), np.uint8)
         self._base = self.rooms.ctypes.data + np.arange(total, dtype=np.uint64) * np.uint64(_STRIDE)
         self.length = np.zeros(total, np.uint32)
-        self._names = np.zeros((ROOMS, _NAME // 8), np.uint64)
+        self._names = np.zeros((ROOMS, PACKED_BYTES // 8), np.uint64)
         self._control = np.zeros(ROOMS, _CONTROL)
         self._vectors = np.zeros(ROOMS, _VECTOR)
         self._vectors["base"], self._vectors["length"] = self._base[:ROOMS], _STRIDE
         self._headers = _headers(ROOMS, self._vectors)
-        self._headers["name"] = self._names.ctypes.data + np.arange(ROOMS) * _NAME
+        self._headers["name"] = self._names.ctypes.data + np.arange(ROOMS) * PACKED_BYTES
         self._headers["control"] = self._control.ctypes.data + np.arange(ROOMS) * _CONTROL.itemsize
         self._name_length, self._control_length = (
             self._headers["name_length"],
             self._headers["control_length"],
         )
-        self._name_length[:], self._control_length[:] = _NAME, _CONTROL.itemsize
+        self._name_length[:], self._control_length[:] = PACKED_BYTES, _CONTROL.itemsize
         self._found = self._headers["length"]
         self._at = ctypes.c_void_p(self._headers.ctypes.data)
         self._used = 0
@@ -188,7 +169,7 @@ class VectorArena:
         """See ``Arena``."""
         used = self._used
         if used:
-            self._name_length[:used], self._control_length[:used] = _NAME, _CONTROL.itemsize
+            self._name_length[:used], self._control_length[:used] = PACKED_BYTES, _CONTROL.itemsize
             self._used = 0
         count = self._recvmmsg(opened.fileno(), self._at, ROOMS, socket.MSG_DONTWAIT, None)
         if count > 0:
@@ -249,7 +230,7 @@ class _Outgoing:
         self._vectors = np.zeros(total, _VECTOR)
         self._headers = _headers(total, self._vectors)
         self._where, self._length = self._vectors["base"], self._vectors["length"]
-        self._name = np.zeros(_NAME, np.uint8)
+        self._name = np.zeros(PACKED_BYTES, np.uint8)
         self._first = self._headers.ctypes.data
         self._start = ctypes.c_void_p(self._first)
         self._to: Address | None = None
@@ -290,7 +271,7 @@ class PlainArena:
     def __init__(self) -> None:
         self.rooms = np.zeros((ROOMS + SPARE, _STRIDE), np.uint8)
         self.length = np.zeros(ROOMS + SPARE, np.uint32)
-        self._names = np.zeros((ROOMS, _NAME // 8), np.uint64)
+        self._names = np.zeros((ROOMS, PACKED_BYTES // 8), np.uint64)
         self._times = np.zeros(ROOMS, np.int64)
         self._packed: dict[tuple[Any, ...], NDArray[np.uint64]] = {}
 
@@ -358,41 +339,6 @@ def send_one(opened: socket.socket, payload: bytes | memoryview, to: Address | N
             return Sent(1, refused, 1, error.strerror or str(error))
         else:
             return Sent(1, refused)
-
-
-def address_of(family: int, host: tuple[Any, ...]) -> Address:
-    """Return a socket address in both forms."""
-    if family == socket.AF_INET6:
-        name, port, flow, scope = host
-        body = struct.pack("!HI", port, flow) + socket.inet_pton(socket.AF_INET6, name.partition("%")[0])
-        packed = struct.pack("=H", family) + body + struct.pack("=I", scope)
-    else:
-        packed = struct.pack("=H", family) + struct.pack("!H", host[1]) + socket.inet_aton(host[0])
-        packed = packed.ljust(16, b"\0")
-    return Address(packed.ljust(_NAME, b"\0"), host, len(packed))
-
-
-def host_of(packed: bytes) -> Address:
-    """Return a socket address from its bytes, as ``senders`` gives them."""
-    if struct.unpack_from("=H", packed)[0] == socket.AF_INET6:
-        port, flow = struct.unpack_from("!HI", packed, 2)
-        scope = struct.unpack_from("=I", packed, 24)[0]
-        return Address(packed, (socket.inet_ntop(socket.AF_INET6, packed[8:24]), port, flow, scope), 28)
-    port = struct.unpack_from("!H", packed, 2)[0]
-    return Address(packed, (socket.inet_ntoa(packed[4:8]), port), 16)
-
-
-def resolve(endpoint: Endpoint, option: str) -> tuple[int, Address]:
-    """Return the address family and address that an endpoint names.
-
-    Raises:
-        CaptureError: its host is not known.
-    """
-    try:
-        family, _, _, _, host = socket.getaddrinfo(endpoint.address, endpoint.port, type=socket.SOCK_DGRAM)[0]
-    except (OSError, UnicodeError) as error:
-        raise CaptureError(f"{option} {endpoint}: no such host; name an address or a known host") from error
-    return family, address_of(family, host)
 
 
 def open_port(endpoint: Endpoint) -> socket.socket:

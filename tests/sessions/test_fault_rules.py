@@ -13,7 +13,6 @@ from edoras_tools.sessions.fault_values import (
     bits_per_second,
     change,
     probability,
-    show_time,
     time_ns,
     volume,
 )
@@ -119,12 +118,6 @@ def test_every_option_is_described():
         assert all(option.doc for option in kind.options.values())
 
 
-@given(st.integers(0, 1 << 59))
-def test_times_are_read_as_they_are_shown(value):
-    shown = show_time(value)
-    assert abs(time_ns(shown) - value) <= value >> 50
-
-
 def test_values_have_the_units_people_write():
     assert [time_ns(text) for text in ("1", "1.5s", "2m", "3us", "4ns", "1h")] == [
         10**9,
@@ -137,4 +130,4 @@ def test_values_have_the_units_people_write():
     assert probability("12.5%") == 0.125
     assert bits_per_second("2Mbit/s") == 2e6
     assert volume("64k") == 64_000
-    assert (str(change("+3")), str(change("0xFF"))) == ("+3", "255")
+    assert (change("+3").apply(5), change("-3").apply(5), change("0xFF").apply(5)) == (8, 2, 255)

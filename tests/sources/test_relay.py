@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import Endpoint
 from edoras_tools.sources import relay
-from edoras_tools.sources.relay import ROOMS, SPARE, PlainArena, VectorArena, address_of, host_of
+from edoras_tools.sources.relay import ROOMS, SPARE, PlainArena, VectorArena
+from edoras_tools.sources.sockaddr import address_of, host_of, resolve
 
 LOOPBACK = Endpoint("127.0.0.1", 0)
 ARENAS = [VectorArena, PlainArena]
@@ -146,4 +147,4 @@ def test_a_port_in_use_and_an_unknown_host_are_told(ends):
     with pytest.raises(CaptureError, match=r"another program has port \d+"):
         relay.open_port(Endpoint(*port.getsockname()))
     with pytest.raises(CaptureError, match=r"--target no\.such\.host\.invalid:1: no such host"):
-        relay.resolve(Endpoint("no.such.host.invalid", 1), "--target")
+        resolve(Endpoint("no.such.host.invalid", 1), "--target")
