@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 humble.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "e660c37eee0ad943"
+local DIGEST = "9f5195f7212a3d4b"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -709,6 +709,7 @@ D.limits = {
 	software_bus = 32768,
 	highest_msg_id = 8191,
 	length_bias = 7,
+	sequence_modulus = 16384,
 }
 D.sbn = {
 	NO_MSG = 0,
@@ -1409,6 +1410,7 @@ end
 
 local bit = bit
 local unpack = Struct.unpack
+local analysis = {}  -- what the sequence count says of a frame: a gap's size, "duplicate" or "reordered"
 
 -- A text field, cut at its first NUL.
 function D.text(s, first, last)
@@ -2050,10 +2052,86 @@ function show_steps(node, steps, tvb, s, p, start, big, visible)
 	return p
 end
 
+-- Sequence counts, followed as edoras_tools.sessions.sequence does: one stream may carry several senders that
+-- count each for themselves, so it is followed as strands, and a packet belongs to the strand that it continues.
+-- What a later packet shows to be no gap, or not late, is taken back: the second pass over a file knows more.
+
+local MODULUS = D.limits.sequence_modulus
+local FORWARD = MODULUS / 2  -- a step of half the range or more is a step back
+local MOST_STRANDS = 8
+
+local function continued(strands, count)
+	for index = 1, #strands do
+		if (strands[index].last + 1) % MODULUS == count then return index end
+	end
+	return nil
+end
+
+local function continue(strands, strand)
+	strands.moved = true
+	if strand.lone then analysis[strand.lone] = nil end
+	strand.lone = nil
+end
+
+local function begin_strand(strands, count, lone)
+	if #strands > 0 then strands.moved = true end
+	if lone then analysis[lone] = "reordered" end
+	strands[MOST_STRANDS] = nil
+	table.insert(strands, 1, {last = count, before = 0, jumped = 0, lone = lone})
+end
+
+-- Tell a packet out of what was taken for a gap: it came late, or the jump was another sender's.
+local function late(strands, count)
+	for _, strand in ipairs(strands) do
+		local since = (count - strand.before) % MODULUS
+		if since > 0 and since <= strand.jumped then
+			analysis[strand.jump] = since > 1 and since - 1 or nil
+			strand.jumped = 0
+			return true
+		end
+	end
+	return false
+end
+
+-- Return the strand to which a count is nearest, going forward, and the step.
+local function nearest(strands, count)
+	local best, least = nil, MODULUS
+	for index, strand in ipairs(strands) do
+		local step = (count - strand.last) % MODULUS
+		if step < least then best, least = index, step end
+	end
+	return best, least
+end
+
+-- Take the count of the packet in a frame.
+local function follow_count(strands, count, frame)
+	local index, step = continued(strands, count), nil
+	if index then
+		continue(strands, strands[index])
+	else
+		index, step = nearest(strands, count)
+		if index and step == 0 then
+			if strands.moved then analysis[frame] = "duplicate" end
+		elseif late(strands, count) or step >= FORWARD then
+			begin_strand(strands, count, #strands > 0 and frame or nil)
+			return
+		else
+			local strand = strands[index]
+			strands.moved = true
+			strand.before, strand.jumped, strand.jump = strand.last, step - 1, frame
+			analysis[frame] = step - 1
+		end
+	end
+	-- The strand that moved last comes first: it is the one that goes on.
+	local strand = strands[index]
+	strand.last = count
+	if index > 1 then table.insert(strands, 1, table.remove(strands, index)) end
+end
+
 -- The work on one datagram, and the Software Bus Network's headers.
 
 local W = {serial = 0, layer = {}, at = {}, found = {}, is_found = {}}
-local peers, sequences, moving, analysis = {}, {}, {}, {}  -- what is known of senders, and per frame; see init()
+local peers, sequences = {}, {}  -- what is known of senders, see init()
 local read, L = D.read, D.layouts
 local identities = {}
 for _, pair in ipairs(D.identities) do
@@ -2232,31 +2310,22 @@ end
 
 local LINK_NUMBER = {ci = 1, to = 2, sbn = 3}
 
--- Follow the sequence count of a stream: one MsgId of one processor on one link, each endpoint by itself. What
--- never moved, as the 0 of all cFE's own commands, does not count and repeats nothing.
+-- Follow the sequence count of a stream: one MsgId of one processor on one link, each endpoint by itself.
 local function follow(msg_id, count)
 	if W.pinfo.visited then return end
 	local stream = (W.processor * 65536 + msg_id) * 4 + LINK_NUMBER[W.link]  -- below 2^53
-	local counts = sequences[stream]
-	if not counts then
-		counts = {}
-		sequences[stream] = counts
+	local endpoints = sequences[stream]
+	if not endpoints then
+		endpoints = {}
+		sequences[stream] = endpoints
 	end
-	local place, port = sender(counts)
-	local before = place[port]
-	place[port] = count
-	if not before then return end
-	local step = (count - before) % 16384
-	if step == 0 then
-		if moving[stream] then analysis[W.number] = "duplicate" end
-		return
+	local place, port = sender(endpoints)
+	local strands = place[port]
+	if not strands then
+		strands = {}
+		place[port] = strands
 	end
-	moving[stream] = true
-	if step >= 8192 then
-		analysis[W.number] = "reordered"
-	elseif step > 1 then
-		analysis[W.number] = step - 1
-	end
+	follow_count(strands, count, W.number)
 end
 
 -- Judge a command's checksum and function code.
@@ -2474,7 +2543,7 @@ function edoras.prefs_changed()
 end
 
 function edoras.init()
-	peers, sequences, moving, analysis = {}, {}, {}, {}
+	peers, sequences, analysis = {}, {}, {}
 	asked.last = math.huge
 end
 

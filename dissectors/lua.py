@@ -45,7 +45,7 @@ LAYOUTS: Final[dict[str, tuple[Layout, Place]]] = {
 }
 """Every header, by what the engine calls it; the envelopes are added for each of their formats."""
 
-ENGINE: Final = ("base", "fields", "links", "cdr", "network", "packet", "dissector")
+ENGINE: Final = ("base", "fields", "links", "cdr", "sequence", "network", "packet", "dissector")
 """The parts of the engine, in the order in which they need each other."""
 GUARD: Final = "EDORAS_LUA"
 """The environment variable that names the one digest that may load, where several copies are installed."""
@@ -164,6 +164,7 @@ def _data(knowledge: Knowledge) -> str:
             "software_bus": limits.SOFTWARE_BUS_MAXIMUM,
             "highest_msg_id": cfe.HIGHEST_MSG_ID,
             "length_bias": ccsds.LENGTH_BIAS,
+            "sequence_modulus": 1 << ccsds.PRIMARY.by_name["packet_sequence_count"].field.bits,
         },
         "sbn": {
             **{item.name: int(item) for item in sbn.MsgType},

@@ -2,6 +2,7 @@
 
 local bit = bit
 local unpack = Struct.unpack
+local analysis = {}  -- what the sequence count says of a frame: a gap's size, "duplicate" or "reordered"
 
 -- A text field, cut at its first NUL.
 function D.text(s, first, last)

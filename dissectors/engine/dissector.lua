@@ -33,7 +33,7 @@ function edoras.prefs_changed()
 end
 
 function edoras.init()
-	peers, sequences, moving, analysis = {}, {}, {}, {}
+	peers, sequences, analysis = {}, {}, {}
 	asked.last = math.huge
 end
 

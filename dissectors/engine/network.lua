@@ -1,7 +1,7 @@
 -- The work on one datagram, and the Software Bus Network's headers.
 
 local W = {serial = 0, layer = {}, at = {}, found = {}, is_found = {}}
-local peers, sequences, moving, analysis = {}, {}, {}, {}  -- what is known of senders, and per frame; see init()
+local peers, sequences = {}, {}  -- what is known of senders, see init()
 local read, L = D.read, D.layouts
 local identities = {}
 for _, pair in ipairs(D.identities) do

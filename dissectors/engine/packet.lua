@@ -25,31 +25,22 @@ end
 
 local LINK_NUMBER = {ci = 1, to = 2, sbn = 3}
 
--- Follow the sequence count of a stream: one MsgId of one processor on one link, each endpoint by itself. What
--- never moved, as the 0 of all cFE's own commands, does not count and repeats nothing.
+-- Follow the sequence count of a stream: one MsgId of one processor on one link, each endpoint by itself.
 local function follow(msg_id, count)
 	if W.pinfo.visited then return end
 	local stream = (W.processor * 65536 + msg_id) * 4 + LINK_NUMBER[W.link]  -- below 2^53
-	local counts = sequences[stream]
-	if not counts then
-		counts = {}
-		sequences[stream] = counts
+	local endpoints = sequences[stream]
+	if not endpoints then
+		endpoints = {}
+		sequences[stream] = endpoints
 	end
-	local place, port = sender(counts)
-	local before = place[port]
-	place[port] = count
-	if not before then return end
-	local step = (count - before) % 16384
-	if step == 0 then
-		if moving[stream] then analysis[W.number] = "duplicate" end
-		return
+	local place, port = sender(endpoints)
+	local strands = place[port]
+	if not strands then
+		strands = {}
+		place[port] = strands
 	end
-	moving[stream] = true
-	if step >= 8192 then
-		analysis[W.number] = "reordered"
-	elseif step > 1 then
-		analysis[W.number] = step - 1
-	end
+	follow_count(strands, count, W.number)
 end
 
 -- Judge a command's checksum and function code.

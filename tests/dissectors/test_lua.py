@@ -1,0 +1,198 @@
+"""The generated script: committed as generated, filters as written, sequence counts, preferences, copies."""
+
+import os
+import re
+import subprocess
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from edoras_tools.dissectors.lua import GUARD, own_digest
+from edoras_tools.dissectors.lua_text import literal, quoted
+from edoras_tools.mission import load
+from edoras_tools.model import Finding
+from edoras_tools.pipelines.accounts import Ledger
+from edoras_tools.pipelines.wireshark import dissector
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.sources import open_file
+from edoras_tools.wire import cfe, sbn
+
+ROOT = Path(__file__).parents[2]
+COMMITTED = ROOT / "dissectors/edoras.lua"
+ROVER = ROOT / "samples/captures/a_rover.pcap"
+ROVER_MISSION = ROOT / "samples/missions/rover_ground.yaml"
+
+
+def test_the_committed_script_is_what_is_generated():
+    assert dissector(Settings())[0] == COMMITTED.read_text(), "edoras wireshark print > dissectors/edoras.lua"
+
+
+def test_a_script_bears_its_digest():
+    text, again = (dissector(Settings((ROVER_MISSION,)))[0] for _ in range(2))
+    assert text == again
+    assert own_digest(text) != own_digest(COMMITTED.read_text())
+
+
+@pytest.mark.parametrize(
+    ("value", "lua"),
+    [
+        (None, "nil"),
+        (True, "true"),
+        (1.5, "1.5"),
+        ('a"\\\n', '"a\\034\\092\\010"'),
+        ("é", '"\\195\\169"'),
+        ([1, "x"], '{1, "x"}'),
+        ({2: "b", 1: "a"}, '{[1] = "a", [2] = "b"}'),
+        ({"end": 1, "ok": 2, "gone": None}, '{["end"] = 1, ok = 2}'),
+    ],
+)
+def test_values_as_lua(value, lua):
+    assert literal(value) == lua
+
+
+def test_text_is_safe_in_lua():
+    assert re.fullmatch(r'"(\\\d{3}|[ !#-\[\]-~])*"', quoted("".join(map(chr, range(300)))))
+
+
+@pytest.mark.parametrize(
+    ("expression", "frames"),
+    [
+        ("edoras.msg_id == 0x0827 and ros2.geometry_msgs.PoseStamped.pose.position.x > 0", 63),
+        ("ros2.geometry_msgs.Twist", 600),
+        ('ros2.geometry_msgs.Twist.angular.z < 0 and edoras.link == "ci"', None),
+        ('cfe.event.message contains "Msg Limit"', None),
+        ("sbn.msg_type == 1", None),
+        ("edoras.finding.checksum_absent", None),
+        ('edoras.finding == "checksum_absent"', None),
+        ("_ws.expert.severity == error", None),
+        ("ccsds_sp.packet_type == 1 and cfe.command.function_code == 6", None),
+        ('edoras.topic == "/telemetry_pose"', 63),
+        ("ros2cdr", 663),
+    ],
+)
+def test_filters_say_the_same_with_and_without_a_tree(expression, frames, tshark):
+    program = tshark(script=COMMITTED)
+    shown = program.run("-r", ROVER, "-Y", expression).splitlines()
+    tree = program.run("-r", ROVER, "-Y", expression, "-T", "fields", "-e", "frame.number").splitlines()
+    assert len(shown) == len(tree) > 0
+    assert frames in {None, len(shown)}
+
+
+def test_gaps_and_duplicates_are_those_of_the_accounts(tshark):
+    for name in ("a_rover", "c1_tlm_rate_limit4", "d3_cpu1_cpu2", "e_ci_errors"):
+        capture = next((ROOT / "samples/captures").glob(f"{name}.pcap*"))
+        bench = Settings((ROVER_MISSION,)).workbench()
+        ledger = Ledger(bench.mission)
+        with closing(open_file(capture)) as source:
+            for batch in source.batches():
+                ledger.add(batch, bench.columns.decode(batch))
+        accounts = ledger.accounts.values()
+        columns = ["-T", "fields", "-e", "edoras.gap", "-e", "edoras.duplicate", "-e", "edoras.reordered"]
+        told = tshark(ROVER_MISSION).run("-2", "-r", capture, "-Y", "edoras", *columns).decode().splitlines()
+        gaps, duplicates, reordered = zip(*(line.split("\t") for line in told), strict=True)
+        assert sum(int(item or 0) for item in gaps) == sum(account.gaps for account in accounts)
+        assert len(list(filter(None, reordered))) == sum(account.reordered for account in accounts)
+        assert len(list(filter(None, duplicates))) <= sum(account.duplicates for account in accounts)
+
+
+@pytest.mark.parametrize(
+    ("counts", "told", "in_the_end"),
+    [
+        ([5, 6, 7], ["", "", ""], None),
+        ([16382, 16383, 0], ["", "", ""], None),
+        ([5, 6, 9, 9, 10], ["", "", 2, "duplicate", ""], None),
+        ([5, 9, 7, 10], ["", 3, "reordered", ""], ["", 1, "reordered", ""]),
+        ([5, 5, 5], ["", "", ""], None),
+        ([100, 5000, 101, 5001, 102], ["", 4899, "reordered", "", ""], ["", "", "", "", ""]),
+        ([9000, 3, 4], ["", 7386, ""], None),
+        ([3, 9000, 4], ["", "reordered", ""], None),
+    ],
+)
+def test_what_a_sequence_count_says(counts, told, in_the_end, tshark, write_pcap, tmp_path):
+    rows = [(40000, 1235, cfe.emit_telemetry(0x0800, b"x", sequence_count=count)) for count in counts]
+    rows.insert(1, (40001, 1235, rows[-1][2]))  # another sender's own count
+    capture = write_pcap(tmp_path / "counts.pcap", rows)
+    for options, expected in ((), told), (("-2",), in_the_end or told):
+        frames = tshark(script=COMMITTED).frames(capture, *options)
+        seen = []
+        for frame in frames.values():
+            gap = [int(shown) for shown, _ in frame.fields.get("edoras.gap", [])]
+            kinds = [name for name in ("duplicate", "reordered") if f"edoras.{name}" in frame.fields]
+            seen.append((gap + kinds + [""])[0])
+            for name in kinds or (["gap"] if gap else []):
+                assert f"edoras.analysis.{name}" in frame.fields
+                assert frame.info.endswith(f"[gap of {gap[0]}]" if gap else f"[{name}]")
+        assert seen.pop(1) == ""
+        assert seen == expected, options
+
+
+def test_preferences_add_ports_and_headers(tshark, write_pcap, tmp_path):
+    packet = bytes.fromhex("1827c000000b") + bytes.fromhex("00000000") + bytes([6, 0]) + bytes(6)
+    beat = sbn.emit(sbn.MsgType.HEARTBEAT, sbn.Peer(66, 3))
+    capture = write_pcap(tmp_path / "ports.pcap", [(5000, 6010, packet), (5000, 6020, beat)])
+    chosen = ["-o", "edoras.ci_ports:6000-6010", "-o", "edoras.sbn_ports:6020"]
+    program = tshark(script=COMMITTED)
+    assert not any(frame.fields for frame in program.frames(capture).values())
+    frames = program.frames(capture, *chosen)
+    assert frames[1].fields["edoras.link"][0][0] == "ci"
+    assert frames[2].info.startswith("HEARTBEAT  from 66:3")
+    extended = program.frames(capture, *chosen, "-o", "edoras.extended_header:TRUE")
+    assert extended[1].fields["cfe.command.function_code"][0][0] == "6"
+    decoded_as = program.frames(capture, "-d", "udp.port==6010,edoras")
+    assert decoded_as[1].fields["edoras.link"][0][0] == "ci"
+
+
+def test_every_finding_has_its_expert_information():
+    text = COMMITTED.read_text()
+    for finding in Finding:
+        assert f'label = "{finding.label}"' in text
+
+
+def test_what_an_icmp_error_quotes_is_not_counted(tshark, tmp_path, write_pcap):
+    inner = write_pcap(tmp_path / "inner.pcap", [(1235, 1234, cfe.emit_command(0x1806, 0))]).read_bytes()[40:]
+    icmp = bytes.fromhex("0303000000000000") + inner
+    outer = inner[:2] + (20 + len(icmp)).to_bytes(2, "big") + inner[4:9] + b"\x01" + inner[10:20] + icmp
+    head = (tmp_path / "inner.pcap").read_bytes()[:24] + bytes(8) + len(outer).to_bytes(4, "little") * 2
+    (tmp_path / "icmp.pcap").write_bytes(head + outer)
+    frames = tshark(script=COMMITTED).frames(tmp_path / "icmp.pcap")
+    assert not frames[1].fields
+    assert frames[1].protocol == "ICMP"
+
+
+def test_two_copies_are_one(tshark, tmp_path):
+    """Wireshark's folder and -X at once: the second gives way, and a chosen one makes others give way."""
+    plugins = tmp_path / ".local/lib/wireshark/plugins"
+    plugins.mkdir(parents=True)
+    (plugins / "edoras.lua").write_text(COMMITTED.read_text())
+    mine = tmp_path / "mine.lua"
+    mine.write_text(dissector(Settings((ROVER_MISSION,)))[0])
+    command = ["tshark", "-n", "-X", f"lua_script:{mine}", "-r", ROVER, "-Y", "ros2.sensor_msgs.JointState"]
+
+    def said(**environment):
+        done = subprocess.run(
+            command,
+            env=os.environ | {"HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)} | environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert "Lua" not in done.stderr
+        return "is neither a field nor a protocol" in done.stderr
+
+    assert not said()  # the installed one came first, and knows all the demos
+    assert said(**{GUARD: own_digest(mine.read_text())})  # this one only knows the rover
+
+
+def test_an_unknown_type_leaves_all_else(tshark, tmp_path):
+    mission = tmp_path / "bad.yaml"
+    mission.write_text(ROVER_MISSION.read_text().replace("geometry_msgs/msg/Twist", "nope_msgs/msg/Twist"))
+    warnings = dissector(Settings((mission,)))[1]
+    assert len(warnings) == 1
+    assert "nope_msgs/msg/Twist is left as bytes" in warnings[0]
+    frames = tshark(mission).frames(ROVER)
+    commands = [frame for frame in frames.values() if frame.fields.get("edoras.msg_id") == [("0x1827", "")]]
+    assert len(commands) == 600
+    assert all("ros2cdr.body" in frame.fields for frame in commands)
+    assert sum("ros2.geometry_msgs.PoseStamped" in frame.fields for frame in frames.values()) == 63
+    assert load([mission]).routes[0].type == "nope_msgs/msg/Twist"
