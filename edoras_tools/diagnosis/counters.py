@@ -55,6 +55,13 @@ class Track:
         """Tell whether samples lie on both sides of a time."""
         return bool(self.times) and self.times[0] <= time_ns <= self.times[-1]
 
+    def covers(self, start_ns: int, end_ns: int) -> bool:
+        """Tell whether samples span most of a time."""
+        if not self.times:
+            return False
+        both = min(end_ns, self.times[-1]) - max(start_ns, self.times[0])
+        return both >= 0 and 2 * both >= end_ns - start_ns
+
     def _add(self, made_ns: int, sample: Housekeeping, last: Housekeeping | None) -> None:
         self.times.append(made_ns)
         for name in _NAMES:

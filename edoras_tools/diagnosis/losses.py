@@ -264,7 +264,7 @@ def _judge(
     text = f"0x803: MsgLimit +{grown['limit']:,}, PipeOverflow +{grown['overflow']:,} in this time"
     evidence.append(text)
     if not any(grown.values()):
-        if track.watches(span.start_ns) or track.watches(span.end_ns):
+        if track.covers(span.start_ns, span.end_ns):
             return "after", "medium"
         return "unknown", "low"
     kind: PipeKind = "overflow" if grown["overflow"] >= grown["limit"] else "limit"

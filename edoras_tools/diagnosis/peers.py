@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 State = Literal["connected", "silent", "timed_out", "disconnected"]
 _LEAST_ROWS: Final = 3
 _ALREADY_NS: Final = SECOND
+_STILL_NS: Final = 3 * SECOND
+"""So long after a time-out nobody sends to a peer any more."""
+UNSEEN: Final = "nothing of it is seen here since, yet the observer goes on sending to it"
 
 
 class Change(NamedTuple):
@@ -127,8 +130,9 @@ class Network:
                 if not len(heard):
                     continue
                 said = sent if len(sent) else heard
-                changes = self._changes(rows, heard, int(rows.time_ns[said[0]]), end_ns)
                 app = sent[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
+                changes = self._changes(rows, heard, int(rows.time_ns[said[0]]), end_ns)
+                changes = _believed(changes, rows.time_ns[app])
                 self.connections[peer, observer] = Connection(peer, observer, changes, rows.time_ns[app])
 
     def _changes(self, rows: Rows, heard: NDArray[np.intp], alive_ns: int, end_ns: int) -> list[Change]:
@@ -177,6 +181,19 @@ class Network:
     def unsubscribed_within(self, msg_id: int, start_ns: int, end_ns: int) -> bool:
         """Tell whether a MsgId was unsubscribed in a span of time."""
         return any(start_ns <= when <= end_ns and msg_id in wanted for when, wanted in self._unsubscribed)
+
+
+def _believed(changes: list[Change], sent_ns: NDArray[np.int64]) -> list[Change]:
+    """Take back time-outs that the observer did not see: it went on sending, so the peer was heard there."""
+    out: list[Change] = []
+    for at, change in enumerate(changes):
+        until = changes[at + 1].time_ns if at + 1 < len(changes) else np.iinfo(np.int64).max
+        late = (sent_ns > change.time_ns + _STILL_NS) & (sent_ns < until)
+        if change.state == "timed_out" and late.any():
+            out[-1] = out[-1]._replace(why=UNSEEN)
+            continue
+        out.append(change)
+    return out
 
 
 def _name(kind: int) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.diagnosis.rules.wrong_type import misread
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.model import NO_MSG_ID, Finding, Link
 from edoras_tools.sessions.profile import MILLISECOND
@@ -145,6 +146,8 @@ def judge(case: Case) -> Iterator[Verdict]:
     wrong = commands & rows.has(mask) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)
     found: dict[tuple[str, int], list[tuple[int, Kind]]] = {}
     wrong |= commands & (rows.claimed > 0) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)
+    for _, misfits, _ in misread(case):
+        wrong[misfits] = False  # the type is wrong, not each of its messages
     for row in np.flatnonzero(wrong).tolist():
         findings = Finding(int(rows.findings[row]))
         findings |= Finding.ENVELOPE_OVERRUN if rows.claimed[row] else Finding(0)

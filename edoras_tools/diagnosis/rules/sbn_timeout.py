@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from edoras_tools.diagnosis.peers import UNSEEN
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.sessions.profile import SECOND
 
@@ -22,6 +23,25 @@ def judge(case: Case) -> Iterator[Verdict]:
         for at, change in enumerate(connection.changes):
             if change.state == "timed_out" and at:
                 yield _verdict(case, connection, at, connection.changes[at - 1], change)
+            elif change.why == UNSEEN:
+                yield _unseen(case, connection, change)
+
+
+def _unseen(case: Case, connection: Connection, silent: Change) -> Verdict:
+    """Say that a peer is not dead, but out of sight."""
+    return Verdict(
+        ID,
+        Severity.NOTE,
+        f"nothing of SBN peer {connection.peer} is seen here after {case.at(silent.time_ns)}, yet "
+        f"{connection.observer} goes on sending to it: its datagrams do not cross this point any more",
+        link="sbn",
+        hop="capture",
+        start_ns=silent.time_ns,
+        end_ns=case.end_ns,
+        evidence=(f"{connection.observer} still sent at {case.at(int(connection.sent_ns[-1]))}",),
+        remedy="capture on the host of cFS, where both directions pass",
+        confidence="medium",
+    )
 
 
 def _verdict(case: Case, connection: Connection, at: int, silent: Change, out: Change) -> Verdict:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.diagnosis.instances import NOBODY
 from edoras_tools.diagnosis.rules import struct_overrun
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.model import Link
@@ -34,12 +35,12 @@ def judge(case: Case) -> Iterator[Verdict]:
     for stream in case.streams:
         if stream.link is not Link.TO or len(stream) < _LEAST or _asked_for(case, stream):
             continue
-        if stream.instance != case.known.owner(stream):
+        if stream.instance == NOBODY or stream.instance != case.known.owner(stream):
             continue  # handed on for a peer, which may be gone
         times = case.rows.time_ns[stream.rows]
         last_ns, usual = int(times[-1]), float(np.median(np.diff(times)))
-        peers = [item for item in case.streams if item.link is Link.TO and item.sender == stream.sender]
-        alive_ns = max(int(case.rows.time_ns[item.rows[-1]]) for item in peers)
+        # Its own cFS goes on: another boot behind the same address would be a restart.
+        alive_ns = case.instances.items[stream.instance].last_ns
         if alive_ns - last_ns < max(_WAIT_NS, _WAIT_PERIODS * usual):
             continue
         signs = list(_signs(case, stream, last_ns, alive_ns))

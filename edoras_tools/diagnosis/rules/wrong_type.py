@@ -13,11 +13,20 @@ from edoras_tools.model import Finding, Link
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from numpy.typing import NDArray
+
     from edoras_tools.diagnosis.case import Case
 
 ID = "wrong_type"
 PACKAGES: Final = ("geometry_msgs", "sensor_msgs", "std_msgs", "nav_msgs", "builtin_interfaces")
 """Where types that fit are looked for, besides the mission's own."""
+USUAL: Final = (
+    "geometry_msgs/msg/Pose",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/Twist",
+    "sensor_msgs/msg/JointState",
+)
+"""What the EDORAS demos send: likelier than another type of the same shape."""
 _MOST: Final = 3
 _SHARE: Final = 0.5
 
@@ -25,26 +34,22 @@ _SHARE: Final = 0.5
 def judge(case: Case) -> Iterator[Verdict]:
     """Name the routes, and the types that fit their bytes."""
     rows = case.rows
-    for index, route in enumerate(case.mission.routes):
-        own = rows.route == index
-        whole = own & (rows.cdr_length > 0) & ~rows.has(Finding.CAPTURE_CUT)
-        bad = np.flatnonzero(whole & rows.has(Finding.CDR_INVALID))
-        if len(bad) < 2 or len(bad) < _SHARE * whole.sum():
-            continue
+    for index, bad, count in misread(case):
+        route = case.mission.routes[index]
         samples = list(case.samples.get((int(Link(route.link)), route.msg_id), {}).values())
         fits = fitting(case, samples, route.type)
         sizes = ", ".join(str(size) for size in np.unique(rows.cdr_length[bad])[:4].tolist())
         yield Verdict(
             ID,
             Severity.ERROR,
-            f"{len(bad):,} of {int(whole.sum()):,} messages on {case.name(route.msg_id)} do not decode as "
+            f"{len(bad):,} of {count:,} messages on {case.name(route.msg_id)} do not decode as "
             f"{route.type}" + (f"; {' or '.join(fits[:_MOST])} would fit" if fits else ""),
             msg_id=route.msg_id,
             topic=route.topic,
             link=route.link.label,
             hop="mission file",
             lost=len(bad),
-            of=int(whole.sum()),
+            of=count,
             start_ns=int(rows.time_ns[bad[0]]),
             end_ns=int(rows.time_ns[bad[-1]]),
             evidence=(
@@ -56,6 +61,17 @@ def judge(case: Case) -> Iterator[Verdict]:
             "agree",
             confidence="high" if fits else "medium",
         )
+
+
+def misread(case: Case) -> Iterator[tuple[int, NDArray[np.intp], int]]:
+    """Yield routes most of whose messages do not decode: index, those rows, of how many."""
+    rows = case.rows
+    for index in range(len(case.mission.routes)):
+        whole = (rows.route == index) & (rows.cdr_length > 0) & ~rows.has(Finding.CAPTURE_CUT)
+        bad = np.flatnonzero(whole & rows.has(Finding.CDR_INVALID))
+        count = int(whole.sum())
+        if len(bad) >= 2 and len(bad) >= _SHARE * count:
+            yield index, bad, count
 
 
 def fitting(case: Case, samples: list[bytes], configured: str) -> list[str]:
@@ -72,4 +88,4 @@ def fitting(case: Case, samples: list[bytes], configured: str) -> list[str]:
                 found.append(name)
         except EdorasError:
             continue
-    return sorted(found, key=lambda name: (name not in own, not name.startswith("geometry"), name))[:8]
+    return sorted(found, key=lambda name: (name not in own, name not in USUAL, name))[:8]

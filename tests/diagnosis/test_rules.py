@@ -1,0 +1,404 @@
+"""Every rule fires on what it is about, and keeps silent on sound traffic."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from edoras_tools.diagnosis.rules import RULES
+from edoras_tools.model import Endpoint
+from edoras_tools.sim import messages
+from edoras_tools.wire import cfe, envelope, sbn
+
+IDS = [rule.ID for rule in RULES]
+HABITS = {"checksum", "subscription_storm", "proto_storm", "superseded"}
+
+
+def command(lab, seconds, msg_id, payload=b"", *, code=1, port=1234, data=None):
+    packet = data if data is not None else cfe.emit_command(msg_id, code, payload, sequence_flags=0)
+    return lab.at(seconds, lab.ground, Endpoint("127.0.0.1", port), packet)
+
+
+def telemetry(lab, seconds, msg_id, payload, count, port=49152):
+    packet = cfe.emit_telemetry(msg_id, payload, seconds=1_001_000 + int(seconds), sequence_count=count)
+    return lab.at(seconds, Endpoint("127.0.0.1", port), lab.ground, packet)
+
+
+def only(sent, *ports):
+    return [item for item in sent if item.destination.port in ports]
+
+
+def enable(lab, seconds, address, sender="127.0.0.1"):
+    packet = cfe.emit_command(0x1880, 6, address.encode().ljust(16, b"\0"), sequence_flags=0)
+    return lab.at(seconds, Endpoint(sender, 40000), lab.ci, packet)
+
+
+CASES = {}
+
+
+def case(function):
+    CASES[function.__name__] = function
+    return function
+
+
+@case
+def capture_drops(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate()[0], drops=5)
+
+
+@case
+def clock_jump(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=30)
+    later = [
+        item._replace(time_ns=item.time_ns + 20 * 10**9 * (index > 400)) for index, item in enumerate(sent)
+    ]
+    return lab.examine(later)
+
+
+@case
+def cfs_restart(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate()
+    again = [item._replace(time_ns=item.time_ns + 40 * 10**9) for item in sent]
+    return lab.examine([*sent, *again])
+
+
+@case
+def not_observable(lab, tmp_path, msg_id):
+    return lab.examine(only(lab.simulate()[0], 1234))
+
+
+@case
+def app_pipe_limit(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate(hz=10.0, seconds=30)[0])
+
+
+@case
+def app_pipe_overflow(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate(hz=10.0, seconds=30, app_pipe_depth=4, app_msg_limit=40)[0])
+
+
+@case
+def to_message_limit(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate(generators=((2, 0x8F1, 20), (15, 0x8F1, 0)), limits=((0x8F1, 4),))[0])
+
+
+@case
+def to_pipe_overflow(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate(generators=((2, 0x8F1, 200), (15, 0x8F1, 0)), limits=((0x8F1, 255),))[0])
+
+
+@case
+def sbn_peer_pipe(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate("two-rovers", generators=((2, 0x82A, 100), (15, 0x82A, 0)))[0])
+
+
+@case
+def crossing_loss(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate("two-rovers", seconds=40, state_hz=0.2, hz=0.0)
+    extra = [
+        lab.network(
+            8.5 + 5 * index,
+            sbn.MsgType.APP,
+            cfe.emit_command(
+                0x1829,
+                1,
+                envelope.DEFAULT.emit(messages.pose_stamped(0, "map", 1000.0 + index, 0, 0)),
+                sequence_flags=0,
+            ),
+        )
+        for index in range(5)
+    ]
+    return lab.examine(lab.merged(sent, *extra), lab.missions("two-rovers"))
+
+
+@case
+def lost_after_cfs(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=30)
+    at = [index for index, item in enumerate(sent) if item.destination.port == 1235 and msg_id(item) == 0x827]
+    return lab.examine([item for index, item in enumerate(sent) if index not in {at[8], at[9], at[15]}])
+
+
+@case
+def unexplained_gap(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=30)
+    at = [index for index, item in enumerate(sent) if item.destination.port == 1235 and msg_id(item) == 0x827]
+    kept = [item for index, item in enumerate(sent) if index not in {at[8], at[15]}]
+    return lab.examine([item for item in kept if msg_id(item) not in {0x803, 0x808}])
+
+
+@case
+def unattributed_loss(lab, tmp_path, msg_id):
+    grown, count = [], 0
+    for item in lab.simulate(seconds=30)[0]:
+        data = item.payload
+        if item.destination.port == 1235 and msg_id(item) == 0x803:
+            count += 3
+            data = data[:30] + count.to_bytes(2, "little") + data[32:]
+        grown.append(item._replace(payload=data))
+    return lab.examine(grown)
+
+
+def overrun(lab, seconds, count):
+    payload = envelope.DEFAULT.layout.emit({"buffer_length": 140, "buffer_capacity": 140})
+    return telemetry(lab, seconds, 0x827, (payload + b"\0\1\0\0").ljust(100, b"\7"), count)
+
+
+@case
+def struct_overrun(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=20)
+    return lab.examine(lab.merged(sent, overrun(lab, 19.9, 20)), lab.mission("rover_ground"))
+
+
+@case
+def telemetry_vanished(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=40)
+    ends_ns = lab.start_ns + 20 * 10**9
+    gone = [item for item in sent if not (msg_id(item) == 0x826 and item.time_ns > ends_ns)]
+    words = "Send Err:Invalid MsgId(0x6f72)in msg,App EDORAS_APP"
+    return lab.examine(lab.merged(gone, lab.event(21, "CFE_SB", 21, words)))
+
+
+@case
+def ci_cut(lab, tmp_path, msg_id):
+    return lab.examine(lab.merged(lab.simulate()[0], command(lab, 5, 0x1827, bytes(800))))
+
+
+@case
+def ci_backlog(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate(hz=40.0, seconds=20)[0])
+
+
+@case
+def ground_bridge_buffer(lab, tmp_path, msg_id):
+    body = envelope.DEFAULT.emit(b"\0\1\0\0" + bytes(1100))
+    return lab.examine(lab.merged(lab.simulate()[0], telemetry(lab, 5, 0x8F1, body, 1)))
+
+
+@case
+def flight_bridge_length(lab, tmp_path, msg_id):
+    packet = cfe.emit_telemetry(0x82A, envelope.DEFAULT.emit(b"\0\1\0\0" + bytes(256 + 4 - 11 - 36)))
+    data = sbn.emit(sbn.MsgType.APP, sbn.Peer(0x42, 1), packet)
+    assert len(data) % 256 < 11
+    return lab.examine(lab.merged(lab.simulate("two-rovers")[0], lab.at(5, lab.cfs, lab.bridge, data)))
+
+
+@case
+def bad_command(lab, tmp_path, msg_id):
+    return lab.examine(lab.merged(lab.simulate()[0], command(lab, 5, 0, data=b"\x18\x27\0\0\0\0\1")))
+
+
+@case
+def no_subscriber(lab, tmp_path, msg_id):
+    feed = (5.0, 1234, cfe.emit_command(0x18EE, 1, bytes(8), sequence_flags=0))
+    sent, _ = lab.simulate(hz=0.0, feeds=(feed,))
+    return lab.examine(lab.merged(sent, command(lab, feed[0], 0, data=feed[2])))
+
+
+@case
+def rate_over_limit(lab, tmp_path, msg_id):
+    return lab.examine(only(lab.simulate(hz=10.0)[0], 1234))
+
+
+@case
+def sbn_timeout(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate("two-rovers", seconds=40)
+    dead_ns = lab.start_ns + 15 * 10**9
+    gone = [item for item in sent if not (item.source.port == 2236 and item.time_ns > dead_ns)]
+    given_up_ns = dead_ns + 11 * 10**9
+    return lab.examine(
+        [item for item in gone if not (item.destination.port == 2236 and item.time_ns > given_up_ns)]
+    )
+
+
+@case
+def sbn_never_connected(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate("two-rovers", seconds=20)
+    return lab.examine([item for item in sent if item.source.port == 2236])
+
+
+@case
+def sbn_disconnected(lab, tmp_path, msg_id):
+    return lab.examine(lab.merged(lab.simulate("two-rovers")[0], lab.network(10, sbn.MsgType.DISCONNECT)))
+
+
+@case
+def bad_network_message(lab, tmp_path, msg_id):
+    return lab.examine(lab.merged(lab.simulate("two-rovers")[0], lab.network(10, 0x07)))
+
+
+@case
+def wrong_ident(lab, tmp_path, msg_id):
+    foreign = sbn.emit_subscriptions([sbn.Subscription(0x82A)], ident="$Id: another $")
+    return lab.examine(lab.merged(lab.simulate("two-rovers")[0], lab.network(10, sbn.MsgType.SUB, foreign)))
+
+
+@case
+def wrong_protocol_version(lab, tmp_path, msg_id):
+    old = lab.network(10, sbn.MsgType.PROTO, sbn.emit_proto(10))
+    return lab.examine(lab.merged(lab.simulate("two-rovers")[0], old))
+
+
+@case
+def unknown_peer(lab, tmp_path, msg_id):
+    stranger = lab.network(10, sbn.MsgType.PROTO, sbn.emit_proto(), peer=sbn.Peer(0x42, 9))
+    return lab.examine(lab.merged(lab.simulate("two-rovers")[0], stranger))
+
+
+@case
+def to_not_enabled(lab, tmp_path, msg_id):
+    return lab.examine(only(lab.simulate()[0], 1234))
+
+
+@case
+def to_destination(lab, tmp_path, msg_id):
+    fights = [
+        enable(lab, 3 + index, f"10.0.0.{1 + index % 2}", sender=f"10.0.0.{1 + index % 2}")
+        for index in range(6)
+    ]
+    return lab.examine(lab.merged(lab.simulate()[0], *fights))
+
+
+def altered_mission(lab, tmp_path, *pairs):
+    text = lab.mission("rover_ground")[0].read_text()
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "mission.yaml"
+    path.write_text(text)
+    return [path]
+
+
+@case
+def wrong_direction(lab, tmp_path, msg_id):
+    swapped = altered_mission(
+        lab,
+        tmp_path,
+        ("command: ['cmd_twist']", "command: ['tlm_pose']"),
+        ("telemetry: ['tlm_pose']", "telemetry: ['cmd_twist']"),
+    )
+    return lab.examine(lab.simulate()[0], swapped)
+
+
+@case
+def wrong_type(lab, tmp_path, msg_id):
+    wrong = altered_mission(lab, tmp_path, ("geometry_msgs/msg/Twist", "sensor_msgs/msg/JointState"))
+    return lab.examine(lab.simulate()[0], wrong)
+
+
+@case
+def topic_never_seen(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate(hz=0.0)[0], lab.mission("two_rovers_ground"))
+
+
+@case
+def not_configured(lab, tmp_path, msg_id):
+    other = altered_mission(lab, tmp_path, ("mid: 0x827", "mid: 0x829"))
+    return lab.examine(lab.simulate()[0], other)
+
+
+@case
+def stale_tail(lab, tmp_path, msg_id):
+    def state(seconds, frame):
+        cdr = messages.pose_stamped(0, frame, seconds, 0, 0)
+        packet = cfe.emit_command(0x1829, 1, envelope.DEFAULT.emit(cdr), sequence_flags=0)
+        return seconds, 2234, sbn.emit(sbn.MsgType.APP, sbn.Peer(0x42, 3), packet)
+
+    feeds = [state(5.0, "a_long_frame_id")] + [state(6.0 + index, "w") for index in range(5)]
+    sent, _ = lab.simulate("two-rovers", state_hz=0.0, feeds=tuple(feeds))
+    return lab.examine(sent, lab.missions("two-rovers"))
+
+
+@case
+def older_losses(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(hz=10.0, seconds=30)
+    return lab.examine([item for item in sent if item.time_ns > lab.start_ns + 12 * 10**9])
+
+
+@case
+def event_suppression(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate(hz=10.0, seconds=30)[0])
+
+
+@case
+def event_squelch(lab, tmp_path, msg_id):
+    told = lab.event(5, "CFE_EVS", 44, "Events squelched, AppName = SBN")
+    return lab.examine(lab.merged(lab.simulate()[0], told))
+
+
+@case
+def checksum(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate()[0])
+
+
+@case
+def subscription_storm(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate("two-rovers")[0])
+
+
+@case
+def proto_storm(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate("two-rovers")[0])
+
+
+@case
+def superseded(lab, tmp_path, msg_id):
+    return lab.examine(lab.simulate("two-rovers")[0], lab.missions("two-rovers"))
+
+
+def test_every_rule_has_a_case():
+    assert set(CASES) == set(IDS)
+
+
+@pytest.mark.parametrize("rule", IDS)
+def test_fires(rule, lab, tmp_path, msg_id):
+    diagnosis = CASES[rule](lab, tmp_path, msg_id)
+    said = [item for item in (*diagnosis.verdicts, *diagnosis.habits) if item.rule == rule]
+    assert said, [item.reason for item in diagnosis.verdicts]
+    for item in said:
+        assert item.reason
+        assert item.start_ns <= item.end_ns
+        assert item.confidence in {"high", "medium", "low"}
+        assert item.lost is None or item.of is None or 0 < item.lost <= item.of
+
+
+@pytest.mark.parametrize("scenario", ["rover", "arm", "two-rovers", "two-arms"])
+def test_silent_on_sound_traffic(scenario, lab):
+    sent, counters = lab.simulate(scenario, seconds=60)
+    assert counters.msg_limits == counters.pipe_overflows == 0
+    for config in ((), lab.missions(scenario)):
+        diagnosis = lab.examine(sent, config)
+        assert [item.reason for item in diagnosis.verdicts] == []
+        assert {item.rule for item in diagnosis.habits} <= HABITS
+
+
+def test_a_peer_that_is_only_out_of_sight_did_not_time_out(lab):
+    sent, _ = lab.simulate("two-rovers", seconds=40)
+    dead_ns = lab.start_ns + 15 * 10**9
+    diagnosis = lab.examine(
+        [item for item in sent if not (item.source.port == 2236 and item.time_ns > dead_ns)]
+    )
+    assert diagnosis.lost == 0
+    assert [row["state"] for row in diagnosis.peers[0]["states"]] == ["connected", "silent"]
+
+
+def test_a_restart_is_not_taken_for_vanished_telemetry(lab, tmp_path, msg_id):
+    diagnosis = cfs_restart(lab, tmp_path, msg_id)
+    assert [item.rule for item in diagnosis.verdicts] == ["cfs_restart"]
+
+
+def test_a_wrong_type_is_one_verdict(lab, tmp_path, msg_id):
+    (verdict,) = wrong_type(lab, tmp_path, msg_id).verdicts
+    assert "geometry_msgs/msg/Twist" in verdict.reason
+
+
+def test_habits_are_silent_where_they_are_not_had(lab):
+    sent, _ = lab.simulate(hz=0.0)
+    assert lab.examine(only(sent, 1235)).habits == ()
+
+
+def test_every_rule_is_documented():
+    page = (Path(__file__).parents[2] / "docs/rules/README.md").read_text()
+    headings = re.findall(r"^### `(\w+)`", page, re.MULTILINE)
+    assert sorted(headings) == sorted(IDS)

@@ -1,0 +1,151 @@
+"""Loss in the emulated cFS: what the doctor says, held to what its software bus really counted."""
+
+from collections import Counter
+
+import pytest
+
+from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.model import Link
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.sessions.profile import SECOND, SimProfile
+from edoras_tools.sim import Simulation
+from edoras_tools.sim.source import SimulatedSource
+
+
+def by_route(diagnosis):
+    lost = Counter()
+    for item in diagnosis.verdicts:
+        if item.msg_id is not None:
+            lost[item.msg_id] += item.lost or 0
+    return lost
+
+
+@pytest.mark.parametrize("scenario", ["rover", "arm", "two-rovers", "two-arms"])
+def test_ten_minutes_at_half_of_every_limit_find_nothing(scenario, lab):
+    bench = Settings(configs=lab.missions(scenario)).workbench()
+    examination = Examination(bench.columns.context)
+    simulation = Simulation(scenario=scenario, command_rate_hz=4.0, state_rate_hz=4.0, start_ns=lab.start_ns)
+    for batch in SimulatedSource(simulation, 600 * SECOND).batches():
+        examination.add(batch, bench.columns.decode(batch))
+    diagnosis = examination.diagnose()
+    assert diagnosis.verdicts == ()
+    assert diagnosis.lost == 0
+
+
+@pytest.mark.parametrize("hertz", [10.0, 14.0, 20.0])
+def test_commands_lost_at_the_pipe_are_what_the_counter_says(hertz, lab):
+    sent, counters = lab.simulate(hz=hertz, seconds=40, count=int(hertz * 30))
+    assert by_route(lab.examine(sent))[0x1827] == pytest.approx(counters.msg_limits, abs=1)
+
+
+def test_a_capture_that_begins_after_the_events_stopped_still_names_the_route(lab):
+    sent, _ = lab.simulate(hz=10.0, seconds=60)
+    late = lab.examine([item for item in sent if item.time_ns > lab.start_ns + 25 * SECOND])
+    (verdict,) = [item for item in late.verdicts if item.rule == "app_pipe_limit"]
+    assert (verdict.msg_id, verdict.confidence) == (0x1827, "medium")
+
+
+def test_tos_own_pipe_overflows_and_takes_its_events_with_it(lab):
+    sent, counters = lab.simulate(
+        generators=((4, 0x8F1, 250), (24, 0x8F1, 0)), limits=((0x8F1, 255), (0x827, 4)), seconds=35, hz=1.0
+    )
+    assert counters.pipe_overflows > 1000
+    diagnosis = lab.examine(sent)
+    assert not diagnosis.case.culprits or all(item.kind != "overflow" for item in diagnosis.case.culprits)
+    verdicts = [
+        item for item in diagnosis.verdicts if item.rule == "to_pipe_overflow" and item.msg_id == 0x8F1
+    ]
+    assert sum(item.lost for item in verdicts) == pytest.approx(counters.pipe_overflows, rel=0.15)
+    assert any("lost with it" in line for item in diagnosis.verdicts for line in item.evidence)
+
+
+def test_a_table_with_other_limits_is_measured(lab):
+    sent, counters = lab.simulate(
+        generators=((4, 0x8F1, 60), (24, 0x8F1, 0)), limits=((0x8F1, 10),), seconds=30, hz=1.0
+    )
+    (verdict,) = [item for item in lab.examine(sent).verdicts if item.rule == "to_message_limit"]
+    assert verdict.lost == pytest.approx(counters.msg_limits, rel=0.02)
+    assert "10 of this MsgId may wait" in verdict.reason
+    assert "20.0/s get through" in verdict.reason
+
+
+@pytest.mark.parametrize("configured", [True, False])
+def test_two_routes_share_the_counter_and_telemetry_keeps_its_own(configured, lab):
+    sent, counters = lab.simulate("two-arms", hz=10.0, state_hz=10.0, seconds=60)
+    diagnosis = lab.examine(sent, lab.missions("two-arms") if configured else ())
+    lost = by_route(diagnosis)
+    assert lost[0x828] == pytest.approx(117, abs=3)
+    assert lost[0x829] == pytest.approx(117, abs=3)
+    assert lost[0x1827] + lost[0x1828] == pytest.approx(counters.msg_limits - 234, abs=8)
+    assert lost[0x1827] == pytest.approx(lost[0x1828], rel=0.1)
+
+
+def test_the_same_message_is_found_under_its_other_msg_id(lab):
+    sent, _ = lab.simulate("two-rovers", seconds=40, hz=2.0)
+    diagnosis = lab.examine(sent, lab.missions("two-rovers"))
+    crossings = {
+        row["msg_id"]: item["from"]
+        for row in diagnosis.routes
+        for item in row["crossings"]
+        if item["matched"] > 20
+    }
+    assert crossings == {"0x082a": "0x1827", "0x082b": "0x1828", "0x0828": "0x1829", "0x0829": "0x182a"}
+    delays = [
+        item["latency"] for row in diagnosis.routes for item in row["crossings"] if row["msg_id"] == "0x0828"
+    ]
+    assert 0 < delays[0]["p50_ms"] < delays[0]["max_ms"] < 520
+
+
+@pytest.mark.parametrize("keep", [Link.CI, Link.TO, Link.SBN])
+def test_a_capture_of_one_link_is_modest(keep, lab):
+    ports = {Link.CI: {1234}, Link.TO: {1235}, Link.SBN: {2234, 2235, 2236}}[keep]
+    sent, _ = lab.simulate("two-rovers", seconds=30, hz=4.0)
+    diagnosis = lab.examine(
+        [item for item in sent if item.destination.port in ports], lab.missions("two-rovers")
+    )
+    assert diagnosis.lost == 0
+    assert any("not observable from here" in item.reason for item in diagnosis.verdicts)
+
+
+def test_the_captures_own_drops_come_before_blame(lab):
+    sent, _ = lab.simulate(seconds=60)
+    kept = [item for index, item in enumerate(sent) if index % 17]
+    diagnosis = lab.examine(kept, drops=len(sent) - len(kept))
+    assert {item.rule for item in diagnosis.verdicts} == {"capture_drops", "lost_after_cfs"}
+    assert all(
+        item.confidence == "low" and any("the capture itself lost" in line for line in item.evidence)
+        for item in diagnosis.verdicts
+        if item.rule == "lost_after_cfs"
+    )
+
+
+@pytest.mark.parametrize("by", [45, -20])
+def test_a_clock_that_jumps_changes_no_count(by, lab):
+    sent, counters = lab.simulate(hz=10.0, seconds=40, count=300)
+    half = len(sent) // 2
+    jumped = [
+        item._replace(time_ns=item.time_ns + by * SECOND * (index >= half)) for index, item in enumerate(sent)
+    ]
+    diagnosis = lab.examine(jumped)
+    assert by_route(diagnosis)[0x1827] == pytest.approx(counters.msg_limits, abs=1)
+    assert {item.rule for item in diagnosis.verdicts} == {"app_pipe_limit", "clock_jump", "event_suppression"}
+
+
+def test_chapters_add_up(lab, monkeypatch):
+    from edoras_tools.diagnosis import examination
+
+    sent, counters = lab.simulate(hz=10.0, seconds=60)
+    monkeypatch.setattr(examination, "CHAPTER", 700)
+    diagnosis = lab.examine(sent)
+    assert diagnosis.datagrams == len(sent)
+    assert by_route(diagnosis)[0x1827] == pytest.approx(counters.msg_limits, abs=12)
+    assert sum(item.rule == "older_losses" for item in diagnosis.verdicts) == 0
+
+
+def test_another_cfs_has_other_constants(lab):
+    profile = SimProfile(app_msg_limit=8)
+    sent, _ = lab.simulate(hz=10.0, seconds=20, app_msg_limit=8)
+    only = [item for item in sent if item.destination.port == 1234]
+    rules = [item.rule for item in lab.examine(only, profile=profile).verdicts]
+    assert "rate_over_limit" not in rules
+    assert "rate_over_limit" in [item.rule for item in lab.examine(only).verdicts]
