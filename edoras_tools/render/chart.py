@@ -169,18 +169,19 @@ def svg(chart: Chart, subtitle: str = "") -> str:
     return "\n".join(parts) + "\n"
 
 
-def need_png() -> None:
-    """Refuse to draw PNG where nothing can.
+def need_png() -> Any:
+    """Return matplotlib's ``figure`` module, which draws PNG.
 
     Raises:
-        ConfigError: matplotlib is not installed.
+        ConfigError: matplotlib is not installed, or not wholly.
     """
-    from importlib.util import find_spec
+    from importlib import import_module
 
-    if find_spec("matplotlib") is None:
-        raise ConfigError(
-            "--png needs matplotlib, which is not installed; pip install matplotlib, or write --svg"
-        )
+    try:
+        return import_module("matplotlib.figure")
+    except ImportError as error:
+        why = f"which is not installed ({error})"
+        raise ConfigError(f"--png needs matplotlib, {why}; pip install matplotlib, or write --svg") from None
 
 
 def png(chart: Chart, file: BytesIO, subtitle: str = "") -> None:
@@ -194,10 +195,7 @@ def png(chart: Chart, file: BytesIO, subtitle: str = "") -> None:
     Raises:
         ConfigError: matplotlib is not installed.
     """
-    from importlib import import_module
-
-    need_png()
-    figure = import_module("matplotlib.figure").Figure(figsize=(_WIDTH / 100, _HEIGHT / 100), dpi=200)
+    figure = need_png().Figure(figsize=(_WIDTH / 100, _HEIGHT / 100), dpi=200)
     axes = figure.subplots()
     axes.plot(*zip(*chart.ideal, strict=True), "--", color=_COLOURS["ideal"], linewidth=1)
     if chart.threshold is not None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
+import sys
 from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
@@ -139,7 +139,7 @@ def test_svg_stands_alone_and_is_escaped():
 
 
 def test_png_without_matplotlib_says_what_to_do(monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ConfigError, match="pip install matplotlib, or write --svg"):
         chart.png(Chart.of(SUMMARY), io.BytesIO())
 
@@ -156,8 +156,7 @@ def test_png_by_matplotlib(monkeypatch):
 
             return call
 
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: True)
-    monkeypatch.setattr(importlib, "import_module", lambda _: SimpleNamespace(Figure=lambda **_: Anything()))
+    monkeypatch.setattr(chart, "need_png", lambda: SimpleNamespace(Figure=lambda **_: Anything()))
     file = io.BytesIO()
     chart.png(Chart.of(SUMMARY), file, "threshold")
     assert asked[-1] == ("savefig", (file,), {"format": "png"})
