@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 humble.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "9f5195f7212a3d4b"
+local DIGEST = "c96648f62010b60f"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1511,7 +1511,7 @@ end
 
 -- Tell whether any byte of a stretch is not 0.
 local function any_nonzero(s, first, last)
-	local found = first <= last and s:find("[^%z]", first)
+	local found = first <= last and s:find("[^\0]", first)
 	return found and found <= last or false
 end
 
@@ -2355,7 +2355,7 @@ local function detect(s, at)
 		if #s >= start + 4 then
 			local length, capacity = format.read(s, at + 1)
 			if length >= 4 and length <= capacity and length <= #s - start
-				and s:find("^%z[%z\1]%z%z", start + 1) then
+				and s:find("^\0[\0\1]\0\0", start + 1) then
 				return format
 			end
 		end

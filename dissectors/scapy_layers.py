@@ -369,6 +369,7 @@ class SBN(Packet):  # type: ignore[misc]
     name = sbn.HEADER.title
     fields_desc = fields(sbn.HEADER, msg_size=None, msg_type=sbn.MsgType.APP)
     layout = sbn.HEADER
+    match_subclass = True  # packet[SBN] finds the older header too
 
     @classmethod
     def dispatch_hook(cls, raw: bytes | None = None, *_args: Any, **_values: Any) -> type[Packet]:

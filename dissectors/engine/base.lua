@@ -103,7 +103,7 @@ end
 
 -- Tell whether any byte of a stretch is not 0.
 local function any_nonzero(s, first, last)
-	local found = first <= last and s:find("[^%z]", first)
+	local found = first <= last and s:find("[^\0]", first)
 	return found and found <= last or false
 end
 

@@ -70,7 +70,7 @@ local function detect(s, at)
 		if #s >= start + 4 then
 			local length, capacity = format.read(s, at + 1)
 			if length >= 4 and length <= capacity and length <= #s - start
-				and s:find("^%z[%z\1]%z%z", start + 1) then
+				and s:find("^\0[\0\1]\0\0", start + 1) then
 				return format
 			end
 		end

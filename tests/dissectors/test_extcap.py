@@ -1,0 +1,162 @@
+"""The extcap protocol, driven by hand as Wireshark drives it."""
+
+import os
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+from edoras_tools.model import Link
+from edoras_tools.pipelines import extcap
+from edoras_tools.pipelines.wireshark_program import install_extcap
+from edoras_tools.sources import open_file
+from edoras_tools.wire import cfe, sbn
+
+ROOT = Path(__file__).parents[2]
+SENTENCE = re.compile(r"(extcap|interface|dlt|arg|value) (\{\w+=[^{}]*\})+")
+
+
+@pytest.fixture(scope="module")
+def launcher(tmp_path_factory):
+    return install_extcap(tmp_path_factory.mktemp("extcap"))
+
+
+def asked(launcher, *arguments, code=0):
+    done = subprocess.run([launcher, *arguments], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == code, done.stderr
+    return done.stdout.splitlines() if not code else done.stderr.splitlines()
+
+
+def test_interfaces(launcher):
+    lines = asked(launcher, "--extcap-interfaces", "--extcap-version=4.0")
+    assert all(SENTENCE.fullmatch(line) for line in lines)
+    assert [line.partition("display=")[2] for line in lines[1:]] == [
+        "EDORAS CI}",
+        "EDORAS TO}",
+        "EDORAS SBN}",
+    ]
+
+
+@pytest.mark.parametrize("name", extcap.INTERFACES)
+def test_link_types_and_options(name, launcher):
+    types = asked(launcher, "--extcap-interface", name, "--extcap-dlts")
+    assert types == ["dlt {number=101}{name=RAW}{display=Raw IP}"]
+    lines = asked(launcher, "--extcap-interface", name, "--extcap-config")
+    assert all(SENTENCE.fullmatch(line) for line in lines)
+    calls = [re.search(r"\{call=--(\w+)\}", line)[1] for line in lines if line.startswith("arg")]
+    assert calls == ["interface", "listen", "ports", "config"]
+    assert "value {arg=0}{value=lo}{display=lo}{default=false}" in lines
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--extcap-interface", "eth0", "--extcap-dlts"], "there are edoras-ci"),
+        (["--extcap-interface", "edoras-ci"], "Wireshark runs this program"),
+        (["--extcap-interface", "edoras-ci", "--capture", "--fifo=/x", "--ports=x"], "not a UDP port"),
+        (["--extcap-interface", "edoras-ci", "--capture", "--fifo=/x", "--listen=:x"], "not an endpoint"),
+        (["--extcap-interface", "edoras-ci", "--capture", "--fifo=/x", "--config=/nope.yaml"], "nope.yaml"),
+        (["--extcap-interface", "edoras-ci", "--capture", "--fifo=/x/y", "--listen=127.0.0.1:0"], "/x/y"),
+    ],
+)
+def test_mistakes_are_one_line(arguments, words, launcher):
+    code = 1 if "/x/y" in words else 2
+    (line,) = asked(launcher, *arguments, code=code)
+    assert words in line
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextmanager
+def begin(launcher, tmp_path, *options):
+    """Start a capture, with a reader on its fifo as Wireshark is one; give both."""
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    command = [launcher, "--capture", f"--fifo={fifo}", *options]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            with fifo.open("rb", buffering=0) as reader:
+                yield process, reader
+        finally:
+            process.kill()
+
+
+def read_blocks(reader, wanted, seconds=20):
+    """Read until so many enhanced packet blocks are there."""
+    os.set_blocking(reader.fileno(), False)
+    data, until = b"", time.monotonic() + seconds
+    while _packets(data) < wanted and time.monotonic() < until:
+        data += reader.read(65536) or b""
+        time.sleep(0.01)
+    return data
+
+
+def _packets(data):
+    at = count = 0
+    while at + 8 <= len(data):
+        kind, length = struct.unpack_from("<II", data, at)
+        at += length
+        count += kind == 6 and at <= len(data)
+    return count
+
+
+@pytest.mark.parametrize("way", ["listen", "live"])
+def test_a_capture(way, launcher, tmp_path):
+    port = 1234 if way == "live" else free_port()
+    options = ["--interface=lo"] if way == "live" else [f"--listen=127.0.0.1:{port}"]
+    packets = [cfe.emit_command(0x1827, 1, bytes([number])) for number in range(5)]
+    with begin(launcher, tmp_path, "--extcap-interface=edoras-ci", *options) as (process, reader):
+        head = reader.read(28)  # the section's header: it is bound, and nothing sent from here on is missed
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for packet in packets:
+                sender.sendto(packet, ("127.0.0.1", port))
+            if way == "live":  # another link's datagrams pass here too, and are not taken
+                sender.sendto(sbn.emit(sbn.MsgType.HEARTBEAT, sbn.Peer(66, 1)), ("127.0.0.1", 2234))
+                sender.sendto(cfe.emit_telemetry(0x0800, bytes(4)), ("127.0.0.1", 1235))
+                sender.sendto(packets[0], ("127.0.0.1", port))
+                packets.append(packets[0])
+        data = head + read_blocks(reader, len(packets))
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 0, process.stderr.read()
+    (tmp_path / "got.pcapng").write_bytes(data)
+    with closing(open_file(tmp_path / "got.pcapng")) as source:
+        got = [batch[row].payload for batch in source.batches() for row in range(len(batch))]
+    assert got == packets
+
+
+def test_it_ends_when_wireshark_goes(launcher, tmp_path):
+    options = "--extcap-interface=edoras-to", f"--listen=127.0.0.1:{free_port()}"
+    with begin(launcher, tmp_path, *options) as (process, reader):
+        reader.read(28)
+        reader.close()
+        assert process.wait(20) == 0
+
+
+def test_a_port_that_is_taken_is_said_in_one_line(launcher, tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bridge:
+        bridge.bind(("127.0.0.1", 0))
+        port = bridge.getsockname()[1]
+        (line,) = asked(
+            launcher,
+            *("--capture", "--extcap-interface=edoras-to", f"--fifo={tmp_path}/none"),
+            f"--listen=127.0.0.1:{port}",
+            code=1,
+        )
+    assert f"another program has port {port}" in line
+
+
+def test_the_launcher_runs_this_python(launcher):
+    assert sys.executable in launcher.read_text()
+    assert os.access(launcher, os.X_OK)
+    assert extcap.link_of("edoras-sbn") is Link.SBN

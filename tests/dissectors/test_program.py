@@ -1,0 +1,129 @@
+"""``edoras wireshark``: what it installs, runs and prints, and what it says where Wireshark will not do."""
+
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from edoras_tools.cli.main import app, run
+from edoras_tools.pipelines import wireshark_program
+
+ROOT = Path(__file__).parents[2]
+CAPTURE = ROOT / "samples/captures/a_rover.pcap"
+MISSION = ROOT / "samples/missions/rover_ground.yaml"
+
+
+def edoras(capfd, *arguments):
+    """Run ``edoras``; return its exit code, output and complaints."""
+    before, sys.argv = sys.argv, ["edoras", *map(str, arguments)]
+    try:
+        with pytest.raises(SystemExit) as ended:
+            run(app)
+    finally:
+        sys.argv = before
+    out, err = capfd.readouterr()
+    said = [line for line in err.splitlines() if line and "Running as user" not in line]
+    return ended.value.code, out, said
+
+
+def pretend(folder, monkeypatch, name, script):
+    """Put a program of that name in front of all others."""
+    path = folder / name
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("PATH", str(folder))
+
+
+def test_print_and_path(capfd):
+    code, out, said = edoras(capfd, "wireshark", "print")
+    assert (code, said) == (0, [])
+    assert out == (ROOT / "dissectors/edoras.lua").read_text()
+    code, where, _ = edoras(capfd, "wireshark", "path")
+    assert Path(where.strip()).read_text() == out
+    _, other, _ = edoras(capfd, "wireshark", "print", "-c", MISSION)
+    assert other != out
+    assert "Routes of rover_ground.yaml" in other
+
+
+def test_install_to_a_folder(capfd, tmp_path):
+    code, out, said = edoras(capfd, "wireshark", "install", "--to", tmp_path / "new", "-c", MISSION)
+    assert (code, out.strip(), said) == (0, str(tmp_path / "new/edoras.lua"), [])
+    assert "Routes of rover_ground.yaml" in (tmp_path / "new/edoras.lua").read_text()
+
+
+def test_install_where_wireshark_looks(capfd, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    code, out, _ = edoras(capfd, "wireshark", "install")
+    assert code == 0
+    assert Path(out.strip()).is_relative_to(tmp_path)
+    told = subprocess.run(["tshark", "-G", "plugins"], capture_output=True, text=True, check=True).stdout
+    assert "edoras.lua" in told
+
+
+def test_run_passes_arguments_and_exit_codes_on(capfd):
+    wanted = ["-Y", "edoras.msg_id == 0x0827 and ros2.geometry_msgs.PoseStamped.pose.position.x > 6"]
+    code, out, said = edoras(capfd, "wireshark", "run", "-r", CAPTURE, "-c", MISSION, "--", *wanted)
+    assert (code, said) == (0, [])
+    assert len(out.splitlines()) == 3
+    assert "/telemetry_pose  pose.position.x=6.3" in out
+    code, _, said = edoras(capfd, "wireshark", "run", "-r", CAPTURE, "--", "-Y", "nonsense")
+    assert code == 2
+    assert "nonsense" in said[0]
+
+
+def test_run_reads_recordings(capfd, tmp_path):
+    recording = tmp_path / "a.mcap"
+    assert edoras(capfd, "record", "-q", "-r", CAPTURE, "-c", MISSION, "-o", recording)[0] == 0
+    code, out, _ = edoras(capfd, "wireshark", "run", "-r", recording, "--", "-Y", "ros2.geometry_msgs.Twist")
+    assert code == 0
+    assert len(out.splitlines()) == 600
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["run", "-r", "nope.pcap"], 1, "nope.pcap"),
+        (["print", "-c", "nope.yaml"], 2, "nope.yaml"),
+        (["print", "--envelope", "9/9"], 2, "9/9"),
+        (["install", "--to", "/dev/null/here"], 1, "cannot be written"),
+        (["extcap", "install", "--to", "/dev/null/here"], 1, "WIRESHARK_EXTCAP_DIR"),
+    ],
+)
+def test_mistakes_are_one_line(arguments, code, words, capfd):
+    ended, _, said = edoras(capfd, "wireshark", *arguments)
+    assert (ended, len(said)) == (code, 1)
+    assert words in said[0]
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("echo 'TShark (Wireshark) 2.6.20 (Git)'; echo 'with Lua 5.2.4'", "2.6.20 is too old; 3.6 or newer"),
+        ("echo 'TShark (Wireshark) 4.2.1.'; echo 'with GnuTLS, without Lua'", "4.2.1 was built without Lua"),
+        ("echo hello", "does not say its version"),
+    ],
+)
+def test_a_wireshark_that_will_not_do(script, words, capfd, tmp_path, monkeypatch):
+    pretend(tmp_path, monkeypatch, "tshark", script)
+    for arguments in (["install"], ["run", "-r", CAPTURE], ["extcap", "install"]):
+        code, _, said = edoras(capfd, "wireshark", *arguments)
+        assert (code, len(said)) == (1, 1)
+        assert words in said[0]
+
+
+def test_no_wireshark_at_all(capfd, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    for arguments in (["install"], ["run", "-r", CAPTURE]):
+        code, _, said = edoras(capfd, "wireshark", *arguments)
+        assert (code, len(said)) == (1, 1)
+        assert "tshark" in said[0]
+        assert "is not installed" in said[0]
+    code, out, _ = edoras(capfd, "wireshark", "install", "--to", tmp_path)  # needs nobody to ask
+    assert (code, out.strip()) == (0, str(tmp_path / "edoras.lua"))
+
+
+def test_newer_versions_are_fine(tmp_path, monkeypatch):
+    pretend(tmp_path, monkeypatch, "tshark", "echo 'TShark (Wireshark) 10.0.0.'; printf 'with\\n Lua 5.4.6'")
+    assert wireshark_program.program("tshark") == str(tmp_path / "tshark")
