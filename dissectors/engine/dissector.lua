@@ -79,15 +79,15 @@ local function printable(text)
 end
 
 local function info()
-	local msg_id, summary, text = W.msg_id, W.summary, W.kind
+	local msg_id, head = W.msg_id, W.kind
+	local told = printable(W.summary or said_of(msg_id))
 	if msg_id then
 		local name = W.message and W.route.topic or W.name
-		summary = printable(summary or said_of(msg_id))
-		if summary == name then summary = "" end
-		text = string.format("%s 0x%04x %s  %s%s", text, msg_id, name, badges(), summary)
-	else
-		text = (text and text .. "  " or "") .. badges() .. printable(summary or said_of())
+		if told == name then told = "" end
+		head = string.format(name == "" and "%s 0x%04x" or "%s 0x%04x %s", head, msg_id, name)
 	end
+	if W.findings > 0 then told = badges() .. told end
+	local text = (not head and told) or (told == "" and head) or head .. "  " .. told
 	local missing = analysis[W.number]
 	if missing then
 		text = text .. (type(missing) == "number" and string.format("  [gap of %d]", missing) or "  [" .. missing .. "]")

@@ -1,5 +1,7 @@
 """``edoras wireshark``: what it installs, runs and prints, and what it says where Wireshark will not do."""
 
+import os
+import re
 import stat
 import subprocess
 import sys
@@ -127,3 +129,24 @@ def test_no_wireshark_at_all(capfd, tmp_path, monkeypatch):
 def test_newer_versions_are_fine(tmp_path, monkeypatch):
     pretend(tmp_path, monkeypatch, "tshark", "echo 'TShark (Wireshark) 10.0.0.'; printf 'with\\n Lua 5.4.6'")
     assert wireshark_program.program("tshark") == str(tmp_path / "tshark")
+
+
+def test_the_page_shows_what_tshark_says():
+    """Commands on files, as docs/wireshark.md shows them; another Wireshark may lay its columns out otherwise."""
+    page = (ROOT / "docs/wireshark.md").read_text()
+    blocks = re.findall(r"^```console live\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    shown = re.findall(r"^\$ (.* -r .*)\n((?:[^$].*\n)*)", "".join(blocks), re.MULTILINE)
+    ours = Path(sys.executable).parent
+    assert len(shown) > 3
+    for command, output in shown:
+        done = subprocess.run(
+            command,
+            shell=True,
+            cwd=ROOT,
+            env=os.environ | {"PATH": f"{ours}{os.pathsep}{os.environ['PATH']}"},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        said = [line.split() for line in done.stdout.splitlines()]
+        assert said == [line.split() for line in output.splitlines()], command
