@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable  # noqa: TC003  for readers of the signature
 from dataclasses import asdict, dataclass
 from enum import IntEnum
-from typing import Any, Literal
+from itertools import groupby
+from typing import Any, Final, Literal
 
 Confidence = Literal["high", "medium", "low"]
 
@@ -76,3 +78,29 @@ class Verdict:
             "msg_id": None if self.msg_id is None else f"0x{self.msg_id:04x}",
             "evidence": list(self.evidence),
         }
+
+
+ONE_BY_ONE: Final = frozenset({"bad_command", "bad_network_message"})
+"""Rules whose verdicts are about single datagrams, and are never shown together."""
+
+
+def grouped(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
+    """Return the verdicts as people read them: the gravest first, spans of one trouble together."""
+
+    def order(verdict: Verdict) -> tuple[Any, ...]:
+        single = verdict.lost is None or verdict.rule in ONE_BY_ONE
+        return (
+            -verdict.severity,
+            verdict.rule != "capture_drops",
+            verdict.lost is None,
+            verdict.rule,
+            verdict.link or "",
+            verdict.msg_id if verdict.msg_id is not None else -1,
+            verdict.hop or "",
+            verdict.start_ns if single else 0,
+            verdict.reason if single else "",
+        )
+
+    ordered = sorted(verdicts, key=order)
+    groups = [list(members) for _, members in groupby(ordered, key=order)]
+    return [sorted(members, key=lambda item: item.start_ns) for members in groups]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Group
@@ -11,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from edoras_tools.diagnosis.verdict import Severity as Grade
+from edoras_tools.diagnosis.verdict import grouped
 from edoras_tools.render import palette, units
 from edoras_tools.render.info import link_of, msg_id_of, name_of
 from edoras_tools.render.severity import Severity
@@ -45,9 +45,8 @@ def diagnosis(found: Diagnosis, name: str, width: int) -> RenderableType:
         width: of the terminal.
     """
     parts: list[RenderableType] = [_head(found, name), Text()]
-    ordered = sorted(found.verdicts, key=_order)
-    for _, group in groupby(ordered, key=_order):
-        parts += [_verdict(found, list(group)), Text()]
+    for group in grouped(found.verdicts):
+        parts += [_verdict(found, group), Text()]
     if found.routes:
         parts += [_routes(found.routes, width), Text()]
     if found.peers:
@@ -62,27 +61,6 @@ def diagnosis(found: Diagnosis, name: str, width: int) -> RenderableType:
         parts.append(Text())
     parts.append(_conclusion(found))
     return Group(*parts)
-
-
-def _order(verdict: Verdict) -> tuple[Any, ...]:
-    """Put the gravest first, and spans of one trouble together."""
-    return (
-        -verdict.severity,
-        verdict.rule != "capture_drops",
-        verdict.lost is None,
-        verdict.rule,
-        verdict.link or "",
-        verdict.msg_id if verdict.msg_id is not None else -1,
-        verdict.hop or "",
-        0 if _is_span(verdict) else id(verdict),
-    )
-
-
-def _is_span(verdict: Verdict) -> bool:
-    """Tell whether a verdict is one span of several that one table can show."""
-    return (
-        verdict.lost is not None and verdict.rule != "bad_command" and "network_message" not in verdict.rule
-    )
 
 
 def _head(found: Diagnosis, name: str) -> Text:
@@ -121,15 +99,14 @@ def _spans(found: Diagnosis, group: Sequence[Verdict]) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.DIM)
     for title in ("when", "lost", "of", "", "sent at", "confidence"):
         table.add_column(title, justify="left" if title in {"when", "confidence"} else "right", no_wrap=True)
-    ordered = sorted(group, key=lambda item: item.start_ns)
-    for item in ordered[:_MOST_SPANS]:
+    for item in group[:_MOST_SPANS]:
         share = f"{100 * (item.lost or 0) / item.of:.0f}%" if item.of else ""
         seconds = (item.end_ns - item.start_ns) / 1e9
         rate = units.rate(item.of / seconds) if item.of and seconds > 0 else units.NONE
         cells = (units.count(item.lost), units.count(item.of), share, rate, item.confidence)
         table.add_row(_when(found, item), *cells)
-    if len(ordered) > _MOST_SPANS:
-        table.add_row(f"... {len(ordered) - _MOST_SPANS} more")
+    if len(group) > _MOST_SPANS:
+        table.add_row(f"... {len(group) - _MOST_SPANS} more")
     return table
 
 

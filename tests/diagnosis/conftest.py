@@ -21,7 +21,6 @@ from edoras_tools.wire import cfe, sbn
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "samples/captures"
-OWN = Path(__file__).parent / "captures"
 BRIDGE = sbn.Peer(0x42, 3)
 START_NS = 1_800_000_000 * SECOND
 MISSIONS = {
@@ -171,8 +170,8 @@ def capture():
 
     @cache
     def diagnosis(name, *missions):
-        own = OWN / f"{name}.pcap.gz"
-        path = own if own.exists() else SAMPLES / f"{name}.pcap"
+        packed = SAMPLES / f"{name}.pcap.gz"
+        path = packed if packed.exists() else SAMPLES / f"{name}.pcap"
         return bench.read(path, bench.mission(*missions))
 
     return diagnosis

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 WIDTH: Final = 720
 HEIGHT: Final = 190
-_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 12, 12, 26
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 12, 24, 26
 
 
 def ticks(most: float, count: int = 4) -> list[float]:
@@ -92,7 +92,7 @@ class Frame:
             axes.append(f'<line class="grid" x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{y}" y2="{y}"/>')
             axes.append(f'<text class="end" x="{_LEFT - 6}" y="{y + 4}">{value:g}</text>')
         axes += self.seconds()
-        axes.append(f'<text x="4" y="{_TOP - 1}">{escape(self.unit)}</text>')
+        axes.append(f'<text x="4" y="{_TOP - 10}">{escape(self.unit)}</text>')
         return wrap("".join(axes + self.parts), self.height, self.title)
 
 

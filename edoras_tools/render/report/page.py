@@ -7,7 +7,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.plots import plots
-from edoras_tools.diagnosis.verdict import Severity
+from edoras_tools.diagnosis.verdict import Severity, grouped
 from edoras_tools.render import units
 from edoras_tools.render.report import charts
 
@@ -63,26 +63,46 @@ def _head(found: Diagnosis, name: str) -> str:
 
 
 def _verdicts(found: Diagnosis) -> str:
-    if not found.verdicts:
+    groups = grouped(found.verdicts)
+    if not groups:
         return ""
-    shown = found.verdicts[:_MOST_VERDICTS]
-    rest = len(found.verdicts) - len(shown)
-    more = f'<p class="dim">... and {rest:,} more, in doctor --json</p>' if rest else ""
+    rest = len(groups) - _MOST_VERDICTS
+    more = f'<p class="dim">... and {rest:,} more, in doctor --json</p>' if rest > 0 else ""
+    cards = "".join(_verdict(found, members) for members in groups[:_MOST_VERDICTS])
+    return f"<section><h2>Verdicts</h2>{cards}{more}</section>"
+
+
+def _verdict(found: Diagnosis, members: Sequence[Verdict]) -> str:
+    """Return one trouble: its worst span in full, all of its spans in a table."""
+    worst = max(members, key=lambda item: item.lost or 0)
+    told = f"{_when(found, worst)}, confidence {worst.confidence}"
+    spans = ""
+    if len(members) > 1:
+        lost, of = sum(item.lost or 0 for item in members), sum(item.of or 0 for item in members)
+        told = f"{len(members)} spans of time, {lost:,} of {of:,} in all"
+        spans = _spans(found, members)
+    evidence = "".join(f"<li>{escape(line)}</li>" for line in worst.evidence)
+    remedy = f'<p class="remedy">{escape(worst.remedy)}</p>' if worst.remedy else ""
     return (
-        "<section><h2>Verdicts</h2>" + "".join(_verdict(found, item) for item in shown) + more + "</section>"
+        f'<article class="verdict {worst.severity.label}"><p class="what">{escape(worst.reason)}</p>'
+        f'<p class="rule">{escape(worst.rule)}, {told}</p>{spans}<ul>{evidence}</ul>{remedy}</article>'
     )
 
 
-def _verdict(found: Diagnosis, item: Verdict) -> str:
+def _spans(found: Diagnosis, members: Sequence[Verdict]) -> str:
+    rows = "".join(
+        f"<tr><td>{_when(found, item)}</td><td>{units.count(item.lost)}</td><td>{units.count(item.of)}</td>"
+        f"<td>{f'{100 * (item.lost or 0) / item.of:.0f}%' if item.of else ''}</td>"
+        f"<td>{item.confidence}</td></tr>"
+        for item in members
+    )
+    head = "<tr><th>when</th><th>lost</th><th>of</th><th></th><th>confidence</th></tr>"
+    return f'<div class="scroll"><table class="spans">{head}{rows}</table></div>'
+
+
+def _when(found: Diagnosis, item: Verdict) -> str:
     start, end = ((time_ns - found.start_ns) / 1e9 for time_ns in (item.start_ns, item.end_ns))
-    when = f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
-    evidence = "".join(f"<li>{escape(line)}</li>" for line in item.evidence)
-    remedy = f'<p class="remedy">{escape(item.remedy)}</p>' if item.remedy else ""
-    return (
-        f'<article class="verdict {item.severity.label}"><p class="what">{escape(item.reason)}</p>'
-        f'<p class="rule">{escape(item.rule)}, {when}, confidence {item.confidence}</p>'
-        f"<ul>{evidence}</ul>{remedy}</article>"
-    )
+    return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
 
 
 def _chart(title: str, svg: str, note: str = "") -> str:

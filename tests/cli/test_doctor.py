@@ -1,0 +1,268 @@
+"""``edoras doctor`` and ``edoras report`` as a shell sees them."""
+
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCHEMA = json.loads((ROOT / "docs/doctor.schema.json").read_text())
+KINDS = {
+    "object": dict,
+    "array": list,
+    "string": str,
+    "integer": int,
+    "number": (int, float),
+    "boolean": bool,
+    "null": type(None),
+}
+
+
+def check(value, schema, path="$"):
+    """Hold a value to the part of JSON Schema that the schema uses."""
+    if "$ref" in schema:
+        return check(value, SCHEMA["$defs"][schema["$ref"].rpartition("/")[2]], path)
+    if "enum" in schema:
+        assert value in schema["enum"], path
+        return None
+    kinds = schema["type"] if isinstance(schema["type"], list) else [schema["type"]]
+    assert any(isinstance(value, KINDS[kind]) for kind in kinds), path
+    assert not (isinstance(value, bool) and "boolean" not in kinds), path
+    if isinstance(value, dict):
+        assert set(schema["required"]) <= set(value), path
+        assert set(value) <= set(schema["properties"]), f"{path}: {set(value) - set(schema['properties'])}"
+        for name, item in value.items():
+            check(item, schema["properties"][name], f"{path}.{name}")
+    if isinstance(value, list):
+        for index, item in enumerate(value):
+            check(item, schema["items"], f"{path}[{index}]")
+    return None
+
+
+CAPTURES = {
+    "a_rover": (("rover_ground",), 3),
+    "b_arm_single": (("single_arm_ground",), 0),
+    "c1_tlm_rate_limit4": (("rover_ground",), 3),
+    "d3_cpu1_cpu2": (("two_rovers_ground", "two_rovers_flight"), 3),
+    "e_ci_errors": (("rover_ground",), 3),
+    "f_sbn_disconnect": (("two_rovers_ground", "two_rovers_flight"), 3),
+}
+
+
+@pytest.mark.parametrize("configured", [True, False])
+@pytest.mark.parametrize("name", CAPTURES)
+def test_json_holds_to_its_schema_and_loss_to_its_exit_code(name, configured, call, captures, missions):
+    names, code = CAPTURES[name]
+    done = call("doctor", captures(name), "--json", *(missions(*names) if configured else ()))
+    assert done.code == code
+    check(done.json(), SCHEMA)
+    assert bool(done.json()["lost"]) == (code == 3)
+
+
+@pytest.mark.parametrize("name", CAPTURES)
+def test_people_read_verdicts_first(name, call, captures, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    done = call("doctor", captures(name))
+    assert max(map(len, done.out.splitlines())) <= 100
+    marked = [line for line in done.out.splitlines() if line.startswith(("✗", "!", "·"))]
+    assert all(re.match(r"[✗!·] \w+ ", line) for line in marked)
+    assert done.out.index(marked[0]) < done.out.index("Link  MsgId")
+
+
+def test_the_sentence_of_the_rover(call, captures):
+    done = call("doctor", captures("a_rover"))
+    assert (
+        "92 of 600 commands on 0x1827 lost at EDORAS_APP_PIPE: more than 4 of one MsgId waiting while "
+        "CI delivers in 500 ms bursts"
+    ) in done.out
+    assert "Lost: 92 messages." in done.out
+
+
+def test_predict_needs_no_traffic(call, missions):
+    done = call("doctor", "--predict", "--json", *missions("two_rovers_ground", "two_rovers_flight"))
+    assert done.code == 0
+    limits = {row["msg_id"]: row["limit_hz"] for row in done.json()["routes"]}
+    assert limits == {
+        "0x1827": 8.0,
+        "0x1828": 8.0,
+        "0x0828": 8.0,
+        "0x0829": 8.0,
+        "0x1829": 0.0,
+        "0x182a": 0.0,
+        "0x082a": 40.0,
+        "0x082b": 40.0,
+    }
+    polled = call(
+        "doctor", "--predict", "--json", "--set", "sbn_msg_limit=16", *missions("two_rovers_flight")
+    )
+    assert {row["limit_hz"] for row in polled.json()["routes"]} == {0.0, 80.0}
+    assert "8.0 Hz" in call("doctor", "--predict", *missions("rover_ground")).out
+
+
+def test_two_captures_are_held_against_each_other(call, captures, frames, write_pcap, tmp_path):
+    whole = frames(captures("a_rover"))
+    cut = write_pcap(tmp_path / "cut.pcap", [item for at, item in enumerate(whole) if at % 50 or at < 100])
+    done = call("doctor", captures("a_rover"), "--against", cut, "--json")
+    assert done.code == 3
+    assert done.json()["lost"] > 0
+    same = call("doctor", captures("a_rover"), "--against", captures("a_rover"))
+    assert same.code == 0
+    assert "Nothing lost between the two." in same.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        ((), 2, "name what to examine"),
+        (("--predict",), 2, "--predict needs a mission"),
+        (("--against", "x.pcap"), 2, "--against needs two captures"),
+        (("none.pcap",), 1, "none.pcap"),
+        (("x.pcap", "--set", "nothing=1"), 2, "'nothing' is not known"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(arguments, code, words, call):
+    done = call("doctor", *arguments)
+    assert done.code == code
+    assert len(done.err) == 1
+    assert words in done.err[0]
+
+
+class Page(HTMLParser):
+    """Reads a page: its text, and everything that would need a network."""
+
+    VOID = frozenset({"meta", "br", "img", "link", "input"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.words, self.outside, self.tags = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        if tag not in self.VOID:
+            self.open.append(tag)
+        self.outside += [value for name, value in attributes if name in {"src", "href", "action"}]
+
+    def handle_startendtag(self, tag, attributes):
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def report(command, tmp_path_factory):
+    """A function: the path of a capture's report."""
+    folder = tmp_path_factory.mktemp("reports")
+
+    def write(capture, *options):
+        path = folder / f"{capture.stem}.html"
+        done = subprocess.run(
+            [command, "report", capture, "-o", path, *options], capture_output=True, check=False
+        )
+        assert done.returncode in {0, 3}, done.stderr
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("name", CAPTURES)
+def test_a_report_is_one_page_that_needs_nothing(name, report, captures, missions):
+    text = report(captures(name), *missions(*CAPTURES[name][0])).read_text()
+    page = Page(text)
+    assert page.open == []
+    assert page.outside == []
+    assert "script" not in page.tags
+    assert "@import" not in text
+    assert "url(" not in text
+    assert '<meta name="viewport" content="width=device-width' in text
+    assert "prefers-color-scheme: dark" in text
+    words = " ".join(page.words)
+    assert words.index("Verdicts") < words.index("Rates against limits") < words.index("Accounts")
+    assert page.tags.count("svg") >= 2
+
+
+def test_a_report_shows_hostile_names_as_text(call, tmp_path, captures, missions):
+    hostile = tmp_path / "<b>x&y.pcap"
+    shutil.copy(captures("a_rover"), hostile)
+    path = tmp_path / "out.html"
+    done = call("report", hostile, "-o", path, *missions("rover_ground"))
+    assert done.code == 3
+    text = path.read_text()
+    assert "<b>" not in text
+    assert "&lt;b&gt;x&amp;y.pcap" in text
+
+
+def test_a_report_never_overwrites_its_input(call, captures, tmp_path):
+    own = tmp_path / "a.pcap"
+    shutil.copy(captures("a_rover"), own)
+    assert call("report", own, "-o", own).code == 2
+    assert call("report", own, "-o", tmp_path / "no" / "dir.html").code == 1
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(400, "dark"), (1200, "light")])
+def test_chromium_shows_the_report(width, scheme, report, captures, missions, tmp_path):
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    assert browser, "chromium is missing: install it, as apt install chromium"
+    path = report(captures("f_sbn_disconnect"), *missions("two_rovers_ground", "two_rovers_flight"))
+    probe = (
+        "<script>addEventListener('load',()=>{const b=document.body,r=[...document.querySelectorAll('svg')];"
+        "document.title=JSON.stringify({over:b.scrollWidth>innerWidth,charts:r.length,"
+        "empty:r.filter(s=>s.getBoundingClientRect().height<20||!s.childElementCount).length,"
+        "ground:getComputedStyle(b).backgroundColor,cards:document.querySelectorAll('.verdict').length})})</script>"
+    )
+    probed = tmp_path / "probed.html"
+    probed.write_text(path.read_text().replace("</body>", probe + "</body>"))
+    done = subprocess.run(
+        [
+            browser,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            f"--window-size={width},900",
+            f"--blink-settings=preferredColorScheme={0 if scheme == 'dark' else 1}",
+            "--virtual-time-budget=3000",
+            "--dump-dom",
+            probed.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    found = json.loads(re.search(r"<title>(\{.*?\})</title>", done.stdout).group(1))
+    assert not found["over"]
+    assert found["charts"] >= 5
+    assert found["empty"] == 0
+    assert found["cards"] >= 10
+    red, green, blue = (int(value) for value in re.findall(r"\d+", found["ground"])[:3])
+    assert (red + green + blue < 200) == (scheme == "dark")
+
+
+def test_live_rings_once_for_each_new_verdict(capsys):
+    from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.diagnosis.verdict import Severity, Verdict
+    from edoras_tools.render.doctor_live import LiveVerdicts
+
+    def diagnosis(*verdicts):
+        return Diagnosis(verdicts, (), [], [], 1, 0, 1)
+
+    one = Verdict("app_pipe_limit", Severity.ERROR, "lost", msg_id=0x1827, lost=3)
+    grown = Verdict("app_pipe_limit", Severity.ERROR, "lost more", msg_id=0x1827, lost=9)
+    other = Verdict("ci_cut", Severity.ERROR, "cut", msg_id=0x1827)
+    note = Verdict("older_losses", Severity.NOTE, "older")
+    with LiveVerdicts("lo") as live:
+        for found in (diagnosis(one, note), diagnosis(grown, note), diagnosis(grown, other)):
+            live.update(found)
+    said = capsys.readouterr().err
+    assert said.count("\a") == 2
+    assert "lost more" not in said
+    assert "older" not in said
