@@ -132,7 +132,9 @@ def test_a_capture(way, launcher, tmp_path):
     (tmp_path / "got.pcapng").write_bytes(data)
     with closing(open_file(tmp_path / "got.pcapng")) as source:
         got = [batch[row].payload for batch in source.batches() for row in range(len(batch))]
-    assert got == packets
+    # Whoever else talks on this machine's loopback is not of this test.
+    assert [payload for payload in got if payload in packets] == packets
+    assert all(payload[0] & 0x10 for payload in got)
 
 
 def test_it_ends_when_wireshark_goes(launcher, tmp_path):
