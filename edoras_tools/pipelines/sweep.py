@@ -237,8 +237,9 @@ class _Sweeper:
         """See whether something publishes the route already; the generator then only adds the rest."""
         before = self.hearing.mark()
         self.line.listen(_BACKGROUND_NS)
-        arrived = self.hearing.mark().arrived - before.arrived
-        self._background = round(arrived * SECOND / _BACKGROUND_NS)
+        after = self.hearing.mark()
+        published = after.arrived - before.arrived + after.gaps - before.gaps
+        self._background = round(published * SECOND / _BACKGROUND_NS)
         if self._background:
             self.found.note(
                 f"{called(self.plan.route.msg_id, self.bench.mission)} is published at {self._background} Hz "
@@ -253,7 +254,8 @@ class _Sweeper:
         while self.line.now() < end and not self.line.stopped.is_set():
             before = hearing.mark()
             self._trying(0, 0)
-            self.line.listen(plan.step_ns)
+            self.line.command(reset_filters())
+            self.line.listen(plan.step_ns - COMMAND_NS)
             if self.line.stopped.is_set():
                 return
             account = evidence.watched(before, hearing.mark(), plan.route.msg_id)

@@ -85,6 +85,15 @@ class Sweep:
         below = (step for step in self.steps if not step.lost and self.value(step) < self.value(bad))
         return max(below, key=self.value, default=None)
 
+    @property
+    def telling(self) -> Step | None:
+        """The step whose hop and reason stand for all: the lowest that lost something.
+
+        Where it only watched, that one may have begun or ended in the middle; then the fastest.
+        """
+        lossy = [step for step in self.steps if step.lost]
+        return max(lossy, key=self.value) if self.watched and lossy else self.bad
+
     def note(self, text: str) -> None:
         """Tell people something, once."""
         if text not in self.notes:
@@ -92,7 +101,8 @@ class Sweep:
 
     def summary(self) -> dict[str, Any]:
         """Return the shape of ``sweep --json``."""
-        route, good, bad, by_size = self.plan.route, self.good, self.bad, self.plan.by_size
+        route, by_size = self.plan.route, self.plan.by_size
+        good, bad, telling = self.good, self.bad, self.telling
         return {
             "route": route.topic,
             "msg_id": f"0x{route.msg_id:04x}",
@@ -106,8 +116,8 @@ class Sweep:
             "first_loss_hz": bad.rate_hz if bad and not by_size else None,
             "threshold_bytes": good.size if good and by_size else None,
             "first_loss_bytes": bad.size if bad and by_size else None,
-            "limiting_hop": bad.hop if bad else None,
-            "reason": bad.reason if bad else None,
+            "limiting_hop": telling.hop if telling else None,
+            "reason": telling.reason if telling else None,
             "watched": self.watched,
             "interrupted": self.interrupted,
             "failure": str(self.failure) if self.failure else None,

@@ -48,7 +48,7 @@ def verdict(account: Account, rate_hz: float, msg_id: int, way_out: str = "") ->
     if way_out and account.gaps and account.overflows:
         hop, reason = _named(Culprit(software_bus.PIPE_OVERFLOW, msg_id, way_out, ""), through_hz)
         return hop, f"{reason}; the events about it were lost in it too"
-    if account.bus and not account.gaps:
+    if account.bus:
         return software_bus.SOFTWARE_BUS, f"its loss counters rose by {account.bus:,}; no event named a pipe"
     if account.gaps:
         return _NETWORK, (

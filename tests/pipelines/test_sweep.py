@@ -215,6 +215,23 @@ def test_without_a_generator_it_says_that_it_can_only_watch(bench, monkeypatch):
     assert summary["steps"][0]["size"] == 116
 
 
+def test_watching_what_somebody_else_publishes_too_fast(bench, monkeypatch):
+    class Busy(Simulation):
+        def __init__(self, *arguments, **more):
+            super().__init__(*arguments, **more)
+            faster = sweep_plan.generator.set_command(0x828, 12, slot=3)
+            self.inject(9 * SECOND, cfe.emit_command(0x18F0, 2, faster), "CI_LAB_APP")
+
+    monkeypatch.setattr(sweep_simulated, "Simulation", Busy)
+    plan = {"rates": (1, 16), "watch": True, "watch_ns": 30 * SECOND, "step_s": 5}
+    summary = run(bench(*TWO), "/robot_1/ground/pose", "two-rovers", **plan)
+    fast = [step for step in summary["steps"] if step["rate_hz"] > 11]
+    assert {step["hop"] for step in fast} == {"TO_LAB_TLM_PIPE"}
+    assert all(step["lost"] == pytest.approx(20, abs=3) for step in fast)  # 4 a second of 12
+    assert len(fast) >= 3
+    assert summary["reason"] == "TO_LAB_TLM_PIPE limit 4 per 500 ms wake-up"
+
+
 def test_nothing_to_watch(bench):
     found = sweep(plan_of(bench(*TWO), "/robot_1/ground/pose", "two-rovers", watch=True), bench(*TWO))
     assert "no 0x0828 (/robot_1/ground/pose) came in 60 s" in str(found.failure)
@@ -377,6 +394,15 @@ def test_gaps_that_cfs_did_not_count_are_the_network_s():
     account = watched(mark(lost=0), mark(lost=0, arrived=10, whole=10, gaps=4), 0x827)
     assert (account.sent, account.lost) == (14, 4)
     assert verdict(account, 10, 0x827, "TO_LAB_TLM_PIPE")[0] == "network"
+
+
+def test_gaps_that_cfs_counted_are_its_own_also_where_no_event_tells():
+    account = watched(mark(lost=0), mark(lost=4, arrived=10, whole=10, gaps=4), 0x827)
+    assert verdict(account, 10, 0x827, "TO_LAB_TLM_PIPE")[0] == "CFE_SB"
+    account = watched(mark(lost=0), mark(lost=4, overflows=4, arrived=10, whole=10, gaps=4), 0x827)
+    hop, reason = verdict(account, 100, 0x827, "TO_LAB_TLM_PIPE")
+    assert hop == "TO_LAB_TLM_PIPE"
+    assert reason.startswith("TO_LAB_TLM_PIPE full: about 36 of 0x0827 per 500 ms wake-up")
 
 
 def test_counters_go_round():
