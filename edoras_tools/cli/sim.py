@@ -43,14 +43,17 @@ def sim(
     from time import time_ns
 
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.sessions.profile import SimProfile
+    from edoras_tools.sessions.profile import TO_TABLE, SimProfile
     from edoras_tools.sim import Simulation, serve
 
     # Bound to every address, the parts still talk to each other on loopback.
     address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  what was asked for
     profile = SimProfile()
     peers = tuple(replace(peer, address=address) for peer in profile.sbn_peers)
-    profile = replace(profile, to_default_limit=limit, address=address, sbn_peers=peers)
+    limits = {
+        msg_id: limit if room == profile.to_default_limit else room for msg_id, room in TO_TABLE.items()
+    }
+    profile = replace(profile, to_default_limit=limit, to_limits=limits, address=address, sbn_peers=peers)
     simulation = Simulation(
         profile, scenario.value, start_ns=time_ns(), bridges=bridges, command_rate_hz=rate, state_rate_hz=rate
     )

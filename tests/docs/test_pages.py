@@ -20,7 +20,10 @@ PAGES = sorted(
     key=str,
 )
 REFRESHED = [page for page in PAGES if page.stem not in {"missions", "sim", "bench", "CHANGELOG"}]
-COMMANDS = ("sniff", "record", "info", "decode", "recover", "sim", "demo")
+COMMANDS = (
+    *("sniff", "record", "info", "decode", "recover", "sim", "demo", "doctor", "report"),
+    *("replay", "inject", "sweep", "proxy", "wireshark"),
+)
 
 
 def identity(page):
