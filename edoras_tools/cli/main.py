@@ -35,7 +35,7 @@ _USAGE: Final[Any] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(
     name="edoras",
-    help="Capture, decode and record ROS 2 traffic of EDORAS bridges through NASA's core Flight System.",
+    help="Capture, decode, record, replay and diagnose ROS 2 traffic of EDORAS bridges through NASA's cFS.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
