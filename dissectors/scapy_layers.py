@@ -17,25 +17,18 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from scapy.fields import (
-    BitEnumField,
-    BitField,
-    Field,
-    PacketListField,
-    StrFixedLenField,
-    StrLenField,
-    XBitField,
-)
+from scapy.fields import PacketListField, StrLenField
 from scapy.layers.inet import UDP
 from scapy.packet import Packet, Raw, bind_top_down
 
+from edoras_tools.dissectors.scapy_fields import fields, put
 from edoras_tools.wire import ccsds, cdr, cfe, sbn
 from edoras_tools.wire.envelope import DEFAULT, FORMATS, EnvelopeFormat, detect
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from edoras_tools.wire.layout import Layout, Slot
+    from edoras_tools.wire.layout import Layout
 
 CI_TO_PORTS: Final = (1234, 1235, 1236, 1237)
 SBN_PORTS: Final = (2234, 2235, 2236)
@@ -88,64 +81,6 @@ def use(
     _known = Knowledge(routes, types, extended_header, telemetry_header, envelope)
 
 
-class Number(Field):  # type: ignore[misc]  # scapy has no types
-    """A number of whole bytes, read as its layout says."""
-
-    __slots__ = ("slot",)
-
-    def __init__(self, slot: Slot, default: int | None, order: str) -> None:
-        letter = {1: "b", 2: "h", 4: "i", 8: "q"}[slot.end - slot.start]
-        super().__init__(
-            slot.field.name, default, order + (letter if slot.field.kind == "int" else letter.upper())
-        )
-        self.slot = slot
-
-    def i2repr(self, _packet: Any, value: Any) -> str:
-        """Return the value as people read it."""
-        return self.slot.field.text(value) if isinstance(value, int) else repr(value)
-
-
-class Text(StrFixedLenField):  # type: ignore[misc]
-    """NUL-terminated text in a field of fixed size."""
-
-    def m2i(self, _packet: Any, raw: bytes) -> str:
-        """Return the text up to its NUL."""
-        return raw.split(b"\0", 1)[0].decode("utf-8", "replace")
-
-    def i2m(self, _packet: Any, value: Any) -> bytes:
-        """Return the bytes; the field pads them."""
-        return value.encode() if isinstance(value, str) else bytes(value or b"")
-
-    def i2repr(self, _packet: Any, value: Any) -> str:
-        """Return the text quoted."""
-        return repr(value)
-
-
-def fields(layout: Layout, **defaults: Any) -> list[Any]:
-    """Return scapy fields of a layout; those not named in ``defaults`` are zero."""
-    return [_field(layout, slot, defaults.get(slot.field.name, 0)) for slot in layout.slots]
-
-
-def _field(layout: Layout, slot: Slot, default: Any) -> Any:
-    item, size = slot.field, slot.end - slot.start
-    if item.kind == "text":
-        return Text(item.name, default or "", size)
-    if item.kind == "bytes":
-        return StrFixedLenField(item.name, default or bytes(size), size)
-    if slot.mask == (1 << 8 * size) - 1:
-        return Number(slot, default, ">" if layout.byte_order == "big" else "<")
-    if item.names:
-        return BitEnumField(item.name, default, item.bits, dict(item.names))
-    return (XBitField if item.base == 16 else BitField)(item.name, default, item.bits)
-
-
-def _put(header: bytes, layout: Layout, name: str, value: int) -> bytes:
-    """Return a header with a field of whole bytes set; what does not fit is cut, as fuzzing may ask for."""
-    slot = layout.by_name[name]
-    raw = (value & slot.mask).to_bytes(slot.end - slot.start, layout.byte_order)
-    return header[: slot.start] + raw + header[slot.end :]
-
-
 _WORD: Final = 2
 """Bytes of the MsgId: the fields that end within them make it up."""
 
@@ -178,7 +113,7 @@ class SpacePacket(Packet):  # type: ignore[misc]
         """Fill in the length, and the checksum of a command."""
         if self.packet_data_length is None:
             total = len(header) + len(payload)
-            header = _put(header, ccsds.PRIMARY, "packet_data_length", total - ccsds.LENGTH_BIAS)
+            header = put(header, ccsds.PRIMARY, "packet_data_length", total - ccsds.LENGTH_BIAS)
         command = self.getlayer(CommandHeader)
         if command is not None and command.checksum is None:
             extra = cfe.EXTENDED.size if self.haslayer(ExtendedHeader) else 0
@@ -287,7 +222,7 @@ class _Envelope(Packet):  # type: ignore[misc]
         length = len(payload) - (len(bytes(self.payload.payload)) if isinstance(self.payload, CDR) else 0)
         for name in ("buffer_length", "buffer_capacity"):
             if self.getfieldval(name) is None:
-                header = _put(header, self.format.layout, name, length)
+                header = put(header, self.format.layout, name, length)
         return header + payload
 
     def guess_payload_class(self, payload: bytes) -> type[Packet]:
@@ -381,7 +316,7 @@ class SBN(Packet):  # type: ignore[misc]
     def post_build(self, header: bytes, payload: bytes) -> bytes:
         """Fill in the size."""
         if self.msg_size is None:
-            header = _put(header, self.layout, "msg_size", len(payload))
+            header = put(header, self.layout, "msg_size", len(payload))
         return header + payload
 
     def guess_payload_class(self, payload: bytes) -> type[Packet]:
@@ -426,7 +361,7 @@ class SBNSubscriptions(Packet):  # type: ignore[misc]
     def post_build(self, header: bytes, payload: bytes) -> bytes:
         """Fill in the count."""
         if self.count is None:
-            header = _put(header, sbn.SUBSCRIPTIONS, "count", len(self.subscriptions))
+            header = put(header, sbn.SUBSCRIPTIONS, "count", len(self.subscriptions))
         return header + payload
 
 
