@@ -65,11 +65,13 @@ def predict(mission: Mission, types: TypeStore, profile: SimProfile) -> list[Bud
 def limit(link: Link, msg_id: int, profile: SimProfile, *, to_cfs: bool) -> tuple[float, str, str]:
     """Return the highest clean rate of a MsgId on a link, where the limit is, and why."""
     if link is Link.CI:
+        together = profile.ci_datagrams_per_wake * SECOND / profile.ci_wake_ns
+        text = "the application's pipe takes {} of one MsgId, and CI delivers every {} ms"
         return _ratio(
             profile.app_msg_limit,
             profile.ci_wake_ns,
             "application pipe",
-            "the application's pipe takes {} of one MsgId, and CI delivers every {} ms",
+            f"{text} ({together:g}/s of all together)",
         )
     if link is Link.TO:
         waiting = profile.to_limits.get(msg_id, profile.to_default_limit)

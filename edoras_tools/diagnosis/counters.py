@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.table import Rows
 
 _NAMES: Final = ("pipe_overflows", "msg_limits", "no_subscribers", "send_errors")
+_BYTE: Final = 1 << 8
 _WIDTHS: Final = {"pipe_overflows": 16, "msg_limits": 16, "no_subscribers": 8, "send_errors": 8}
 
 
@@ -62,7 +63,8 @@ class Track:
         both = min(end_ns, self.times[-1]) - max(start_ns, self.times[0])
         return both >= 0 and 2 * both >= end_ns - start_ns
 
-    def _add(self, made_ns: int, sample: Housekeeping, last: Housekeeping | None) -> None:
+    def add(self, made_ns: int, sample: Housekeeping, last: Housekeeping | None) -> None:
+        """Take the next sample."""
         self.times.append(made_ns)
         for name in _NAMES:
             value = getattr(sample, name)
@@ -73,8 +75,8 @@ class Track:
             before, modulus = getattr(last, name), 1 << _WIDTHS[name]
             step = (value - before) % modulus
             if value < before and step > modulus // 2:
-                # Down by a little is no wrap: the counters were reset.
-                self.resets += 1
+                # Down by a little is no wrap: the counters were reset. Eight bits wrap too soon to tell.
+                self.resets += modulus > _BYTE
                 step = value
             self.totals[name].append(self.totals[name][-1] + step)
 
@@ -92,14 +94,21 @@ def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Tr
             ways[instance][way].append(item)
     found = {}
     for instance, by_way in ways.items():
-        samples = max(by_way.values(), key=len)
         offset = instances.items[instance].offset_ns
-        made = [int(rows.mission_time_ns[item.row]) + offset for item in samples]
-        track, last = Track(), None
-        for time_ns, item in sorted(zip(made, samples, strict=True), key=lambda pair: pair[0]):
-            if track.times and time_ns <= track.times[-1]:
-                continue  # the same one again
-            track._add(time_ns, item, last)  # noqa: SLF001  built here, and nowhere else
-            last = item
-        found[instance] = track
+        for samples in sorted(by_way.values(), key=len, reverse=True):
+            track = _track([(int(rows.mission_time_ns[item.row]) + offset, item) for item in samples])
+            # Counters that step back again and again are those of two instances, and tell nothing.
+            if track.resets <= 1 + len(track.times) // 10:
+                found[instance] = track
+                break
     return found
+
+
+def _track(samples: list[tuple[int, Housekeeping]]) -> Track:
+    track, last = Track(), None
+    for time_ns, item in sorted(samples, key=lambda pair: pair[0]):
+        if track.times and time_ns <= track.times[-1]:
+            continue  # the same one again
+        track.add(time_ns, item, last)
+        last = item
+    return track

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.diagnosis.fingerprint import latest_equal
 from edoras_tools.model import Link
 from edoras_tools.sessions.profile import SECOND
 from edoras_tools.wire import cfe
@@ -71,14 +72,17 @@ class Instances:
         cuts = np.flatnonzero(np.diff(offset[order]) > _APART_NS) + 1
         says = {event.row: event.sender for event in events}
         for part in np.split(order, cuts):
-            members = timed[part]
-            if len(members) < _LEAST_ROWS:
-                continue
-            self.of_row[members] = len(self.items)
-            times = rows.time_ns[members]
-            name = self._name(rows, members, says)
-            self.items.append(Instance(name, int(offset[part].min()), int(times.min()), int(times.max())))
+            for members in _publishers(rows, timed[part], says):
+                if len(members) >= _LEAST_ROWS:
+                    self._add(rows, members, says)
         self._owners = self._find_owners(rows)
+
+    def _add(self, rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> None:
+        self.of_row[members] = len(self.items)
+        times = rows.time_ns[members]
+        offset = int((times - rows.mission_time_ns[members]).min())
+        name = self._name(rows, members, says)
+        self.items.append(Instance(name, offset, int(times.min()), int(times.max())))
 
     @staticmethod
     def _name(rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> str:
@@ -128,3 +132,34 @@ class Instances:
             return max(item.first_ns - time_ns, time_ns - item.last_ns, 0)
 
         return min(fits, key=away)
+
+
+def _publishers(rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> list[NDArray[np.intp]]:
+    """Divide the rows of one boot time by who made them, where it is the boot time of two."""
+    members = np.sort(members)
+    if not _conflict(rows, members):
+        return [members]
+    network = members[rows.link[members] == Link.SBN]
+    sender = rows.spacecraft_id[network].astype(np.uint64) << 32 | rows.processor_id[network]
+    labels = np.array([f"{who >> 32}:{who & 0xFFFFFFFF}" for who in sender.tolist()], object)
+    output = members[rows.link[members] == Link.TO]
+    # What a Telemetry Output sends is its own, or was handed on and crossed SBN before.
+    from_ = latest_equal(
+        rows.packet_print[network], rows.time_ns[network], rows.packet_print[output], rows.time_ns[output]
+    )
+    owner: dict[int, str] = {int(rows.source[row]): says[row] for row in output.tolist() if row in says}
+    own = [
+        labels[at] if at >= 0 else owner.get(source, f"from {source}")
+        for at, source in zip(from_.tolist(), rows.source[output].tolist(), strict=True)
+    ]
+    rows_of = np.concatenate((network, output))
+    label = np.concatenate((labels, np.array(own, object)))
+    return [np.sort(rows_of[label == who]) for who in sorted(set(label.tolist()))]
+
+
+def _conflict(rows: Rows, members: NDArray[np.intp]) -> bool:
+    """Tell whether 0x803 comes with one count and different contents: two instances make it."""
+    counters = members[rows.msg_id[members] == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID]
+    sequence, prints = rows.sequence_count[counters].tolist(), rows.packet_print[counters].tolist()
+    counts = Counter(count for count, _ in set(zip(sequence, prints, strict=True)))
+    return sum(number > 1 for number in counts.values()) > len(counts) // 4

@@ -61,6 +61,7 @@ class Loss:
         evidence: what was seen.
         comb: the rounds in which the stream arrives.
         sender: application that sent them, as an event names it.
+        grown: by how much the counter of this kind of loss grew meanwhile, whoever's losses it counts.
     """
 
     kind: Kind
@@ -77,6 +78,17 @@ class Loss:
     evidence: list[str] = field(default_factory=list)
     comb: Comb | None = None
     sender: str = ""
+    grown: int = 0
+
+    @property
+    def time(self) -> tuple[int, int]:
+        """When it began and ended."""
+        return self.start_ns, self.end_ns
+
+    def overlaps(self, other: Loss) -> bool:
+        """Tell whether another loss is of the same kind, on the same cFS, at the same time."""
+        same = (self.instance, self.kind) == (other.instance, other.kind)
+        return same and self.start_ns <= other.end_ns and other.start_ns <= self.end_ns
 
     @property
     def offered_hz(self) -> float:
@@ -154,7 +166,22 @@ def telemetry_losses(known: Known) -> list[Loss]:
                 loss = _telemetry_loss(known, stream, span, following)
                 if loss is not None:
                     found.append(loss)
-    return found
+    return _with_tails(found)
+
+
+def _with_tails(losses: list[Loss]) -> list[Loss]:
+    """Add what was lost behind the last message that came: no gap shows it, only the counter does."""
+    tails = []
+    for loss in losses:
+        rest = [item for item in losses if item is not loss and item.overlaps(loss)]
+        tail = loss.grown - attributed(rest, loss.instance, loss.kind, *loss.time) - loss.lost
+        most = max((item.lost for item in rest), default=0)
+        believed = loss.span is not None and 0 < tail <= 0.7 * loss.span.offered_hz + 2
+        tails.append(tail if believed and loss.lost >= most else 0)
+    for loss, tail in zip(losses, tails, strict=True):
+        loss.lost += tail
+        loss.of = loss.of + tail if loss.of is not None else None
+    return losses
 
 
 def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | None) -> Loss | None:
@@ -193,9 +220,6 @@ def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | N
     if lost <= 0:
         return None
     kind, confidence = _judge(known, stream, span, track, grown, lost, evidence)
-    if kind in COUNTERS and lost < grown[kind] <= lost + 0.7 * span.offered_hz + 2:
-        # What was lost behind the last message that came, only the counter tells.
-        lost = grown[kind]
     return Loss(
         kind=kind,
         instance=owner,
@@ -210,6 +234,7 @@ def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | N
         confidence=confidence,
         evidence=evidence,
         comb=known.rounds(stream, span),
+        grown=grown.get(kind, 0),
     )
 
 

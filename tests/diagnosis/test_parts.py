@@ -147,7 +147,7 @@ def track(*values, name="msg_limits"):
     for at, value in enumerate(values):
         numbers = dict.fromkeys(("pipe_overflows", "msg_limits", "no_subscribers", "send_errors"), 0)
         sample = Housekeeping(row=at, time_ns=0, **{**numbers, name: value})
-        told._add(at * SECOND, sample, last)
+        told.add(at * SECOND, sample, last)
         last = sample
     return told
 

@@ -59,6 +59,44 @@ def test_tos_own_pipe_overflows_and_takes_its_events_with_it(lab):
     assert any("lost with it" in line for item in diagnosis.verdicts for line in item.evidence)
 
 
+def test_steps_over_tos_pipe_are_each_what_was_lost(lab):
+    rates = (20, 90, 100, 200, 500, 1000)
+    steps = [
+        (6 + 11.7 * at + wait, 0x827, hertz)
+        for at, rate in enumerate(rates)
+        for wait, hertz in ((0, rate), (8, 0))
+    ]
+    sent, counters = lab.simulate(
+        "two-rovers", hz=0.0, state_hz=0.0, seconds=80, generators=tuple(steps), limits=((0x827, 255),)
+    )
+    diagnosis = lab.examine(sent)
+    found = [item for item in diagnosis.verdicts if item.rule == "to_pipe_overflow"]
+    offered = sorted(round((item.of - 1) / ((item.end_ns - item.start_ns) / 1e9), -1) for item in found)
+    assert offered == [90, 100, 200, 500, 1000]
+    total = sum(item.lost for item in diagnosis.case.losses)
+    assert total == pytest.approx(counters.pipe_overflows, rel=0.02)
+    for item in found:
+        # Of 100 a second some are housekeeping and events.
+        assert (item.of - item.lost) / 8 == pytest.approx(96, abs=10)
+
+
+def test_two_instances_of_one_boot_time_are_told_apart(lab):
+    first = Simulation(scenario="rover", command_rate_hz=10.0, start_ns=lab.start_ns)
+    second = Simulation(
+        SimProfile(processor_id=2, to_source_port=50002, ci_port=1236, sbn_port=2235),
+        "arm",
+        command_rate_hz=4.0,
+        start_ns=lab.start_ns + SECOND // 2,
+    )
+    end_ns = lab.start_ns + 40 * SECOND
+    sent = lab.merged(list(first.run(end_ns)), *second.run(end_ns))
+    diagnosis = lab.examine(sent)
+    assert sorted(item.name for item in diagnosis.case.instances.items) == ["66:1", "66:2"]
+    (verdict,) = [item for item in diagnosis.verdicts if item.lost]
+    assert verdict.rule == "app_pipe_limit"
+    assert verdict.lost == pytest.approx(first.cfs.bus.counters.msg_limits, abs=4)
+
+
 def test_a_table_with_other_limits_is_measured(lab):
     sent, counters = lab.simulate(
         generators=((4, 0x8F1, 60), (24, 0x8F1, 0)), limits=((0x8F1, 10),), seconds=30, hz=1.0
@@ -149,3 +187,28 @@ def test_another_cfs_has_other_constants(lab):
     rules = [item.rule for item in lab.examine(only, profile=profile).verdicts]
     assert "rate_over_limit" not in rules
     assert "rate_over_limit" in [item.rule for item in lab.examine(only).verdicts]
+
+
+@pytest.mark.parametrize("configured", [True, False])
+def test_memory_overrun_by_one_message_takes_the_next_telemetry_away(configured, lab, msg_id):
+    sent, _ = lab.simulate("two-rovers", seconds=45, hz=2.0)
+    when_ns = lab.start_ns + 20 * SECOND
+    spoilt, done = [], False
+    for item in sent:
+        if item.destination.port == 1235 and item.time_ns > when_ns:
+            if msg_id(item) == 0x829:
+                continue
+            if msg_id(item) == 0x828 and not done:
+                # What a longer frame_id does: the envelope claims what the fixed packet cannot hold.
+                data, done = bytearray(item.payload), True
+                data[16:24] = data[24:32] = (126).to_bytes(8, "little")
+                spoilt.append(item._replace(payload=bytes(data)))
+                continue
+        spoilt.append(item)
+    diagnosis = lab.examine(spoilt, lab.missions("two-rovers") if configured else ())
+    told = {item.rule: item for item in diagnosis.verdicts}
+    assert (told["struct_overrun"].msg_id, told["struct_overrun"].lost) == (0x828, 1)
+    vanished = told["telemetry_vanished"]
+    assert (vanished.msg_id, vanished.severity.label) == (0x829, "error")
+    assert any("overran its struct" in line for line in vanished.evidence)
+    assert vanished.lost == pytest.approx(100, abs=8)

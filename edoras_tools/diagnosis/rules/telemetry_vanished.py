@@ -28,6 +28,8 @@ _WAIT_NS: Final = 5 * SECOND
 _WAIT_PERIODS: Final = 6
 _NEAR_NS: Final = 3 * SECOND
 _CLOCKWORK: Final = 0.9
+_SLOW_NS: Final = SECOND // 4
+"""What comes faster may come in bursts, and then end like any command of an operator."""
 
 
 def judge(case: Case) -> Iterator[Verdict]:
@@ -38,7 +40,8 @@ def judge(case: Case) -> Iterator[Verdict]:
         if stream.instance == NOBODY or stream.instance != case.known.owner(stream):
             continue  # handed on for a peer, which may be gone
         times = case.rows.time_ns[stream.rows]
-        last_ns, usual = int(times[-1]), float(np.median(np.diff(times)))
+        last_ns = int(times[-1])
+        usual = (last_ns - int(times[0])) / (len(times) - 1)
         # Its own cFS goes on: another boot behind the same address would be a restart.
         alive_ns = case.instances.items[stream.instance].last_ns
         if alive_ns - last_ns < max(_WAIT_NS, _WAIT_PERIODS * usual):
@@ -75,7 +78,8 @@ def _steady(times: NDArray[np.int64]) -> bool:
     """Tell whether a stream came like a clock, as what an application sends on request does."""
     steps = np.diff(times)
     usual = float(np.median(steps))
-    return len(steps) >= 2 * _LEAST and bool((np.abs(steps - usual) < usual / 2).mean() > _CLOCKWORK)
+    enough = len(steps) >= 2 * _LEAST and usual >= _SLOW_NS
+    return enough and bool((np.abs(steps - usual) < usual / 2).mean() > _CLOCKWORK)
 
 
 def _ended(case: Case, stream: Stream, last_ns: int, alive_ns: int, usual: float) -> Verdict:
