@@ -86,7 +86,7 @@ def test_help_loads_nothing_heavy(arguments):
 sys.argv = ["edoras", *{arguments.split()!r}]
 from edoras_tools.cli import main
 try:
-    main.run(main.app)
+    main.run(main.program())
 except SystemExit:
     pass
 """

@@ -6,6 +6,7 @@ import gc
 import os
 import sys
 from contextlib import suppress
+from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any, Final, NoReturn
@@ -13,52 +14,17 @@ from typing import Annotated, Any, Final, NoReturn
 import typer
 
 from edoras_tools import __version__
-from edoras_tools.cli.decode import decode
-from edoras_tools.cli.demo import demo
-from edoras_tools.cli.doctor import doctor
-from edoras_tools.cli.info import info
-from edoras_tools.cli.inject import inject
-from edoras_tools.cli.proxy import proxy as proxy_command
-from edoras_tools.cli.record import record as record_command
-from edoras_tools.cli.recover import recover
-from edoras_tools.cli.replay import replay as replay_command
-from edoras_tools.cli.report import report
-from edoras_tools.cli.sim import sim
-from edoras_tools.cli.sniff import sniff as sniff_command
-from edoras_tools.cli.sweep import sweep
-from edoras_tools.cli.wireshark import wireshark
 from edoras_tools.errors import EdorasError
 
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
 _USAGE: Final[Any] = typer.BadParameter.__mro__[1]
 """Click's root of all that a command line can be wrong in; typer brings its own click or not, by version."""
 
-app = typer.Typer(
-    name="edoras",
-    help="Capture, decode, record, replay and diagnose ROS 2 traffic of EDORAS bridges through NASA's cFS.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    context_settings=_SETTINGS,
-    epilog="Start with: edoras demo",
+COMMANDS: Final = (
+    *("demo", "sniff", "record", "info", "decode", "recover"),
+    *("replay", "inject", "sweep", "proxy", "doctor", "report", "sim", "wireshark"),
 )
-for command in (
-    demo,
-    sniff_command,
-    record_command,
-    info,
-    decode,
-    recover,
-    replay_command,
-    inject,
-    sweep,
-    proxy_command,
-    doctor,
-    report,
-    sim,
-):
-    app.command()(command)
-app.add_typer(wireshark)
+"""Each is a function, or a group of commands, of that name in a module of that name."""
 
 
 def _show_version(wanted: bool) -> None:
@@ -67,7 +33,6 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _edoras(
     _version: Annotated[
         bool,
@@ -77,16 +42,48 @@ def _edoras(
     """Hold the options of no command."""
 
 
-def _alone(function: typer.models.CommandFunctionType, name: str) -> typer.Typer:
-    """Make a program of one command."""
-    program = typer.Typer(
-        name=name, add_completion=False, pretty_exceptions_enable=False, context_settings=_SETTINGS
+def program(*names: str) -> typer.Typer:
+    """Make ``edoras``.
+
+    Args:
+        names: commands to put in; all where none is named. Making one takes time, and most are not run.
+    """
+    made = typer.Typer(
+        name="edoras",
+        help="Capture, decode, record, replay and diagnose ROS 2 traffic through NASA's cFS.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings=_SETTINGS,
+        epilog="Start with: edoras demo",
     )
-    program.command()(function)
-    return program
+    made.callback()(_edoras)
+    for name in names or COMMANDS:
+        command = _command(name)
+        if isinstance(command, typer.Typer):
+            made.add_typer(command)
+        else:
+            made.command()(command)
+    return made
 
 
-def run(program: typer.Typer) -> NoReturn:
+def _command(name: str) -> Any:
+    return getattr(import_module(f"edoras_tools.cli.{name}"), name)
+
+
+def _alone(name: str) -> typer.Typer:
+    """Make a program of one command."""
+    made = typer.Typer(
+        name=f"edoras-{name}",
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings=_SETTINGS,
+    )
+    made.command()(_command(name))
+    return made
+
+
+def run(made: typer.Typer) -> NoReturn:
     """Run a command line to its exit code: one clear line for what went wrong, never a traceback.
 
     Exit codes: 0 fine, 1 failed, 2 usage, 3 finished but data was lost or found lost.
@@ -96,7 +93,7 @@ def run(program: typer.Typer) -> NoReturn:
         # File names may hold bytes that are no text, and not every terminal has an arrow.
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        code = program(standalone_mode=False) or 0
+        code = made(standalone_mode=False) or 0
         sys.stdout.flush()
     except EdorasError as error:
         code = error.exit_code
@@ -104,7 +101,7 @@ def run(program: typer.Typer) -> NoReturn:
     except _USAGE as error:
         code = error.exit_code
         told = error.format_message().replace("Value error, ", "")  # the words of typer's own checks
-        command = error.ctx.command_path if error.ctx else program.info.name
+        command = error.ctx.command_path if error.ctx else made.info.name
         _say(f"{told.removesuffix('.')}; {command} -h tells more" if told else "")
     except SystemExit as error:
         # Click's way out of a broken pipe: the reader of our output, as `head`, has seen enough.
@@ -139,7 +136,7 @@ def _abandon_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
-def _start(program: typer.Typer) -> NoReturn:
+def _start(made: typer.Typer) -> NoReturn:
     """Run a program as a process of its own, quick to start and quick to leave.
 
     Hardly anything made while starting up is garbage, nothing is left to tear down at the end, and numpy's
@@ -148,7 +145,7 @@ def _start(program: typer.Typer) -> NoReturn:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(50_000)
     try:
-        run(program)
+        run(made)
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 0
         with suppress(OSError):
@@ -159,24 +156,25 @@ def _start(program: typer.Typer) -> NoReturn:
 
 def main() -> NoReturn:
     """Run ``edoras``."""
-    _start(app)
+    named = sys.argv[1:2]
+    _start(program(*named) if named and named[0] in COMMANDS else program())
 
 
 def sniff() -> NoReturn:
     """Run ``edoras-sniff``."""
-    _start(_alone(sniff_command, "edoras-sniff"))
+    _start(_alone("sniff"))
 
 
 def record() -> NoReturn:
     """Run ``edoras-record``."""
-    _start(_alone(record_command, "edoras-record"))
+    _start(_alone("record"))
 
 
 def replay() -> NoReturn:
     """Run ``edoras-replay``."""
-    _start(_alone(replay_command, "edoras-replay"))
+    _start(_alone("replay"))
 
 
 def proxy() -> NoReturn:
     """Run ``edoras-proxy``."""
-    _start(_alone(proxy_command, "edoras-proxy"))
+    _start(_alone("proxy"))

@@ -73,7 +73,7 @@ def call(monkeypatch, capsys):
         monkeypatch.setattr(sys, "argv", ["edoras", *map(str, arguments)])
         capsys.readouterr()
         with pytest.raises(SystemExit) as ending:
-            main.run(main.app)
+            main.run(main.program())
         out, err = capsys.readouterr()
         return SimpleNamespace(
             code=ending.value.code,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from edoras_tools.cli.main import app, run
+from edoras_tools.cli.main import program, run
 from edoras_tools.pipelines import wireshark_program
 
 ROOT = Path(__file__).parents[2]
@@ -22,7 +22,7 @@ def edoras(capfd, *arguments):
     before, sys.argv = sys.argv, ["edoras", *map(str, arguments)]
     try:
         with pytest.raises(SystemExit) as ended:
-            run(app)
+            run(program())
     finally:
         sys.argv = before
     out, err = capfd.readouterr()

@@ -49,9 +49,9 @@ def test_options_of_live_commands_exist(page, refresh):
     """They need a network or a clock, so only their command lines are read."""
     import typer
 
-    from edoras_tools.cli.main import app
+    from edoras_tools.cli.main import program as made
 
-    program = typer.main.get_command(app)
+    program = typer.main.get_command(made())
     for found in refresh.FENCED.finditer(page.read_text()):
         if found[1] != "console" or "live" not in found[2]:
             continue
