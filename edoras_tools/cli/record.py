@@ -75,6 +75,7 @@ def record(
             duration_ns=duration or 0,
             count=count or 0,
             watcher=watch,
+            by_route=json or not quiet,
         )
     if json:
         from edoras_tools.cli.output import print_json

@@ -96,14 +96,20 @@ class Ledger:
         self.start_ns = 0
         self.end_ns = 0
 
-    def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Count a batch."""
+    def tally(self, batch: PacketBatch) -> None:
+        """Count a batch's datagrams, and no more."""
         if not len(batch):
             return
         low, high = int(batch.time_ns.min()), int(batch.time_ns.max())
         self.start_ns = min(self.start_ns, low) if self.datagrams else low
         self.end_ns = max(self.end_ns, high)
         self.datagrams += len(batch)
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Count a batch, and each stream in it."""
+        self.tally(batch)
+        if not len(batch):
+            return
         kind = columns.link.astype(np.uint16) << 9 | (columns.sbn_msg_type + 1).astype(np.uint16)
         msg_id = (columns.msg_id + 1).astype(np.uint32)
         order = order_by(msg_id, columns.processor_id, kind)

@@ -152,6 +152,7 @@ def record(
     count: int = 0,
     watcher: Watcher | None = None,
     tap: Callable[[PacketBatch, Columns], None] | None = None,
+    by_route: bool = True,
 ) -> Report:
     """Write everything that a source gives until it ends, Ctrl-C, or a limit.
 
@@ -165,6 +166,7 @@ def record(
         count: stop after so many datagrams; 0 never.
         watcher: shown the report after every batch.
         tap: given every batch that was written.
+        by_route: count by route, for the report; else only how many datagrams there were.
 
     Raises:
         CaptureError: the recording cannot be written.
@@ -190,7 +192,10 @@ def record(
                         keep = slice(0, count - report.ledger.datagrams)
                         chosen, columns = chosen.take(keep), columns.take(keep)
                     sink.write(chosen, columns)
-                    report.ledger.add(chosen, columns)
+                    if by_route:
+                        report.ledger.add(chosen, columns)
+                    else:
+                        report.ledger.tally(chosen)
                     if tap is not None:
                         tap(chosen, columns)
                 now = clock()
