@@ -10,7 +10,6 @@ import argparse
 import json
 import os
 import platform
-import resource
 import shutil
 import signal
 import subprocess
@@ -140,7 +139,6 @@ def live(folder: Path) -> dict[str, object]:
         "recorded": recorded["datagrams"],
         "kernel_drops": report["capture_drops"],
         "lost": sent["sent"] - recorded["datagrams"],
-        "recorder_cpu_s": round(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime, 1),
     }
 
 
