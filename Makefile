@@ -3,12 +3,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 FUZZ_SECONDS ?= 60
 
-.PHONY: help venv demo test lint format bench fuzz tshark clean
+.PHONY: help venv demo test lint format bench fuzz judges clean
 
 help:  ## Show what there is to make.
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
-venv: $(VENV)/.installed  ## Set up .venv with everything but tshark.
+venv: $(VENV)/.installed  ## Set up .venv with everything but the judges.
 
 $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit("edoras-tools needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; try: make PYTHON=python3.12" if sys.version_info < (3, 11) else 0)'
@@ -19,10 +19,10 @@ $(VENV)/.installed: pyproject.toml
 demo: venv  ## Tour the main job on loopback.
 	@$(BIN)/edoras demo
 
-tshark:  ## Install tshark, the tests' independent judge, where it is missing.
-	@.ci/install-tshark
+judges:  ## Install tshark and Chromium, the tests' independent judges, where they are missing.
+	@.ci/install-judges
 
-test: venv tshark lint  ## Run every check and test.
+test: venv judges lint  ## Run every check and test.
 	$(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest
 
 lint: venv  ## Style, types, and which way imports point.
@@ -35,7 +35,7 @@ format: venv  ## Lay the code out.
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-bench: venv tshark  ## Measure speed beside tshark, in one run.
+bench: venv judges  ## Measure speed beside tshark, in one run.
 	$(BIN)/python benchmarks/run.py
 
 fuzz: venv  ## Feed garbage to every decoder for FUZZ_SECONDS.

@@ -162,7 +162,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     if not shutil.which("tshark"):
-        sys.exit("tshark is missing: make tshark")
+        sys.exit("tshark is missing: make judges")
     results: dict[str, object] = {
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
     }
