@@ -46,9 +46,7 @@ def examine(
     from edoras_tools.sources import open_file
 
     opened = open_file(Path(source)) if isinstance(source, (str, os.PathLike)) else source
-    bench = Settings(configs=[Path(item) for item in config]).workbench(
-        opened.info.attachments, opened.info.definitions
-    )
+    bench = Settings(configs=[Path(item) for item in config]).workbench(opened.info)
     findings = run(opened, bench, profile=profile)
     if findings.failure is not None:
         raise findings.failure

@@ -143,7 +143,7 @@ def _compare(settings: Settings, files: list[Path], against: Path, *, json: bool
     if not files:
         raise ConfigError("--against needs two captures: edoras doctor FIRST --against SECOND")
     first = open_files(files)
-    found = diff(first, open_files([against]), settings.workbench(first.info.attachments))
+    found = diff(first, open_files([against]), settings.workbench(first.info))
     if json:
         from edoras_tools.cli.output import print_json
 

@@ -45,7 +45,7 @@ def open_input(
 
         source = open_files(read)
         try:
-            return source, settings.workbench(source.info.attachments, source.info.definitions)
+            return source, settings.workbench(source.info)
         except EdorasError:
             source.close()
             raise

@@ -134,7 +134,7 @@ def replay(
         from edoras_tools.pipelines.workbench import open_files
 
         source = open_files([file])
-        bench = settings.workbench(source.info.attachments)
+        bench = settings.workbench(source.info)
         orders = orders.placed(bench.mission)
         loaded = pipeline.load(source, bench, orders, choice)
     names = pipeline.remapped(pairs, bench.mission, extended=settings.options.extended_header)

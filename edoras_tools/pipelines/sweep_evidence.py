@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.model import Link
 from edoras_tools.pipelines.seen import LOSSES, Seen
 from edoras_tools.sessions import command_ingest, software_bus
+from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.wire import cfe, sbn
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission import Mission
 
-_SEQUENCES: Final = 1 << 14
 _COUNTER: Final = 1 << 16
 _FILTER: Final = 16
 """How often the software bus reports a loss of a kind before its filter stops that."""
@@ -127,11 +127,11 @@ class Hearing:
     def _take(self, data: bytes) -> None:
         self._arrived += 1
         self.largest = max(self.largest, len(data))
-        sequence = int.from_bytes(data[2:4], "big") % _SEQUENCES
+        sequence = int.from_bytes(data[2:4], "big") % MODULUS
         if self._last is not None:
-            gap = (sequence - self._last - 1) % _SEQUENCES
+            gap = (sequence - self._last - 1) % MODULUS
             # A count that steps back is late, or is none at all.
-            self._gaps += gap if gap < _SEQUENCES // 2 else 0
+            self._gaps += gap if gap < FORWARD else 0
         self._last = sequence
         if self.expected is not None and data != self.expected:
             pairs = zip(data, self.expected, strict=False)

@@ -12,9 +12,10 @@ from edoras_tools.ros import TypeStore
 from edoras_tools.sources import open_file
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from edoras_tools.model import SourceInfo
     from edoras_tools.sources import Source
 
 
@@ -51,25 +52,21 @@ class Settings:
     msg_paths: Sequence[Path] = ()
     options: Options = Options()  # noqa: RUF009  frozen, and the same for all
 
-    def workbench(
-        self,
-        attachments: Mapping[str, bytes] | None = None,
-        definitions: Mapping[str, str] | None = None,
-    ) -> Workbench:
+    def workbench(self, info: SourceInfo | None = None) -> Workbench:
         """Set up.
 
         Args:
-            attachments: mission files that a recording carries; they hold where no mission is named.
-            definitions: message definitions that a recording carries; they hold before the distribution's.
+            info: of the source. A recording's mission files hold where no mission is named, its message
+                definitions before the distribution's.
 
         Raises:
             ConfigError: a mission, a type folder or an option has mistakes.
         """
-        types = TypeStore(self.distro, self.msg_paths, definitions)
+        types = TypeStore(self.distro, self.msg_paths, info.definitions if info else None)
         if self.configs:
             mission = load(self.configs, check_type=types.check)
-        elif attachments:
-            mission = loads(attachments, check_type=types.check)
+        elif info and info.attachments:
+            mission = loads(info.attachments, check_type=types.check)
         else:
             mission = Mission()
         context = Context(mission, types, self.options)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.sessions.fault_bytes import CONTENT, Chance, sequence_ahead
 from edoras_tools.sessions.fault_chance import fraction
+from edoras_tools.sessions.sequence import MODULUS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -171,7 +172,7 @@ class _Sequence(Actor):
     def act(self, items: list[Item], call: Call) -> Acted:
         key = (call.to_cfs, call.stream, call.msg_id)
         if call.struck and call.msg_id >= 0:
-            self._ahead[key] = (self._ahead.get(key, 0) + self.values["by"]) % (1 << 14)
+            self._ahead[key] = (self._ahead.get(key, 0) + self.values["by"]) % MODULUS
         detail = ""
         for item in items:
             item.payload, detail = sequence_ahead(item.payload, call.link, self._ahead.get(key, 0))
