@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 FUZZ_SECONDS ?= 60
 
-.PHONY: help venv demo test lint format bench fuzz judges clean
+.PHONY: help venv demo test lint format bench explore fuzz judges clean
 
 help:  ## Show what there is to make.
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -37,6 +37,9 @@ format: venv  ## Lay the code out.
 
 bench: venv judges  ## Measure speed beside tshark, in one run.
 	$(BIN)/python benchmarks/run.py
+
+explore: venv  ## Run the tests with new random examples.
+	HYPOTHESIS_PROFILE=explore $(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest
 
 fuzz: venv  ## Feed garbage to every decoder for FUZZ_SECONDS.
 	$(BIN)/python tests/fuzz/fuzz.py --seconds $(FUZZ_SECONDS)

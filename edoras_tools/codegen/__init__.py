@@ -1,0 +1,1 @@
+"""C99 for flight software without ROS, generated from ROS message definitions."""

@@ -1,0 +1,5 @@
+"""The ROS 2 graph as a bridge sees it: raw CDR in and out, one file a middleware."""
+
+from edoras_tools.middleware.graph import Graph, Qos
+
+__all__ = ["Graph", "Qos"]

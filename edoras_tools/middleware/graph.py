@@ -1,0 +1,49 @@
+"""What a bridge asks of a ROS 2 middleware: hear topics, speak on topics, as CDR and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+@dataclass(frozen=True, slots=True)
+class Qos:
+    """Quality of service of one topic, by ROS's names (https://design.ros2.org/articles/qos.html).
+
+    Attributes:
+        reliable: lost samples are sent again; False is ``best_effort``.
+        transient_local: late subscribers get the last samples; False is ``volatile``.
+        depth: samples kept (``keep_last``); 0 is ``keep_all``.
+    """
+
+    reliable: bool = True
+    transient_local: bool = False
+    depth: int = 10
+
+
+class Graph(Protocol):
+    """One node in a ROS 2 graph.
+
+    Topics are fully qualified (``/cmd_vel``), types ROS names (``geometry_msgs/msg/Twist``). A message is its
+    CDR with the four bytes of encapsulation, never decoded on the way. A node never hears itself.
+    """
+
+    def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
+        """Call ``heard(cdr)`` for each message, on a thread of the middleware's: it must not block.
+
+        Raises:
+            ConfigError: the type is unknown, or the middleware refuses the topic.
+        """
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
+        """Return what publishes one message of a topic; it may be called from any one thread at a time.
+
+        Raises:
+            ConfigError: the type is unknown, or the middleware refuses the topic.
+        """
+
+    def close(self) -> None:
+        """Leave the graph. Nothing is heard after this returns; calling it again does nothing."""

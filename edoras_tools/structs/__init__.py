@@ -1,0 +1,1 @@
+"""cFS's own C structs: where their members lie, and their bytes as named values."""
