@@ -8,7 +8,10 @@ import socket
 import struct
 import sys
 import time
+from bisect import bisect_right
+from collections import defaultdict
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -84,8 +87,8 @@ class Sockets:
         self.drops = 0
         self.linger_s = 0.005
         self._bound: list[_Bound] = []
-        self._staging = memoryview(bytearray(_STAGING + _LARGEST + max(ROOM.values()) + 1))
         self._packed: dict[str, bytes] = {}
+        self._kept: defaultdict[_Bound, list[tuple[_Arrival, bytes]]] = defaultdict(list)
         self._number = 1
         try:
             self.endpoints = tuple(self._bind(endpoint, receive_buffer) for endpoint in endpoints)
@@ -94,6 +97,8 @@ class Sockets:
             raise
         if not self.endpoints:
             raise CaptureError("no endpoint to listen on: name one as HOST:PORT")
+        beyond = len(self._bound) * (_LARGEST + max(ROOM.values()) + 1)  # each may pass its share by one
+        self._staging = memoryview(bytearray(_STAGING + beyond))
         self.info = SourceInfo(", ".join(str(endpoint) for endpoint in self.endpoints), "udp")
 
     def _bind(self, endpoint: Endpoint, receive_buffer: int) -> Endpoint:
@@ -130,13 +135,8 @@ class Sockets:
         return tuple(bound.socket.fileno() for bound in self._bound)
 
     def read(self) -> FrameBatch | None:
-        """Take the datagrams that are there, about a MiB at most; None when there are none."""
-        groups: list[tuple[_Bound, list[_Arrival]]] = []
-        size = 0
-        for bound in self._bound:
-            arrivals, size = self._receive(bound, size)
-            if arrivals:
-                groups.append((bound, arrivals))
+        """Take the datagrams that are there, a MiB or so, in order of time; None when there are none."""
+        groups, size = self._gather()
         if not groups:
             return None
         data = np.zeros(size + PADDING, dtype=np.uint8)
@@ -156,12 +156,38 @@ class Sockets:
         self._number += len(frames)
         return frames
 
-    def _receive(self, bound: _Bound, place: int) -> tuple[list[_Arrival], int]:
-        """Take a socket's datagrams into the staging buffer from ``place``; return them and their end."""
-        staging, room = self._staging, ROOM[bound.version]
-        arrivals: list[_Arrival] = []
-        while place < _STAGING:
-            start = place + room
+    def _gather(self) -> tuple[list[tuple[_Bound, list[_Arrival]]], int]:
+        """Take what is there into the staging buffer, socket by socket; return it and its end.
+
+        What came to one socket after another had been read stays for the next time, or the order of time
+        would break between two reads.
+        """
+        while True:
+            whole_ns = time.time_ns()  # nothing older will come any more
+            groups: list[tuple[_Bound, list[_Arrival]]] = []
+            place, fresh = 0, False
+            for bound in self._bound:
+                room = place + _STAGING // len(self._bound)
+                arrivals, place = self._put_back(bound, place)
+                kept = len(arrivals)
+                place = self._receive(bound, arrivals, place, room)
+                fresh |= len(arrivals) > kept
+                if place >= room:
+                    whole_ns = min(whole_ns, arrivals[-1].time_ns)
+                if arrivals:
+                    groups.append((bound, arrivals))
+            if fresh and len(self._bound) > 1:
+                groups = [
+                    (bound, whole) for bound, some in groups if (whole := self._keep(bound, some, whole_ns))
+                ]
+            if groups or not fresh:
+                return groups, place
+
+    def _receive(self, bound: _Bound, arrivals: list[_Arrival], place: int, room: int) -> int:
+        """Add a socket's datagrams, staged from ``place`` until ``room``; return their end."""
+        staging, header = self._staging, ROOM[bound.version]
+        while place < room:
+            start = place + header
             try:
                 length, ancillary, _, sender = bound.socket.recvmsg_into(
                     [staging[start : start + _LARGEST]], _ANCILLARY
@@ -183,6 +209,24 @@ class Sockets:
                 )
             )
             place = (start + length + 2) & ~1
+        return place
+
+    def _keep(self, bound: _Bound, arrivals: list[_Arrival], until_ns: int) -> list[_Arrival]:
+        """Return the datagrams up to a time; keep the others, which come next time."""
+        count, header = bisect_right(arrivals, until_ns, key=attrgetter("time_ns")), ROOM[bound.version]
+        for arrival in arrivals[count:]:
+            start = arrival.place + header
+            self._kept[bound].append((arrival, bytes(self._staging[start : start + arrival.length])))
+        return arrivals[:count]
+
+    def _put_back(self, bound: _Bound, place: int) -> tuple[list[_Arrival], int]:
+        """Stage the datagrams that were kept from ``place``; return them and their end."""
+        arrivals, header = [], ROOM[bound.version]
+        for arrival, payload in self._kept.pop(bound, ()):
+            start = place + header
+            self._staging[start : start + len(payload) + 1] = payload + b"\0"
+            arrivals.append(arrival._replace(place=place))
+            place = (start + len(payload) + 2) & ~1
         return arrivals, place
 
     def count(self) -> None:

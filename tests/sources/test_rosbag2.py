@@ -6,6 +6,7 @@ import sqlite3
 from contextlib import suppress
 
 import pytest
+import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
@@ -138,3 +139,13 @@ def test_a_damaged_file_gives_nothing_but_the_documented_error(tmp_path_factory,
     for read in (opened.topics, lambda: list(opened.messages(["/cmd_vel"]))):
         with suppress(CaptureError):
             read()
+
+
+@pytest.mark.parametrize("failure", [MemoryError(), zstandard.ZstdError("no such frame"), KeyError("x")])
+def test_whatever_the_reader_stumbles_over_is_one_clear_line(tmp_path, monkeypatch, failure):
+    def stumble(*_arguments, **_options):
+        raise failure
+
+    monkeypatch.setattr("mcap.reader.SeekingReader.iter_messages", stumble)
+    with pytest.raises(CaptureError, match="is damaged or cut off: "):
+        list(open_rosbag(write_mcap(tmp_path / "x.mcap")).messages(["/cmd_vel"]))

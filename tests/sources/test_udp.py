@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.model import Endpoint
 from edoras_tools.sources import udp
+from edoras_tools.sources.linklayer import demux
 from edoras_tools.sources.udp import Sockets, UdpSource, parse_endpoint
 
 LOCAL = Endpoint("127.0.0.1", 0)
@@ -89,6 +90,28 @@ def test_many_of_several_sockets_in_time_order(listen):
     assert [datagram.payload for datagram in seen] == wanted
     assert [datagram.number for datagram in seen] == list(range(1, 601))
     assert source.info.name == ", ".join(str(endpoint) for endpoint in source.endpoints)
+
+
+def test_what_comes_between_two_sockets_stays_in_time_order(monkeypatch):
+    with contextlib.closing(Sockets([LOCAL, LOCAL6])) as sockets:
+        first, second = sockets.endpoints
+        send(first, b"1")
+        receive = sockets._receive
+
+        def and_then_others_come(bound, *arguments):
+            end = receive(bound, *arguments)
+            if bound.version == 4 and not sockets._kept:
+                monkeypatch.setattr(sockets, "_receive", receive)
+                send(first, b"2", b"22")
+                send(second, b"3", b"33")
+            return end
+
+        monkeypatch.setattr(sockets, "_receive", and_then_others_come)
+        seen = []
+        while (frames := sockets.read()) is not None:
+            batch = demux(frames)
+            seen.append([batch[row].payload for row in range(len(batch))])
+        assert seen == [[b"1"], [b"2", b"22", b"3", b"33"]]
 
 
 def test_the_address_it_was_sent_to(listen):
