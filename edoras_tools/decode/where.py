@@ -45,15 +45,16 @@ class Where:
     Args:
         text: the expression.
         context: what packets are decoded with; gives names their fields.
+        begin_ns: what ``time`` counts from; None: the first datagram that is asked about.
 
     Raises:
         WhereError: it is no expression, names no field, or compares what cannot be compared.
     """
 
-    def __init__(self, text: str, context: Context) -> None:
+    def __init__(self, text: str, context: Context, begin_ns: int | None = None) -> None:
         self.text = text
         self.context = context
-        self._begin_ns: int | None = None
+        self._begin_ns = begin_ns
         self._node = _compile(parse(text), text, Names(context))
 
     def __str__(self) -> str:

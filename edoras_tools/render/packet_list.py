@@ -85,6 +85,7 @@ class PacketList:
         time_format: how to tell time.
         names: MsgId to a name, where neither a message nor the layers have one.
         verbose: show notes too, not only warnings and errors.
+        begin_ns: what relative times count from; None: the first packet shown.
     """
 
     def __init__(
@@ -95,13 +96,14 @@ class PacketList:
         time_format: TimeFormat = TimeFormat.RELATIVE,
         names: Mapping[int, str] | None = None,
         verbose: bool = False,
+        begin_ns: int | None = None,
     ) -> None:
         self._names = names
         self._paint = palette.Paint(colour)
         self._time_format = time_format
         self._at_least = Severity.NOTE if verbose else Severity.WARNING
-        self._first_ns: int | None = None
-        self._previous_ns = 0
+        self._first_ns = begin_ns
+        self._previous_ns: int | None = None
         self.resize(width)
 
     def resize(self, width: int) -> None:
@@ -132,8 +134,15 @@ class PacketList:
         line = clip(plan.gap.join(parts), self._width)
         return self._paint(line, palette.STRONG)
 
-    def line(self, decoded: Decoded) -> str:
-        """Return a packet's line, without a line end."""
+    def line(self, decoded: Decoded, previous_ns: int | None = None) -> str:
+        """Return a packet's line, without a line end.
+
+        Args:
+            decoded: the packet.
+            previous_ns: time of the packet above; None: that of the last one asked for.
+        """
+        if previous_ns is not None:
+            self._previous_ns = previous_ns
         plan, paint, datagram = self._plan, self._paint, decoded.datagram
         kind, msg_id, name = facts(decoded, self._names)
         style = palette.LINKS[decoded.link]
@@ -168,14 +177,14 @@ class PacketList:
 
     def _time(self, time_ns: int) -> str:
         if self._first_ns is None:
-            self._first_ns = self._previous_ns = time_ns
+            self._first_ns = time_ns
         previous, self._previous_ns = self._previous_ns, time_ns
         width = self._plan.time
         match self._time_format:
             case TimeFormat.RELATIVE:
                 return f"{(time_ns - self._first_ns) / 1e9:.6f}"[:width]
             case TimeFormat.DELTA:
-                return f"{(time_ns - previous) / 1e9:.6f}"[:width]
+                return f"{(time_ns - (time_ns if previous is None else previous)) / 1e9:.6f}"[:width]
             case TimeFormat.EPOCH:
                 return f"{time_ns // 1_000_000_000}.{time_ns // 1000 % 1_000_000:06}"[:width]
             case TimeFormat.UTC:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Role = Literal["packet", "layer", "group", "field", "finding", "stop"]
 
-_GUTTER: Final = 11
+GUTTER: Final = 11
 """Cells of the byte ranges at the left."""
 _MOST_LABEL: Final = 32
 _LEAST_VALUE: Final = 20
@@ -76,7 +76,7 @@ def lines(decoded: Decoded, width: int, paint: palette.Paint) -> list[str]:
         paint: with or without colour.
     """
     width = max(40, width)
-    return [line for row in rows(decoded) for line in _draw(row, width, paint)]
+    return [line for row in rows(decoded) for line in draw(row, width, paint)]
 
 
 def _packet(decoded: Decoded) -> Iterator[Row]:
@@ -144,15 +144,23 @@ def _blocks(items: Sequence[LayerField], prefix: str) -> Iterator[tuple[str, lis
         yield clean(name), members, index >= 0
 
 
-def _draw(row: Row, width: int, paint: palette.Paint) -> list[str]:
+def draw(row: Row, width: int, paint: palette.Paint, *, closed: bool = False) -> list[str]:
+    """Return the lines of one row.
+
+    Args:
+        row: as :func:`rows` yields it.
+        width: cells that no line exceeds, at least 40.
+        paint: with or without colour.
+        closed: what is under it is not shown.
+    """
     match row.role:
         case "packet":
-            label = fit(row.label, max(_GUTTER, cells(row.label) + 1))
+            label = fit(row.label, max(GUTTER, cells(row.label) + 1))
             return _hang(
                 paint(label, f"bold {row.style}" if row.label else ""),
                 cells(label),
                 row.value,
-                _GUTTER,
+                GUTTER,
                 width,
             )
         case "finding" | "stop":
@@ -160,21 +168,21 @@ def _draw(row: Row, width: int, paint: palette.Paint) -> list[str]:
             return _hang(paint(label, row.style), cells(label), row.value, cells(label), width)
         case "field":
             return _field(row, width, paint)
-    room = width - _GUTTER
-    title = clip(f"{_indent(row, room)}{'▸' if row.value else '▾'} {row.label}", room)
+    room = width - GUTTER
+    title = clip(f"{_indent(row, room)}{'▸' if closed or row.value else '▾'} {row.label}", room)
     line = _gutter(row, paint) + paint(title, f"bold {row.style}" if row.role == "layer" else row.style)
     value = clip(row.value, room - cells(title) - 2)
     return [f"{line}  {value}" if value else line]
 
 
 def _field(row: Row, width: int, paint: palette.Paint) -> list[str]:
-    room = width - _GUTTER
+    room = width - GUTTER
     indent = _indent(row, room)
     # However deep a message nests and however long a name, some of the line is left for the value.
     label = clip(
         fit(f"{clip(row.label, row.align)}:", row.align + 1), max(4, room - len(indent) - 2 - _LEAST_VALUE)
     )
-    used = _GUTTER + len(indent) + cells(label) + 2
+    used = GUTTER + len(indent) + cells(label) + 2
     out = _hang(f"{_gutter(row, paint)}{indent}{paint(label, palette.DIM)}  ", used, row.value, used, width)
     at = max(_DOC_AT, used + cells(row.value) + 3)
     if row.doc and len(out) == 1 and width - at >= _LEAST_DOC:
@@ -185,7 +193,7 @@ def _field(row: Row, width: int, paint: palette.Paint) -> list[str]:
 
 
 def _gutter(row: Row, paint: palette.Paint) -> str:
-    return paint(fit(fit_right(_range(row), _GUTTER - 3), _GUTTER), palette.DIM)
+    return paint(fit(fit_right(_range(row), GUTTER - 3), GUTTER), palette.DIM)
 
 
 def _indent(row: Row, room: int) -> str:
