@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission.fields import Fields, suggestion
-from edoras_tools.mission.model import FlightLink, GroundLink, Route
+from edoras_tools.mission.handling import BRIDGE_KEYS, GROUP, TOPIC_KEYS, read_handling, warn_of_unknown
+from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Handling, Route
 from edoras_tools.mission.report import printable
 from edoras_tools.model import Link
 from edoras_tools.wire.envelope import EnvelopeFormat
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 _ADDRESS: Final = None
 _PORT: Final = (1, 0xFFFF)
 _ID: Final = (0, 0xFFFFFFFF)
+_LARGEST: Final = 65507
 _GROUND: Final[dict[str, tuple[int, int] | None]] = {
     "bridge_port": _PORT,
     "fsw_port": _PORT,
@@ -43,7 +46,7 @@ _FLIGHT: Final[dict[str, tuple[int, int] | None]] = {
     "processor_id": _ID,
     "spacecraft_id": _ID,
 }
-_ROUTE_KEYS: Final = ("type", "topic", "mid", "envelope")
+_ROUTE_KEYS: Final = ("type", "topic", "mid", "envelope", *TOPIC_KEYS)
 _DIRECTIONS: Final[tuple[Literal["command", "telemetry"], ...]] = ("command", "telemetry")
 
 HIGHEST_MSG_ID = 0x1FFF
@@ -67,8 +70,8 @@ def find_bridges(nodes: list[Node]) -> list[Node]:
 
 def read_bridge(
     node: Node, report: Report, claims: Claims, check_type: CheckType | None
-) -> tuple[GroundLink | FlightLink | None, list[Route]]:
-    """Return a bridge's link and routes as far as they are right; the rest goes to ``report``.
+) -> tuple[Bridge | None, list[Route]]:
+    """Return a bridge as far as it is right, and its routes that no other has; the rest goes to ``report``.
 
     Args:
         node: its parameters.
@@ -85,7 +88,12 @@ def read_bridge(
             if item.value:
                 reader.listed(str(item.value), item.line, direction)
     reader.warn_of_unlisted()
-    return link, reader.routes
+    total = fields.rate(f"{GROUP}.max_rate_total")
+    size = fields.count(f"{GROUP}.max_size", _LARGEST)
+    warn_of_unknown(fields, GROUP, BRIDGE_KEYS)
+    if link is None:
+        return None, reader.routes
+    return Bridge(node.name, link, tuple(reader.whole), total, size), reader.routes
 
 
 def _communication(fields: Fields) -> tuple[bool, GroundLink | FlightLink | None]:
@@ -125,6 +133,8 @@ class _Routes:
         self.claims = claims
         self.check_type = check_type
         self.routes: list[Route] = []
+        self.whole: list[Route] = []
+        self.defaults = read_handling(fields, GROUP, Handling())
         self.keys: dict[str, int] = {}
         self.topics: dict[str, tuple[str, int]] = {}
 
@@ -147,11 +157,10 @@ class _Routes:
             return
         type_name, topic, msg_id = self._type(key), self._topic(key), self._msg_id(key)
         envelope = self._envelope(key)
-        for name in node.children(key):
-            if name not in _ROUTE_KEYS:
-                fields.warn(
-                    f"{key}.{name}", f"ignored; {suggestion(name, _ROUTE_KEYS)}read are {_words(_ROUTE_KEYS)}"
-                )
+        # A bridge's own rate is what spares its cFS: it holds back nothing that comes from there.
+        defaults = self.defaults if direction == "command" else replace(self.defaults, max_rate=None)
+        handling = read_handling(fields, key, defaults)
+        warn_of_unknown(fields, key, _ROUTE_KEYS)
         if msg_id is None:
             return
         link = Link.SBN if self.flight else Link.CI if direction == "command" else Link.TO
@@ -165,8 +174,13 @@ class _Routes:
             fields.report.file,
             node.lines[key],
             envelope,
+            handling,
         )
-        if self._claim(route) and topic and type_name:
+        first = self._claim(route)
+        if not topic or not type_name:
+            return
+        self.whole.append(route)
+        if first:
             self._warn_of_msg_id(route)
             self.routes.append(route)
 

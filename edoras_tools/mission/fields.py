@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.mission.tree import Scalar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from edoras_tools.mission.parameters import Node
     from edoras_tools.mission.report import Report
@@ -74,6 +75,35 @@ class Fields:
             self.mistake(name, f"{printable(scalar.text)} is out of range; {allowed}")
             return None
         return value
+
+    def rate(self, name: str) -> float | None:
+        """Return a rate in Hz, an integer or a float above 0; None where it is absent or wrong."""
+        if not self.has(name):
+            return None
+        allowed = "a rate in messages a second is needed, as 30 or 0.5"
+        scalar = self._scalar(name, allowed)
+        if scalar is None:
+            return None
+        value = scalar.value
+        if isinstance(value, bool | str) or not 0 < value < math.inf:
+            self.mistake(name, f"{scalar.described}; {allowed}")
+            return None
+        return float(value)
+
+    def word(self, name: str, choices: Sequence[str]) -> str | None:
+        """Return one of some words; None where it is absent or wrong."""
+        if not self.has(name):
+            return None
+        allowed = f"{' or '.join(choices)} is needed"
+        text = self.text(name, allowed)
+        if text is None or text in choices:
+            return text
+        self.mistake(name, f'"{printable(text)}" is not known; {suggestion(text, choices)}{allowed}')
+        return None
+
+    def count(self, name: str, highest: int) -> int | None:
+        """Return an integer from 1 to a limit; None where it is absent or wrong."""
+        return self.integer(name, 1, highest) if self.has(name) else None
 
     def address(self, name: str) -> str | None:
         """Return a dotted IPv4 address. The bridges hand it to ``inet_addr``, which resolves no names."""

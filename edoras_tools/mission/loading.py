@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from edoras_tools.mission.bridges import CheckType, Claims
-    from edoras_tools.mission.model import FlightLink, GroundLink, Route
+    from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Route
 
 _LARGEST = 1 << 18  # a mission file is a few KiB; a capture given by mistake is not read whole
 
@@ -70,6 +70,7 @@ def _mission(contents: list[tuple[str, bytes | str]], check_type: CheckType | No
     claims: Claims = {}
     links: list[GroundLink | FlightLink] = []
     routes: list[Route] = []
+    whole: list[Bridge] = []
     for name, content in contents:
         if content in files.values():
             continue  # the same file given twice
@@ -84,15 +85,17 @@ def _mission(contents: list[tuple[str, bytes | str]], check_type: CheckType | No
             what = "no node here is a bridge; it needs communication, command and telemetry"
             report.mistake(nodes[0].line, nodes[0].name, what)
         for node in bridges:
-            link, found = read_bridge(node, report, claims, check_type)
+            bridge, found = read_bridge(node, report, claims, check_type)
             routes += found
-            if link is not None and link not in links:
-                links.append(link)
+            if bridge is not None:
+                whole.append(bridge)
+                if bridge.link not in links:
+                    links.append(bridge.link)
     mistakes = _in_order(report.mistakes for report in reports)
     if mistakes:
         raise ConfigError(*mistakes)
     warnings = _in_order(report.warnings for report in reports)
-    return Mission(tuple(routes), tuple(links), MappingProxyType(files), tuple(warnings))
+    return Mission(tuple(routes), tuple(links), MappingProxyType(files), tuple(warnings), tuple(whole))
 
 
 def _in_order(found: Iterable[list[tuple[int, str]]]) -> list[str]:

@@ -15,6 +15,27 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
+class Handling:
+    """How ``edoras bridge`` treats a topic; the public bridges pass over it. None: the file says nothing.
+
+    Attributes:
+        max_rate: messages a second at the most.
+        keep: of what is too much, the ``latest`` waits for its turn, or the ``first`` has gone already.
+        reliable: quality of service: lost samples are sent again.
+        transient_local: quality of service: late subscribers get the last samples.
+        depth: quality of service: samples kept.
+        to_limit: have Telemetry Output send it, so many of it waiting at the most.
+    """
+
+    max_rate: float | None = None
+    keep: Literal["latest", "first"] | None = None
+    reliable: bool | None = None
+    transient_local: bool | None = None
+    depth: int | None = None
+    to_limit: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Route:
     """One ROS topic and the MsgId that carries it.
 
@@ -28,6 +49,7 @@ class Route:
         file: the file, as it was named when loaded.
         line: where the mapping starts, from 1.
         envelope: ``auto`` or the name of a ``wire.envelope.EnvelopeFormat``; None where not given.
+        handling: what the file says of it to our bridge, its bridge's defaults filled in.
     """
 
     topic: str
@@ -39,6 +61,7 @@ class Route:
     file: str = ""
     line: int = 0
     envelope: str | None = None
+    handling: Handling = Handling()
 
     @property
     def to_cfs(self) -> bool:
@@ -119,6 +142,25 @@ class FlightLink:
 
 
 @dataclass(frozen=True, slots=True)
+class Bridge:
+    """One bridge, whole: what a process that takes its place does.
+
+    Attributes:
+        name: of its node, fully qualified; empty where the file gives none.
+        link: where it talks to cFS.
+        routes: its own, in the order of the file.
+        max_rate_total: messages a second to cFS at the most, all topics together; None where not given.
+        max_size: bytes of a packet that its cFS takes; None where not given.
+    """
+
+    name: str
+    link: GroundLink | FlightLink
+    routes: tuple[Route, ...]
+    max_rate_total: float | None = None
+    max_size: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Mission:
     """All that the mission files say; ``Mission()`` is valid and says nothing.
 
@@ -127,12 +169,14 @@ class Mission:
         links: one a bridge.
         files: raw contents by base name, for attachments.
         warnings: one line each: what a bridge accepts and nobody can mean.
+        bridges: link and routes of each bridge together.
     """
 
     routes: tuple[Route, ...] = ()
     links: tuple[GroundLink | FlightLink, ...] = ()
     files: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()
+    bridges: tuple[Bridge, ...] = ()
 
     @property
     def ground(self) -> tuple[GroundLink, ...]:
