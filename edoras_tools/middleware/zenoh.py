@@ -1,0 +1,222 @@
+"""A node in the graph of those ROS 2 nodes that run on rmw_zenoh; see docs/zenoh.md."""
+
+from __future__ import annotations
+
+import time
+from itertools import count
+from threading import Lock, RLock
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.zenoh_attachment import ATTACHMENT, GID
+from edoras_tools.middleware.zenoh_config import ROUTER, check_options, reason, session_config
+from edoras_tools.middleware.zenoh_gid import gid
+from edoras_tools.middleware.zenoh_names import NO_TYPE_HASH, Kind, Node, Topic, check_name, depth
+from edoras_tools.ros.schema import full_name
+from edoras_tools.ros.type_hash import type_hash
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    import zenoh
+
+    from edoras_tools.middleware.graph import Qos
+    from edoras_tools.ros import TypeStore
+
+_WITHOUT_HASH: Final = frozenset({"dashing", "eloquent", "foxy", "galactic", "humble"})
+"""Distributions whose definitions have no hash."""
+_HASHES: Final = {"rihs01": True, "none": False}
+_HEARTBEAT: Final = 0.5
+"""Seconds after which a subscription learns of a last message that it missed, as rmw_zenoh has it."""
+
+
+class ZenohGraph:
+    """A ``Graph`` over one Zenoh session.
+
+    Args:
+        session: open; the graph closes it.
+        node: as others see it.
+        types: knows the types of all topics.
+        hashed: put hashes of types into keys, as all distributions since Iron do.
+    """
+
+    def __init__(self, session: zenoh.Session, node: Node, types: TypeStore, *, hashed: bool) -> None:
+        self._session = session
+        self._node = node
+        self._types = types
+        self._hashed = hashed
+        self._ids = count(1)
+        self._listening: list[_Listener] = []
+        self._closing = Lock()
+        self._closed = False
+        self._tokens = [session.liveliness().declare_token(node.token)]
+        self._entities: list[Any] = []
+
+    @property
+    def connected(self) -> bool:
+        """Whether a router or another peer is there to talk to."""
+        info = self._session.info
+        return bool(info.routers_zid() or info.peers_zid())
+
+    def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
+        """Call ``heard(cdr)`` for each message of a topic; see ``Graph``."""
+        import zenoh
+        from zenoh import ext
+
+        named = self._topic(topic, type_name)
+        listener = _Listener(heard)
+        key = named.key(self._node.domain)
+        if qos.transient_local:
+            entity: Any = self._declare(
+                named,
+                ext.declare_advanced_subscriber,
+                self._session,
+                key,
+                listener,
+                allowed_origin=zenoh.Locality.REMOTE,
+                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=depth(qos)),
+                recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if qos.reliable else None,
+                subscriber_detection=True,
+            )
+        else:
+            entity = self._declare(
+                named,
+                self._session.declare_subscriber,
+                key,
+                listener,
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+        self._listening.append(listener)
+        self._announce(entity, Kind.SUBSCRIPTION, named, qos)
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
+        """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing."""
+        import zenoh
+        from zenoh import ext
+
+        named = self._topic(topic, type_name)
+        all_kept = qos.reliable and not qos.depth
+        wire = {
+            "congestion_control": zenoh.CongestionControl.BLOCK if all_kept else zenoh.CongestionControl.DROP,
+            "reliability": zenoh.Reliability.RELIABLE if qos.reliable else zenoh.Reliability.BEST_EFFORT,
+            "allowed_destination": zenoh.Locality.REMOTE,
+        }
+        key = named.key(self._node.domain)
+        if qos.transient_local:
+            detection = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT)
+            publisher: Any = self._declare(
+                named,
+                ext.declare_advanced_publisher,
+                self._session,
+                key,
+                cache=ext.CacheConfig(depth(qos)),
+                sample_miss_detection=detection if qos.reliable else None,
+                publisher_detection=True,
+                **wire,
+            )
+        else:
+            publisher = self._declare(named, self._session.declare_publisher, key, **wire)
+        source = gid(self._announce(publisher, Kind.PUBLISHER, named, qos))
+        put, attach, now, numbers = publisher.put, ATTACHMENT.pack, time.time_ns, count(1)
+
+        def publish(cdr: bytes) -> None:
+            try:
+                put(cdr, attachment=attach(next(numbers), now(), GID, source))
+            except zenoh.ZError as error:
+                if not self._closed:
+                    raise ConfigError(f"{topic}: cannot be published on: {reason(error)}") from error
+
+        return publish
+
+    def close(self) -> None:
+        """Leave the graph; see ``Graph``."""
+        with self._closing:
+            if self._closed:
+                return
+            self._closed = True
+        for listener in self._listening:
+            listener.stop()
+        for thing in (*self._tokens, *self._entities):
+            thing.undeclare()
+        self._session.close()
+
+    def _topic(self, topic: str, type_name: str) -> Topic:
+        name = check_name(topic, "topic")
+        if why := self._types.check(type_name):
+            raise ConfigError(f"{topic}: {why}")
+        digest = type_hash(self._types, type_name) if self._hashed else NO_TYPE_HASH
+        return Topic(name, full_name(type_name), digest)
+
+    def _announce(self, entity: Any, kind: Kind, topic: Topic, qos: Qos) -> str:
+        """Tell the graph of an entity; return its token."""
+        token = self._node.entity_token(kind, next(self._ids), topic, qos)
+        self._entities.append(entity)
+        self._tokens.append(self._session.liveliness().declare_token(token))
+        return token
+
+    def _declare(self, topic: Topic, declare: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        import zenoh
+
+        try:
+            return declare(*arguments, **options)
+        except zenoh.ZError as error:
+            raise ConfigError(f"{topic.name}: refused by Zenoh: {reason(error)}") from error
+
+
+class _Listener:
+    """Hands on what is heard, until it is stopped; then no more, not even what is waiting."""
+
+    def __init__(self, heard: Callable[[bytes], None]) -> None:
+        self._heard: Callable[[bytes], None] | None = heard
+        self._speaking = RLock()
+
+    def __call__(self, sample: zenoh.Sample) -> None:
+        with self._speaking:
+            if self._heard is not None:
+                self._heard(sample.payload.to_bytes())
+
+    def stop(self) -> None:
+        """Return when the last one was handed on."""
+        with self._speaking:
+            self._heard = None
+
+
+def open_graph(
+    store: TypeStore, node: str, *, domain: int = 0, options: Mapping[str, str] | None = None
+) -> ZenohGraph:
+    """Join the graph as a node.
+
+    Args:
+        store: knows the types of all topics; its distribution decides whether keys hold hashes of types.
+        node: name of the node, or ``/namespace/name``.
+        domain: ``ROS_DOMAIN_ID``.
+        options: see docs/zenoh.md: ``router``, ``mode``, ``listen``, ``config``, ``type_hash``.
+
+    Raises:
+        ConfigError: Zenoh is not installed, an option cannot be honoured, or the session cannot be opened.
+    """
+    options = options or {}
+    try:
+        import zenoh
+    except ImportError as error:
+        raise ConfigError(
+            "--ros zenoh needs eclipse-zenoh; install it with pip install 'edoras-tools[zenoh]'"
+        ) from error
+    if domain < 0:
+        raise ConfigError(f"zenoh: domain {domain} does not exist; they count from 0")
+    check_options(options)
+    wanted = options.get("type_hash", "none" if store.distro in _WITHOUT_HASH else "rihs01")
+    if wanted not in _HASHES:
+        raise ConfigError(f"zenoh: type_hash {wanted!r} does not exist; write {' or '.join(_HASHES)}")
+    Node.named(node, domain, "")  # a wrong name is told before a session is opened
+    config = session_config(options)
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError as error:
+        place = options.get("router", ROUTER)
+        raise ConfigError(
+            f"zenoh: no session: {reason(error)}; is a router at {place}? (ros2 run rmw_zenoh_cpp rmw_zenohd)"
+        ) from error
+    return ZenohGraph(
+        session, Node.named(node, domain, str(session.zid())), store, hashed=_HASHES[wanted]
+    )

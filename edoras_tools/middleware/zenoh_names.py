@@ -1,0 +1,151 @@
+"""What rmw_zenoh calls things: key expressions of topics, liveliness tokens of what a graph consists of.
+
+A topic's key keeps apart what must not talk to each other: domains, types, definitions of one type. A token
+tells everybody that an entity is there; ``ros2 topic list`` is made of tokens. Both follow rmw_zenoh's design
+(https://github.com/ros2/rmw_zenoh/blob/rolling/docs/design.md).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final, NamedTuple, Self
+
+from edoras_tools.errors import ConfigError
+
+if TYPE_CHECKING:
+    from edoras_tools.middleware.graph import Qos
+
+NO_TYPE_HASH: Final = "TypeHashNotSupported"
+"""What rmw_zenoh writes for a type's hash in Humble, which has none."""
+DEFAULT_DEPTH: Final = 42
+"""The depth that rmw_zenoh takes where none is given."""
+_NAME: Final = re.compile(r"(?:/[A-Za-z_]\w*)+", re.ASCII)
+
+
+class Kind(StrEnum):
+    """What a liveliness token stands for."""
+
+    NODE = "NN"
+    PUBLISHER = "MP"
+    SUBSCRIPTION = "MS"
+
+
+class Topic(NamedTuple):
+    """A topic as keys name it.
+
+    Attributes:
+        name: fully qualified, ``/cmd_vel``.
+        type: ROS name, ``geometry_msgs/msg/Twist``.
+        type_hash: ``RIHS01_`` and 64 digits, or ``NO_TYPE_HASH``.
+    """
+
+    name: str
+    type: str
+    type_hash: str
+
+    @property
+    def dds_type(self) -> str:
+        """The type as DDS names it, ``geometry_msgs::msg::dds_::Twist_``."""
+        *package, name = self.type.split("/")
+        return "::".join([*package, "dds_", name + "_"])
+
+    def key(self, domain: int) -> str:
+        """Return the key expression that messages travel under."""
+        return f"{domain}/{self.name.strip('/')}/{self.dds_type}/{self.type_hash}"
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A node, and the tokens of all that belongs to it.
+
+    Attributes:
+        domain: ``ROS_DOMAIN_ID``.
+        session: the Zenoh session's id, hexadecimal.
+        namespace: ``/`` or ``/robot``.
+        name: without its namespace.
+        id: of the node within its session.
+    """
+
+    domain: int
+    session: str
+    namespace: str
+    name: str
+    id: int = 0
+
+    @classmethod
+    def named(cls, name: str, domain: int, session: str) -> Self:
+        """Return a node from ``name``, or ``/namespace/name``.
+
+        Raises:
+            ConfigError: it is no name for a node.
+        """
+        full = check_name(name if name.startswith("/") else "/" + name, "node")
+        namespace, _, last = full.rpartition("/")
+        return cls(domain, session, namespace or "/", last)
+
+    @property
+    def token(self) -> str:
+        """The token that says that the node is there."""
+        return self._token(Kind.NODE, self.id)
+
+    def entity_token(self, kind: Kind, entity: int, topic: Topic, qos: Qos) -> str:
+        """Return the token of a publisher or a subscription.
+
+        Args:
+            kind: which of the two.
+            entity: its id within the session.
+            topic: what it speaks on, or hears.
+            qos: as it was asked for.
+        """
+        return "/".join(
+            [
+                self._token(kind, entity),
+                _mangled(topic.name),
+                topic.dds_type,
+                topic.type_hash,
+                qos_text(qos),
+            ]
+        )
+
+    def _token(self, kind: Kind, entity: int) -> str:
+        enclave = _mangled("/")
+        who = f"{enclave}/{_mangled(self.namespace)}/{self.name}"
+        return f"@ros2_lv/{self.domain}/{self.session}/{self.id}/{entity}/{kind}/{who}"
+
+
+def check_name(name: str, what: str) -> str:
+    """Return a fully qualified ROS name.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    if not _NAME.fullmatch(name) or "__" in name:
+        raise ConfigError(
+            f"{what} {name!r} is no ROS name; write /NAME/NAME, of letters, digits and single _, no digit first"
+        )
+    return name
+
+
+def depth(qos: Qos) -> int:
+    """Return how many samples a cache holds; ROS leaves that to the middleware where all are to be kept."""
+    return qos.depth or DEFAULT_DEPTH
+
+
+def qos_text(qos: Qos) -> str:
+    """Return a quality of service as tokens spell it: numbers of rmw's enumerations, nothing for a default.
+
+    In order: reliability, durability, history and depth, deadline, lifespan, liveliness and its lease; what
+    follows the depth is never set here.
+    """
+    reliability = "" if qos.reliable else "2"
+    durability = "1" if qos.transient_local else ""
+    history = "" if qos.depth else "2"
+    size = "" if depth(qos) == DEFAULT_DEPTH else str(qos.depth)
+    return f"{reliability}:{durability}:{history},{size}:,:,:,,"
+
+
+def _mangled(name: str) -> str:
+    """Return a name as one chunk of a key."""
+    return name.replace("/", "%")
