@@ -12,13 +12,10 @@ import numpy as np
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import Finding
-from edoras_tools.sinks.mcap_cfe import event_messages, software_bus_messages
 from edoras_tools.sinks.mcap_chunks import ChunkWriter
-from edoras_tools.sinks.mcap_clock import MissionClock
-from edoras_tools.sinks.mcap_datagrams import DatagramWriter, ros_messages
-from edoras_tools.sinks.mcap_faults import FAULTS_TOPIC, FAULTS_TYPE, fault_messages
+from edoras_tools.sinks.mcap_faults import fault_messages
 from edoras_tools.sinks.mcap_file import McapFile
-from edoras_tools.sinks.mcap_statistics import LinkStatistics
+from edoras_tools.sinks.streams import FAULTS, Streams
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -32,13 +29,6 @@ METADATA_NAME = "edoras"
 """The metadata record of a whole recording."""
 OPENING_METADATA_NAME = "edoras_opening"
 """What is known of it when it is opened, so that a cut-off recording says it too."""
-
-_TYPES = {
-    "/edoras/datagrams": "edoras_msgs/msg/Datagram",
-    "/edoras/events": "rcl_interfaces/msg/Log",
-    "/edoras/software_bus": "edoras_msgs/msg/SoftwareBusHousekeeping",
-    "/edoras/link_statistics": "edoras_msgs/msg/LinkStatistics",
-}
 
 _STEPS = 8
 """When files are split by size, it is looked at so many times on the way to that size."""
@@ -92,14 +82,9 @@ class McapSink:
         self._filter = filter
         self._split_bytes = split_bytes
         self._split_ns = split_ns
-        self._datagrams = datagrams
-        self._definitions = {
-            name: types.definition(name)
-            for name in [*_TYPES.values(), *dict.fromkeys(route.type for route in mission.routes)]
-        }
-        self._clock = MissionClock()
         self._live = statistics
-        self._statistics = LinkStatistics(mission, statistics)
+        self._streams = Streams(mission, types, statistics, datagrams=datagrams)
+        self._faults_id = 0
         self._count = 0
         self._start_ns = 0
         self._state: Literal["open", "failed", "closed"] = "open"
@@ -119,14 +104,14 @@ class McapSink:
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
         """Take what was done on purpose, with times in ns since 1970; makes the topic where it is needed."""
-        if FAULTS_TOPIC not in self._channels:
+        if not self._faults_id:
             self.flush()  # until then the file belongs to the thread
             with self._failing():
                 file = self.files[-1]
-                schema = file.add_schema(FAULTS_TYPE, self._types.definition(FAULTS_TYPE))
-                self._channels[FAULTS_TOPIC] = file.add_channel(FAULTS_TOPIC, schema, {})
+                schema = file.add_schema(FAULTS.type, self._types.definition(FAULTS.type))
+                self._faults_id = file.add_channel(FAULTS.name, schema, {})
         with self._failing():
-            self._chunks.append([fault_messages(faults, self._channels[FAULTS_TOPIC])], len(faults))
+            self._chunks.append([fault_messages(faults, self._faults_id)], len(faults))
 
     def flush(self) -> None:
         """End the chunk under way and get it out of the process: killed later, it loses what came after."""
@@ -137,23 +122,13 @@ class McapSink:
         """Write what is left, the metadata and the summary; after a failed write only close the file."""
         if self._state == "open":
             with self._failing():
-                self._chunks.append([self._statistics.finish(self._channels["/edoras/link_statistics"])], 1)
+                self._chunks.append([self._streams.finish()], 1)
                 self._close_file(statistics)
             self._state = "closed"
 
     def _append(self, batch: PacketBatch, columns: Columns) -> None:
         self._attach(int(batch.time_ns[0]))
-        published = self._clock.publish_times(batch.time_ns, columns)
-        ids = self._channels
-        streams = [self._statistics.messages(batch, columns, ids["/edoras/link_statistics"])]
-        if self._datagrams:
-            streams.append(self._datagram_writer.messages(batch, columns, published))
-        streams += [
-            ros_messages(batch, columns, self._route_ids, published),
-            event_messages(batch, columns, ids["/edoras/events"], published),
-            software_bus_messages(batch, columns, ids["/edoras/software_bus"], published),
-        ]
-        self._chunks.append(streams, len(batch))
+        self._chunks.append(self._streams.messages(batch, columns), len(batch))
         self._count += len(batch)
 
     def _make_room(self, batch: PacketBatch, first: int) -> int:
@@ -197,28 +172,11 @@ class McapSink:
 
     def _begin(self, file: McapFile) -> None:
         """Write what comes before the messages."""
-        self._count = 0
-        schemas = {name: file.add_schema(name, text) for name, text in self._definitions.items()}
-        self._channels = {
-            topic: file.add_channel(topic, schemas[name], {})
-            for topic, name in _TYPES.items()
-            if self._datagrams or topic != "/edoras/datagrams"
-        }
-        self._datagram_writer = DatagramWriter(self._channels.get("/edoras/datagrams", 0))
-        self._route_ids = np.array(
-            [
-                file.add_channel(
-                    route.topic,
-                    schemas[route.type],
-                    {
-                        "link": route.link.label,
-                        "msg_id": f"0x{route.msg_id:04x}",
-                        "direction": route.direction,
-                    },
-                )
-                for route in self._mission.routes
-            ],
-            dtype=np.uint16,
+        self._count = self._faults_id = 0
+        streams = self._streams
+        schemas = {name: file.add_schema(name, text) for name, text in streams.definitions.items()}
+        streams.number(
+            [file.add_channel(topic.name, schemas[topic.type], topic.metadata) for topic in streams.topics]
         )
         file.add_metadata(OPENING_METADATA_NAME, self._opening())
 
@@ -236,7 +194,7 @@ class McapSink:
             {
                 **self._opening(),
                 "datagrams": str(self._count),
-                "clock_offset_ns": json.dumps(self._clock.offsets()),
+                "clock_offset_ns": json.dumps(self._streams.clock.offsets()),
                 **{key: str(value) for key, value in counted.items()},
             },
         )
