@@ -48,7 +48,7 @@ def decode(name: str, plan: Plan, cdr: bytes) -> Any:
     Raises:
         WireError: the message is not valid.
     """
-    order = _order(name, cdr)
+    order = encapsulation_order(name, cdr)
     values: list[Any] = []
     try:
         end = _read(plan, order, cdr[ENCAPSULATION:], 0, values)
@@ -67,7 +67,7 @@ def spans(name: str, plan: Plan, cdr: bytes) -> list[Span]:
         FieldError: a string without NUL, or more elements than the type allows.
         WireError: the representation is not CDR, or more than padding follows.
     """
-    order = _order(name, cdr)
+    order = encapsulation_order(name, cdr)
     found: list[Span] = []
     end = _Walk(name, cdr, order, found).plan(plan, "", ENCAPSULATION)
     if len(cdr) - end > PADDING:
@@ -102,7 +102,12 @@ def accepts(plan: Plan, order: int, body: bytes) -> bool:
     return end is not None and len(body) - end <= PADDING
 
 
-def _order(name: str, cdr: bytes) -> int:
+def encapsulation_order(name: str, cdr: bytes) -> int:
+    """Return 0 for a little-endian message, 1 for a big-endian one.
+
+    Raises:
+        WireError: the representation is not CDR.
+    """
     if len(cdr) < ENCAPSULATION:
         raise TruncatedError(f"{name} encapsulation", 0, ENCAPSULATION, len(cdr))
     representation = int.from_bytes(cdr[:2], "big")

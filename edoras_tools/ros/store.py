@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.ros import columns, reader, validity
+from edoras_tools.ros.extent import extent
 from edoras_tools.ros.library import Library
 from edoras_tools.ros.plan import Compiler
 from edoras_tools.ros.schema import complete_text, full_name
@@ -88,10 +89,14 @@ class TypeStore:
 
     def definition(self, type_name: str) -> str:
         """Return a type's ``ros2msg`` text, complete with the types that it uses, as MCAP wants it."""
+        return complete_text(self.definitions(type_name))
+
+    def definitions(self, type_name: str) -> tuple[Definition, ...]:
+        """Return a type's definition, then that of every type that it uses, each once."""
         self._plan(type_name)
         found: dict[str, Definition] = {}
         self._collect(full_name(type_name), found)
-        return complete_text(found.values())
+        return tuple(found.values())
 
     def fields(self, type_name: str) -> tuple[Field, ...]:
         """Return a type's fields, in wire order; those of a type that it uses are asked for by its name."""
@@ -137,6 +142,16 @@ class TypeStore:
         """Return the bytes of every message of a type, encapsulation included; None where they vary."""
         size = self._plan(type_name)[1].fixed_size
         return None if size is None else reader.ENCAPSULATION + size
+
+    def extent(self, type_name: str, cdr: bytes) -> int:
+        """Return the bytes of one message, encapsulation included, padding that follows its last field not.
+
+        Its values are not looked at; ``decode`` tells whether they are valid.
+
+        Raises:
+            WireError: the message ends before its last field does, or is no CDR.
+        """
+        return extent(*self._plan(type_name), cdr)
 
     def valid(
         self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
