@@ -1,5 +1,6 @@
 """The ROS 2 graph as a bridge sees it: raw CDR in and out, one file a middleware."""
 
 from edoras_tools.middleware.graph import Graph, Qos
+from edoras_tools.middleware.opening import MIDDLEWARES, open_graph
 
-__all__ = ["Graph", "Qos"]
+__all__ = ["MIDDLEWARES", "Graph", "Qos", "open_graph"]

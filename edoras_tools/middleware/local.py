@@ -1,0 +1,144 @@
+"""A ROS 2 graph inside one process, for tests and demos: what is published is heard before ``publish`` returns.
+
+Quality of service is matched as DDS does: a subscription that asks for more than is offered hears nothing.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import defaultdict, deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from edoras_tools.middleware.graph import Qos
+    from edoras_tools.ros import TypeStore
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Subscription:
+    node: LocalGraph
+    qos: Qos
+    heard: Callable[[bytes], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Publisher:
+    node: LocalGraph
+    qos: Qos
+    last: deque[bytes]
+
+
+@dataclass(slots=True, eq=False)
+class _Topic:
+    type_name: str = ""
+    subscriptions: tuple[_Subscription, ...] = ()
+    publishers: tuple[_Publisher, ...] = ()
+
+
+@dataclass(slots=True, eq=False)
+class _Domain:
+    topics: dict[str, _Topic] = field(default_factory=lambda: defaultdict(_Topic))
+    lock: threading.RLock = field(default_factory=threading.RLock)
+
+
+_DOMAINS: Final[dict[int, _Domain]] = defaultdict(_Domain)
+
+
+def open_graph(
+    store: TypeStore,
+    node: str,
+    *,
+    domain: int = 0,
+    options: Mapping[str, str] = {},  # noqa: B006  never changed
+) -> LocalGraph:
+    """Join the graph of this process.
+
+    Args:
+        store: the types that are known.
+        node: name.
+        domain: nodes of other domains are not heard.
+        options: there are none.
+
+    Raises:
+        ConfigError: an option is given.
+    """
+    if options:
+        raise ConfigError(f"--ros local has no option {next(iter(options))!r}; leave it out")
+    return LocalGraph(store, node, domain)
+
+
+class LocalGraph:
+    """A node of the graph.
+
+    Attributes:
+        node: its name.
+    """
+
+    def __init__(self, store: TypeStore, node: str, domain: int) -> None:
+        self.node = node
+        self._store = store
+        self._domain = _DOMAINS[domain]
+        self._closed = False
+
+    def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
+        """See ``Graph``."""
+        subscription = _Subscription(self, qos, heard)
+        with self._domain.lock:
+            found = self._topic(topic, type_name)
+            found.subscriptions += (subscription,)
+            late = [
+                cdr
+                for publisher in found.publishers
+                if qos.transient_local and publisher.node is not self and _match(publisher.qos, qos)
+                for cdr in publisher.last
+            ]
+        for cdr in late:
+            heard(cdr)
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
+        """See ``Graph``."""
+        publisher = _Publisher(self, qos, deque(maxlen=qos.depth or None))
+        with self._domain.lock:
+            found = self._topic(topic, type_name)
+            found.publishers += (publisher,)
+
+        def publish(cdr: bytes) -> None:
+            if self._closed:
+                return
+            if qos.transient_local:
+                publisher.last.append(cdr)
+            for item in found.subscriptions:
+                if item.node is not self and _match(qos, item.qos):
+                    item.heard(cdr)
+
+        return publish
+
+    def close(self) -> None:
+        """See ``Graph``."""
+        with self._domain.lock:
+            self._closed = True
+            for name, topic in list(self._domain.topics.items()):
+                topic.subscriptions = tuple(item for item in topic.subscriptions if item.node is not self)
+                topic.publishers = tuple(item for item in topic.publishers if item.node is not self)
+                if not topic.subscriptions and not topic.publishers:
+                    del self._domain.topics[name]
+
+    def _topic(self, name: str, type_name: str) -> _Topic:
+        wrong = self._store.check(type_name)
+        if wrong is not None:
+            raise ConfigError(wrong)
+        topic = self._domain.topics[name]
+        if topic.type_name not in {"", type_name}:
+            raise ConfigError(f"{name} is {topic.type_name} in this graph, not {type_name}; name one type")
+        topic.type_name = type_name
+        return topic
+
+
+def _match(offered: Qos, asked: Qos) -> bool:
+    """Tell whether a publisher offers all that a subscription asks for."""
+    return offered.reliable >= asked.reliable and offered.transient_local >= asked.transient_local

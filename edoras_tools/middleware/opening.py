@@ -1,0 +1,76 @@
+"""Joining a ROS 2 graph through a middleware chosen by name; nothing of the others is imported."""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from edoras_tools.middleware.graph import Graph
+    from edoras_tools.ros import TypeStore
+
+MIDDLEWARES: Final = ("zenoh", "dds", "rclpy", "foxglove", "local")
+"""Each is a module of this folder with an ``open_graph``."""
+_EXTRAS: Final = {"zenoh": "zenoh", "dds": "dds", "foxglove": "live"}
+_BY_RMW: Final = {"rmw_zenoh_cpp": "zenoh"}
+_MOST_DOMAIN: Final = 232
+
+
+def usual(environ: Mapping[str, str] | None = None) -> str:
+    """Return the middleware that the nodes of this environment speak: ROS 2's own is a DDS."""
+    environ = os.environ if environ is None else environ
+    return _BY_RMW.get(environ.get("RMW_IMPLEMENTATION", ""), "dds")
+
+
+def usual_domain(environ: Mapping[str, str] | None = None) -> int:
+    """Return ``ROS_DOMAIN_ID``, 0 where it is not set.
+
+    Raises:
+        ConfigError: it is no domain.
+    """
+    text = (os.environ if environ is None else environ).get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not text.isascii() or not text.isdecimal() or int(text) > _MOST_DOMAIN:
+        raise ConfigError(f"ROS_DOMAIN_ID {text!r} is no domain; 0 to {_MOST_DOMAIN}")
+    return int(text)
+
+
+def open_graph(
+    ros: str,
+    store: TypeStore,
+    node: str,
+    *,
+    domain: int = 0,
+    options: Mapping[str, str] = {},  # noqa: B006  never changed
+) -> Graph:
+    """Join a graph.
+
+    Args:
+        ros: one of ``MIDDLEWARES``.
+        store: the types that are known.
+        node: name of the node.
+        domain: ROS 2 domain.
+        options: of the middleware, by name.
+
+    Raises:
+        ConfigError: there is no such middleware, its library is not installed, or it refuses.
+    """
+    if ros not in MIDDLEWARES:
+        raise ConfigError(f"--ros {ros!r} is not known; there are {', '.join(MIDDLEWARES)}")
+    try:
+        module = import_module(f"edoras_tools.middleware.{ros}")
+        graph: Graph = module.open_graph(store, node, domain=domain, options=options)
+    except ImportError as error:
+        raise ConfigError(_absent(ros, error)) from error
+    return graph
+
+
+def _absent(ros: str, error: ImportError) -> str:
+    extra = _EXTRAS.get(ros)
+    if extra is None:
+        return f"--ros {ros} needs a ROS 2 that is sourced ({error}); source one, or choose zenoh or dds"
+    return f"--ros {ros} needs an extra ({error}): pip install 'edoras-tools[{extra}]'"

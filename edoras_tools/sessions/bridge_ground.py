@@ -1,0 +1,116 @@
+"""A ground bridge towards cFS: commands to Command Ingest, and Telemetry Output asked to send.
+
+=========  ==========================================  =========
+state      what happens                                becomes
+=========  ==========================================  =========
+asking     telemetry arrives                           hearing
+hearing    none arrives for ``SILENCE_NS``             asking
+=========  ==========================================  =========
+
+Asking is the enable command, and an add-packet command for what the mission wants in Telemetry Output's
+table: every ``ASK_NS`` at first, later every ``SILENCE_NS``, so that a cFS that starts late, or anew, is found.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.sessions import telemetry_output
+from edoras_tools.sessions.profile import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from edoras_tools.sessions.bridge_packets import PacketWriter
+
+ASK_NS: Final = 2 * SECOND
+SILENCE_NS: Final = 10 * SECOND
+_ASKS: Final = 5
+_ADD: Final = struct.Struct("<IBBBx")
+"""MsgId, priority, reliability, how many may wait."""
+
+
+class GroundSession:
+    """CI and TO of one cFS.
+
+    Args:
+        writer: of packets.
+        address: IPv4 address that Telemetry Output shall send to; None leaves it alone.
+        add: MsgIds for its table, and how many of each may wait.
+        now: ns.
+
+    Attributes:
+        ready: whether commands may be sent: always.
+        next_ns: when ``service`` is due; None when never.
+        hearing: whether telemetry arrives.
+        asked: how often Telemetry Output was asked.
+        notes: what people should know; who reads it empties it.
+        refused: datagrams that are none of cFS's, by reason: there are none such.
+    """
+
+    def __init__(
+        self, writer: PacketWriter, address: str | None, add: Mapping[int, int] | None = None, *, now: int
+    ) -> None:
+        self.ready = True
+        self.hearing = False
+        self.asked = 0
+        self.notes: list[str] = []
+        self.refused: dict[str, int] = {}
+        self.next_ns: int | None = None if address is None else now
+        self._writer, self._address, self._add = writer, address, dict(add or {})
+        self._heard_ns = now
+
+    def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:  # noqa: ARG002  any will do
+        """Take a datagram; return where its space packet starts, and nothing to answer."""
+        self._heard_ns = now
+        if not self.hearing:
+            self.hearing = True
+            self.notes.append("telemetry arrives")
+            if self.next_ns is not None:
+                self.next_ns = now + SILENCE_NS
+        return 0, []
+
+    def service(self, *, now: int) -> list[bytes]:
+        """Ask Telemetry Output to send, where nothing has come of it."""
+        if self.next_ns is None or now < self.next_ns:
+            return []
+        silent_ns = now - self._heard_ns
+        if self.hearing and silent_ns < SILENCE_NS:
+            self.next_ns = self._heard_ns + SILENCE_NS
+            return []
+        if self.hearing or self.asked == _ASKS:
+            self.notes.append(
+                f"no telemetry for {silent_ns // SECOND} s: is cFS up, does its TO send here? asking on"
+            )
+        self.hearing = False
+        self.asked += 1
+        self.next_ns = now + (ASK_NS if self.asked <= _ASKS else SILENCE_NS)
+        return self._ask()
+
+    def frame(self, packet: bytes) -> bytes:
+        """Return the datagram of a packet: itself."""
+        return packet
+
+    def sent(self, *, now: int) -> None:
+        """Take no note: Command Ingest waits for nothing."""
+
+    def goodbye(self) -> list[bytes]:
+        """Say nothing: Telemetry Output knows no disable."""
+        return []
+
+    def summary(self) -> dict[str, Any]:
+        """Return its part of ``bridge --json``."""
+        return {"connected": self.hearing, "asked": self.asked}
+
+    def _ask(self) -> list[bytes]:
+        assert self._address is not None
+        command, write = telemetry_output.COMMAND_MSG_ID, self._writer.write
+        added = [
+            write(command, _ADD.pack(msg_id, 0, 0, limit), telemetry_output.ADD_PACKET)
+            for msg_id, limit in self._add.items()
+        ]
+        return [
+            *added,
+            write(command, self._address.encode("ascii").ljust(16, b"\0"), telemetry_output.ENABLE),
+        ]
