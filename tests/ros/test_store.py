@@ -104,6 +104,18 @@ def test_definition(store):
     )
 
 
+def test_definitions_are_the_type_and_then_what_it_uses(store):
+    names = [item.name for item in store.definitions(STAMPED)]
+    assert names[0] == STAMPED
+    assert set(names[1:]) == {
+        "std_msgs/msg/Header",
+        "builtin_interfaces/msg/Time",
+        "geometry_msgs/msg/Pose",
+        "geometry_msgs/msg/Point",
+        "geometry_msgs/msg/Quaternion",
+    }
+
+
 @pytest.mark.parametrize(
     ("name", "size"),
     [
@@ -119,18 +131,6 @@ def test_definition(store):
         ("odd_msgs/msg/Defaults", None),
     ],
 )
-def test_definitions_are_the_type_and_then_what_it_uses(store):
-    names = [item.name for item in store.definitions(STAMPED)]
-    assert names[0] == STAMPED
-    assert set(names[1:]) == {
-        "std_msgs/msg/Header",
-        "builtin_interfaces/msg/Time",
-        "geometry_msgs/msg/Pose",
-        "geometry_msgs/msg/Point",
-        "geometry_msgs/msg/Quaternion",
-    }
-
-
 def test_fixed_size(store, name, size):
     assert store.fixed_size(name) == size
     if size:
