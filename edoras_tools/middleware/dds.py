@@ -1,0 +1,45 @@
+"""A node among those ROS 2 nodes that run on DDS (rmw_cyclonedds, rmw_fastrtps); see docs/dds.md."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.zenoh_names import check_name
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from edoras_tools.middleware.dds_graph import DdsGraph
+    from edoras_tools.ros import TypeStore
+
+
+def open_graph(
+    store: TypeStore, node: str, *, domain: int = 0, options: Mapping[str, str] | None = None
+) -> DdsGraph:
+    """Join the graph as a node.
+
+    Args:
+        store: knows the types of all topics.
+        node: name of the node, or ``/namespace/name``.
+        domain: ``ROS_DOMAIN_ID``.
+        options: see docs/dds.md: ``interface``, ``peers``, ``multicast``.
+
+    Raises:
+        ConfigError: cyclonedds is not installed, an option cannot be honoured, or Cyclone DDS
+            refuses the domain.
+    """
+    name = check_name(node if node.startswith("/") else "/" + node, "node")
+    try:
+        import_module("cyclonedds.internal")
+    except ImportError as error:
+        raise ConfigError(
+            "--ros dds needs cyclonedds; install it with pip install 'edoras-tools[dds]'"
+        ) from error
+    except Exception as error:
+        raise ConfigError(f"dds: cyclonedds does not load: {error}") from error
+    from edoras_tools.middleware.dds_domain import configuration
+    from edoras_tools.middleware.dds_graph import DdsGraph
+
+    return DdsGraph(store, name, domain, configuration(options or {}))
