@@ -14,6 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 
 from edoras_tools.sinks.mcap_file import FinishedChunk
+from edoras_tools.sinks.mcap_rows import within_rows
 from edoras_tools.wire.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ class ChunkWriter:
     def _lay_out(self, streams: Sequence[Messages], rows: int) -> None:
         """Write messages into chunks; runs in the thread, as all that follows."""
         total = np.zeros(rows, dtype=np.int64)
-        within = [_within_rows(stream, total) for stream in streams]
+        within = [within_rows(stream, total) for stream in streams]
         ends = np.cumsum(total)
         starts = ends - total
         first = 0
@@ -187,20 +188,3 @@ def message_index(
         index += struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, channel_id, size)
         index += entries[start:end].tobytes()
     return bytes(index), places, counts
-
-
-def _within_rows(stream: Messages, total: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where in its row each message starts, after what ``total`` holds; add its bytes to that."""
-    size = stream.head_bytes + stream.length.astype(np.int64)
-    rows = stream.rows
-    if len(rows) == len(total) and not stream.repeats:
-        inside = total.copy()
-        total += size
-    elif not stream.repeats:
-        inside = total[rows]
-        total[rows] += size
-    else:
-        before = np.cumsum(size) - size
-        inside = total[rows] + before - before[np.searchsorted(rows, rows)]
-        np.add.at(total, rows, size)
-    return inside

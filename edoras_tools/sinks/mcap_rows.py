@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from edoras_tools.wire.window import copy_rows, put_rows
+
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -80,3 +82,73 @@ def fill_record(
     heads["sequence"] = sequence
     heads["log_time"] = log_time
     heads["publish_time"] = publish_time
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """Messages one after the other, arrays one element a message.
+
+    Attributes:
+        channel_id: u16.
+        log_time: u64, ns since 1970.
+        start: i64, where the message data starts in ``data``.
+        end: i64, one past its last byte.
+        data: whole MCAP Message records.
+    """
+
+    channel_id: NDArray[np.uint16]
+    log_time: NDArray[np.uint64]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    data: bytes
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+def lay_out(streams: Sequence[Messages], rows: int) -> Records:
+    """Put messages of a batch one after the other, row by row, in each row in the order of ``streams``.
+
+    Args:
+        streams: the messages.
+        rows: rows of the batch.
+    """
+    streams = [stream for stream in streams if len(stream)]
+    total = np.zeros(rows, dtype=np.int64)
+    within = [within_rows(stream, total) for stream in streams]
+    ends = np.cumsum(total)
+    starts = ends - total
+    data = np.empty(int(ends[-1]) if rows else 0, dtype=np.uint8)
+    count = sum(map(len, streams))
+    channel_id, log_time = np.empty(count, np.uint16), np.empty(count, np.uint64)
+    first, last = np.empty(count, np.int64), np.empty(count, np.int64)
+    at = 0
+    for stream, inside in zip(streams, within, strict=True):
+        heads = stream.heads(slice(0, len(stream)))
+        position = starts[stream.rows] + inside
+        put_rows(data, position, heads)
+        copy_rows(data, position + stream.head_bytes, stream.data, stream.offset, stream.length)
+        these = slice(at, at + len(stream))
+        channel_id[these], log_time[these] = heads["channel_id"], heads["log_time"]
+        first[these] = position + RECORD_BYTES
+        last[these] = position + stream.head_bytes + stream.length
+        at += len(stream)
+    order = np.argsort(first, kind="stable")
+    return Records(channel_id[order], log_time[order], first[order], last[order], data.tobytes())
+
+
+def within_rows(stream: Messages, total: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where in its row each message starts, after what ``total`` holds; add its bytes to that."""
+    size = stream.head_bytes + stream.length.astype(np.int64)
+    rows = stream.rows
+    if len(rows) == len(total) and not stream.repeats:
+        inside = total.copy()
+        total += size
+    elif not stream.repeats:
+        inside = total[rows]
+        total[rows] += size
+    else:
+        before = np.cumsum(size) - size
+        inside = total[rows] + before - before[np.searchsorted(rows, rows)]
+        np.add.at(total, rows, size)
+    return inside
