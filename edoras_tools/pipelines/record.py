@@ -181,6 +181,55 @@ def record(
     except EdorasError:
         source.close()
         raise
+    pour(
+        source,
+        bench,
+        sink,
+        report,
+        selection=selection,
+        clock=clock,
+        duration_ns=duration_ns,
+        count=count,
+        watcher=watcher,
+        tap=tap,
+        by_route=by_route,
+    )
+    report.outputs = [file.path for file in getattr(sink, "files", ())] or [target.path]
+    return report
+
+
+def pour(
+    source: Source,
+    bench: Workbench,
+    sink: Sink,
+    report: Report,
+    *,
+    selection: Selection,
+    clock: Callable[[], int],
+    duration_ns: int = 0,
+    count: int = 0,
+    watcher: Watcher | None = None,
+    tap: Callable[[PacketBatch, Columns], None] | None = None,
+    by_route: bool = True,
+) -> None:
+    """Write everything that a source gives into an open sink; both are closed. See ``record``.
+
+    Args:
+        source: as there.
+        bench: as there.
+        sink: where it goes.
+        report: what is written down as it happens.
+        selection: which datagrams; ready for the bench.
+        clock: as there.
+        duration_ns: as there.
+        count: as there.
+        watcher: as there.
+        tap: as there.
+        by_route: as there.
+
+    Raises:
+        CaptureError: the sink cannot be written.
+    """
     began = flushed = clock()
     try:
         with interruptible(source) as (batches, asked):
@@ -211,8 +260,6 @@ def record(
     finally:
         source.close()
         sink.close(source.statistics)
-    report.outputs = [file.path for file in getattr(sink, "files", ())] or [target.path]
-    return report
 
 
 def _until_failure(batches: Iterator[PacketBatch], report: Report) -> Iterator[PacketBatch]:

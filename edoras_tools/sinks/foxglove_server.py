@@ -72,7 +72,7 @@ class FoxgloveServer:
     @property
     def visitors(self) -> tuple[Visitor, ...]:
         """The clients there are."""
-        return self._visitors
+        return tuple(visitor for visitor in self._visitors if visitor.connected)
 
     def add(self, topic: Topic) -> int:
         """Offer another topic; return its place."""
@@ -96,10 +96,11 @@ class FoxgloveServer:
         for visitor in self._visitors:
             visitor.tell_time(time_ns)
 
-    def tell_state(self, state: PlaybackState) -> None:
-        """Tell clients where playback is."""
+    def tell_state(self, state: PlaybackState, *, newcomers: bool = False) -> None:
+        """Tell clients where playback is: all, or those who have not been told yet."""
         for visitor in self._visitors:
-            visitor.tell_state(state)
+            if not (newcomers and visitor.greeted):
+                visitor.tell_state(state)
 
     def summary(self) -> dict[str, Any]:
         """Return what became of it, a row a client: those that left, then those that are there."""
@@ -151,9 +152,14 @@ class FoxgloveServer:
             if self._closed:
                 client.close()
                 return
-            visitor = Visitor(client, self._offer, self._topics, self._left)
+            visitor = Visitor(client, self._offer, self._topics, self._left, self._steered)
             self._visitors = (*self._visitors, visitor)
             visitor.start()
+
+    def _steered(self, by: Visitor, state: PlaybackState) -> None:
+        for visitor in self._visitors:
+            if visitor is not by:
+                visitor.tell_state(state)
 
     def _left(self, visitor: Visitor) -> None:
         with self._lock:

@@ -39,8 +39,10 @@ class Visitor:
         offer: what all clients are offered.
         topics: what it may subscribe to.
         left: told when it has gone.
+        steered: told when it has had the player obey, and where that is now.
 
     Attributes:
+        greeted: it has been told where playback is.
         dropped: messages that it was too slow for.
         published: messages that were taken from it.
         refused: messages that were not.
@@ -50,7 +52,12 @@ class Visitor:
     """
 
     def __init__(
-        self, client: socket.socket, offer: Offer, topics: Sequence[Topic], left: Callable[[Visitor], None]
+        self,
+        client: socket.socket,
+        offer: Offer,
+        topics: Sequence[Topic],
+        left: Callable[[Visitor], None],
+        steered: Callable[[Visitor, PlaybackState], None],
     ) -> None:
         import foxglove
         from foxglove.websocket import Capability
@@ -59,7 +66,8 @@ class Visitor:
         self._given = self._given_bytes = self._times = 0
         self._last_s = 0.0
         self._offer = offer
-        self._left = left
+        self._left, self._steered = left, steered
+        self.greeted = False
         self._context = foxglove.Context()
         self._channels: list[Any] = []
         self._advertised: dict[int, Any] = {}
@@ -159,6 +167,7 @@ class Visitor:
     def tell_state(self, state: PlaybackState) -> None:
         """Tell it where playback is."""
         if self.connected:
+            self.greeted = True
             self._server.broadcast_playback_state(_state(state))
 
     def summary(self) -> dict[str, Any]:
@@ -243,7 +252,9 @@ class Visitor:
         assert self._offer.player is not None
         playing = request.playback_command == PlaybackCommand.Play
         wanted = PlaybackRequest(playing, request.playback_speed, request.seek_time)
-        return _state(self._offer.player.control(wanted), request.request_id)
+        state = self._offer.player.control(wanted)
+        self._steered(self, state)
+        return _state(state, request.request_id)
 
 
 def _state(state: PlaybackState, request_id: str | None = None) -> Any:
