@@ -1,4 +1,4 @@
-"""A ROS 2 graph inside one process, for tests and demos: what is published is heard before ``publish`` returns.
+"""A ROS 2 graph inside one process, for tests and demos: heard is at once what is published.
 
 Quality of service is matched as DDS does: a subscription that asks for more than is offered hears nothing.
 """
@@ -54,7 +54,7 @@ def open_graph(
     node: str,
     *,
     domain: int = 0,
-    options: Mapping[str, str] = {},  # noqa: B006  never changed
+    options: Mapping[str, str] = {},
 ) -> LocalGraph:
     """Join the graph of this process.
 
@@ -110,9 +110,11 @@ class LocalGraph:
         def publish(cdr: bytes) -> None:
             if self._closed:
                 return
-            if qos.transient_local:
-                publisher.last.append(cdr)
-            for item in found.subscriptions:
+            with self._domain.lock:
+                if qos.transient_local:
+                    publisher.last.append(cdr)
+                subscriptions = found.subscriptions
+            for item in subscriptions:
                 if item.node is not self and _match(qos, item.qos):
                     item.heard(cdr)
 

@@ -136,7 +136,9 @@ class Proxy:
         """End ``run``; for any thread or signal handler."""
         self._stopping = True
 
-    def run(self, *, duration_ns: int = 0, watcher: Watcher | None = None, keys: Keys | None = None) -> None:
+    def run(
+        self, *, duration_ns: int = 0, watcher: Watcher[Proxy] | None = None, keys: Keys | None = None
+    ) -> None:
         """Relay until ``stop``, Ctrl-C, the key q, or for so long.
 
         Args:

@@ -84,6 +84,7 @@ class Recorder:
         target: what to write.
         bench: mission, types and decoders.
         name: of the relay, for the recording's metadata.
+        kind: what the relay is, for the same.
 
     Attributes:
         ledger: counts by route.
@@ -95,13 +96,13 @@ class Recorder:
         CaptureError: it cannot be written.
     """
 
-    def __init__(self, target: Target, bench: Workbench, name: str) -> None:
+    def __init__(self, target: Target, bench: Workbench, name: str, kind: str = "proxy") -> None:
         self.path = target.path
         self.ledger = Ledger(bench.mission)
         self.missed = 0
         self.failure: EdorasError | None = None
         self._bench = bench
-        self._source = _RelaySource(SourceInfo(name, "proxy"), SourceStatistics())
+        self._source = _RelaySource(SourceInfo(name, kind), SourceStatistics())
         self._sink = open_sink(target, self._source, bench)
         self._versions: list[int] = []
         self._rooms: list[int] = []
@@ -115,6 +116,11 @@ class Recorder:
         self._demux = Demux()
         self._thread = threading.Thread(target=self._run, name="proxy recorder", daemon=True)
         self._thread.start()
+
+    @property
+    def pending(self) -> bool:
+        """Whether the page holds anything."""
+        return self._page.rows > 0
 
     def flow(self, source: Endpoint, destination: Endpoint) -> int:
         """Return the number of a direction between two ends."""

@@ -5,27 +5,29 @@ from __future__ import annotations
 import sys
 import threading
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from edoras_tools.pipelines.proxy import Proxy
 
 _SHOW_S: Final = 0.1
 _SWITCH_S: Final = 0.0002
 """How long another thread may keep the interpreter to itself while a datagram waits."""
 
 
-class Watcher(Protocol):
+_Run = TypeVar("_Run")
+_Seen_contra = TypeVar("_Seen_contra", contravariant=True)
+
+
+class Watcher(Protocol[_Seen_contra]):
     """What looks on, from a thread of its own."""
 
-    def update(self, proxy: Proxy) -> None:
+    def update(self, run: _Seen_contra, /) -> None:
         """Show where things are."""
 
 
 @contextmanager
-def shown(proxy: Proxy, watcher: Watcher | None) -> Iterator[None]:
+def shown(run: _Run, watcher: Watcher[_Run] | None) -> Iterator[None]:
     """Have a watcher look on from a thread of its own: drawing takes milliseconds."""
     if watcher is None:
         yield
@@ -34,16 +36,16 @@ def shown(proxy: Proxy, watcher: Watcher | None) -> Iterator[None]:
 
     def show() -> None:
         while not done.wait(_SHOW_S):
-            watcher.update(proxy)
+            watcher.update(run)
 
-    thread = threading.Thread(target=show, name="proxy display", daemon=True)
+    thread = threading.Thread(target=show, name="display", daemon=True)
     thread.start()
     try:
         yield
     finally:
         done.set()
         thread.join()
-        watcher.update(proxy)
+        watcher.update(run)
 
 
 @contextmanager

@@ -233,11 +233,7 @@ class Bridge:
             "unreadable": self.unreadable,
             "routes": [
                 {
-                    "topic": route.topic,
-                    "type": route.type,
-                    "msg_id": f"0x{route.msg_id:04x}",
-                    "direction": "to_cfs" if route.to_cfs else "from_cfs",
-                    "max_rate": route.handling.max_rate,
+                    **describe(route),
                     "in": traffic.taken,
                     "out": traffic.given,
                     "held": self.limiter.held[index],
@@ -253,6 +249,17 @@ class Bridge:
         self.outbox.append(self.link.frame(packet))
         self.link.sent(now=now)
         self.traffic[index].given += 1
+
+
+def describe(route: Route) -> dict[str, Any]:
+    """Return what ``bridge --json`` says of a route before anything crosses."""
+    return {
+        "topic": route.topic,
+        "type": route.type,
+        "msg_id": f"0x{route.msg_id:04x}",
+        "direction": "to_cfs" if route.to_cfs else "from_cfs",
+        "max_rate": route.handling.max_rate,
+    }
 
 
 def _format(name: str) -> EnvelopeFormat | None:

@@ -34,6 +34,8 @@ _QUIET: Final = frozenset(
 )
 _NOTHING: Final[list[bytes]] = []
 _NO_PACKET: Final = -1
+_PATIENCE_NS: Final = 2 * SECOND
+"""What cFS wants has been said by then."""
 
 
 class FlightSession:
@@ -66,9 +68,9 @@ class FlightSession:
         self.notes: list[str] = []
         self._told: set[str] = set()
         self._ask_ns = self._heard_ns = self._sent_ns = self._subscribed_ns = now
+        self._unwanted: set[int] = set()
         self._anew = True
         self._greeted = False
-        self._packed = struct.pack(">II", own.processor_id, own.spacecraft_id)
         self._identity = struct.pack(">II", peer.processor_id, peer.spacecraft_id)
 
     @property
@@ -145,11 +147,21 @@ class FlightSession:
 
     def frame(self, packet: bytes) -> bytes:
         """Return the datagram of a packet, 32,767 bytes at the most."""
+        msg_id = packet[0] << 8 | packet[1]
+        if msg_id not in self.subscribed:
+            self._unwanted.add(msg_id)
         return _HEADER.pack(len(packet), _APP, self.own.processor_id, self.own.spacecraft_id) + packet
 
     def sent(self, *, now: int) -> None:
         """Take note that messages were sent: no heartbeat is needed for a while."""
         self._sent_ns = now
+        if self._unwanted and now - self._subscribed_ns >= _PATIENCE_NS:
+            for msg_id in sorted(self._unwanted):
+                self._tell(
+                    f"cFS has not subscribed to 0x{msg_id:04X}: no application there takes it; "
+                    "is the MsgId the same on both sides?"
+                )
+            self._unwanted.clear()
 
     def goodbye(self) -> list[bytes]:
         """Return the UNSUB and the DISCONNECT that let cFS close the pipe at once."""
@@ -215,6 +227,7 @@ class FlightSession:
             )
         wanted = {item.msg_id for item in entries}
         self.subscribed = self.subscribed | wanted if kind == sbn.MsgType.SUB else self.subscribed - wanted
+        self._unwanted -= self.subscribed
 
     def _refuse(self, data: bytes) -> None:
         if len(data) < _HEADER.size and not _is_legacy(data):

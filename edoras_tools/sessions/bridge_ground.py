@@ -8,7 +8,8 @@ hearing    none arrives for ``SILENCE_NS``             asking
 =========  ==========================================  =========
 
 Asking is the enable command, and an add-packet command for what the mission wants in Telemetry Output's
-table: every ``ASK_NS`` at first, later every ``SILENCE_NS``, so that a cFS that starts late, or anew, is found.
+table: every ``ASK_NS`` at first, later every ``SILENCE_NS``, so that a cFS that starts late, or anew, is
+found.
 """
 
 from __future__ import annotations
