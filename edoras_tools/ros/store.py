@@ -40,6 +40,10 @@ class TypeStore:
         msg_paths: folders or files with more definitions, laid out ``PACKAGE/msg/NAME.msg`` or ``.idl``.
         definitions: complete ``ros2msg`` texts by type, as an MCAP's schemas.
 
+    Attributes:
+        distro: as given.
+        wide: bytes of a ``wstring`` unit in this distribution's CDR, 4 or 2.
+
     Raises:
         ConfigError: the distribution or a folder does not exist, or a folder holds no definition.
     """
@@ -52,9 +56,9 @@ class TypeStore:
     ) -> None:
         self.distro = distro
         self._library = Library(distro, msg_paths, definitions or {})
-        self._wide = 4 if distro in _WIDE_OF_OLD else 2
-        self._compiler = Compiler(self._definition, self._wide)
-        self._writers = tuple(Writer(self._definition, self._wide, big_endian=big) for big in (False, True))
+        self.wide = 4 if distro in _WIDE_OF_OLD else 2
+        self._compiler = Compiler(self._definition, self.wide)
+        self._writers = tuple(Writer(self._definition, self.wide, big_endian=big) for big in (False, True))
         self._plans: dict[str, tuple[str, Plan]] = {}
 
     def has(self, type_name: str) -> bool:
