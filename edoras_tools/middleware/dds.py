@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.zenoh_names import check_name
+from edoras_tools.middleware.names import node_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,7 +30,7 @@ def open_graph(
         ConfigError: cyclonedds is not installed, an option cannot be honoured, or Cyclone DDS
             refuses the domain.
     """
-    name = check_name(node if node.startswith("/") else "/" + node, "node")
+    name = node_name(node)
     try:
         import_module("cyclonedds.internal")
     except ImportError as error:

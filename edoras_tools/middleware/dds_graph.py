@@ -26,7 +26,7 @@ from edoras_tools.middleware import dds_cdr, dds_domain, dds_presence
 from edoras_tools.middleware.dds_qos import reader_qos, writer_qos
 from edoras_tools.middleware.dds_raw import taker_of, writer_of
 from edoras_tools.middleware.dds_types import DdsTypes, dds_name
-from edoras_tools.middleware.zenoh_names import check_name
+from edoras_tools.middleware.names import check_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,8 +41,13 @@ if TYPE_CHECKING:
 
 _ANY: Final = SampleState.Any | ViewState.Any | InstanceState.Any
 _FOREVER: Final = duration(infinite=True)
-_POLICIES: Final = {2: "durability", 11: "reliability"}
-"""Numbers that DDS gives to the policies that ``graph.Qos`` can make differ."""
+_UNFIT: Final = {
+    2: "the durability",
+    11: "the reliability",
+    23: "the data representation",
+    24: "the definition of the type",
+}
+"""What keeps two apart, by DDS's number of the policy."""
 
 
 class _Ear(NamedTuple):
@@ -59,7 +64,7 @@ class DdsGraph:
 
     Args:
         types: knows the types of all topics.
-        node: fully qualified.
+        node: its namespace and its name.
         domain: ``ROS_DOMAIN_ID``.
         config: of the domain, as XML.
 
@@ -67,7 +72,7 @@ class DdsGraph:
         ConfigError: Cyclone DDS refuses the domain or its configuration.
     """
 
-    def __init__(self, types: TypeStore, node: str, domain: int, config: str) -> None:
+    def __init__(self, types: TypeStore, node: tuple[str, str], domain: int, config: str) -> None:
         self._types = types
         self._node = node
         self._domain = domain
@@ -85,7 +90,7 @@ class DdsGraph:
         except DDSException as error:
             self._leave()
             raise ConfigError(f"dds: no participant in domain {domain}: {error}") from error
-        self._thread = Thread(target=self._listen, name=f"dds {node}", daemon=True)
+        self._thread = Thread(target=self._listen, name=f"dds {node[1]}", daemon=True)
         self._thread.start()
 
     def subscribe(self, topic: str, type_name: str, qos: graph.Qos, heard: Callable[[bytes], None]) -> None:
@@ -128,20 +133,20 @@ class DdsGraph:
         return publish
 
     def mismatches(self) -> list[str]:
-        """Return a line for each topic with somebody whose quality of service does not fit."""
+        """Return a line for each topic with somebody who cannot be heard, or cannot hear, and why."""
         with self._lock:
             if self._closed.is_set():
                 return []
             found: list[tuple[str, str, Any]] = [
-                (topic, "publishers offer less", reader.get_requested_incompatible_qos_status())  # type: ignore[no-untyped-call]
+                (topic, "a publisher", reader.get_requested_incompatible_qos_status())  # type: ignore[no-untyped-call]
                 for topic, reader in self._readers
             ]
             found += [
-                (topic, "subscribers ask for more", writer.get_offered_incompatible_qos_status())  # type: ignore[no-untyped-call]
+                (topic, "a subscriber", writer.get_offered_incompatible_qos_status())  # type: ignore[no-untyped-call]
                 for topic, writer in self._writers
             ]
         return [
-            f"{topic}: {who} {_POLICIES.get(status.last_policy_id, 'quality of service')} than this side"
+            f"{topic}: {who} does not match: {_UNFIT.get(status.last_policy_id, 'a policy')} differs"
             for topic, who, status in found
             if status.total_count
         ]
@@ -185,19 +190,19 @@ class DdsGraph:
     def _topic(self, topic: str, type_name: str) -> Topic[Any]:
         """Return a topic, the same one for the same name."""
         if self._closed.is_set():
-            raise ConfigError(f"{topic}: the node {self._node} has left the graph")
+            raise ConfigError(f"{topic}: the node {self._node[1]} has left the graph")
+        check_name(topic, "topic")
         if why := self._types.check(type_name):
             raise ConfigError(f"{topic}: {why}")
         try:
             made = self._made.of(type_name)
-            name = check_name(topic, "topic")
-            if name not in self._topics:
-                self._topics[name] = self._own(Topic(self._participant, f"rt{name}", made))
+            if topic not in self._topics:
+                self._topics[topic] = self._own(Topic(self._participant, f"rt{topic}", made))
         except ConfigError as error:
             raise ConfigError(*(f"{topic}: {mistake}" for mistake in error.mistakes)) from error
         except DDSException as error:
             raise ConfigError(f"{topic}: refused by Cyclone DDS: {error}") from error
-        found = self._topics[name]
+        found = self._topics[topic]
         if found.data_type is not made:
             raise ConfigError(
                 f"{topic}: is of type {found.typename} here, and cannot be {dds_name(type_name)} too"

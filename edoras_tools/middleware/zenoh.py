@@ -8,15 +8,16 @@ from threading import Lock, RLock
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.names import check_name
 from edoras_tools.middleware.zenoh_attachment import ATTACHMENT, GID
-from edoras_tools.middleware.zenoh_config import ROUTER, check_options, reason, session_config
+from edoras_tools.middleware.zenoh_config import check_options, reason, session_config
 from edoras_tools.middleware.zenoh_gid import gid
-from edoras_tools.middleware.zenoh_names import NO_TYPE_HASH, Kind, Node, Topic, check_name, depth
+from edoras_tools.middleware.zenoh_names import NO_TYPE_HASH, Kind, Node, Topic, depth
 from edoras_tools.ros.schema import full_name
 from edoras_tools.ros.type_hash import type_hash
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     import zenoh
 
@@ -47,6 +48,7 @@ class ZenohGraph:
         self._hashed = hashed
         self._ids = count(1)
         self._listening: list[_Listener] = []
+        self._own: set[bytes] = set()
         self._closing = Lock()
         self._closed = False
         self._tokens = [session.liveliness().declare_token(node.token)]
@@ -64,7 +66,7 @@ class ZenohGraph:
         from zenoh import ext
 
         named = self._topic(topic, type_name)
-        listener = _Listener(heard)
+        listener = _Listener(heard, self._own if qos.transient_local else frozenset())
         key = named.key(self._node.domain)
         if qos.transient_local:
             entity: Any = self._declare(
@@ -117,6 +119,7 @@ class ZenohGraph:
         else:
             publisher = self._declare(named, self._session.declare_publisher, key, **wire)
         source = gid(self._announce(publisher, Kind.PUBLISHER, named, qos))
+        self._own.add(source)
         put, attach, now, numbers = publisher.put, ATTACHMENT.pack, time.time_ns, count(1)
 
         def publish(cdr: bytes) -> None:
@@ -138,7 +141,7 @@ class ZenohGraph:
             listener.stop()
         for thing in (*self._tokens, *self._entities):
             thing.undeclare()
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     def _topic(self, topic: str, type_name: str) -> Topic:
         name = check_name(topic, "topic")
@@ -164,13 +167,21 @@ class ZenohGraph:
 
 
 class _Listener:
-    """Hands on what is heard, until it is stopped; then no more, not even what is waiting."""
+    """Hands on what is heard, until it is stopped; then no more, not even what is waiting.
 
-    def __init__(self, heard: Callable[[bytes], None]) -> None:
+    Args:
+        heard: is given each message.
+        deaf_to: ids of publishers not to hear: the caches of one's own session answer, whatever its locality.
+    """
+
+    def __init__(self, heard: Callable[[bytes], None], deaf_to: Collection[bytes]) -> None:
         self._heard: Callable[[bytes], None] | None = heard
+        self._deaf_to = deaf_to
         self._speaking = RLock()
 
     def __call__(self, sample: zenoh.Sample) -> None:
+        if self._deaf_to and sample.attachment and sample.attachment.to_bytes()[-GID:] in self._deaf_to:
+            return
         with self._speaking:
             if self._heard is not None:
                 self._heard(sample.payload.to_bytes())
@@ -213,10 +224,10 @@ def open_graph(
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
-        place = options.get("router", ROUTER)
-        raise ConfigError(
-            f"zenoh: no session: {reason(error)}; is a router at {place}? (ros2 run rmw_zenoh_cpp rmw_zenohd)"
-        ) from error
-    return ZenohGraph(
-        session, Node.named(node, domain, str(session.zid())), store, hashed=_HASHES[wanted]
-    )
+        remedy = (
+            "start a router there: ros2 run rmw_zenoh_cpp rmw_zenohd"
+            if options.get("mode") == "client"
+            else "listen somewhere else"
+        )
+        raise ConfigError(f"zenoh: no session: {reason(error)}; {remedy}") from error
+    return ZenohGraph(session, Node.named(node, domain, str(session.zid())), store, hashed=_HASHES[wanted])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from typing import TYPE_CHECKING, Any, Final
+import re
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
 
@@ -30,6 +31,8 @@ _DEFAULTS: Final = {
     "transport/shared_memory/enabled": False,
 }
 """What rmw_zenoh's session configuration says differently from Zenoh's own."""
+_PLACE: Final = re.compile(r"\s*at /[^\s\]\"]+")
+_INNER: Final = re.compile(r'(?:msg: |Str\()"(.*?)"')
 _KEYS: Final = {"router": "connect/endpoints", "listen": "listen/endpoints", "mode": "mode"}
 _MODES: Final = ("peer", "client")
 
@@ -79,8 +82,9 @@ def check_options(options: Mapping[str, str]) -> None:
 
 def reason(error: Exception) -> str:
     """Return Zenoh's own words for a failure in one line, without the places of its source files."""
-    first = str(error).partition("\n")[0]
-    return first.partition(" at /")[0].rstrip(".")
+    text = _PLACE.sub("", str(error))
+    inner = _INNER.search(text)
+    return (inner[1] if inner else text).strip(" .!")
 
 
 def _settings(options: Mapping[str, str], *, defaults: bool) -> Iterator[tuple[str, str, str]]:
@@ -93,7 +97,6 @@ def _settings(options: Mapping[str, str], *, defaults: bool) -> Iterator[tuple[s
         yield _OVERRIDES, key.strip(), text
     for name, key in _KEYS.items():
         if name in options:
-            value: Any = options[name]
-            if name != "mode":
-                value = [item.strip() for item in value.split(",") if item.strip()]
-            yield f"zenoh: {name}", key, json.dumps(value)
+            given = options[name]
+            places = [item.strip() for item in given.split(",") if item.strip()]
+            yield f"zenoh: {name}", key, json.dumps(given if name == "mode" else places)

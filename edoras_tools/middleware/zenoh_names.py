@@ -7,12 +7,11 @@ tells everybody that an entity is there; ``ros2 topic list`` is made of tokens. 
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
-from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.names import node_name
 
 if TYPE_CHECKING:
     from edoras_tools.middleware.graph import Qos
@@ -21,7 +20,6 @@ NO_TYPE_HASH: Final = "TypeHashNotSupported"
 """What rmw_zenoh writes for a type's hash in Humble, which has none."""
 DEFAULT_DEPTH: Final = 42
 """The depth that rmw_zenoh takes where none is given."""
-_NAME: Final = re.compile(r"(?:/[A-Za-z_]\w*)+", re.ASCII)
 
 
 class Kind(StrEnum):
@@ -81,9 +79,7 @@ class Node:
         Raises:
             ConfigError: it is no name for a node.
         """
-        full = check_name(name if name.startswith("/") else "/" + name, "node")
-        namespace, _, last = full.rpartition("/")
-        return cls(domain, session, namespace or "/", last)
+        return cls(domain, session, *node_name(name))
 
     @property
     def token(self) -> str:
@@ -113,19 +109,6 @@ class Node:
         enclave = _mangled("/")
         who = f"{enclave}/{_mangled(self.namespace)}/{self.name}"
         return f"@ros2_lv/{self.domain}/{self.session}/{self.id}/{entity}/{kind}/{who}"
-
-
-def check_name(name: str, what: str) -> str:
-    """Return a fully qualified ROS name.
-
-    Raises:
-        ConfigError: it is none.
-    """
-    if not _NAME.fullmatch(name) or "__" in name:
-        raise ConfigError(
-            f"{what} {name!r} is no ROS name; write /NAME/NAME, of letters, digits and single _, no digit first"
-        )
-    return name
 
 
 def depth(qos: Qos) -> int:

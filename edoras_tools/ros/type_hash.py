@@ -48,7 +48,7 @@ _SEQUENCE: Final = 144
 def type_hash(types: TypeStore, type_name: str) -> str:
     """Return the hash of a message type, ``RIHS01_`` and 64 digits.
 
-    It depends on the definition that the store has: a type that a distribution changed has another hash there.
+    It is that of the definition in the store: a type that a distribution changed has another hash there.
 
     Raises:
         RouteError: the type, or one that it uses, is not known.
