@@ -21,7 +21,7 @@ _USAGE: Final[Any] = typer.BadParameter.__mro__[1]
 """Click's root of all that a command line can be wrong in; typer brings its own click or not, by version."""
 
 COMMANDS: Final = (
-    *("demo", "sniff", "record", "info", "decode", "recover"),
+    *("demo", "sniff", "record", "live", "info", "decode", "recover"),
     *("replay", "inject", "sweep", "proxy", "bridge", "doctor", "report", "sim", "wireshark"),
 )
 """Each is a function, or a group of commands, of that name in a module of that name."""

@@ -194,5 +194,5 @@ def _listen(endpoint: Endpoint) -> socket.socket:
     except (OSError, UnicodeError, OverflowError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise CaptureError(
-            f"{endpoint}: cannot be listened on: {why}; --port 0 takes a free port, --host another address"
+            f"{endpoint}: cannot be listened on: {why}; name another port (0: any that is free) or address"
         ) from None
