@@ -1,1 +1,13 @@
-"""C99 for flight software without ROS, generated from ROS message definitions."""
+"""C99 for flight software without ROS, generated from ROS message definitions.
+
+``bounds`` says how long sequences and strings may be, ``plan`` what types look like in C (``sizes``: how long
+their longest CDR is), ``header``, ``codec``, ``tables`` and ``mission`` write one kind of file each,
+``generation`` puts the files of a library together with those of ``runtime/``, which are C as it is, and
+``folder`` puts them on disk.
+"""
+
+from edoras_tools.codegen.bounds import Bounds, Rule
+from edoras_tools.codegen.folder import write
+from edoras_tools.codegen.generation import Generated, Order, generate
+
+__all__ = ["Bounds", "Generated", "Order", "Rule", "generate", "write"]

@@ -1,0 +1,128 @@
+"""How long sequences and strings may be: without a heap, each takes the space of its longest."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.ros.schema import STRINGS, Shape, full_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from edoras_tools.ros.schema import Definition, Field
+
+STRINGS_DEFAULT: Final = 64
+SEQUENCES_DEFAULT: Final = 32
+MOST: Final = 1 << 24
+"""Largest bound of one field."""
+_RULE: Final = re.compile(r"(?P<type>[\w/]+)\.(?P<field>\w+)(?P<each>\[\])?=(?P<most>\w+)", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What the command line says of one field.
+
+    Attributes:
+        text: as it was given.
+        type: the message type that has the field, in full.
+        field: the field's name.
+        each: whether the strings of a sequence or array are meant, not their number.
+        most: elements, characters (UTF-8 bytes) or UTF-16 units.
+    """
+
+    text: str
+    type: str
+    field: str
+    each: bool
+    most: int
+
+    @classmethod
+    def read(cls, text: str) -> Rule:
+        """Read ``TYPE.FIELD=MOST``, or ``TYPE.FIELD[]=MOST`` for the strings of a sequence.
+
+        Raises:
+            ConfigError: it is no such rule.
+        """
+        match = _RULE.fullmatch(text.replace(" ", ""))
+        most = _whole(match["most"]) if match else 0
+        if match is None or not 1 <= most <= MOST:
+            raise ConfigError(
+                f"--bound: {text!r} is no TYPE.FIELD=MOST with MOST from 1 to {MOST}; "
+                "write sensor_msgs/msg/JointState.name=16, or .name[]=20 for the strings in it"
+            )
+        return cls(text, full_name(match["type"]), match["field"], match["each"] is not None, most)
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """The bound of every field.
+
+    Attributes:
+        strings: characters of a string that neither its definition nor a rule bounds.
+        sequences: elements of such a sequence.
+        rules: they go before both; a definition's own bound may be lowered, not raised.
+    """
+
+    strings: int = STRINGS_DEFAULT
+    sequences: int = SEQUENCES_DEFAULT
+    rules: tuple[Rule, ...] = ()
+    _rules: Mapping[tuple[str, str, bool], int] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "_rules", {(rule.type, rule.field, rule.each): rule.most for rule in self.rules}
+        )
+
+    def elements(self, owner: str, item: Field) -> int:
+        """Return the elements of an array, or the most of a sequence; 0 for a single value."""
+        if item.shape is not Shape.SEQUENCE:
+            return item.size
+        return self._rules.get((owner, item.name, False)) or item.size or self.sequences
+
+    def characters(self, owner: str, item: Field) -> int:
+        """Return the most characters of a string, or of each in an array or sequence; 0 for other types."""
+        if item.type not in STRINGS:
+            return 0
+        each = item.shape is not Shape.SCALAR
+        return self._rules.get((owner, item.name, each)) or item.string_bound or self.strings
+
+    def check(self, definitions: Iterable[Definition]) -> None:
+        """See that every rule speaks of something that is there and that it may bound.
+
+        Raises:
+            ConfigError: some do not; a line each.
+        """
+        fields = {(item.name, each.name): each for item in definitions for each in item.fields}
+        types = {owner for owner, _ in fields}
+        mistakes = [
+            f"--bound: {rule.text}: {why}"
+            for rule in self.rules
+            if (why := _refusal(rule, fields.get((rule.type, rule.field)), known=rule.type in types))
+        ]
+        if mistakes:
+            raise ConfigError(*mistakes)
+
+
+def _refusal(rule: Rule, item: Field | None, *, known: bool) -> str:
+    """Return why a rule cannot be followed; empty where it can."""
+    if item is None:
+        return f"{rule.type} has no field {rule.field}" if known else f"{rule.type} is in none of the types"
+    is_text, is_many = item.type in STRINGS, item.shape is not Shape.SCALAR
+    if rule.each and not (is_text and is_many):
+        return f"{item.type_text} holds no strings; write {rule.type}.{rule.field}={rule.most}"
+    if not rule.each and item.shape is Shape.ARRAY:
+        return f"{item.type_text} always holds {item.size} elements"
+    if not rule.each and not is_many and not is_text:
+        return f"{item.type_text} takes no bound"
+    own = item.string_bound if rule.each or not is_many else item.size
+    return f"its definition says at most {own}" if own and rule.most > own else ""
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text, 0)
+    except ValueError:
+        return 0

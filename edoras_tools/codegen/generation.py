@@ -1,0 +1,141 @@
+"""A whole library: which types, and the text of each of its files."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.codegen.bounds import SEQUENCES_DEFAULT, STRINGS_DEFAULT, Bounds
+from edoras_tools.codegen.codec import codec
+from edoras_tools.codegen.header import file_name, header, umbrella
+from edoras_tools.codegen.layout import banner, guarded
+from edoras_tools.codegen.mission import side_files
+from edoras_tools.codegen.plan import Library, plan
+from edoras_tools.codegen.tables import tables
+from edoras_tools.errors import ConfigError, RouteError
+from edoras_tools.mission import Mission
+from edoras_tools.ros.schema import full_name
+from edoras_tools.wire.envelope import EnvelopeFormat
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from edoras_tools.ros import TypeStore
+
+RUNTIME: Final = Path(__file__).parent / "runtime"
+"""C that is the same for every library: CDR, and the functions of edoras_core."""
+POOL_DEFAULT: Final = 4
+MOST_POOLED: Final = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What a library is to be.
+
+    Attributes:
+        types: names, as ``geometry_msgs/msg/Twist`` or ``geometry_msgs/Twist``; a package, for all its
+            messages; or patterns.
+        bounds: of sequences and strings.
+        mission: its types are added, and its tables for cFS.
+        pool: messages of a type that may be in use at once, where edoras_core takes them from a heap.
+        envelope: of the EDORAS envelope, see ``wire.envelope``.
+    """
+
+    types: Sequence[str] = ()
+    bounds: Bounds = Bounds()  # noqa: RUF009  frozen, and the same for all
+    mission: Mission = Mission()  # noqa: RUF009
+    pool: int = POOL_DEFAULT
+    envelope: EnvelopeFormat = EnvelopeFormat()  # noqa: RUF009
+
+    @property
+    def command(self) -> str:
+        """The command line that makes the same files, but for folders."""
+        words = ["edoras", "codegen", *self.types]
+        words += [word for name in sorted(self.mission.files) for word in ("-c", name)]
+        words += [word for rule in self.bounds.rules for word in ("--bound", rule.text)]
+        for option, value, default in (
+            ("--strings", self.bounds.strings, STRINGS_DEFAULT),
+            ("--sequences", self.bounds.sequences, SEQUENCES_DEFAULT),
+            ("--pool", self.pool, POOL_DEFAULT),
+            ("--envelope", str(self.envelope), str(EnvelopeFormat())),
+        ):
+            words += [option, str(value)] if value != default else []
+        return shlex.join(words)
+
+
+@dataclass(frozen=True, slots=True)
+class Generated:
+    """A library in C.
+
+    Attributes:
+        library: its messages.
+        files: their texts by name.
+    """
+
+    library: Library
+    files: dict[str, str]
+
+
+def generate(types: TypeStore, order: Order) -> Generated:
+    """Make a library.
+
+    Raises:
+        RouteError: a type is not known.
+        ConfigError: no type is named, or an order cannot be followed.
+    """
+    wanted = [*_chosen(types, order.types), *(route.type for route in order.mission.routes)]
+    if not wanted:
+        raise ConfigError("no message type is named: give types, packages, or a mission with -c")
+    if not 1 <= order.pool <= MOST_POOLED:
+        raise ConfigError(f"--pool: {order.pool} is not from 1 to {MOST_POOLED}")
+    library, command = plan(types, wanted, order.bounds), order.command
+    files = {
+        path.relative_to(RUNTIME).as_posix(): banner(command) + path.read_text(encoding="utf-8")
+        for path in sorted(RUNTIME.rglob("*.[ch]"))
+    }
+    files["edoras_config.h"] = _config(types, order)
+    files["edoras_msgs.h"] = umbrella(library, command)
+    files["edoras_types.c"] = tables(library, command)
+    for package in library.packages:
+        files[f"{file_name(package)}.h"] = header(library, package, command)
+        files[f"{file_name(package)}.c"] = codec(library, package, command)
+    return Generated(library, files | side_files(order.mission, command))
+
+
+def _config(types: TypeStore, order: Order) -> str:
+    body = f"""\
+/** Messages, and buffers, of each type that create_msg and its like hand out in turn. */
+#define EDORAS_POOL {order.pool}U
+
+/** Bytes of each of the two lengths of the EDORAS envelope, and whether their first byte is the highest. */
+#define EDORAS_ENVELOPE_WORD {order.envelope.width}
+#define EDORAS_ENVELOPE_BIG_ENDIAN {int(order.envelope.byte_order == "big")}
+
+/** Bytes that a unit of a wide string takes in the CDR of ROS 2 {types.distro}. */
+#define EDORAS_WSTRING_UNIT {types.wide}
+"""
+    return banner(order.command, "What the library was made for.") + guarded("edoras_config.h", body)
+
+
+def _chosen(types: TypeStore, names: Iterable[str]) -> list[str]:
+    """Return the types that names, packages and patterns mean.
+
+    Raises:
+        RouteError: a pattern means none.
+    """
+    chosen = []
+    for name in names:
+        if "/" in name and not set(name) & set("*?["):
+            chosen.append(full_name(name))
+            continue
+        pattern = full_name(name) if "/" in name else f"{name}/msg/*"
+        found = [item for item in types.types() if fnmatchcase(item, pattern)]
+        if not found:
+            raise RouteError(
+                f"no message type is called {name!r}; write geometry_msgs/msg/Twist or geometry_msgs"
+            )
+        chosen += found
+    return chosen

@@ -1,0 +1,85 @@
+"""ROS names and values as C spells them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+_KEYWORDS: Final = frozenset(
+    """
+    auto break case char const continue default do double else enum extern float for goto if inline int
+    long register restrict return short signed sizeof static struct switch typedef union unsigned void
+    volatile while bool true false asm and bitand bitor catch class compl const_cast constexpr decltype
+    delete dynamic_cast explicit export friend mutable namespace new noexcept not nullptr operator or
+    private protected public reinterpret_cast static_assert static_cast template this thread_local throw
+    try typeid typename using virtual wchar_t xor linux unix
+    """.split()  # noqa: SIM905  read as a text
+)
+"""Words of C and C++, and what compilers define beside them."""
+_TAKEN: Final = frozenset({"init", "read", "write", "encode", "decode", "MAX_CDR"})
+"""What stands behind a type's name in C."""
+
+
+def type_name(ros: str) -> str:
+    """Return a message type's C name, as rosidl makes it: ``geometry_msgs__msg__Twist``."""
+    return ros.replace("/", "__")
+
+
+def member_name(ros: str) -> str:
+    """Return a field's C name: its own, but for words of the language."""
+    return f"{ros}_" if ros in _KEYWORDS else ros
+
+
+def constant_name(owner: str, ros: str) -> str:
+    """Return a constant's C name, as rosidl makes it."""
+    return f"{type_name(owner)}__{ros}{'_' if ros in _TAKEN else ''}"
+
+
+def literal(ros_type: str, value: Any) -> str:
+    """Return a primitive or a string as a C constant of exactly its type."""
+    if ros_type == "string":
+        return text(value)
+    if ros_type == "bool":
+        return "true" if value else "false"
+    if ros_type.startswith("float"):
+        return _floating(value, "F" if ros_type == "float32" else "")
+    return _integer(ros_type, value)
+
+
+def text(value: str) -> str:
+    """Return a string literal; what is not plain ASCII in octal, which cannot run into what follows."""
+    return (
+        '"'
+        + "".join(
+            chr(byte) if 32 <= byte < 127 and chr(byte) not in '"\\?' else f"\\{byte:03o}"
+            for byte in value.encode("utf-8", "surrogatepass")
+        )
+        + '"'
+    )
+
+
+def comment(value: str) -> str:
+    """Return a text that may stand inside a comment."""
+    return value.replace("*/", "* /").replace("/*", "/ *")
+
+
+def _integer(ros_type: str, value: int) -> str:
+    suffix = "" if ros_type.startswith("int") else "U"
+    digits = f"{abs(value)}{suffix}"
+    if ros_type.endswith("64"):
+        digits = f"{'U' * bool(suffix)}INT64_C({abs(value)})"
+    if ros_type in {"int32", "int64"} and value == -(1 << (int(ros_type[3:]) - 1)):
+        return f"(-{digits.replace(str(abs(value)), str(abs(value) - 1))} - 1)"
+    return f"(-{digits})" if value < 0 else digits
+
+
+def _floating(value: float, suffix: str) -> str:
+    if math.isnan(value):
+        return f"(0.0{suffix} / 0.0{suffix})"
+    if math.isinf(value):
+        return f"({'-' * (value < 0)}1.0{suffix} / 0.0{suffix})"
+    digits = str(np.float32(value)) if suffix else repr(float(value))
+    digits += suffix
+    return f"({digits})" if value < 0 or digits.startswith("-") else digits
