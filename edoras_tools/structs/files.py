@@ -1,0 +1,353 @@
+"""Layout files: structs and the packets they lie in, as YAML or JSON that people can write, too."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.structs.arrange import Wanted, arrange
+from edoras_tools.structs.shapes import (
+    BASIC,
+    OPEN,
+    Basic,
+    ByteOrder,
+    Enumeration,
+    Key,
+    Kind,
+    Layout,
+    Member,
+    Struct,
+)
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterator, Mapping
+
+VERSION: Final = 1
+_LARGEST: Final = 1 << 24
+_TYPE: Final = re.compile(
+    r"(?P<name>[A-Za-z_]\w*)(?P<dims>(?:\[\w*\])*)(?::(?P<bits>\d+))?(?P<hex>\s+hex)?"
+    r"(?:\s*@\s*(?P<offset>\w+)(?:\.(?P<bit>\d+))?)?",
+    re.ASCII,
+)
+_DIMENSION: Final = re.compile(r"\[(\w*)\]")
+_TOP: Final = {"edoras_structs", "byte_order", "package", "bind", "enums", "structs"}
+_STRUCT: Final = {"size", "header", "union", "packed", "members", "doc"}
+_WORDS: Final = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
+_PACKAGE: Final = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
+
+
+def load(path: str | os.PathLike[str]) -> Layout:
+    """Read a layout file; of a folder ``structs.yaml`` in it.
+
+    Raises:
+        ConfigError: it cannot be read, or holds mistakes: all of them, a line each.
+    """
+    file = Path(path)
+    file = file / "structs.yaml" if file.is_dir() else file
+    try:
+        with file.open("rb") as stream:
+            data = stream.read(_LARGEST + 1)
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be read ({error.strerror}); give a layout file") from error
+    if data.startswith(b"\x7fELF"):
+        raise ConfigError(
+            f"{file}: a program, not a layout; 'edoras structs {file} -o DIR' makes a layout of it"
+        )
+    return loads(data, str(file))
+
+
+def loads(data: bytes, name: str) -> Layout:
+    """Read a layout from memory.
+
+    Args:
+        data: YAML or JSON.
+        name: what messages call it.
+
+    Raises:
+        ConfigError: it holds mistakes: all of them, a line each.
+    """
+    if len(data) > _LARGEST:
+        raise ConfigError(f"{name}: larger than {_LARGEST >> 20} MiB; that is no layout file")
+    return layout_of(_parsed(data, name), name)
+
+
+def layout_of(raw: Any, name: str) -> Layout:
+    """Read a layout from the plain values of a layout file; raises as :func:`loads`."""
+    return _Reader(name).layout(raw)
+
+
+def _parsed(data: bytes, name: str) -> Any:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    try:
+        text = data.decode()
+        if text.lstrip().startswith("{"):
+            return json.loads(text)
+        return YAML(typ="safe", pure=True).load(text)
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"{name}:{error.lineno}: is no JSON: {error.msg}") from error
+    except MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise ConfigError(f"{name}:{line}: is no YAML: {error.problem or error.context}") from error
+    except (YAMLError, ValueError, RecursionError) as error:
+        what = str(error).partition("\n")[0]
+        raise ConfigError(f"{name}: is no YAML: {what or type(error).__name__}") from error
+
+
+class _Reader:
+    """Turns the plain values of a file into a layout, and collects its mistakes."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._mistakes: list[str] = []
+        self._raw: Mapping[str, Any] = {}
+        self._enums: dict[str, Enumeration] = {}
+        self._structs: dict[str, Struct] = {}
+        self._alignments: dict[str, int] = {}
+        self._open: list[str] = []
+
+    def layout(self, raw: Any) -> Layout:
+        if not isinstance(raw, dict) or "structs" not in raw:
+            raise ConfigError(f"{self._name}: no layout file: it has no 'structs'")
+        self._known("", raw, _TOP)
+        if raw.get("edoras_structs", VERSION) != VERSION:
+            what = raw["edoras_structs"]
+            raise ConfigError(
+                f"{self._name}: edoras_structs {what} is not known; this version reads {VERSION}"
+            )
+        order: ByteOrder = "little"
+        if raw.get("byte_order", "little") not in {"little", "big"}:
+            self._mistake("byte_order", f"{raw['byte_order']!r} is neither little nor big")
+        elif "byte_order" in raw:
+            order = raw["byte_order"]
+        package = raw.get("package", "cfs_msgs")
+        if not isinstance(package, str) or not _PACKAGE.fullmatch(package):
+            self._mistake("package", f"{package!r} is no name of a ROS package")
+        for name, item in self._mapping("enums", raw.get("enums", {})):
+            self._enum(name, item)
+        self._raw = dict(self._mapping("structs", raw["structs"]))
+        for name in self._raw:
+            if name in BASIC or name in self._enums:
+                self._mistake(f"structs.{name}", "another type has this name")
+            self._struct(name, f"structs.{name}")
+        bindings = {}
+        for key, name in self._mapping("bind", raw.get("bind", {})):
+            try:
+                bindings[parse_key(key)] = str(name)
+            except ConfigError as error:
+                self._mistake("bind", str(error))
+            if name not in self._structs:
+                self._mistake(f"bind.{key}", f"there is no struct {name!r}")
+        if self._mistakes:
+            raise ConfigError(*dict.fromkeys(self._mistakes))
+        return Layout(self._structs, self._enums, bindings, order, package, self._name)
+
+    def _mistake(self, where: str, what: str) -> None:
+        self._mistakes.append(f"{self._name}: {where + ': ' if where else ''}{what}")
+
+    def _known(self, where: str, raw: Mapping[Any, Any], keys: set[str]) -> None:
+        for key in raw.keys() - keys:
+            self._mistake(where, f"{key!r} means nothing here; there are {', '.join(sorted(keys))}")
+
+    def _mapping(self, where: str, raw: Any) -> Iterator[tuple[Any, Any]]:
+        if not isinstance(raw, dict):
+            self._mistake(where, "expected NAME: VALUE")
+            return
+        for key, value in raw.items():
+            if where != "bind" and (not isinstance(key, str) or not key.isidentifier()):
+                self._mistake(where, f"{key!r} is no name in C")
+            else:
+                yield key, value
+
+    def _number(self, where: str, raw: Any, most: int = _LARGEST) -> int:
+        if isinstance(raw, bool) or not isinstance(raw, int) or not 0 <= raw <= most:
+            self._mistake(where, f"{raw!r} is no number of 0 to {most}")
+            return 0
+        return raw
+
+    def _enum(self, name: str, raw: Any) -> None:
+        where = f"enums.{name}"
+        if not isinstance(raw, dict):
+            self._mistake(where, "expected {type: ..., values: {NAME: NUMBER}}")
+            return
+        self._known(where, raw, {"type", "values"})
+        basic = BASIC.get(str(raw.get("type", "int32")))
+        if basic is None or basic.kind not in {Kind.INT, Kind.UINT}:
+            self._mistake(where, f"{raw.get('type')!r} is no integer")
+            basic = BASIC["int32"]
+        names: dict[int, str] = {}
+        for label, value in self._mapping(f"{where}.values", raw.get("values", {})):
+            if isinstance(value, bool) or not isinstance(value, int):
+                self._mistake(where, f"{label}: {value!r} is no number")
+            else:
+                names.setdefault(value, label)
+        self._enums[name] = Enumeration(name, basic, names)
+
+    def _struct(self, name: str, where: str) -> None:
+        """Read a struct, and those that it uses before it."""
+        if name in self._structs:
+            return
+        if name in self._open or len(self._open) > 64:
+            self._mistake(where, f"{name} contains itself")
+            return
+        raw = self._raw[name]
+        if not isinstance(raw, dict) or not isinstance(raw.get("members"), dict):
+            self._mistake(where, "expected members: {NAME: TYPE}")
+            raw = {"members": {}}
+        self._known(where, raw, _STRUCT)
+        self._open.append(name)
+        wanted = [
+            item
+            for label, text in self._mapping(where, raw["members"])
+            if (item := self._member(label, text, f"{where}.{label}")) is not None
+        ]
+        self._open.pop()
+        union, packed = bool(raw.get("union")), bool(raw.get("packed"))
+        members, size, alignment = arrange(wanted, union=union, packed=packed)
+        least = max((item.offset + self._extent(item) for item in members), default=0)
+        if "size" in raw:
+            size = self._number(where, raw["size"])
+            if size < least:
+                self._mistake(where, f"its members take {least} bytes, more than its size {size}")
+        if size > _LARGEST:
+            self._mistake(where, f"{size} bytes are more than any packet holds")
+        for member in members[:-1]:
+            if OPEN in member.dims:
+                self._mistake(f"{where}.{member.name}", "only the last member is open to the end, as in x[]")
+        header = self._number(where, raw.get("header", 0), max(size, least))
+        self._alignments[name] = alignment
+        self._structs[name] = Struct(name, size, tuple(members), union, header, str(raw.get("doc", "")))
+
+    def _extent(self, member: Member) -> int:
+        basic = member.type if isinstance(member.type, Basic) else None
+        if member.bits:
+            return (member.bit + member.bits + 7) // 8
+        if basic is None:
+            name = str(member.type)
+            size = self._enums[name].basic.size if name in self._enums else self._structs[name].size
+            return size * member.count
+        return member.count * (member.dims[-1] if member.text else basic.size)
+
+    def _member(self, name: str, raw: Any, where: str) -> Wanted | None:
+        doc = ""
+        if isinstance(raw, dict):
+            self._known(where, raw, {"type", "doc"})
+            raw, doc = raw.get("type"), str(raw.get("doc", ""))
+        match = _TYPE.fullmatch(raw.strip()) if isinstance(raw, str) else None
+        if match is None:
+            self._mistake(where, f"{raw!r} is no TYPE, TYPE[N], TYPE:BITS or TYPE @OFFSET")
+            return None
+        kind: Basic | str | None = BASIC.get(match["name"])
+        if kind is None and match["name"] in self._raw and match["name"] not in self._enums:
+            self._struct(match["name"], where)
+        if kind is None and (match["name"] in self._enums or match["name"] in self._structs):
+            kind = match["name"]
+        if kind is None:
+            if match["name"] not in self._raw:
+                self._mistake(where, f"there is no type {match['name']!r}")
+            return None
+        try:
+            dims = tuple(int(item, 0) if item else OPEN for item in _DIMENSION.findall(match["dims"]))
+            offset = int(match["offset"] or "0", 0)
+        except ValueError:
+            self._mistake(where, f"{raw!r}: a dimension and an offset are numbers")
+            return None
+        if OPEN in dims[1:] or any(item == 0 for item in dims[1:]) or max((*dims, offset)) > _LARGEST:
+            self._mistake(
+                where, f"{raw!r}: only the first dimension is left out, and all are within a packet"
+            )
+            return None
+        bits = int(match["bits"] or 0)
+        size, alignment = self._measures(kind)
+        basic = kind if isinstance(kind, Basic) else self._enums[kind].basic if kind in self._enums else None
+        if match["bits"] is not None and (
+            basic is None or dims or not 0 < bits <= 8 * size or basic.kind not in _BITS
+        ):
+            self._mistake(where, f"{raw!r}: a bit-field is of an integer, 1 to {8 * size} bits wide")
+            return None
+        bit = int(match["bit"] or 0)
+        if bit > 7 or (bit and not bits):
+            self._mistake(where, f"{raw!r}: the bit behind the point is 0 to 7, of a bit-field")
+            return None
+        member = Member(name, kind, offset, dims, bits, bit, 16 if match["hex"] else 10, doc)
+        one = member.dims[-1] if member.text else size
+        return Wanted(member, one, alignment, match["offset"] is not None)
+
+    def _measures(self, kind: Basic | str) -> tuple[int, int]:
+        if isinstance(kind, Basic):
+            return kind.size, kind.size
+        if kind in self._enums:
+            return self._enums[kind].basic.size, self._enums[kind].basic.size
+        return self._structs[kind].size, self._alignments[kind]
+
+
+_BITS: Final = {Kind.INT, Kind.UINT, Kind.BOOL}
+
+
+def parse_key(raw: Any) -> Key:
+    """Read ``0x0801`` or ``0x1880/6``: a MsgId, and a command's function code.
+
+    Raises:
+        ConfigError: it is neither.
+    """
+    word, slash, code = str(raw).partition("/")
+    try:
+        key = Key(int(word, 0), int(code, 0) if slash else None)
+    except ValueError:
+        _refuse(raw)
+    if not 0 <= key.msg_id <= 0xFFFF or not 0 <= (key.function_code or 0) <= 0x7F:
+        _refuse(raw)
+    return key
+
+
+def _refuse(raw: Any) -> NoReturn:
+    raise ConfigError(f"{raw!r} is no MsgId as 0x0801, nor one with a function code as 0x1880/6")
+
+
+def dumps(layout: Layout) -> str:
+    """Return a layout file, every offset written out."""
+    lines = [f"edoras_structs: {VERSION}", f"byte_order: {layout.byte_order}", f"package: {layout.package}"]
+    if layout.bindings:
+        lines.append("bind:")
+        lines += [f"  {key}: {name}" for key, name in sorted(layout.bindings.items(), key=_order)]
+    if layout.enums:
+        lines.append("enums:")
+        for item in layout.enums.values():
+            lines += [f"  {item.name}:", f"    type: {item.basic}", "    values:"]
+            lines += [f"      {_name(label)}: {value}" for value, label in item.names.items()]
+            if not item.names:
+                lines[-1] += " {}"
+    lines.append("structs:" + ("" if layout.structs else " {}"))
+    for struct in layout.structs.values():
+        lines += [f"  {struct.name}:", f"    size: {struct.size}"]
+        lines += [f"    header: {struct.header}"] * bool(struct.header)
+        lines += ["    union: true"] * struct.union
+        lines += [f"    doc: {json.dumps(struct.doc)}"] * bool(struct.doc)
+        lines.append("    members:" + ("" if struct.members else " {}"))
+        lines += [f"      {_name(item.name)}: {_member_text(item)}" for item in struct.members]
+    return "\n".join(lines) + "\n"
+
+
+def _name(name: str) -> str:
+    """Return a name as YAML key: some words would not be text."""
+    return f"'{name}'" if name.lower() in _WORDS else name
+
+
+def _order(item: tuple[Key, str]) -> tuple[int, int]:
+    return item[0].msg_id, -1 if item[0].function_code is None else item[0].function_code
+
+
+def _member_text(member: Member) -> str:
+    text = type_text(member) + f" @{member.offset}" + (f".{member.bit}" if member.bits else "")
+    return f"{{type: '{text}', doc: {json.dumps(member.doc)}}}" if member.doc else text
+
+
+def type_text(member: Member) -> str:
+    """Return a member's type as a layout file spells it, without its offset."""
+    dims = "".join(f"[{size or ''}]" for size in member.dims)
+    return f"{member.type}{dims}" + f":{member.bits}" * bool(member.bits) + " hex" * (member.base == 16)

@@ -1,0 +1,190 @@
+"""C data types as values: what a compiler laid out, or what a person wrote down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from math import prod
+from typing import TYPE_CHECKING, Final, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+ByteOrder = Literal["little", "big"]
+OPEN: Final = 0
+"""The dimension of an array that goes on to the end of the packet; only the last member has it."""
+
+
+class Kind(Enum):
+    """What the bytes of a basic type are."""
+
+    UINT = "uint"
+    INT = "int"
+    FLOAT = "float"
+    BOOL = "bool"
+    CHAR = "char"
+    BYTE = "byte"
+
+
+@dataclass(frozen=True, slots=True)
+class Basic:
+    """A type without parts.
+
+    Attributes:
+        kind: how its bytes are read.
+        size: how many there are.
+    """
+
+    kind: Kind
+    size: int
+
+    def __str__(self) -> str:
+        """The name in a layout file, as ``uint16``, ``float64`` or ``char``."""
+        plain = (
+            self.kind is Kind.CHAR or self.kind is Kind.BYTE or (self.kind is Kind.BOOL and self.size == 1)
+        )
+        return self.kind.value if plain else f"{self.kind.value}{8 * self.size}"
+
+
+BASIC: Final = {
+    str(item): item
+    for item in (
+        *(Basic(kind, size) for kind in (Kind.UINT, Kind.INT, Kind.BOOL) for size in (1, 2, 4, 8)),
+        *(Basic(Kind.FLOAT, size) for size in (4, 8)),
+        Basic(Kind.CHAR, 1),
+        Basic(Kind.BYTE, 1),
+    )
+}
+"""Every basic type by its name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Enumeration:
+    """Names for the values of an integer.
+
+    Attributes:
+        name: as in C.
+        basic: the integer.
+        names: what values mean.
+    """
+
+    name: str
+    basic: Basic
+    names: Mapping[int, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One member of a struct or union.
+
+    Attributes:
+        name: as in C.
+        type: a basic type, or the name of an enumeration or a struct of the same layout.
+        offset: its first byte, from the start of the struct; of a bit-field the byte that its first bit is in.
+        dims: dimensions of an array, outermost first; the last of a ``char`` array is its text.
+        bits: width of a bit-field; 0 where it is none.
+        bit: where in byte ``offset`` a bit-field starts: counted from the least significant bit where the
+            byte order is little, from the most significant where it is big, as compilers do.
+        base: how people read the number: 10 or 16.
+        doc: one line.
+    """
+
+    name: str
+    type: Basic | str
+    offset: int
+    dims: tuple[int, ...] = ()
+    bits: int = 0
+    bit: int = 0
+    base: Literal[10, 16] = 10
+    doc: str = ""
+
+    @property
+    def text(self) -> bool:
+        """Whether it is a text, or an array of texts."""
+        return bool(self.dims) and isinstance(self.type, Basic) and self.type.kind is Kind.CHAR
+
+    @property
+    def array(self) -> tuple[int, ...]:
+        """The dimensions that count elements: of texts all but the last."""
+        return self.dims[:-1] if self.text else self.dims
+
+    @property
+    def count(self) -> int:
+        """Elements in all; 0 where the array is open."""
+        return prod(self.array)
+
+
+@dataclass(frozen=True, slots=True)
+class Struct:
+    """A struct or union as it lies in memory.
+
+    Attributes:
+        name: as in C.
+        size: bytes, padding at the end included.
+        members: in the order of the declaration.
+        union: all members lie at its start.
+        header: bytes of the cFE header that it begins with, which is no part of the message; 0 for none.
+        doc: one line.
+    """
+
+    name: str
+    size: int
+    members: tuple[Member, ...]
+    union: bool = False
+    header: int = 0
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Key:
+    """Which packets a struct lies in.
+
+    Attributes:
+        msg_id: of the packet.
+        function_code: of a command; None for all.
+    """
+
+    msg_id: int
+    function_code: int | None = None
+
+    def __str__(self) -> str:
+        return f"0x{self.msg_id:04x}" + (f"/{self.function_code}" if self.function_code is not None else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Structs that belong together, and the packets they lie in.
+
+    Attributes:
+        structs: by name, all that these use among them.
+        enums: by name.
+        bindings: the struct that lies in a packet.
+        byte_order: of every number.
+        package: ROS package of the messages.
+        origin: the file it was read from, for messages to people.
+    """
+
+    structs: Mapping[str, Struct]
+    enums: Mapping[str, Enumeration] = field(default_factory=dict)
+    bindings: Mapping[Key, str] = field(default_factory=dict)
+    byte_order: ByteOrder = "little"
+    package: str = "cfs_msgs"
+    origin: str = ""
+
+    def enumeration(self, member: Member) -> Enumeration | None:
+        """Return the enumeration that a member is of, or None."""
+        return self.enums.get(member.type) if isinstance(member.type, str) else None
+
+    def basic(self, member: Member) -> Basic | None:
+        """Return the basic type of a member, that of its enumeration too; None for a struct."""
+        if isinstance(member.type, Basic):
+            return member.type
+        found = self.enums.get(member.type)
+        return found.basic if found else None
+
+    def size(self, member: Member) -> int:
+        """Return the bytes of one element of a member; of a text all its characters."""
+        basic = self.basic(member)
+        if basic is None:
+            return self.structs[str(member.type)].size
+        return member.dims[-1] if member.text else basic.size

@@ -1,0 +1,366 @@
+"""Struct bytes to the CDR of its message, for many packets at once.
+
+A struct of one length is compiled to segments: blocks of bytes whose places in the CDR are fixed once their
+start is aligned, and texts, after which alignment begins anew. A block is filled with a few strided copies
+over all packets; nothing runs in Python per packet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.ros.schema import PRIMITIVES
+from edoras_tools.structs.messages import HEADER_FIELDS, parts, primitive
+from edoras_tools.structs.shapes import Kind
+from edoras_tools.wire.window import copy_rows, put_rows
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.structs.shapes import Basic, Layout, Member, Struct
+
+MOST_VALUES: Final = 1 << 16
+"""Most single copies that a struct may take; one that spells out more is a mistake."""
+ENCAPSULATION: Final = bytes((0, 1, 0, 0))
+_SIZES: Final = {"b": 1, "B": 1, "?": 1, "h": 2, "H": 2, "i": 4, "I": 4, "f": 4, "q": 8, "Q": 8, "d": 8}
+HEAD: Final = np.dtype([(item.name, "<u" + str(_SIZES[PRIMITIVES[item.type]])) for item in HEADER_FIELDS])
+"""What stands in front of the struct's bytes when it is transcoded: the message's header."""
+
+
+class Copy(NamedTuple):
+    """Bytes that are copied as they are, or with the bytes of each element turned round.
+
+    Attributes:
+        source: first byte, from the start of the head and the payload.
+        target: first byte, from the start of the block.
+        size: bytes.
+        turn: bytes of an element that are turned round; 1 for none.
+    """
+
+    source: int
+    target: int
+    size: int
+    turn: int
+
+
+class Bits(NamedTuple):
+    """A bit-field, or a truth value, read from a few bytes.
+
+    Attributes:
+        source: first byte that holds some of it.
+        target: first byte, from the start of the block.
+        size: bytes to read.
+        width: bits of the value.
+        shift: bits to the right of it, in a number of these bytes.
+        into: bytes to write.
+        signed: two's complement.
+        truth: 0 or 1 is written, whatever the value.
+        order: byte order of the struct.
+    """
+
+    source: int
+    target: int
+    size: int
+    width: int
+    shift: int
+    into: int
+    signed: bool
+    truth: bool
+    order: str
+
+
+@dataclass(slots=True)
+class Block:
+    """Bytes at fixed places from an aligned start.
+
+    Attributes:
+        alignment: of its start; 1 to 8.
+        size: bytes.
+        copies: what is copied.
+        bits: what is computed.
+        constants: bytes that are the same in every message, by place.
+    """
+
+    alignment: int
+    size: int = 0
+    copies: list[Copy] = field(default_factory=list)
+    bits: list[Bits] = field(default_factory=list)
+    constants: dict[int, bytes] = field(default_factory=dict)
+
+
+class Text(NamedTuple):
+    """Characters up to the first NUL.
+
+    Attributes:
+        source: first byte.
+        size: bytes.
+    """
+
+    source: int
+    size: int
+
+
+class Leaf(NamedTuple):
+    """A single value or an array of basic values in a packet, for people.
+
+    Attributes:
+        path: names and indices from the message on.
+        member: what it is.
+        start: first byte, from the start of the payload.
+        end: one past the last byte.
+    """
+
+    path: tuple[str | int, ...]
+    member: Member
+    start: int
+    end: int
+
+
+class Plan:
+    """How the packets of one struct and one length become CDR.
+
+    Args:
+        layout: of the struct.
+        struct: what lies in the packet.
+        length: bytes of the payload, header not counted.
+
+    Attributes:
+        width: bytes in front of the CDR: the head, and the payload.
+        leaves: every value and where it is.
+
+    Raises:
+        ConfigError: it spells out too many values.
+    """
+
+    def __init__(self, layout: Layout, struct: Struct, length: int) -> None:
+        self._layout = layout
+        self._length = length
+        self._segments: list[Block | Text] = [Block(8)]
+        self._known = 8  # what the position is known to be a multiple of, from the block's start
+        self._copies = 0
+        self.leaves: list[Leaf] = []
+        self.width = HEAD.itemsize + length
+        for item in HEADER_FIELDS:
+            size = _SIZES[PRIMITIVES[item.type]]
+            self._copy(HEAD.fields[item.name][1], size, size, "little")  # type: ignore[index]
+        self._parts(struct, 0, (), whole=True)
+
+    def encode(
+        self, window: NDArray[np.uint8]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+        """Return messages, encapsulation included.
+
+        Args:
+            window: u8 (n, width): of each packet a ``HEAD``, then its payload.
+
+        Returns:
+            u8, the messages one after the other; i64 (n,), where each starts; i64 (n,), how long each is.
+        """
+        count = len(window)
+        cursor = np.zeros(count, np.int64)
+        places = []
+        texts: dict[int, tuple[NDArray[np.uint8], NDArray[np.int64]]] = {}
+        for index, item in enumerate(self._segments):
+            alignment = item.alignment if isinstance(item, Block) else 4
+            cursor += -cursor % alignment
+            places.append(cursor.copy())
+            if isinstance(item, Block):
+                cursor += item.size
+            else:
+                texts[index] = _texts(window[:, item.source : item.source + item.size])
+                cursor += 4 + texts[index][1] + 1
+        size = cursor + len(ENCAPSULATION)
+        start = np.cumsum(size) - size
+        out = np.zeros(int(size.sum()), np.uint8)
+        body = start + len(ENCAPSULATION)
+        if count:
+            out[start + 1] = ENCAPSULATION[1]
+        for index, (item, place) in enumerate(zip(self._segments, places, strict=True)):
+            if isinstance(item, Block):
+                if item.size:
+                    put_rows(out, body + place, _filled(item, window).view(f"V{item.size}")[:, 0])
+                continue
+            pool, length = texts[index]
+            put_rows(out, body + place, (length + 1).astype("<u4"))
+            offsets = np.arange(count) * item.size
+            copy_rows(out, body + place + 4, pool, offsets, length)
+        return out, start, size
+
+    def _parts(self, struct: Struct, base: int, path: tuple[str | int, ...], *, whole: bool = False) -> None:
+        found = parts(self._layout, struct, whole=whole)
+        if not found and not whole:
+            self._constant(b"\0")  # an empty message travels as one byte
+        for part in found:
+            self._member(part.member, part.open, base, (*path, part.name))
+
+    def _member(self, member: Member, is_open: bool, base: int, path: tuple[str | int, ...]) -> None:
+        at, size = base + member.offset, self._layout.size(member)
+        count = member.count
+        if is_open:
+            if member.text and len(member.dims) == 1:
+                size = self._length - at
+            else:
+                count = max(self._length - at, 0) // (size * _inner(member))
+                count *= _inner(member)
+                self._constant(count.to_bytes(4, "little"))
+        basic = self._layout.basic(member)
+        if member.text:
+            for index in range(count):
+                start = at + index * size
+                where = (*path, index) if member.array else path
+                self._append(Text(HEAD.itemsize + start, size))
+                self._leaf(where, member, start, start + size)
+        elif basic is None:
+            nested = self._layout.structs[str(member.type)]
+            for index in range(count):
+                where = (*path, index) if member.dims else path
+                self._parts(nested, at + index * size, where)
+        elif member.bits:
+            self._bits(member, basic, at)
+            self._leaf(path, member, at, at + (member.bit + member.bits + 7) // 8)
+        else:
+            self._basic(basic, at, count)
+            self._leaf(path, member, at, at + size * count)
+
+    def _leaf(self, path: tuple[str | int, ...], member: Member, start: int, end: int) -> None:
+        self.leaves.append(Leaf(path, member, start, end))
+
+    def _basic(self, basic: Basic, at: int, count: int) -> None:
+        if basic.kind is Kind.BOOL:
+            for index in range(count):
+                source = HEAD.itemsize + at + index * basic.size
+                target = self._room(1, 1)
+                self._block.bits.append(
+                    Bits(
+                        source, target, basic.size, 8 * basic.size, 0, 1, signed=False, truth=True, order="<"
+                    )
+                )
+        elif count:
+            self._copy(HEAD.itemsize + at, basic.size * count, basic.size, self._layout.byte_order)
+
+    def _bits(self, member: Member, basic: Basic, at: int) -> None:
+        size = (member.bit + member.bits + 7) // 8
+        little = self._layout.byte_order == "little"
+        shift = member.bit if little else 8 * size - member.bit - member.bits
+        into = _SIZES[PRIMITIVES[primitive(basic)]]
+        target = self._room(into, into)
+        self._block.bits.append(
+            Bits(
+                HEAD.itemsize + at,
+                target,
+                size,
+                member.bits,
+                shift,
+                into,
+                signed=basic.kind is Kind.INT,
+                truth=basic.kind is Kind.BOOL,
+                order="<" if little else ">",
+            )
+        )
+
+    @property
+    def _block(self) -> Block:
+        last = self._segments[-1]
+        assert isinstance(last, Block), "there is room in a block"
+        return last
+
+    def _room(self, size: int, alignment: int) -> int:
+        """Return where in the block under way so many bytes go; begin another where alignment asks for it."""
+        self._copies += 1
+        if self._copies > MOST_VALUES:
+            raise ConfigError(f"a struct of more than {MOST_VALUES} values; bind a smaller one")
+        last = self._segments[-1]
+        if isinstance(last, Text) or alignment > self._known:
+            self._segments.append(Block(alignment))
+            self._known = alignment
+        block = self._block
+        place = -(-block.size // alignment) * alignment
+        block.size = place + size
+        return place
+
+    def _append(self, text: Text) -> None:
+        self._copies += 1
+        if self._copies > MOST_VALUES:
+            raise ConfigError(f"a struct of more than {MOST_VALUES} values; bind a smaller one")
+        self._segments.append(text)
+
+    def _constant(self, value: bytes) -> None:
+        place = self._room(len(value), len(value))
+        self._block.constants[place] = value
+
+    def _copy(self, source: int, size: int, element: int, order: str) -> None:
+        turn = element if order == "big" else 1
+        target = self._room(size, element)
+        copies = self._block.copies
+        last = copies[-1] if copies else None
+        follows = last and source - last.source == target - last.target == last.size and last.turn == turn
+        if last is not None and follows:
+            copies[-1] = last._replace(size=last.size + size)
+        else:
+            copies.append(Copy(source, target, size, turn))
+
+
+def _inner(member: Member) -> int:
+    """Return the elements of one row of an open array."""
+    count = 1
+    for size in member.array[1:]:
+        count *= size
+    return count
+
+
+def _filled(block: Block, window: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    out = np.zeros((len(window), block.size), np.uint8)
+    for item in block.copies:
+        source = window[:, item.source : item.source + item.size]
+        if item.turn > 1:
+            source = source.reshape(len(window), -1, item.turn)[:, :, ::-1].reshape(len(window), -1)
+        out[:, item.target : item.target + item.size] = source
+    for bits in block.bits:
+        value = _read(bits, window)
+        raw = value.astype("<u8").view(np.uint8).reshape(len(window), 8)
+        out[:, bits.target : bits.target + bits.into] = raw[:, : bits.into]
+    for place, constant in block.constants.items():
+        out[:, place : place + len(constant)] = np.frombuffer(constant, np.uint8)
+    return out
+
+
+def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.uint64]:
+    """Return the values of a bit-field, signs extended to 64 bits."""
+    taken = window[:, bits.source : bits.source + bits.size]
+    if bits.order == ">":
+        taken = taken[:, ::-1]
+    value = np.zeros(len(window), np.uint64)
+    for index in range(bits.size):
+        octet, move = taken[:, index].astype(np.uint64), 8 * index - bits.shift
+        value |= octet << np.uint64(move) if move >= 0 else octet >> np.uint64(-move)
+    if bits.width < 64:
+        value &= np.uint64((1 << bits.width) - 1)
+    if bits.truth:
+        return (value != 0).astype(np.uint64)
+    if bits.signed and bits.width < 64:
+        spare = np.int64(64 - bits.width)
+        extended: NDArray[np.int64] = (value << np.uint64(spare)).view(np.int64) >> spare
+        return extended.view(np.uint64)
+    return value
+
+
+def _texts(field: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Return characters, a row as long as the array, and how many of each count: up to the first NUL.
+
+    Bytes that are no UTF-8 become ``?``.
+    """
+    count = len(field)
+    pool = field.copy()
+    ended = np.concatenate((pool == 0, np.ones((count, 1), np.bool_)), axis=1)
+    length = ended.argmax(axis=1)
+    for row in np.flatnonzero((pool >= 0x80).any(axis=1)).tolist():
+        text = pool[row, : length[row]]
+        try:
+            text.tobytes().decode()
+        except UnicodeDecodeError:
+            pool[row, : length[row]] = np.where(text < 0x80, text, ord("?"))
+    return pool.ravel(), length
