@@ -74,7 +74,7 @@ def bridge(
         typer.Option(
             "--max-rate",
             metavar="[TOPIC=]HZ[,KEEP]",
-            help="No more a second of each topic to cFS, of one, or of all=HZ; KEEP: latest, first; repeatable.",
+            help="No more a second of each topic to cFS, of one, or of all=HZ; KEEP: latest, first.",
         ),
     ] = None,
     checksum: Annotated[bool, typer.Option("--checksum", help="Real checksums in commands, not 0.")] = False,
@@ -90,7 +90,7 @@ def bridge(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Bridge ROS 2 and cFS as the ground and flight bridges do, by the same files; no ROS 2 need be installed.
+    """Bridge ROS 2 and cFS as ground and flight bridges do, by the same files, without a ROS 2 installed.
 
     Every bridge of every file runs, in one process: edoras bridge -c ground.yaml -c flight.yaml
     """

@@ -45,7 +45,7 @@ def open_graph(
     node: str,
     *,
     domain: int = 0,
-    options: Mapping[str, str] = {},  # noqa: B006  never changed
+    options: Mapping[str, str] = {},
 ) -> Graph:
     """Join a graph.
 

@@ -53,8 +53,9 @@ class Inbox:
         return self._fileno
 
     def ring(self) -> None:
-        """Wake up who waits; for any thread or signal handler."""
-        os.eventfd_write(self._fileno, 1)
+        """Wake up who waits; for any thread or signal handler, and for nothing once it is closed."""
+        if self._fileno >= 0:
+            os.eventfd_write(self._fileno, 1)
 
     def slot(self, station: int, route: int) -> Callable[[bytes], None]:
         """Return what takes the messages of a route, from any thread; it does not block."""
@@ -83,5 +84,7 @@ class Inbox:
             os.eventfd_read(self._fileno)
 
     def close(self) -> None:
-        """Give the descriptor back; nobody may put anything in any more."""
-        os.close(self._fileno)
+        """Give the descriptor back."""
+        fileno, self._fileno = self._fileno, -1
+        if fileno >= 0:
+            os.close(fileno)

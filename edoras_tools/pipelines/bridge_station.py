@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import time
 from typing import TYPE_CHECKING, Any, Final
@@ -309,8 +310,14 @@ def _bind(plan: StationPlan) -> socket.socket:
         opened.bind((plan.listen.address, plan.listen.port))
     except OSError as error:
         opened.close()
-        place = f"{plan.bridge.link.file}:{plan.bridge.link.line}"
-        raise CaptureError(f"{place}: UDP {plan.listen}: {bind_reason(error, plan.listen.port)}") from error
+        key = "bridge_port" if plan.kind == "ground" else "udp_receive_port"
+        why = (
+            f"another program has that port (a bridge?); stop it, or choose another {key}"
+            if error.errno == errno.EADDRINUSE
+            else bind_reason(error, plan.listen.port)
+        )
+        link = plan.bridge.link
+        raise CaptureError(f"{link.file}:{link.line}: UDP {plan.listen}: {why}") from error
     return opened
 
 

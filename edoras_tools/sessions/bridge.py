@@ -148,7 +148,6 @@ class Bridge:
             min(envelope.most, habits.max_size - writer.overhead(route.msg_id) - envelope.size)
             for route, envelope in zip(routes, self._envelopes, strict=True)
         ]
-        self._too_long = f"longer than the {habits.max_size} bytes that cFS takes"
         self._from_cfs = {route.msg_id: index for index, route in enumerate(routes) if not route.to_cfs}
 
     @property
@@ -168,7 +167,7 @@ class Bridge:
         elif len(cdr) < ENCAPSULATION.size:
             traffic.refuse("no CDR")
         elif len(cdr) > self._rooms[index]:
-            traffic.refuse(self._too_long)
+            traffic.refuse(f"longer than the {self._rooms[index]} bytes of CDR that fit a packet")
         elif self.limiter.offer(index, cdr, now=now):
             self._emit(index, cdr, now)
             return True

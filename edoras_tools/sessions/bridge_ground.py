@@ -61,12 +61,13 @@ class GroundSession:
         self.next_ns: int | None = None if address is None else now
         self._writer, self._address, self._add = writer, address, dict(add or {})
         self._heard_ns = now
+        self._told = False
 
     def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:  # noqa: ARG002  any will do
         """Take a datagram; return where its space packet starts, and nothing to answer."""
         self._heard_ns = now
         if not self.hearing:
-            self.hearing = True
+            self.hearing, self._told = True, False
             self.notes.append("telemetry arrives")
             if self.next_ns is not None:
                 self.next_ns = now + SILENCE_NS
@@ -80,7 +81,8 @@ class GroundSession:
         if self.hearing and silent_ns < SILENCE_NS:
             self.next_ns = self._heard_ns + SILENCE_NS
             return []
-        if self.hearing or self.asked == _ASKS:
+        if silent_ns >= SILENCE_NS and not self._told:
+            self._told = True
             self.notes.append(
                 f"no telemetry for {silent_ns // SECOND} s: is cFS up, does its TO send here? asking on"
             )

@@ -1,0 +1,58 @@
+"""The middleware by name."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.middleware import open_graph
+from edoras_tools.middleware.local import LocalGraph
+from edoras_tools.middleware.opening import usual, usual_domain
+from edoras_tools.ros import TypeStore
+
+
+def test_a_graph_by_name():
+    graph = open_graph("local", TypeStore(), "node", domain=9)
+    graph.close()
+    assert isinstance(graph, LocalGraph)
+
+
+@pytest.mark.parametrize(
+    ("ros", "told"),
+    [
+        ("zenoh", "--ros zenoh needs an extra (no such library): pip install 'edoras-tools[zenoh]'"),
+        ("foxglove", "--ros foxglove needs an extra (no such library): pip install 'edoras-tools[live]'"),
+        (
+            "rclpy",
+            "--ros rclpy needs a ROS 2 that is sourced (no such library); source one, or choose zenoh or dds",
+        ),
+    ],
+)
+def test_an_absent_library_is_one_line_that_says_what_to_install(monkeypatch, ros, told):
+    def absent(*_arguments, **_options):
+        raise ImportError("no such library")
+
+    monkeypatch.setitem(sys.modules, f"edoras_tools.middleware.{ros}", SimpleNamespace(open_graph=absent))
+    with pytest.raises(ConfigError) as caught:
+        open_graph(ros, TypeStore(), "node")
+    assert str(caught.value) == told
+
+
+def test_another_name_is_told():
+    with pytest.raises(ConfigError, match=r"'ddz' is not known; there are zenoh, dds"):
+        open_graph("ddz", TypeStore(), "node")
+
+
+def test_the_environment_says_what_is_usual():
+    assert [usual({"RMW_IMPLEMENTATION": name}) for name in ("rmw_zenoh_cpp", "rmw_fastrtps_cpp", "")] == [
+        "zenoh",
+        "dds",
+        "dds",
+    ]
+    assert [usual_domain({}), usual_domain({"ROS_DOMAIN_ID": "42"})] == [0, 42]
+    for text in ("x", "-1", "233"):
+        with pytest.raises(ConfigError, match="is no domain"):
+            usual_domain({"ROS_DOMAIN_ID": text})
