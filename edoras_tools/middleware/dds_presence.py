@@ -20,13 +20,17 @@ ENCLAVE: Final = b"enclave=/;"
 
 
 def presence(
-    types: TypeStore, node: str, participant: bytes, readers: Iterable[bytes], writers: Iterable[bytes]
+    types: TypeStore,
+    node: tuple[str, str],
+    participant: bytes,
+    readers: Iterable[bytes],
+    writers: Iterable[bytes],
 ) -> bytes:
     """Return the message that tells what a participant consists of.
 
     Args:
         types: knows ``TYPE``; the size of an identifier is its distribution's.
-        node: fully qualified.
+        node: its namespace and its name.
         participant: GUID, 16 bytes, as all that follow.
         readers: of the node's topics.
         writers: of the node's topics.
@@ -36,10 +40,9 @@ def presence(
     def gid(guid: bytes) -> dict[str, Any]:
         return {"data": guid.ljust(size, b"\0")}
 
-    namespace, _, name = node.rpartition("/")
     entities = {
-        "node_namespace": namespace or "/",
-        "node_name": name,
+        "node_namespace": node[0],
+        "node_name": node[1],
         "reader_gid_seq": [gid(item) for item in readers],
         "writer_gid_seq": [gid(item) for item in writers],
     }

@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from cyclonedds.idl import IdlStruct, make_idl_struct
+from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.schema import PLACEHOLDER, Shape, full_name
 
 if TYPE_CHECKING:
+    from cyclonedds.idl import IdlStruct
+
     from edoras_tools.ros.schema import Field
     from edoras_tools.ros.store import TypeStore
 
@@ -42,13 +44,6 @@ def dds_name(type_name: str) -> str:
     return f"{package}::{kind}::dds_::{name}_"
 
 
-class _Message(IdlStruct):
-    """Holds any member, also one that Python has a keyword or cyclonedds a method for; dataclasses do not."""
-
-    def __init__(self, **values: Any) -> None:
-        self.__dict__.update(values)
-
-
 class DdsTypes:
     """Makes the class of a ROS type, once.
 
@@ -71,13 +66,11 @@ class DdsTypes:
         if name not in self._made:
             members = {item.name: self._member(name, item) for item in self._types.fields(name)}
             dotted = dds_name(name).replace("::", ".")
-            self._made[name] = make_idl_struct(
-                dotted.rpartition(".")[2],
-                dotted,
-                members or {PLACEHOLDER: idl.uint8},
-                dataclassify=False,
-                bases=(_Message,),
+            made: Any = make_idl_struct(
+                dotted.rpartition(".")[2], dotted, members or {PLACEHOLDER: idl.uint8}, dataclassify=False
             )
+            made.__init__ = _fill  # given by a base class, it would make that a base of the DDS type
+            self._made[name] = made
         return self._made[name]
 
     def _member(self, owner: str, field: Field) -> Any:
@@ -96,3 +89,8 @@ class DdsTypes:
         if field.shape is Shape.SEQUENCE:
             return Annotated[Sequence[one], idl.sequence(one, field.size or None)]
         return one
+
+
+def _fill(self: IdlStruct, **values: Any) -> None:
+    """Hold any member, also one that Python has a keyword or cyclonedds a method for; dataclasses do not."""
+    self.__dict__.update(values)
