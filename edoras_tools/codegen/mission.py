@@ -87,7 +87,7 @@ typedef struct
 """
     about = (
         "The packets that the app sends, with space for the longest message. A packet that is sent whole\n"
-        "takes that space on the link; CFE_MSG_SetSize before CFE_SB_TransmitMsg makes it as long as its message."
+        "takes that space on the link; CFE_MSG_SetSize before CFE_SB_TransmitMsg makes it as long as it is."
     )
     return banner(command, about) + guarded(PACKETS, body)
 

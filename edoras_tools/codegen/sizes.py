@@ -1,9 +1,9 @@
 """How many bytes the longest message of a type takes, padding and all.
 
 Padding depends on where a value starts, and that on how long the strings before it are. What counts is only
-the start's place modulo 8. So a value is an 8 by 8 matrix: from a start at place ``r`` to an end at place ``s``,
-the most bytes that takes, or ``_NEVER``. One value after another is the product of their matrices in the algebra
-where plus is maximum and times is plus; so many of them is a power, by repeated squaring.
+the start's place modulo 8. So a value is an 8 by 8 matrix: from a start at place ``r`` to an end at place
+``s``, the most bytes that takes, or ``_NEVER``. One value after another is the product of their matrices in
+the algebra where plus is maximum and times is plus; so many of them is a power, by repeated squaring.
 """
 
 from __future__ import annotations

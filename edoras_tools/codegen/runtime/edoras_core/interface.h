@@ -4,9 +4,9 @@
  *
  * Where edoras_core takes memory, a pool gives: EDORAS_POOL messages and as many buffers for each type that
  * the library was made for, handed out in turn. What create_msg and from_uint_buffer_to_msg_pointer return is
- * good until the EDORAS_POOL-th such call after, for the same type; what from_msg_pointer_to_uint_buffer returns
- * likewise. Nothing is given back, and nothing runs out. Types that are only there because others nest them have
- * no pool: NULL. (Apps that call free() on what they get: see the end of this file.)
+ * good until the EDORAS_POOL-th such call after, for the same type; likewise what
+ * from_msg_pointer_to_uint_buffer returns. Nothing is given back, and nothing runs out. Types that are only
+ * there because others nest them have no pool: NULL. (Apps that call free(): see the end of this file.)
  *
  * The pools and their turns are the only state. Tasks that share a library must not take from the pool of one
  * type at the same time; functions that end in _into, and those of the messages themselves, keep no state.

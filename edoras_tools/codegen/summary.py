@@ -1,0 +1,50 @@
+"""What was generated, in lines for a terminal: each type, how long its CDR gets, and what bounds it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from edoras_tools.codegen.generation import Generated
+    from edoras_tools.codegen.plan import Message
+
+
+def summary(made: Generated, folder: Path, removed: Sequence[str]) -> list[str]:
+    """Return the lines: a type each, then the files.
+
+    Args:
+        made: the library.
+        folder: where its files are.
+        removed: files of an earlier library that are there no more.
+    """
+    rows = [
+        (message.ros_name, f"{message.most_bytes:,}", ", ".join(_bounded(message, "")) or "always")
+        for message in made.library.wanted
+    ]
+    head = ("TYPE", "CDR BYTES", "AT MOST")
+    widths = [max(len(row[column]) for row in [head, *rows]) for column in (0, 1)]
+    lines = [f"{name:{widths[0]}}  {size:>{widths[1]}}  {bounds}" for name, size, bounds in [head, *rows]]
+    nested = len(made.library.messages) - len(rows)
+    lines.append("")
+    lines.append(
+        f"{len(made.files)} files in {folder}{f'; {nested} more types are nested' if nested else ''}"
+    )
+    if removed:
+        lines.append(f"removed, of an earlier library: {', '.join(removed)}")
+    return lines
+
+
+def _bounded(message: Message, prefix: str) -> Iterator[str]:
+    """Yield what makes a message longer or shorter: paths and their bounds."""
+    for member in message.members:
+        path = prefix + member.ros.name
+        parts = [str(member.elements)] * member.is_sequence + [str(member.characters)] * bool(
+            member.characters
+        )
+        if parts:
+            yield f"{path} {' of '.join(parts)}"
+        if member.message:
+            yield from _bounded(member.message, f"{path}[]." if member.elements else f"{path}.")
