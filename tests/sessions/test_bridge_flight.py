@@ -184,10 +184,8 @@ def test_a_msg_id_that_cfs_does_not_want_is_told_once(connected):
         for packet in (PACKET, other):
             assert connected.frame(packet) == sbn.emit(MsgType.APP, US, packet)
         connected.sent(now=now)
-    assert connected.notes == [
-        "cFS has not subscribed to 0x18EE: no application there takes it; "
-        "is the MsgId the same on both sides?"
-    ]
+    (note,) = connected.notes
+    assert note.startswith("cFS has not subscribed to 0x18EE: no application there takes it; ")
 
 
 def test_it_says_goodbye_where_it_is_connected(session, connected):
