@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import deque
+from collections import defaultdict, deque
 from contextlib import suppress
 from importlib import import_module
 from threading import Lock, Thread, current_thread
@@ -39,16 +39,20 @@ class RclpyGraph:
         self._store = store
         self._closing = Lock()
         self._closed = False
-        self._echoes: dict[str, _Echoes] = {}
+        self._echoes: defaultdict[str, list[_Echoes]] = defaultdict(list)
         self._context = import_module("rclpy.context").Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
-        self._node = rclpy.create_node(
-            name,
-            context=self._context,
-            namespace=namespace,
-            use_global_arguments=False,
-            start_parameter_services=False,
-        )
+        try:
+            self._node = rclpy.create_node(
+                name,
+                context=self._context,
+                namespace=namespace,
+                use_global_arguments=False,
+                start_parameter_services=False,
+            )
+        except Exception:
+            self._context.try_shutdown()
+            raise
         self._executor = executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = Thread(
@@ -59,13 +63,13 @@ class RclpyGraph:
     def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
         """Call ``heard(cdr)`` for each message of a topic; see ``Graph``."""
         kind = self._type(topic, type_name)
-        echoes = self._echoes.setdefault(topic, _Echoes())
-        echoes.listened = True
+        echoes = _Echoes()
 
         def taken(cdr: bytes) -> None:
             if not self._closed and not echoes.take(cdr):
                 heard(cdr)
 
+        self._echoes[topic].append(echoes)
         try:
             self._node.create_subscription(kind, topic, taken, _profile(qos), raw=True)
         except Exception as error:  # rclpy raises RuntimeError, ValueError and classes of its own
@@ -74,7 +78,7 @@ class RclpyGraph:
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
         """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing."""
         kind = self._type(topic, type_name)
-        echoes = self._echoes.setdefault(topic, _Echoes())
+        listening = self._echoes[topic]
         try:
             publisher = self._node.create_publisher(kind, topic, _profile(qos))
         except Exception as error:  # as in subscribe
@@ -84,7 +88,8 @@ class RclpyGraph:
             with self._closing:
                 if self._closed:
                     return
-                echoes.expect(cdr)
+                for echoes in listening:
+                    echoes.expect(cdr)
                 publisher.publish(cdr)
 
         return publish
@@ -116,22 +121,20 @@ class RclpyGraph:
 
 
 class _Echoes:
-    """What was published on a topic and will be heard from oneself: rclpy cannot leave it out.
+    """What a subscription will hear of what its own node published: rclpy cannot leave it out.
 
     An echo is told by its bytes. Where another node says just the same, it does not matter which of the two
     is left out.
     """
 
     def __init__(self) -> None:
-        self.listened = False
         self._lock = Lock()
         self._expected: deque[tuple[float, bytes]] = deque(maxlen=_MOST_ECHOES)
 
     def expect(self, cdr: bytes) -> None:
         """Note what is about to be published."""
-        if self.listened:
-            with self._lock:
-                self._expected.append((time.monotonic(), cdr))
+        with self._lock:
+            self._expected.append((time.monotonic(), cdr))
 
     def take(self, cdr: bytes) -> bool:
         """Tell whether what was heard is an echo; it is expected once less."""
