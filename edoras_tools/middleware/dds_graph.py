@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 from cyclonedds.core import (
     DDSException,
     GuardCondition,
-    InstanceState,
     ReadCondition,
-    SampleState,
-    ViewState,
     WaitSet,
 )
 from cyclonedds.domain import DomainParticipant
@@ -23,8 +20,8 @@ from cyclonedds.util import duration
 
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware import dds_cdr, dds_domain, dds_presence
-from edoras_tools.middleware.dds_qos import reader_qos, writer_qos
-from edoras_tools.middleware.dds_raw import taker_of, writer_of
+from edoras_tools.middleware.dds_qos import BLOCKING_MS, reader_qos, writer_qos
+from edoras_tools.middleware.dds_raw import ANY, taker_of, writer_of
 from edoras_tools.middleware.dds_types import DdsTypes, dds_name
 from edoras_tools.middleware.names import check_name
 
@@ -39,7 +36,6 @@ if TYPE_CHECKING:
 
     Owned = TypeVar("Owned", bound=Entity)
 
-_ANY: Final = SampleState.Any | ViewState.Any | InstanceState.Any
 _FOREVER: Final = duration(infinite=True)
 _UNFIT: Final = {
     2: "the durability",
@@ -48,6 +44,13 @@ _UNFIT: Final = {
     24: "the definition of the type",
 }
 """What keeps two apart, by DDS's number of the policy."""
+
+
+def _loss(code: int) -> str:
+    """Return why a write failed, in words."""
+    if code == DDSException.DDS_RETCODE_TIMEOUT:
+        return f"a reliable subscriber did not keep up for {BLOCKING_MS} ms"
+    return str(DDSException(code, "while writing"))
 
 
 class _Ear(NamedTuple):
@@ -99,7 +102,7 @@ class DdsGraph:
             on = self._topic(topic, type_name)
             try:
                 reader = self._own(DataReader(self._subscriber, on, reader_qos(qos)))
-                ready = self._own(ReadCondition(reader, _ANY))
+                ready = self._own(ReadCondition(reader, ANY))
                 self._readers.append((topic, reader))
                 self._ears.append(_Ear(type_name, taker_of(reader), heard))
                 self._waitset.attach(ready)
@@ -110,8 +113,8 @@ class DdsGraph:
     def advertise(self, topic: str, type_name: str, qos: graph.Qos) -> Callable[[bytes], None]:
         """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing.
 
-        It raises ``WireError`` where the message is not valid, or is lost because a reliable reader has been
-        behind for 100 ms.
+        It raises ``WireError`` where the message is not valid, or is lost because a reliable subscriber has
+        been behind for ``BLOCKING_MS``. That can only happen where all samples are kept, or large ones.
         """
         with self._lock:
             on = self._topic(topic, type_name)
@@ -128,7 +131,7 @@ class DdsGraph:
             if code == refused and not self._closed.is_set():
                 code = write(dds_cdr.padded(dds_cdr.rewritten(types, type_name, cdr)))
             if code and not self._closed.is_set():
-                raise WireError(f"{topic}: a message is lost: {DDSException(code, type_name)}")
+                raise WireError(f"{topic}: a message of {type_name} is lost: {_loss(code)}")
 
         return publish
 

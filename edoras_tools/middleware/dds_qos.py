@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 LEAST_WAITING: Final = 1000
 """Samples that may wait for the thread that hands them on: some 50 ms at 20,000 a second."""
-_BLOCKING: Final = duration(milliseconds=100)
+BLOCKING_MS: Final = 100
 """How long a write waits for readers that are behind: DDS's own default. ROS waits for ever."""
 _UNLIMITED: Final = -1
 
@@ -37,7 +37,9 @@ def reader_qos(qos: graph.Qos) -> Qos:
 
 def _common(qos: graph.Qos) -> tuple[Any, ...]:
     return (
-        Policy.Reliability.Reliable(_BLOCKING) if qos.reliable else Policy.Reliability.BestEffort,
+        Policy.Reliability.Reliable(duration(milliseconds=BLOCKING_MS))
+        if qos.reliable
+        else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if qos.transient_local else Policy.Durability.Volatile,
         Policy.DataRepresentation(use_cdrv0_representation=True),
         Policy.IgnoreLocal.Participant,

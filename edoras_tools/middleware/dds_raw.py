@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 MOST: Final = 256
 """Most samples taken at once: one topic must not keep the others waiting."""
-_ANY: Final = SampleState.Any | ViewState.Any | InstanceState.Any
+ANY: Final = SampleState.Any | ViewState.Any | InstanceState.Any
+"""Samples in any state: what is taken, and what wakes who takes."""
 
 
 class _Sample(ctypes.Structure):
@@ -51,13 +52,13 @@ def taker_of(reader: DataReader[Any]) -> Take:
         from cyclonedds._clayer import ddspy_take  # type: ignore[import-not-found]
 
         entity = reader._ref  # noqa: SLF001
-        if isinstance(ddspy_take(entity, _ANY, MOST), int):
+        if isinstance(ddspy_take(entity, ANY, MOST), int):
             return plain_taker_of(reader)
     except (ImportError, AttributeError, TypeError):
         return plain_taker_of(reader)
 
     def take() -> list[bytes]:
-        taken = ddspy_take(entity, _ANY, MOST)
+        taken = ddspy_take(entity, ANY, MOST)
         if isinstance(taken, int):
             raise DDSException(taken, "while taking samples")
         return [data for data, info in taken if info.valid_data]

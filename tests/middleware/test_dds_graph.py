@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -277,6 +278,31 @@ def test_every_message_of_a_flood_arrives_in_order(node, until):
         publish(cdr)
     until(lambda: len(heard) >= count)
     assert heard == sent
+
+
+def test_a_subscriber_that_stands_still_holds_up_only_who_keeps_all(node, peer, until):
+    graph, sent = node(), []
+    usual = graph.advertise("/usual", STRING, Qos())
+    whole = graph.advertise("/whole", STRING, Qos(depth=0))
+    peer.ask(hear="rt/usual", type="String")
+    peer.ask(hear="rt/whole", type="String", depth=0)
+    until(lambda: peer.matched("rt/usual", "rt/whole"))
+    cdr = judged(STRING, {"data": "x" * 10_000})
+
+    def flood(publish):
+        for _ in range(1000):
+            publish(cdr)
+            sent.append(publish)
+
+    peer.process.send_signal(signal.SIGSTOP)
+    try:
+        flood(usual)
+        with pytest.raises(WireError, match=r"/whole: .* is lost: a reliable subscriber did not keep up"):
+            flood(whole)
+    finally:
+        peer.process.send_signal(signal.SIGCONT)
+    assert sent.count(whole)
+    until(lambda: len(peer.heard("rt/whole")) == sent.count(whole))
 
 
 def test_large_messages_arrive_whole(node, peer, until):
