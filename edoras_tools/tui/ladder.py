@@ -1,0 +1,117 @@
+"""Who says what to whom, as a ladder: a lifeline a party, an arrow a run of like packets."""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import TYPE_CHECKING, Final
+
+from rich.text import Text
+
+from edoras_tools.render import palette, units
+from edoras_tools.render.severity import Severity, explain
+from edoras_tools.render.text import clean, clip, clip_middle, fit
+from edoras_tools.tui.lines import Lines, strip_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from textual.strip import Strip
+
+    from edoras_tools.render.sequence import Message
+
+_TIME: Final = 11
+_WIDEST: Final = 22
+_NARROWEST: Final = 8
+"""Cells from one lifeline to the next."""
+_TOLD: Final = 34
+"""Cells that are left for what is said, at the least."""
+
+
+class Ladder(Lines):
+    """The runs of a conversation; choosing one goes to its first packet."""
+
+    def __init__(self) -> None:
+        super().__init__(id="ladder")
+        self._messages: Sequence[Message] = ()
+        self._parties: list[str] = []
+
+    def show(self, messages: Sequence[Message]) -> None:
+        """Show a conversation."""
+        self._messages = messages
+        names = chain.from_iterable((item.source, item.destination) for item in messages)
+        self._parties = list(dict.fromkeys(names))
+        self.recount()
+
+    @property
+    def first_ns(self) -> int:
+        """When the run under the cursor began, since the capture's first packet."""
+        return self._messages[self.cursor].first_ns
+
+    @property
+    def header(self) -> Text:
+        """The parties, each over its lifeline."""
+        step = self._step
+        line = Text(" " * _TIME)
+        for name in self._parties:
+            shown = clip_middle(clean(name), step - 1)
+            line.append(f"{shown:^{step}}", palette.STRONG)
+        return line
+
+    def rows(self) -> int:
+        """Return how many runs there are."""
+        return len(self._messages)
+
+    def draw(self, row: int, width: int) -> Strip:
+        """Return a run: when, from whom to whom, what."""
+        item = self._messages[row]
+        line = Text(fit(f"{item.first_ns / 1e9:>{_TIME - 2}.3f}", _TIME), palette.DIM)
+        line.append_text(self._arrow(item))
+        line.append_text(_words(item, width - line.cell_len))
+        return strip_of(line, self.app.console)
+
+    @property
+    def _step(self) -> int:
+        room = (self.room - _TIME - _TOLD) // max(1, len(self._parties))
+        return max(_NARROWEST, min(_WIDEST, room))
+
+    def _arrow(self, item: Message) -> Text:
+        step, count = self._step, len(self._parties)
+        cells = ["│" if place % step == step // 2 else " " for place in range(step * count)]
+        source, target = (
+            self._parties.index(name) * step + step // 2 for name in (item.source, item.destination)
+        )
+        low, high = min(source, target), max(source, target)
+        arrow = "─" * (high - low - 1)
+        if source == target:
+            cells[source] = "↻"
+        else:
+            cells[low : high + 1] = ["●", *arrow, "▶"] if source < target else ["◀", *arrow, "●"]
+        line = Text("".join(cells), palette.DIM)
+        line.stylize(_style(item), low, high + 1)
+        return line
+
+
+def _style(item: Message) -> str:
+    return f"not dim {_severity(item).style if item.findings and _severity(item) > Severity.NOTE else 'cyan'}"
+
+
+def _severity(item: Message) -> Severity:
+    return max((explain(label).severity for label in item.findings), default=Severity.NOTE)
+
+
+def _words(item: Message, room: int) -> Text:
+    """Return what is said: the label, how often, how long, what is wrong."""
+    often = f"  ×{item.count:,}" if item.count > 1 else ""
+    period = f" every {units.milliseconds(item.period_ns / 1e6)}" if item.period_ns >= 1e6 else ""
+    until = f" until {item.last_ns / 1e9:.3f}" if item.count > 1 else ""
+    wrong = [explain(label) for label in item.findings]
+    badge = " ".join(
+        f"{told.severity.mark} {told.short}" for told in wrong if told.severity > Severity.NOTE
+    )
+    line = Text("  ")
+    if badge:
+        line.append(f"{clip(badge, max(4, room // 2))}  ", _severity(item).style)
+    line.append(clean(item.label), palette.STRONG)
+    line.append(often).append(period + until, palette.DIM)
+    line.truncate(max(1, room), overflow="ellipsis")
+    return line

@@ -1,0 +1,173 @@
+"""The layers and fields of the chosen packet, as a tree whose branches close."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+from rich.text import Text
+from textual.binding import Binding
+
+from edoras_tools.render import palette, tree
+from edoras_tools.tui.lines import Lines, strip_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from textual.strip import Strip
+
+    from edoras_tools.model import Decoded
+    from edoras_tools.render.tree import Row
+
+_NARROW: Final = 64
+"""Below so many cells the byte ranges are left out: the bytes show them."""
+_LEAST: Final = 40
+_BRANCHES: Final = ("layer", "group")
+_INSIDE: Final = ("field", *_BRANCHES)
+_PAINT: Final = palette.Paint(colour=True)
+
+
+class Layers(Lines):
+    """The tree of one packet; a row that takes several lines is several lines with one meaning."""
+
+    BINDINGS: ClassVar[list[Any]] = [
+        Binding("right,l", "open(True)", "Open", show=False),
+        Binding("left,h", "open(False)", "Close", show=False),
+        Binding("enter,space", "toggle", "Open or close", show=False),
+        Binding("asterisk", "all(True)", "Open all", show=False),
+        Binding("minus", "all(False)", "Close all", show=False),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__(id="layers")
+        self._rows: list[Row] = []
+        self._above: list[list[int]] = []
+        self._paths: list[str] = []
+        self._shut: set[str] = set()
+        self._lines: list[tuple[int, str]] = []
+        self._cut = 0
+
+    def show(self, decoded: Decoded | None) -> None:
+        """Show another packet; the cursor goes to the row of the same name, branches stay as they are."""
+        before = "" if self.chosen is None else self._paths[self.chosen]
+        self._rows = list(tree.rows(decoded)) if decoded else []
+        self._above = _branches_above(self._rows)
+        self._paths = [
+            "\n".join(self._rows[place].label for place in (*above, row)) for row, above in enumerate(self._above)
+        ]
+        same = next((row for row, path in enumerate(self._paths) if path == before), None)
+        self._lay_out(same)
+
+    @property
+    def chosen(self) -> int | None:
+        """The row under the cursor, an index into the tree's rows."""
+        return self._lines[self.cursor][0] if self.cursor < len(self._lines) else None
+
+    @property
+    def field(self) -> Row | None:
+        """The row under the cursor."""
+        return None if self.chosen is None else self._rows[self.chosen]
+
+    def choose_byte(self, at: int) -> bool:
+        """Put the cursor on the field, the smallest there is, that a byte of the payload belongs to."""
+        holding = [row for row, item in enumerate(self._rows) if item.start <= at < item.end]
+        if not holding:
+            return False
+        best = min(holding, key=lambda row: (self._rows[row].end - self._rows[row].start, -self._rows[row].depth))
+        for above in self._above[best]:
+            self._shut.discard(self._paths[above])
+        self._lay_out(best)
+        return True
+
+    def rows(self) -> int:
+        """Return how many lines the open part takes."""
+        return len(self._lines)
+
+    def draw(self, row: int, width: int) -> Strip:
+        """Return a line."""
+        del width
+        place, line = self._lines[row]
+        text = Text.from_ansi(line)
+        return strip_of(text[self._cut :] if self._rows[place].role in _INSIDE else text, self.app.console)
+
+    def on_resize(self) -> None:
+        """Lay the lines out for another width."""
+        self._lay_out(self.chosen)
+
+    def clicked(self, row: int, column: int, *, again: bool) -> None:
+        """Open or close a branch at its arrow, or at the second click."""
+        item = self._rows[self._lines[row][0]]
+        arrow = 2 * item.depth + (0 if self.room < _NARROW else tree.GUTTER)
+        if item.role in _BRANCHES and (again or arrow <= column <= arrow + 1):
+            self.action_toggle()
+
+    def action_toggle(self) -> None:
+        """Open or close the branch under the cursor."""
+        if self.chosen is not None and self._is_branch(self.chosen):
+            self._set(self.chosen, open_=self._paths[self.chosen] in self._shut)
+
+    def action_open(self, open_: bool) -> None:
+        """Open the branch under the cursor; or close it, or go to the branch that it is in."""
+        if self.chosen is None:
+            return
+        branch = self._is_branch(self.chosen)
+        if branch and (self._paths[self.chosen] in self._shut) == open_:
+            self._set(self.chosen, open_=open_)
+        elif not open_ and (above := self._above[self.chosen]):
+            self._lay_out(above[-1])
+        elif open_ and branch:
+            self.action_move(1)
+
+    def action_all(self, open_: bool) -> None:
+        """Open or close every branch."""
+        self._shut = set() if open_ else {self._paths[row] for row in range(len(self._rows)) if self._is_branch(row)}
+        above = self._above[self.chosen] if self.chosen is not None and not open_ else []
+        self._lay_out(above[0] if above else self.chosen)
+
+    def _set(self, row: int, *, open_: bool) -> None:
+        (self._shut.discard if open_ else self._shut.add)(self._paths[row])
+        self._lay_out(row)
+
+    def _is_branch(self, row: int) -> bool:
+        # A layer that is one line of many like it has nothing under it.
+        return self._rows[row].role in _BRANCHES and not self._rows[row].value
+
+    def _lay_out(self, chosen: int | None) -> None:
+        width = self.room
+        self._cut = tree.GUTTER if width < _NARROW else 0
+        lines: list[tuple[int, str]] = []
+        hidden: int | None = None
+        for place, row in enumerate(self._rows):
+            if hidden is not None and row.depth > hidden:
+                continue
+            closed = self._is_branch(place) and self._paths[place] in self._shut
+            hidden = row.depth if closed else None
+            lines += [(place, line) for line in _drawn(row, width, self._cut, closed=closed)]
+        self._lines = lines
+        self.recount()
+        at = next((line for line, (place, _) in enumerate(lines) if place == chosen), None)
+        first = next((line for line, (place, _) in enumerate(lines) if self._rows[place].role == "layer"), 0)
+        self.go(first if at is None else at)
+        self.post_message(self.Moved(self))
+
+
+def _branches_above(rows: Sequence[Row]) -> list[list[int]]:
+    """Return for every row the branches that it is in, outermost first."""
+    found: list[list[int]] = []
+    open_: list[int] = []
+    for place, row in enumerate(rows):
+        while open_ and (rows[open_[-1]].depth >= row.depth or row.role not in _INSIDE):
+            open_.pop()
+        found.append(list(open_))
+        if row.role in _BRANCHES:
+            open_.append(place)
+    return found
+
+
+def _drawn(row: Row, width: int, cut: int, *, closed: bool) -> list[str]:
+    """Return the lines of a row; where byte ranges are to be ``cut`` off, with room for them."""
+    if row.role in _INSIDE:
+        return tree.draw(row, max(_LEAST, width + cut), _PAINT, closed=closed)
+    if cut and row.role == "packet":
+        row = replace(row, label="", value=f"{row.label} {row.value}".strip())
+    return tree.draw(row, max(_LEAST, width), _PAINT)

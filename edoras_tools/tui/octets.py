@@ -1,0 +1,212 @@
+"""The bytes of the chosen packet: offset, hex, ASCII; one byte under the cursor, one range pointed at."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+from rich.segment import Segment
+from rich.style import Style
+from textual.binding import Binding
+from textual.message import Message
+from textual.strip import Strip
+
+from edoras_tools.render import hexdump, palette
+from edoras_tools.tui.lines import Lines
+
+if TYPE_CHECKING:
+    from edoras_tools.model import Decoded
+    from edoras_tools.render.hexdump import Base
+
+WIDE: Final = 72
+"""Cells of a line of 16 bytes."""
+NARROW: Final = 39
+"""Cells of a line of 8 bytes."""
+_DIGITS: Final = 4
+"""Of the offset: a datagram holds less than 64 KiB."""
+
+
+class Octets(Lines):
+    """The bytes of one packet; a row is a line of 16 of them, or 8 where it is narrow.
+
+    Posts ``Pointed`` when the user puts the cursor on a byte.
+    """
+
+    COMPONENT_CLASSES: ClassVar[set[str]] = {"lines--cursor", "octets--field", "octets--byte"}
+    BINDINGS: ClassVar[list[Any]] = [
+        Binding("right,l", "step(1)", "Right", show=False),
+        Binding("left,h", "step(-1)", "Left", show=False),
+        Binding("down,j", "line(1)", "Down", show=False),
+        Binding("up,k", "line(-1)", "Up", show=False),
+        Binding("home,g", "byte(0)", "First", show=False),
+        Binding("end,G", "byte(-1)", "Last", show=False),
+    ]
+
+    class Pointed(Message):
+        """The user put the cursor on a byte; ``at`` counts from the start of the UDP payload."""
+
+        def __init__(self, at: int) -> None:
+            super().__init__()
+            self.at = at
+
+    def __init__(self) -> None:
+        super().__init__(id="octets")
+        self.base: Base = "payload"
+        self.field = (0, 0)
+        self.at = 0
+        self._decoded: Decoded | None = None
+        self._data = b""
+        self._styles: list[str] = []
+
+    def show(self, decoded: Decoded | None) -> None:
+        """Show another packet; nothing is pointed at."""
+        self._decoded = decoded
+        self.field = (0, 0)
+        datagram = decoded.datagram if decoded else None
+        self._data = b"" if datagram is None else datagram.payload if self.base == "payload" else datagram.frame
+        self._styles = [palette.DIM] * len(self._data)
+        for region in hexdump.regions(decoded, self.base) if decoded else ():
+            for place in range(max(0, region.start), min(len(self._data), region.end)):
+                self._styles[place] = region.style
+        self.at = min(self.at, max(0, len(self._data) - 1))
+        self.recount()
+
+    def turn(self, base: Base) -> None:
+        """Show the UDP payload, or the whole frame."""
+        field, at, before = self.field, self.at, self.shift
+        self.base = base
+        self.show(self._decoded)
+        self.point(field[0] - before, field[1] - before, at - before)
+
+    def point(self, start: int, end: int, at: int | None = None) -> None:
+        """Point at bytes of the payload, and bring them into sight.
+
+        Args:
+            start: the first, from the start of the payload.
+            end: one past the last.
+            at: where the cursor goes; None: to the first, unless it is among them.
+        """
+        shift = self.shift
+        self.field = (start + shift, end + shift) if end > start and shift >= 0 else (0, 0)
+        if self.field[1]:
+            low, high = self.field
+            at = None if at is None else at + shift
+            self.at = (self.at if low <= self.at < high else low) if at is None else at
+            # First the end, then the start, which matters more.
+            self.go((min(high, len(self._data)) - 1) // self.per_line)
+            self.go(low // self.per_line)
+            self.go(self.at // self.per_line)
+        self.refresh()
+
+    @property
+    def title(self) -> str:
+        """What is shown: ``UDP payload, 76 bytes``."""
+        name = "UDP payload" if self.base == "payload" else "Frame"
+        return f"{name}, {len(self._data):,} bytes"
+
+    @property
+    def per_line(self) -> int:
+        """Bytes a line."""
+        return 16 if self.room >= WIDE else 8
+
+    def rows(self) -> int:
+        """Return how many lines the bytes take."""
+        return -(-len(self._data) // self.per_line)
+
+    def draw(self, row: int, width: int) -> Strip:
+        """Return a line: what is pointed at is one block, edge to edge."""
+        first = row * self.per_line
+        places = range(first, min(first + self.per_line, len(self._data)))
+        segments = [Segment(f"{first:0{_DIGITS}x} ", Style.parse(palette.DIM))]
+        text: list[Segment] = []
+        for kind, run in groupby(places, key=self._kind):
+            inside = list(run)
+            style = self._style(kind)
+            for place in inside:
+                gap = " " if place % 16 != 8 or self.per_line == 8 else "  "
+                # The gap in front of a byte belongs to the field when the byte before it does.
+                joined = kind[1] and place > first and place > self.field[0]
+                segments += [
+                    Segment(gap, self._style((palette.DIM, True, False)) if joined else Style.null()),
+                    Segment(f"{self._data[place]:02x}", style),
+                ]
+            text.append(Segment("".join(_printable(self._data[place]) for place in inside), style))
+        missing = self.per_line - len(places)
+        blank = 3 * missing + (1 if self.per_line == 16 and missing >= 8 else 0) + 2
+        return Strip([*segments, Segment(" " * blank), *text]).crop(0, width)
+
+    def tint(self, row: int) -> str:
+        """Lay nothing under lines: it is bytes that are chosen."""
+        del row
+        return ""
+
+    def on_resize(self) -> None:
+        """Lay the bytes out for another width."""
+        self.recount()
+        self.go(self.at // self.per_line)
+
+    def action_step(self, by: int) -> None:
+        """Move the cursor by bytes."""
+        self.action_byte(max(0, self.at + by))
+
+    def action_line(self, by: int) -> None:
+        """Move the cursor by lines."""
+        wanted = self.at + by * self.per_line
+        if 0 <= wanted < len(self._data):
+            self.action_byte(wanted)
+
+    def action_page(self, by: float) -> None:
+        """Move the cursor by pages."""
+        step = round(by * max(1, self.page - 1)) * self.per_line
+        self.action_byte(max(0, min(len(self._data) - 1, self.at + step)))
+
+    def action_byte(self, at: int) -> None:
+        """Put the cursor on a byte, counted from the end where it is negative."""
+        if not self._data:
+            return
+        self.at = min(at, len(self._data) - 1) if at >= 0 else len(self._data) + at
+        self.go(self.at // self.per_line)
+        self.refresh()
+        self.post_message(self.Pointed(self.at - max(0, self.shift)))
+
+    def clicked(self, row: int, column: int, *, again: bool) -> None:
+        """Choose the byte under the mouse, in hex or in ASCII."""
+        del again
+        place = self._place(column)
+        at = row * self.per_line + place
+        if 0 <= place < self.per_line and at < len(self._data):
+            self.action_byte(at)
+
+    @property
+    def shift(self) -> int:
+        """Where the payload begins in what is shown; -1 where it does not lie in it."""
+        if self.base == "payload" or self._decoded is None:
+            return 0
+        return self._decoded.datagram.payload_offset
+
+    def _place(self, column: int) -> int:
+        """Return which byte of a line a cell belongs to; -1 for none."""
+        wide = self.per_line == 16
+        ascii_at = _DIGITS + 1 + 3 * self.per_line + (1 if wide else 0) + 2
+        if column >= ascii_at:
+            return column - ascii_at
+        cell = column - _DIGITS - 1
+        if wide and cell > 24:
+            cell -= 1
+        return (cell - 1) // 3 if cell >= 1 else -1
+
+    def _kind(self, place: int) -> tuple[str, bool, bool]:
+        """Return what a byte looks like: its layer's style, whether it is pointed at, the cursor."""
+        low, high = self.field
+        return self._styles[place], low <= place < high, place == self.at and self.has_focus
+
+    def _style(self, kind: tuple[str, bool, bool]) -> Style:
+        name, pointed, cursor = kind
+        style = Style.parse(name)
+        if cursor:
+            return style + self.get_component_rich_style("octets--byte")
+        return self.get_component_rich_style("octets--field") if pointed else style
+
+
+def _printable(octet: int) -> str:
+    return chr(octet) if 32 <= octet < 127 else "·"

@@ -1,0 +1,207 @@
+"""The filter line at the top, and the line that asks for something to search."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+from rich.text import Text
+from textual.binding import Binding
+from textual.containers import Horizontal, Vertical
+from textual.message import Message
+from textual.suggester import Suggester
+from textual.widgets import Input, Static
+
+from edoras_tools.decode.where import Where
+from edoras_tools.decode.where_names import Names
+from edoras_tools.decode.where_syntax import WhereError
+from edoras_tools.render.severity import Severity
+from edoras_tools.render.text import clean, wrap
+
+if TYPE_CHECKING:
+    from textual.app import ComposeResult
+
+    from edoras_tools.decode.context import Context
+
+_LAST_WORD: Final = re.compile(r"(?:^|[\s(])([a-z_][\w.]*)$", re.ASCII)
+_KEEPERS: Final = ("and", "or", "not", "in", "contains", "matches", "any", "all", "len")
+
+
+class _Fields(Suggester):
+    """Completes the name of a field."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(case_sensitive=True)
+        self._decoding = context
+        self._names: list[str] = []
+
+    async def get_suggestion(self, value: str) -> str | None:
+        """Return the value with its last word made the first field that begins so, the shortest first."""
+        found = _LAST_WORD.search(value)
+        if found is None or found[1] in _KEEPERS:
+            return None
+        if not self._names:
+            self._names = sorted(set(Names(self._decoding).all()), key=lambda name: (name.count("."), len(name), name))
+        name = next((name for name in self._names if name.startswith(found[1]) and name != found[1]), None)
+        return None if name is None else value[: found.start(1)] + name
+
+
+class FilterLine(Vertical):
+    """The filter, what is wrong with it, and how many packets it lets pass.
+
+    Posts ``Applied`` with a filter that holds; nothing in it lets all pass.
+    """
+
+    class Applied(Message):
+        """Show what the filter lets pass."""
+
+        def __init__(self, where: Where | None) -> None:
+            super().__init__()
+            self.where = where
+
+    def __init__(self, context: Context, text: str = "") -> None:
+        super().__init__(id="filter-line")
+        self._decoding = context
+        self._text = text
+
+    def compose(self) -> ComposeResult:
+        """Make the line, and room for what is wrong."""
+        with Horizontal():
+            yield Static("Filter ", id="filter-label")
+            yield _Line(
+                self._text,
+                placeholder="msg_id == 0x827 and pose.position.x > 1",
+                suggester=_Fields(self._decoding),
+                id="filter",
+                compact=True,
+                select_on_focus=False,
+            )
+            yield Static("", id="filter-count")
+        yield Static("", id="filter-wrong")
+
+    @property
+    def input(self) -> Input:
+        """Where it is written."""
+        return self.query_one("#filter", Input)
+
+    def tell(self, text: str) -> None:
+        """Say how many packets there are."""
+        self.query_one("#filter-count", Static).update(text)
+
+    def compile(self, text: str, begin_ns: int | None) -> Where | None:
+        """Return a filter; None lets all pass.
+
+        Raises:
+            WhereError: it has a mistake.
+        """
+        return Where(text, self._decoding, begin_ns) if text.strip() else None
+
+    def accept(self, text: str, begin_ns: int | None) -> bool:
+        """Apply a filter, or show with a caret what is wrong with it."""
+        self.input.value = text
+        try:
+            where = self.compile(text, begin_ns)
+        except WhereError as error:
+            self._show(error)
+            return False
+        self._show(None)
+        self.post_message(self.Applied(where))
+        return True
+
+    def on_input_changed(self, event: Input.Changed) -> None:
+        """Colour the line by whether the filter holds."""
+        event.stop()
+        try:
+            self.compile(event.value, None)
+        except WhereError:
+            self.input.set_class(True, "-wrong")
+            self.input.set_class(False, "-right")
+        else:
+            self.input.set_class(False, "-wrong")
+            self.input.set_class(bool(event.value.strip()), "-right")
+        self.query_one("#filter-wrong").display = False
+
+    def _show(self, error: WhereError | None) -> None:
+        wrong = self.query_one("#filter-wrong", Static)
+        wrong.display = error is not None
+        if error is None:
+            return
+        field = self.input
+        before = field.region.x - self.region.x
+        place = before + error.at - round(field.scroll_x)
+        marks = "^" * max(1, min(error.end - error.at, self.region.width - place))
+        style = Severity.ERROR.style
+        told = [Text(line) for line in wrap(clean(error.why), max(20, self.region.width - before))]
+        lines = [Text(" " * max(before, place) + marks, style)]
+        # Behind the caret where there is room, as compilers do; else under it.
+        if len(told) == 1 and place + len(marks) + 1 + told[0].cell_len <= self.region.width:
+            lines[0].append_text(Text(" ")).append_text(Text(told[0].plain, "not bold"))
+        else:
+            lines += [Text(" " * before).append_text(line) for line in told]
+        wrong.update(Text("\n").join(lines))
+        field.cursor_position = error.at
+        field.focus()
+
+
+class Prompt(Horizontal):
+    """One line at the bottom that asks; it is there only while it does.
+
+    Posts ``Given`` with what was asked and what was written.
+    """
+
+    class Given(Message):
+        """The answer."""
+
+        def __init__(self, kind: str, text: str) -> None:
+            super().__init__()
+            self.kind = kind
+            self.text = text
+
+    def __init__(self) -> None:
+        super().__init__(id="prompt")
+        self._kind = ""
+
+    def compose(self) -> ComposeResult:
+        """Make the line."""
+        yield Static("", id="prompt-label")
+        yield _Line(id="prompt-input", compact=True)
+
+    def ask(self, kind: str, label: str, placeholder: str, value: str = "") -> None:
+        """Ask.
+
+        Args:
+            kind: comes back with the answer.
+            label: in front of the line.
+            placeholder: while nothing is written.
+            value: to begin with.
+        """
+        self._kind = kind
+        self.display = True
+        self.query_one("#prompt-label", Static).update(f"{label} ")
+        line = self.query_one("#prompt-input", Input)
+        line.placeholder = placeholder
+        line.value = value
+        line.focus()
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Give the answer."""
+        event.stop()
+        self.display = False
+        self.post_message(self.Given(self._kind, event.value))
+
+
+class _Line(Input):
+    """A line of text: Tab takes the completion, Escape and Down go back to the list."""
+
+    BINDINGS: ClassVar[list[Any]] = [
+        Binding("tab", "complete", "Complete", show=False),
+        Binding("escape,down", "app.leave", "Back to the list", show=False),
+    ]
+
+    def action_complete(self) -> None:
+        """Take what is suggested, or go back to the list where nothing is."""
+        if self._suggestion:
+            self.value = self._suggestion
+            self.cursor_position = len(self.value)
+        else:
+            self.app.action_leave()  # type: ignore[attr-defined]  # the viewer's
