@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from secrets import token_hex
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.model import Endpoint
@@ -74,7 +75,7 @@ class FoxgloveSink:
             **{item.type: types.definition(item.type) for item in (DIAGNOSTICS, FAULTS)},
         }
         self._diagnostics_id = len(topics) - 1
-        offer = Offer(f"edoras: {info.name}", definitions, publisher, player)
+        offer = Offer(f"edoras: {info.name}", definitions, publisher, player, session=token_hex(8))
         self.server = FoxgloveServer(offer, topics, listen)
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:

@@ -78,7 +78,7 @@ class Offer:
         definitions: complete ``ros2msg`` texts by type.
         publisher: takes what clients publish; None: they may not.
         player: plays a recording back; None: the traffic is live.
-        session: the same for as long as clients should keep what they have.
+        session: clients that come again keep what they have, if it is the same still.
     """
 
     name: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -65,6 +66,7 @@ class Visitor:
         self.dropped = self.published = self.refused = 0
         self._given = self._given_bytes = self._times = 0
         self._last_s = 0.0
+        self._stopping = threading.Lock()
         self._offer = offer
         self._left, self._steered = left, steered
         self.greeted = False
@@ -105,8 +107,9 @@ class Visitor:
         self._relay.start()
 
     def stop(self) -> None:
-        """Say goodbye."""
-        self._server.stop()
+        """Say goodbye; calling it again does nothing."""
+        with self._stopping:  # the SDK's own may not be called twice at a time
+            self._server.stop()
 
     def close(self) -> None:
         """Wait until it has gone."""
@@ -201,7 +204,7 @@ class Visitor:
             self._given, self._given_bytes = passed.messages, passed.octets
 
     def _gone(self) -> None:
-        self._server.stop()
+        self.stop()
         for channel in self._channels:
             channel.close()
         self._left(self)
