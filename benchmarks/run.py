@@ -18,6 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import bridge
 import filters
 import lua
 import pacing
@@ -158,7 +159,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--packets", type=int, default=1_000_000)
     parser.add_argument(
-        "--only", choices=["record", "memory", "live", "startup", "pacing", "proxy", "where", "lua"]
+        "--only", choices=["record", "memory", "live", "startup", "pacing", "proxy", "bridge", "where", "lua"]
     )
     options = parser.parse_args()
     if not shutil.which("tshark"):
@@ -175,6 +176,7 @@ def main() -> None:
             "live": lambda: live(folder),
             "pacing": lambda: pacing.measure(folder),
             "proxy": lambda: proxy.measure(folder),
+            "bridge": lambda: bridge.measure(folder),
             "where": lambda: filters.measure(folder, options.packets),
             "lua": lambda: lua.measure(folder, options.packets // 5),
         }.items():

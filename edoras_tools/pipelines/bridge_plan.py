@@ -48,7 +48,7 @@ class StationPlan:
     """One bridge to run.
 
     Attributes:
-        name: of its node, unlike every other.
+        name: of its node, unlike every other; a namespace may stand before it.
         bridge: link and routes, without those that cannot be bridged.
     """
 
@@ -59,6 +59,11 @@ class StationPlan:
     def kind(self) -> Kind:
         """Which of the two kinds."""
         return "ground" if isinstance(self.bridge.link, GroundLink) else "flight"
+
+    @property
+    def node(self) -> str:
+        """The node as a middleware is told of it."""
+        return f"/{self.name}" if "/" in self.name else self.name
 
     @property
     def listen(self) -> Endpoint:
@@ -175,8 +180,10 @@ def _names(bridges: Sequence[Bridge]) -> list[str]:
     """Return a node name for each, none twice."""
     names: list[str] = []
     for bridge in bridges:
-        last = bridge.name.rpartition("/")[2]
-        name = last if last.isidentifier() else f"{_kind(bridge)}_bridge"
+        name = bridge.name.strip("/")
+        # A wildcard, or no name at all, is no name of a node.
+        if not all(part.isidentifier() for part in name.split("/")):
+            name = f"{_kind(bridge)}_bridge"
         number, free = 2, name
         while free in names:
             free, number = f"{name}_{number}", number + 1

@@ -97,7 +97,7 @@ class Station:
         try:
             target = address_of(socket.AF_INET, (plan.target.address, plan.target.port))
             self._outlet = Outlet(self.socket, target, self.to_cfs, _QUEUE_BYTES)
-            self._graph = join(plan.name)
+            self._graph = join(plan.node)
         except BaseException:
             self.socket.close()
             raise

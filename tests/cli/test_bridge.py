@@ -1,0 +1,180 @@
+"""``edoras bridge`` as a shell runs it: what it prints, what it returns, and how it ends."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from edoras_tools.ros import TypeStore
+from edoras_tools.wire import cfe, envelope
+
+HOST = "127.0.0.1"
+MISSIONS = Path(__file__).parents[2] / "samples/missions"
+
+
+@pytest.fixture
+def ci():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.bind((HOST, 0))
+        opened.settimeout(30)
+        yield opened
+
+
+@pytest.fixture
+def mission(tmp_path, ci):
+    """The rover's ground mission on ports of this test; its bridge's port is ``port``."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind((HOST, 0))
+        port = free.getsockname()[1]
+    text = (MISSIONS / "rover_ground.yaml").read_text()
+    text = text.replace("bridge_port: 1235", f"bridge_port: {port}").replace("1234", str(ci.getsockname()[1]))
+    path = tmp_path / "rover.yaml"
+    path.write_text(text.replace("0.0.0.0", HOST))
+    return SimpleNamespace(path=path, port=port)
+
+
+@pytest.fixture
+def started(command, mission):
+    """A function: start the bridge of the mission; return it once it has its port."""
+    running = []
+
+    def start(*arguments):
+        process = subprocess.Popen(
+            [command, "bridge", "ground", "-c", mission.path, "--ros", "local", *map(str, arguments)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        running.append(process)
+        told = process.stderr.readline()
+        assert told.startswith("bridging 2 topics through local: conversion_node, ground, "), told
+        return process
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+def test_it_enables_telemetry_takes_it_and_reports_as_json(started, ci, mission, tmp_path, recording):
+    path = tmp_path / "a.mcap"
+    process = started("--json", "--checksum", "-o", path)
+    enable, bridge = ci.recvfrom(99)
+    assert bridge == (HOST, mission.port)
+    assert (enable[:2].hex(), enable[6], enable[8:17], cfe.checksum(enable)) == ("1880", 6, b"127.0.0.1", 0)
+    cdr = TypeStore().encode("geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "map"}})
+    for count in range(5):
+        ci.sendto(cfe.emit_telemetry(0x0827, envelope.DEFAULT.emit(cdr), sequence_count=count), bridge)
+    ci.sendto(cfe.emit_telemetry(0x0827, envelope.DEFAULT.emit(cdr)[:-1]), bridge)
+    ci.sendto(cfe.emit_telemetry(0x0880, bytes(4)), bridge)
+    assert process.stderr.readline() == "edoras: conversion_node: telemetry arrives\n"
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    report = json.loads(out)
+    (bridge,) = report["bridges"]
+    order, state = bridge["routes"]
+    assert (order["topic"], order["direction"], order["in"]) == ("/cmd_vel", "to_cfs", 0)
+    assert (state["msg_id"], state["in"], state["out"]) == ("0x0827", 6, 5)
+    assert state["refused"] == {"the envelope says more than the packet holds": 1}
+    assert "/telemetry_pose: 1 message refused: the envelope says more than the packet holds" in err
+    assert (bridge["others"], bridge["connected"], report["lost"]) == (1, True, 0)
+    assert report["recorded"] == 7 + bridge["asked"]
+    assert recording(path).counts["/telemetry_pose"] == 5
+    assert "rover.yaml" in recording(path).attachments
+
+
+def test_a_report_for_people(started, ci):
+    process = started()
+    ci.recv(99)
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (0, "")
+    assert "1 bridge, ROS 2 through local" in err
+    assert "no telemetry" in err
+    assert "/telemetry_pose" in err
+
+
+def test_a_duration_ends_it_and_quiet_says_nothing_more(started):
+    process = started("--duration", "50ms", "-q")
+    assert process.communicate(timeout=30) == ("", "")
+    assert process.returncode == 0
+
+
+def test_a_dry_run_says_what_would_be_and_opens_nothing(call, mission):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind((HOST, mission.port))
+        result = call(
+            "bridge", "-c", mission.path, "--max-rate", "/cmd_vel=10", "--ros", "zenoh", "--dry-run"
+        )
+        assert result.code == 0
+        assert result.out.splitlines()[0] == "would bridge to ROS 2 through zenoh; nothing was opened"
+        assert "10.0 Hz" in result.out
+        found = call("bridge", "-c", mission.path, "--dry-run", "--json", "--ros", "dds").json()
+    assert found["ros"] == "dds"
+    assert [row["topic"] for row in found["bridges"][0]["routes"]] == ["/cmd_vel", "/telemetry_pose"]
+    assert found["bridges"][0]["listen"] == f"{HOST}:{mission.port}"
+
+
+def test_the_environment_names_the_middleware(call, mission, monkeypatch):
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")
+    assert call("bridge", "-c", mission.path, "--dry-run", "--json").json()["ros"] == "zenoh"
+
+
+def test_an_unknown_type_is_told_and_the_rest_goes_on(call, mission):
+    mission.path.write_text(mission.path.read_text().replace("msg/Twist", "msg/Twister"))
+    result = call("bridge", "-c", mission.path, "--ros", "local", "--duration", "20ms", "--json")
+    assert result.code == 0
+    assert "type 'geometry_msgs/msg/Twister' is not known" in result.err[0]
+    assert result.err[0].endswith("; /cmd_vel is left out")
+    assert [row["topic"] for row in result.json()["bridges"][0]["routes"]] == ["/telemetry_pose"]
+
+
+WRONG = {
+    ("ground",): (2, "a bridge needs its mission file"),
+    ("flight", "-c", "MISSION"): (2, "no flight bridge in"),
+    ("-c", "MISSION", "--max-rate", "fast"): (2, "--max-rate fast: write 30"),
+    ("-c", "MISSION", "--max-rate", "/pose=3"): (1, "/pose is not bridged; there are /cmd_vel, "),
+    ("-c", "MISSION", "--ros-option", "x"): (2, "'x' is no NAME=VALUE"),
+    ("-c", "MISSION", "--ros-option", "x=1"): (2, "--ros local has no option 'x'"),
+    ("-c", "MISSION", "--extended-header"): (2, "cannot write extended headers"),
+    ("-c", "MISSION", "-o", "a.txt"): (2, "names no kind of recording"),
+    ("-c", "MISSION", "-o", "no/where.mcap"): (1, "no/where.mcap"),
+    ("air", "-c", "MISSION"): (2, "air"),
+}
+
+
+@pytest.mark.parametrize("arguments", WRONG, ids=range(len(WRONG)))
+def test_what_is_wrong_is_one_line(call, mission, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    words = [str(mission.path) if word == "MISSION" else word for word in arguments]
+    result = call("bridge", *words, "--ros", "local", "--duration", "50ms")
+    code, part = WRONG[arguments]
+    assert (result.code, result.out) == (code, "")
+    assert len(result.err) == 1, result.err
+    assert result.err[0].startswith("edoras: ")
+    assert part in result.err[0]
+
+
+def test_a_port_in_use_is_told_before_a_recording_is_begun(call, mission, tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind((HOST, mission.port))
+        result = call("bridge", "-c", mission.path, "--ros", "local", "-o", tmp_path / "a.mcap")
+    assert result.code == 1
+    (line,) = result.err
+    assert "another program has that port" in line
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_an_absent_library_is_told_with_what_to_install(call, mission, monkeypatch):
+    monkeypatch.setitem(sys.modules, "zenoh", None)
+    result = call("bridge", "-c", mission.path, "--ros", "zenoh")
+    assert result.code == 2
+    (line,) = result.err
+    assert "pip install 'edoras-tools[zenoh]'" in line
