@@ -36,9 +36,8 @@ class Client:
     """Connected, and told of all topics that there are at first."""
 
     def __init__(self, url, topics=1, **options):
-        self.socket = connect(
-            url, subprotocols=["foxglove.sdk.v1"], max_size=None, open_timeout=PATIENCE_S, **options
-        )
+        usual = {"max_size": None, "max_queue": None, "open_timeout": PATIENCE_S, "close_timeout": 1}
+        self.socket = connect(url, subprotocols=["foxglove.sdk.v1"], **usual | options)
         self.messages, self.times, self.states, self.statuses = [], [], [], []
         self.info, self.channels, self._subscribed = None, {}, {}
         self._topics = topics
