@@ -32,15 +32,13 @@ def codegen(
             "TYPE.FIELD[]=N: of each string in it; repeatable.",
         ),
     ] = None,
-    strings: Annotated[
-        int, typer.Option(metavar="N", parser=options.counted, help="Most characters of other strings.")
-    ] = 64,
+    strings: Annotated[int, typer.Option(metavar="N", min=1, help="Most characters of other strings.")] = 64,
     sequences: Annotated[
-        int, typer.Option(metavar="N", parser=options.counted, help="Most elements of other sequences.")
+        int, typer.Option(metavar="N", min=1, help="Most elements of other sequences.")
     ] = 32,
     pool: Annotated[
         int,
-        typer.Option(metavar="N", parser=options.counted, help="Messages of a type that are in use at once."),
+        typer.Option(metavar="N", min=1, help="Messages of a type that are in use at once."),
     ] = 4,
     envelope: Annotated[
         str, typer.Option(metavar="FORMAT", help="EDORAS envelope: 8/8, 4/4 or 1/1, with le or be.")
