@@ -36,7 +36,8 @@ def inject(
         str, typer.Argument(metavar="[MESSAGE]", help="Its fields as YAML or JSON, or @FILE; or an argument.")
     ] = "",
     to: Annotated[
-        str, typer.Option(metavar="TO", help="To ci, sbn or ground; where its route leads if not said.")
+        str,
+        typer.Option("--to", metavar="TO", help="To ci, sbn or ground; where its route leads if not said."),
     ] = "",
     command: Annotated[
         tuple[str, str] | None,

@@ -36,7 +36,9 @@ def replay(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="pcap, pcapng or MCAP; with --from-topics also rosbag2.")
     ],
-    to: Annotated[str, typer.Option(metavar="TO", help="Into ci, as an sbn peer, or to the ground bridge.")],
+    to: Annotated[
+        str, typer.Option("--to", metavar="TO", help="Into ci, as an sbn peer, or to the ground bridge.")
+    ],
     from_topics: Annotated[
         bool, typer.Option("--from-topics", help="Make packets of ROS messages that any tool recorded.")
     ] = False,

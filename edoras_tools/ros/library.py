@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.grammar import Section, parse, sections
 from edoras_tools.ros.schema import PLACEHOLDER, TYPE_NAME, Constant, Definition, Field, Shape, full_name
+from edoras_tools.ros.standard import distros, standard
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -23,7 +24,6 @@ OWN: Final = Path(__file__).parent / "definitions"
 """The definitions of this package's own messages, ``PACKAGE/msg/NAME.msg``."""
 _STANDARD_DEFAULTS: Final = {("geometry_msgs/msg/Quaternion", "w"): 1.0}
 """rosbags keeps no defaults; of the standard packages' only this one differs from zero."""
-_PREFIX: Final = "ros2_"
 
 
 class Library:
@@ -42,7 +42,7 @@ class Library:
         self, distro: str, msg_paths: Iterable[str | os.PathLike[str]], schemas: Mapping[str, str]
     ) -> None:
         self.distro = distro
-        self._store = _store_name(distro)
+        self._release = _known(distro)
         self._files = _index(msg_paths)
         self._sections: dict[str, tuple[str, Section]] = {}
         for name, text in schemas.items():
@@ -89,16 +89,15 @@ class Library:
         return _read_if_there(name, OWN)
 
     def _from_distro(self, name: str) -> Definition | None:
-        return _converted(name, self._standard) if name in self._standard else None
+        text = self._standard.get(name)
+        return None if text is None else parse(name, text, f"{name} of {self._release}")
 
     def _sourced(self, name: str) -> Definition | None:
         return next(filter(None, (_read_if_there(name, folder) for folder in _sourced_folders())), None)
 
     @cached_property
-    def _standard(self) -> Typesdict:
-        from rosbags.typesys import Stores, get_typestore
-
-        return get_typestore(Stores(self._store)).fielddefs
+    def _standard(self) -> dict[str, str]:
+        return standard(self._release)
 
 
 def _read_if_there(name: str, folder: Path) -> Definition | None:
@@ -111,21 +110,16 @@ def _read_if_there(name: str, folder: Path) -> Definition | None:
     return _read(name, file) if there else None
 
 
-def _store_name(distro: str) -> str:
-    """Return the name of rosbags' store; its modules are listed, not imported, which is what costs."""
+def _known(distro: str) -> str:
+    """Return the distribution that a name stands for."""
+    known = distros()
     if distro in {"latest", "rolling"}:
-        return "latest"
-    from importlib.util import find_spec
-
-    spec = find_spec("rosbags")
-    roots = (spec.submodule_search_locations or ()) if spec else ()
-    stores = [file for root in roots for file in Path(root, "typesys", "stores").glob(f"{_PREFIX}*.py")]
-    known = sorted(file.stem.removeprefix(_PREFIX) for file in stores)
+        return known[-1]
     if distro not in known:
         raise ConfigError(
             f"--distro: {distro!r} is no ROS 2 distribution; known: {', '.join(known)}, latest, rolling"
         )
-    return _PREFIX + distro
+    return distro
 
 
 def _index(paths: Iterable[str | os.PathLike[str]]) -> dict[str, Path]:
@@ -193,7 +187,7 @@ def _read_idl(name: str, text: str, file: Path) -> Definition:
         raise ConfigError(f"{file}:{_idl_line(error)}: not the IDL that ROS 2 writes") from error
     if name not in types:
         raise ConfigError(f"{file}:1: defines {', '.join(types) or 'no type'}, not {name}")
-    return _converted(name, types)
+    return converted(name, types)
 
 
 def _idl_line(error: Exception) -> int:
@@ -207,7 +201,8 @@ def _idl_line(error: Exception) -> int:
         return 1
 
 
-def _converted(name: str, types: Typesdict) -> Definition:
+def converted(name: str, types: Typesdict) -> Definition:
+    """Return a definition as rosbags holds it as one of ours."""
     constants, fields = types[name]
     return Definition(
         name,

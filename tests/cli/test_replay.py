@@ -306,6 +306,7 @@ def test_ctrl_c_prints_the_report(command, captures, receiver, tmp_path):
     ) as process:
         sent = []
         while len(sent) < 3:
+            assert process.poll() is None
             time.sleep(0.05)
             sent += take()
         process.send_signal(signal.SIGINT)

@@ -22,7 +22,7 @@ def test_nothing_is_loaded_before_it_is_asked_for(monkeypatch):
     def loaded(*_):
         raise AssertionError
 
-    monkeypatch.setattr("rosbags.typesys.get_typestore", loaded)
+    monkeypatch.setattr("edoras_tools.ros.library.standard", loaded)
     types = TypeStore(definitions={"a/A": "int32 x\n"})
     assert types.definition("a/msg/A") == "int32 x\n"
 
