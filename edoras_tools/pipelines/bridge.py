@@ -150,7 +150,7 @@ class Bridges:
             self._turn(poll, by_fileno, 0)
             for station in self.stations:
                 station.machine.goodbye()
-                station.flush()
+                station.flush(time.monotonic_ns())
 
     def close(self) -> None:
         """Leave the graph, close every port and the recording; may be called twice."""
@@ -196,7 +196,7 @@ class Bridges:
             due = station.machine.next_ns
             if due is not None and due <= now:
                 station.service(now)
-            station.flush()
+            station.flush(now)
             self._watch_room(poll, station)
         if self.recorder is not None:
             self._turn_page(now)

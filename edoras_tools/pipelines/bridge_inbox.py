@@ -79,9 +79,10 @@ class Inbox:
 
     def quiet(self) -> None:
         """Stop being readable until the next message; call it before ``take``."""
-        self._rung = False
         with suppress(BlockingIOError):
             os.eventfd_read(self._fileno)
+        # In this order: what comes in between is taken without a ring, what comes later rings again.
+        self._rung = False
 
     def close(self) -> None:
         """Give the descriptor back."""

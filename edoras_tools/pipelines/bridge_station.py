@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 _QUEUE_BYTES: Final = 4 << 20
 _TURNS: Final = 4
 """How often a busy socket is read before others have their turn."""
+_FOLD_NS: Final = 500_000_000
 _ANY: Final = "0.0.0.0"  # noqa: S104  compared, not bound
 _LOOPBACK: Final = "127.0.0.1"
 
@@ -90,6 +91,7 @@ class Station:
         self._stride = arena.rooms.shape[1]
         self._times = np.zeros(ROOMS + SPARE, np.int64)
         self._heard: list[int] = []
+        self._fold_ns = 0
         self._flows: dict[bytes, int] = {}
         self.to_cfs, self.from_cfs = Way("to cFS"), Way("from cFS")
         self.socket = _bind(plan)
@@ -159,7 +161,7 @@ class Station:
         for index, cdr in self.machine.service(now=now):
             self.from_cfs.sent += self._give(self._publish, index, cdr)
 
-    def flush(self) -> None:
+    def flush(self, now: int) -> None:
         """Send what is to be sent, and say what is to be said."""
         machine = self.machine
         if machine.outbox:
@@ -167,12 +169,15 @@ class Station:
             for first in range(0, len(datagrams), SPARE):
                 self._send(datagrams[first : first + SPARE])
             if self._heard:
-                now = time.monotonic_ns()
+                sent_ns = time.monotonic_ns()
                 for first in range(0, len(self._heard), ROOMS):
-                    self.to_cfs.note(now - np.array(self._heard[first : first + ROOMS], np.int64))
+                    self.to_cfs.note(sent_ns - np.array(self._heard[first : first + ROOMS], np.int64))
                 self._heard.clear()
         elif self._outlet.waits:
             self._outlet.flush()
+        if now >= self._fold_ns:
+            self._fold_ns = now + _FOLD_NS
+            self.fold()
         notes = machine.link.notes
         while notes:
             self._say(f"{self.plan.name}: {notes.pop(0)}")

@@ -61,6 +61,24 @@ def test_none_is_missed_though_it_comes_while_others_are_taken(inbox):
     assert found == [list(range(count))] * threads
 
 
+def test_what_comes_while_it_is_quieted_is_taken_and_the_next_rings_again(inbox, monkeypatch):
+    slot = inbox.slot(0, 0)
+    read = bridge_inbox.os.eventfd_read
+
+    def reading(fileno):
+        slot(b"before")
+        value = read(fileno)
+        slot(b"after")
+        return value
+
+    slot(b"first")
+    monkeypatch.setattr(bridge_inbox.os, "eventfd_read", reading)
+    inbox.quiet()
+    assert [item.cdr for item in inbox.take(9)] == [b"first", b"before", b"after"]
+    slot(b"next")
+    assert readable(inbox)
+
+
 def test_what_is_too_much_is_counted(inbox, monkeypatch):
     monkeypatch.setattr(bridge_inbox, "MOST", 3)
     slot = inbox.slot(0, 0)
