@@ -291,6 +291,7 @@ def test_a_router_may_come_later(graphs, jazzy, until):
 
 def test_nothing_is_heard_once_closed(judge, graphs, jazzy, until):
     heard, going = [], threading.Event()
+    before = set(threading.enumerate())
     graph = graphs(jazzy, judge.port)
     publish = graph.advertise("/pose", TWIST, Qos())
 
@@ -311,6 +312,7 @@ def test_nothing_is_heard_once_closed(judge, graphs, jazzy, until):
     graph.close()
     until(lambda: not judge.tokens())
     judge.order("put", f"0/cmd_vel/{TWIST_KEY}", MARKER)
+    until(lambda: set(threading.enumerate()) <= before)  # who called back is gone, with all that waited
     assert len(heard) == count
     assert not judge.samples(f"0/pose/{TWIST_KEY}")
 
