@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -29,6 +28,7 @@ RUNTIME: Final = Path(__file__).parent / "runtime"
 """C that is the same for every library: CDR, and the functions of edoras_core."""
 POOL_DEFAULT: Final = 4
 MOST_POOLED: Final = 1024
+DISTRO_DEFAULT: Final = "humble"
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +36,7 @@ class Order:
     """What a library is to be.
 
     Attributes:
-        types: names, as ``geometry_msgs/msg/Twist`` or ``geometry_msgs/Twist``; a package, for all its
-            messages; or patterns.
+        types: names, as ``geometry_msgs/msg/Twist`` or ``geometry_msgs/Twist``; or packages, for all theirs.
         bounds: of sequences and strings.
         mission: its types are added, and its tables for cFS.
         pool: messages of a type that may be in use at once, where edoras_core takes them from a heap.
@@ -49,21 +48,6 @@ class Order:
     mission: Mission = Mission()  # noqa: RUF009
     pool: int = POOL_DEFAULT
     envelope: EnvelopeFormat = EnvelopeFormat()  # noqa: RUF009
-
-    @property
-    def command(self) -> str:
-        """The command line that makes the same files, but for folders."""
-        words = ["edoras", "codegen", *self.types]
-        words += [word for name in sorted(self.mission.files) for word in ("-c", name)]
-        words += [word for rule in self.bounds.rules for word in ("--bound", rule.text)]
-        for option, value, default in (
-            ("--strings", self.bounds.strings, STRINGS_DEFAULT),
-            ("--sequences", self.bounds.sequences, SEQUENCES_DEFAULT),
-            ("--pool", self.pool, POOL_DEFAULT),
-            ("--envelope", str(self.envelope), str(EnvelopeFormat())),
-        ):
-            words += [option, str(value)] if value != default else []
-        return shlex.join(words)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +75,12 @@ def generate(types: TypeStore, order: Order) -> Generated:
         raise ConfigError("no message type is named: give types, packages, or a mission with -c")
     if not 1 <= order.pool <= MOST_POOLED:
         raise ConfigError(f"--pool: {order.pool} is not from 1 to {MOST_POOLED}")
-    library, command = plan(types, wanted, order.bounds), order.command
+    library, command = plan(types, wanted, order.bounds), _command(types, order)
     files = {
         path.relative_to(RUNTIME).as_posix(): banner(command) + path.read_text(encoding="utf-8")
         for path in sorted(RUNTIME.rglob("*.[ch]"))
     }
-    files["edoras_config.h"] = _config(types, order)
+    files["edoras_config.h"] = _config(types, order, command)
     files["edoras_msgs.h"] = umbrella(library, command)
     files["edoras_types.c"] = tables(library, command)
     for package in library.packages:
@@ -105,7 +89,23 @@ def generate(types: TypeStore, order: Order) -> Generated:
     return Generated(library, files | side_files(order.mission, command))
 
 
-def _config(types: TypeStore, order: Order) -> str:
+def _command(types: TypeStore, order: Order) -> str:
+    """Return the command line that makes the same files, but for folders."""
+    words = ["edoras", "codegen", *order.types]
+    words += [word for name in sorted(order.mission.files) for word in ("-c", name)]
+    words += [word for rule in order.bounds.rules for word in ("--bound", rule.text)]
+    for option, value, default in (
+        ("--strings", order.bounds.strings, STRINGS_DEFAULT),
+        ("--sequences", order.bounds.sequences, SEQUENCES_DEFAULT),
+        ("--pool", order.pool, POOL_DEFAULT),
+        ("--envelope", str(order.envelope), str(EnvelopeFormat())),
+        ("--distro", types.distro, DISTRO_DEFAULT),
+    ):
+        words += [option, str(value)] if value != default else []
+    return shlex.join(words)
+
+
+def _config(types: TypeStore, order: Order, command: str) -> str:
     body = f"""\
 /** Messages, and buffers, of each type that create_msg and its like hand out in turn. */
 #define EDORAS_POOL {order.pool}U
@@ -117,25 +117,24 @@ def _config(types: TypeStore, order: Order) -> str:
 /** Bytes that a unit of a wide string takes in the CDR of ROS 2 {types.distro}. */
 #define EDORAS_WSTRING_UNIT {types.wide}
 """
-    return banner(order.command, "What the library was made for.") + guarded("edoras_config.h", body)
+    return banner(command, "What the library was made for.") + guarded("edoras_config.h", body)
 
 
 def _chosen(types: TypeStore, names: Iterable[str]) -> list[str]:
-    """Return the types that names, packages and patterns mean.
+    """Return the types that names and packages mean.
 
     Raises:
-        RouteError: a pattern means none.
+        RouteError: a package has none.
     """
     chosen = []
     for name in names:
-        if "/" in name and not set(name) & set("*?["):
+        if "/" in name:
             chosen.append(full_name(name))
             continue
-        pattern = full_name(name) if "/" in name else f"{name}/msg/*"
-        found = [item for item in types.types() if fnmatchcase(item, pattern)]
+        found = [item for item in types.types() if item.startswith(f"{name}/msg/")]
         if not found:
             raise RouteError(
-                f"no message type is called {name!r}; write geometry_msgs/msg/Twist or geometry_msgs"
+                f"no package {name!r} of messages is known; write geometry_msgs/msg/Twist or geometry_msgs"
             )
         chosen += found
     return chosen
