@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 PORT: Final = 8765
 """Where Foxglove looks for a server unless told otherwise."""
-_CLOCK_NS: Final = 20_000_000
 
 
 class FoxgloveSink:
@@ -66,7 +65,6 @@ class FoxgloveSink:
     ) -> None:
         self._mission, self._types, self._info = mission, types, info
         self._levels, self._counted = levels or {}, statistics
-        self._shown_ns = 0
         self._faults = -1
         self._begin()
         topics = [*self._streams.topics, DIAGNOSTICS]
@@ -97,10 +95,8 @@ class FoxgloveSink:
             self.server.publish(lay_out([fault_messages(faults, self._faults)], len(faults)))
 
     def show_time(self, time_ns: int) -> None:
-        """Have the clock of clients show a time, ns since 1970, unless they have one about as late."""
-        if not 0 <= time_ns - self._shown_ns < _CLOCK_NS:
-            self._shown_ns = time_ns
-            self.server.tell_time(time_ns)
+        """Have the clock of clients show a time, ns since 1970."""
+        self.server.tell_time(time_ns)
 
     def restart(self) -> None:
         """Forget what batches have been: what follows lies elsewhere in time."""

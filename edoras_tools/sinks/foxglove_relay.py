@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 _PIECE: Final = 1 << 18
 _ROOM_BYTES: Final = 1 << 18
 """What the kernel may hold for a client: what is there already cannot be dropped any more."""
+_TEXT: Final = 0x81
 _BINARY: Final = 0x82
-"""First byte of an unfragmented binary frame (RFC 6455 5.2)."""
+"""First bytes of unfragmented text and binary frames (RFC 6455 5.2)."""
 _MESSAGE_HEAD: Final = 13
 """Bytes in front of a message's own: operation, subscription, time."""
 _MESSAGE_DATA: Final = 1
@@ -50,15 +51,19 @@ class Meter:
 
     Attributes:
         passed: the counts so far.
-        accepted: the server has taken the client for one.
     """
 
     def __init__(self) -> None:
         self.passed = Passed()
-        self.accepted = False
+        self._texts = 0
         self._open = False
         self._skip = 0
         self._rest = b""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the server takes the client for one: it tells who it is, and then what topics there are."""
+        return self._texts > 1
 
     def feed(self, piece: bytes) -> None:
         """Take what follows."""
@@ -70,7 +75,6 @@ class Meter:
                 self._rest = data
                 return
             self._open, at = True, end + 4
-            self.accepted = data.startswith(b"HTTP/1.1 101")
         have = len(data)
         while at + 2 <= have:
             length, head = data[at + 1] & 0x7F, 2
@@ -81,6 +85,7 @@ class Meter:
                 break
             if data[at] == _BINARY and length:
                 self._count(data[at + head], length)
+            self._texts += data[at] == _TEXT
             at += head + length
         self._skip = max(at - have, 0)
         self._rest = data[at:]

@@ -31,7 +31,7 @@ class FoxgloveServer:
 
     Args:
         offer: what clients are offered.
-        topics: what they may subscribe to; their places are the channel ids of what is published.
+        topics: what they may subscribe to, at least one; their places are the ids in what is published.
         listen: address and port; port 0 is the system's choice.
 
     Attributes:

@@ -27,6 +27,8 @@ ROOM_BYTES: Final = 8 << 20
 """Bytes of messages that may wait for a client; one message may always."""
 _TIMES: Final = 2
 """Times of the clock that may wait; a client that is behind needs no more of them."""
+_CLOCK_NS: Final = 20_000_000
+"""Times of the clock that are nearer than this are one."""
 _SETTLED_S: Final = 0.25
 """What was given so long ago, and the server has nothing more to send: it has all come out."""
 _ENCODINGS: Final = ("cdr", "json")
@@ -66,6 +68,7 @@ class Visitor:
         self.dropped = self.published = self.refused = 0
         self._given = self._given_bytes = self._times = 0
         self._last_s = 0.0
+        self._shown_ns = -_CLOCK_NS
         self._stopping = threading.Lock()
         self._offer = offer
         self._left, self._steered = left, steered
@@ -160,10 +163,12 @@ class Visitor:
         self._last_s = time.monotonic()
 
     def tell_time(self, time_ns: int) -> None:
-        """Have its clock show a time, unless it is behind anyway."""
+        """Have its clock show a time, unless it shows one about as late, or it is behind anyway."""
         self._settle()
-        if self.connected and self._times - self._relay.passed.times < _TIMES:
+        recent = 0 <= time_ns - self._shown_ns < _CLOCK_NS
+        if self.connected and not recent and self._times - self._relay.passed.times < _TIMES:
             self._server.broadcast_time(time_ns)
+            self._shown_ns = time_ns
             self._times += 1
             self._last_s = time.monotonic()
 

@@ -50,7 +50,6 @@ def test_counts_are_the_same_however_the_stream_is_cut(things, data):
     for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         meter.feed(bytes(stream[start:end]))
     assert (meter.passed.messages, meter.passed.octets, meter.passed.times) == (messages, octets, 1)
-    assert meter.accepted
 
 
 def test_byte_by_byte():
@@ -64,6 +63,14 @@ def test_a_client_that_was_refused_is_none():
     meter = Meter()
     meter.feed(b"HTTP/1.1 400 Bad Request\r\n\r\nMissing expected header")
     assert not meter.accepted
+
+
+def test_a_client_is_one_once_it_has_been_told_the_topics():
+    meter = Meter()
+    meter.feed(ANSWER + frame(0x81, b'{"op":"serverInfo"}'))
+    assert not meter.accepted
+    meter.feed(frame(0x81, b'{"op":"advertise"}'))
+    assert meter.accepted
 
 
 @given(st.lists(st.binary(max_size=64), max_size=20))
