@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 import bridge
+import codegen
 import filters
 import lua
 import pacing
@@ -159,7 +160,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--packets", type=int, default=1_000_000)
     parser.add_argument(
-        "--only", choices=["record", "memory", "live", "startup", "pacing", "proxy", "bridge", "where", "lua"]
+        "--only",
+        choices=[
+            *("record", "memory", "live", "startup", "pacing"),
+            *("proxy", "bridge", "where", "lua", "codegen"),
+        ],
     )
     options = parser.parse_args()
     if not shutil.which("tshark"):
@@ -179,6 +184,7 @@ def main() -> None:
             "bridge": lambda: bridge.measure(folder),
             "where": lambda: filters.measure(folder, options.packets),
             "lua": lambda: lua.measure(folder, options.packets // 5),
+            "codegen": lambda: codegen.measure(folder),
         }.items():
             if options.only in {None, key}:
                 results[key] = run()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.codegen.header import c_type, file_name, heads
 from edoras_tools.codegen.layout import banner, function, loop, statement
@@ -12,8 +12,8 @@ from edoras_tools.codegen.plan import utf16
 if TYPE_CHECKING:
     from edoras_tools.codegen.plan import Library, Member, Message
 
-_BYTES = frozenset({"uint8", "int8"})
-"""Kinds of which many are copied at once."""
+_ONE_BY_ONE: Final = frozenset({"bool", "string", "wstring", "message"})
+"""Kinds of which many are not copied at once: any byte but 0 is true."""
 
 
 def codec(library: Library, package: str, command: str) -> str:
@@ -106,8 +106,8 @@ def _read_member(member: Member) -> str:
         text = statement(f"{limit} = edoras_read_count(reader, EDORAS_CAPACITY({data}));")
     else:
         data, limit, text = place, f"EDORAS_CAPACITY({place})", ""
-    if member.kind in _BYTES:
-        return text + statement(f"edoras_read_bytes(reader, {data}, {limit});")
+    if member.kind not in _ONE_BY_ONE:
+        return text + statement(f"edoras_read_many(reader, {data}, {limit}, sizeof({data}[0]));")
     return text + loop(limit, _read_one(member, f"{data}[i]"))
 
 
@@ -137,8 +137,8 @@ def _write_member(member: Member) -> str:
         text = statement(f"count = edoras_write_count(writer, {place}.size, EDORAS_CAPACITY({data}));")
     else:
         data, limit, text = place, f"EDORAS_CAPACITY({place})", ""
-    if member.kind in _BYTES:
-        return text + statement(f"edoras_write_bytes(writer, {data}, {limit});")
+    if member.kind not in _ONE_BY_ONE:
+        return text + statement(f"edoras_write_many(writer, {data}, {limit}, sizeof({data}[0]));")
     return text + loop(limit, _write_one(member, f"{data}[i]"))
 
 
@@ -152,7 +152,7 @@ def _write_one(member: Member, place: str) -> str:
 
 
 def _loops(member: Member) -> bool:
-    return bool(member.elements) and member.kind not in _BYTES
+    return bool(member.elements) and member.kind in _ONE_BY_ONE
 
 
 def _decode(message: Message) -> str:

@@ -29,7 +29,8 @@ def test_every_file_says_what_made_it():
     made = generate(TypeStore("jazzy"), order)
     command = (
         "edoras codegen geometry_msgs/Twist builtin_interfaces -c two_rovers_ground.yaml "
-        "--bound std_msgs/Header.frame_id=7 --strings 5 --sequences 6 --pool 2 --envelope '4/4 be' --distro jazzy"
+        "--bound std_msgs/Header.frame_id=7 --strings 5 --sequences 6 --pool 2 --envelope '4/4 be' "
+        "--distro jazzy"
     )
     for name, text in made.files.items():
         lines = text.splitlines()

@@ -35,6 +35,32 @@ static size_t padding_at(size_t position, size_t alignment)
     return (alignment - (position & (alignment - 1U))) & (alignment - 1U);
 }
 
+/** Tell how this processor stores numbers; compilers know the answer. */
+static bool is_big_endian(void)
+{
+    const uint16_t number = 1U;
+    uint8_t first;
+
+    (void)memcpy(&first, &number, sizeof(first));
+    return first == 0U;
+}
+
+/** Copy so many numbers of so many bytes each, in the same byte order or in the other. */
+static void copy_many(void *to, const void *from, size_t count, size_t width, bool same_order)
+{
+    if (same_order) {
+        (void)memcpy(to, from, count * width);
+    } else {
+        uint8_t *const target = to;
+        const uint8_t *const source = from;
+        size_t i;
+
+        for (i = 0U; i < (count * width); ++i) {
+            target[i] = source[i ^ (width - 1U)]; /* widths are powers of 2: this mirrors each number */
+        }
+    }
+}
+
 /* Reading. */
 
 void edoras_reader_open(edoras_reader_t *reader, const uint8_t *cdr, size_t size)
@@ -195,14 +221,16 @@ double edoras_read_float64(edoras_reader_t *reader)
     return value;
 }
 
-void edoras_read_bytes(edoras_reader_t *reader, void *data, size_t size)
+void edoras_read_many(edoras_reader_t *reader, void *data, size_t count, size_t width)
 {
-    const uint8_t *const bytes = take(reader, 1U, size);
+    if (count > 0U) {
+        const uint8_t *const bytes = take(reader, width, count * width);
 
-    if (bytes == NULL) {
-        (void)memset(data, 0, size);
-    } else {
-        (void)memcpy(data, bytes, size);
+        if (bytes == NULL) {
+            (void)memset(data, 0, count * width);
+        } else {
+            copy_many(data, bytes, count, width, reader->big_endian == is_big_endian());
+        }
     }
 }
 
@@ -392,12 +420,12 @@ void edoras_write_float64(edoras_writer_t *writer, double value)
     edoras_write_uint64(writer, bits);
 }
 
-void edoras_write_bytes(edoras_writer_t *writer, const void *data, size_t size)
+void edoras_write_many(edoras_writer_t *writer, const void *data, size_t count, size_t width)
 {
-    uint8_t *const bytes = give(writer, 1U, size);
+    uint8_t *const bytes = (count > 0U) ? give(writer, width, count * width) : NULL;
 
     if (bytes != NULL) {
-        (void)memcpy(bytes, data, size);
+        copy_many(bytes, data, count, width, !is_big_endian());
     }
 }
 
@@ -420,7 +448,7 @@ void edoras_write_string(edoras_writer_t *writer, const char *data, uint32_t siz
 {
     if (size < capacity) {
         edoras_write_uint32(writer, size + 1U);
-        edoras_write_bytes(writer, data, size);
+        edoras_write_many(writer, data, size, 1U);
         edoras_write_uint8(writer, 0U);
     } else if (writer->status == EDORAS_OK) {
         writer->status = EDORAS_BOUND;

@@ -74,8 +74,8 @@ int64_t edoras_read_int64(edoras_reader_t *reader);
 float edoras_read_float32(edoras_reader_t *reader);
 double edoras_read_float64(edoras_reader_t *reader);
 
-/** Read so many bytes at once. */
-void edoras_read_bytes(edoras_reader_t *reader, void *data, size_t size);
+/** Read so many integers or floats of so many bytes each; none takes no padding. */
+void edoras_read_many(edoras_reader_t *reader, void *data, size_t count, size_t width);
 
 /** Read the number of elements of a sequence; 0 and EDORAS_BOUND above the capacity. */
 uint32_t edoras_read_count(edoras_reader_t *reader, size_t capacity);
@@ -103,8 +103,8 @@ void edoras_write_int64(edoras_writer_t *writer, int64_t value);
 void edoras_write_float32(edoras_writer_t *writer, float value);
 void edoras_write_float64(edoras_writer_t *writer, double value);
 
-/** Write so many bytes at once. */
-void edoras_write_bytes(edoras_writer_t *writer, const void *data, size_t size);
+/** Write so many integers or floats of so many bytes each; none takes no padding. */
+void edoras_write_many(edoras_writer_t *writer, const void *data, size_t count, size_t width);
 
 /** Write the number of elements of a sequence and return it; 0 and EDORAS_BOUND above the capacity. */
 uint32_t edoras_write_count(edoras_writer_t *writer, uint32_t count, size_t capacity);
