@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from contextlib import ExitStack
@@ -10,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 from edoras_tools.errors import ConfigError, EdorasError, RouteError
+from edoras_tools.middleware.foxglove import ENCODINGS, as_cdr, full_type
 from edoras_tools.pipelines.orders import CAP_HZ, Orders, To
 from edoras_tools.pipelines.safety import fits, is_loopback
 from edoras_tools.pipelines.topics import Encoder, routes_towards, sender_of
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
 
 _ROUND_NS: Final = 50 * MILLISECOND
-_ENCODINGS: Final = ("cdr", "json")
 
 
 class Send(Protocol):
@@ -108,10 +107,10 @@ class Commands:
         if found is None:
             return f"{topic} may not be published; --allow-publish lets {', '.join(self.topics)}"
         wanted = found[1].route.type
-        if _full(type_name) != wanted:
+        if full_type(type_name) != wanted:
             return f"{topic} takes {wanted}, not {type_name or 'a type without name'}"
-        if encoding not in _ENCODINGS:
-            return f"{topic}: {encoding} is not understood; publish {' or '.join(_ENCODINGS)}"
+        if encoding not in ENCODINGS:
+            return f"{topic}: {encoding} is not understood; publish {' or '.join(ENCODINGS)}"
         return ""
 
     def publish(self, topic: str, type_name: str, encoding: str, data: bytes) -> str:
@@ -121,26 +120,14 @@ class Commands:
             return why
         to, encoder = self._routes[topic]
         try:
-            packet = encoder.packet(self._cdr(encoder.route, encoding, data), time.time_ns())
+            cdr = as_cdr(self._bench.types, encoder.route.type, encoding, data)
+            packet = encoder.packet(cdr, time.time_ns())
         except EdorasError as error:
             return f"{topic}: {error}"
         sender = sender_of(self.orders[to], self._bench.mission) if to in self.orders else None
         datagram = Outgoing.packets(to.link, [packet], sender=sender)[0]
         with self._lock:
             return self._cap(to) or self._outlets[to](datagram, encoder.route.msg_id)
-
-    def _cdr(self, route: Route, encoding: str, data: bytes) -> bytes:
-        types = self._bench.types
-        if encoding == "cdr":
-            types.decode(route.type, data)
-            return data
-        try:
-            values = json.loads(data)
-        except (ValueError, RecursionError) as error:
-            raise ConfigError(f"is no JSON: {error}") from None
-        if not isinstance(values, dict):
-            raise ConfigError("a message is a JSON object")
-        return types.encode(route.type, values)
 
     def _cap(self, to: To) -> str:
         """Hold to the cap on the rate that other machines are sent at."""
@@ -177,12 +164,6 @@ def _allowed(bench: Workbench, to: To, allow: Sequence[str]) -> list[Route]:
 
 def _placed(orders: Orders, to: To, bench: Workbench) -> Orders:
     return replace(orders, to=to, deaf=to is To.CI).placed(bench.mission)
-
-
-def _full(type_name: str) -> str:
-    """Return ``PACKAGE/msg/NAME`` also where ROS 1's short form is given."""
-    package, _, name = type_name.rpartition("/")
-    return type_name if package.endswith("/msg") else f"{package}/msg/{name}"
 
 
 class _Plain:

@@ -1,0 +1,235 @@
+"""Foxglove in the place of a ROS 2 graph: what a bridge publishes is shown, what clients publish is heard.
+
+Options: ``host`` and ``port`` of the server; port 0 is any that is free, ``FoxgloveGraph.url`` says which.
+A client that does not keep up loses messages, and holds up nobody; ``edoras live`` also counts them.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from collections import defaultdict
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from edoras_tools.errors import ConfigError, EdorasError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from edoras_tools.middleware.graph import Qos
+    from edoras_tools.ros import TypeStore
+
+ENCODINGS: Final = ("cdr", "json")
+"""What clients may publish."""
+_OPTIONS: Final = {"host": "127.0.0.1", "port": "8765"}
+
+
+def open_graph(
+    store: TypeStore,
+    node: str,
+    *,
+    domain: int = 0,  # noqa: ARG001  Foxglove has none
+    options: Mapping[str, str] = {},
+) -> FoxgloveGraph:
+    """Serve a graph.
+
+    Args:
+        store: the types that are known.
+        node: name of the server.
+        domain: not looked at.
+        options: ``host`` and ``port``.
+
+    Raises:
+        ConfigError: an option is not known, or the address cannot be listened on.
+        ImportError: the SDK is not installed.
+    """
+    for name in options:
+        if name not in _OPTIONS:
+            raise ConfigError(f"--ros foxglove has no option {name!r}; there are {', '.join(_OPTIONS)}")
+    given = {**_OPTIONS, **options}
+    if not given["port"].isdecimal() or int(given["port"]) > 0xFFFF:
+        raise ConfigError(f"--ros foxglove: port {given['port']!r} is no TCP port: 0 to 65535")
+    return FoxgloveGraph(store, node, given["host"], int(given["port"]))
+
+
+class FoxgloveGraph:
+    """A Foxglove WebSocket server as a node's graph.
+
+    Args:
+        store: the types that are known.
+        node: name of the server.
+        host: where to listen.
+        port: and at which port; 0 is the system's choice.
+
+    Attributes:
+        url: where clients connect to.
+        refused: messages that were not what their topic takes.
+    """
+
+    def __init__(self, store: TypeStore, node: str, host: str, port: int) -> None:
+        import foxglove
+        from foxglove.websocket import Capability
+
+        logging.getLogger("foxglove").addHandler(logging.NullHandler())
+        self._store = store
+        self._context = foxglove.Context()
+        self._channels: dict[str, Any] = {}
+        self._types: dict[str, str] = {}
+        self._heard: defaultdict[str, list[Callable[[bytes], None]]] = defaultdict(list)
+        self._advertised: dict[tuple[int, int], Any] = {}
+        self._lock = threading.Lock()
+        self._closed = False
+        self.refused = 0
+        try:
+            self._server = foxglove.start_server(
+                name=node,
+                host=host,
+                port=port,
+                capabilities=[Capability.ClientPublish],
+                server_listener=cast("Any", self),
+                supported_encodings=list(ENCODINGS),
+                context=self._context,
+            )
+        except RuntimeError as error:
+            why = str(error).rpartition("Failed to bind port: ")[2]
+            raise ConfigError(
+                f"--ros foxglove: {host}:{port} cannot be listened on: {why}; --ros-option port=0 takes a "
+                "free port"
+            ) from None
+        self.url = f"ws://{host}:{self._server.port}"
+
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        qos: Qos,  # noqa: ARG002  there is one way only
+        heard: Callable[[bytes], None],
+    ) -> None:
+        """See ``Graph``."""
+        self._know(topic, type_name)
+        with self._lock:
+            self._heard[topic].append(heard)
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:  # noqa: ARG002
+        """See ``Graph``."""
+        import foxglove
+
+        self._know(topic, type_name)
+        with self._lock:
+            if topic not in self._channels:
+                text = self._store.definition(type_name).encode()
+                schema = foxglove.Schema(name=type_name, encoding="ros2msg", data=text)
+                channel = foxglove.Channel(
+                    topic, message_encoding="cdr", schema=schema, context=self._context
+                )
+                self._channels[topic] = channel.base
+        log = self._channels[topic].log
+
+        def publish(cdr: bytes) -> None:
+            if not self._closed:
+                log(bytes(cdr))
+
+        return publish
+
+    def close(self) -> None:
+        """See ``Graph``."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            self._heard.clear()
+        self._server.stop()
+        for channel in self._channels.values():
+            channel.close()
+
+    def _know(self, topic: str, type_name: str) -> None:
+        wrong = self._store.check(type_name)
+        if wrong is not None:
+            raise ConfigError(wrong)
+        known = self._types.setdefault(topic, type_name)
+        if known != type_name:
+            raise ConfigError(f"{topic} is {known} in this graph, not {type_name}; name one type")
+
+    def _say(self, text: str, about: str) -> None:
+        from foxglove import StatusLevel
+
+        self._server.publish_status(text, StatusLevel.Error, about)
+
+    def _refusal(self, channel: Any) -> str:
+        wanted = self._types.get(channel.topic)
+        if wanted is None or not self._heard.get(channel.topic):
+            return f"{channel.topic}: nobody listens; topics: {', '.join(sorted(self._heard)) or 'none'}"
+        if full_type(channel.schema_name) != wanted:
+            return f"{channel.topic} takes {wanted}, not {channel.schema_name or 'a type without name'}"
+        if channel.encoding not in ENCODINGS:
+            return f"{channel.topic}: {channel.encoding} is not understood; publish {' or '.join(ENCODINGS)}"
+        return ""
+
+    # What the SDK calls, on threads of its own: these are the names of its ServerListener.
+
+    def on_subscribe(self, _client: Any, _channel: Any) -> None:
+        """Take note of nothing."""
+
+    def on_unsubscribe(self, _client: Any, _channel: Any) -> None:
+        """Take note of nothing."""
+
+    def on_client_advertise(self, client: Any, channel: Any) -> None:
+        """Take the channel, or tell why nothing will be heard on it."""
+        self._advertised[client.id, channel.id] = channel
+        why = self._refusal(channel)
+        if why:
+            self._say(why, channel.topic)
+
+    def on_client_unadvertise(self, client: Any, channel_id: int) -> None:
+        """Forget the channel."""
+        self._advertised.pop((client.id, channel_id), None)
+
+    def on_message_data(self, client: Any, channel_id: int, data: bytes) -> None:
+        """Hand a message to those who listen, or tell why not."""
+        channel = self._advertised.get((client.id, channel_id))
+        if channel is None or self._closed:
+            return
+        why = self._refusal(channel)
+        if not why:
+            try:
+                cdr = as_cdr(self._store, self._types[channel.topic], channel.encoding, bytes(data))
+            except EdorasError as error:
+                why = f"{channel.topic}: {error}"
+        if why:
+            self.refused += 1
+            self._say(why, channel.topic)
+            return
+        with self._lock:
+            for heard in self._heard[channel.topic]:
+                heard(cdr)
+
+
+def full_type(name: str) -> str:
+    """Return ``PACKAGE/msg/NAME`` also of ROS 1's short form, which clients may write."""
+    package, _, last = name.rpartition("/")
+    return f"{package.removesuffix('/msg')}/msg/{last}"
+
+
+def as_cdr(store: TypeStore, type_name: str, encoding: str, data: bytes) -> bytes:
+    """Return what a client published as CDR.
+
+    Args:
+        store: knows the type.
+        type_name: of the message.
+        encoding: one of ``ENCODINGS``.
+        data: the message.
+
+    Raises:
+        EdorasError: it is no such message.
+    """
+    if encoding == "cdr":
+        store.decode(type_name, data)
+        return data
+    try:
+        values = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"is no JSON: {error}") from None
+    if not isinstance(values, dict):
+        raise ConfigError("a message is a JSON object")
+    return store.encode(type_name, values)
