@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+
+from edoras_tools.codegen import Order, generate, write
+from edoras_tools.ros import TypeStore
 
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize=bool", "-fno-sanitize-recover=all")
 """judge.c spoils messages, flags among them: those that are neither true nor false are its own doing."""
@@ -139,6 +143,20 @@ uint8_t renamed(void) { return probe_msgs__msg__Defaults__MAX_CDR_; }
         function = getattr(made, name)
         function.restype = kind
         assert function() == value, name
+
+
+def test_the_example_of_the_page(cc, tmp_path):
+    page = (Path(__file__).parents[2] / "docs/codegen.md").read_text()
+    include, _, code = re.search(r"```c\n(.*?)```", page, re.DOTALL)[1].partition("\n")
+    write(tmp_path, generate(TypeStore(), Order(("sensor_msgs/JointState",))).files)
+    source = tmp_path / "example.c"
+    source.write_text(f"{include}\nvoid example(void);\nvoid example(void)\n{{\n{code}}}\n")
+    cc(
+        tmp_path / "example.so",
+        source,
+        f"-I{tmp_path}",
+        flags=("-std=c99", "-Wall", "-Werror", "-shared", "-fPIC"),
+    )
 
 
 def test_no_heap_and_no_other_library(generated, library):
