@@ -36,14 +36,17 @@ _Piece = tuple["PacketBatch", "Columns"]
 
 @dataclass(slots=True)
 class _Course:
-    """Where playback is: ``at_ns`` at ``since_ns`` of the monotonic clock, and on from there."""
+    """Where playback is: ``at_ns`` at ``since_ns`` of the monotonic clock, and on from there.
+
+    ``seek_ns`` is where it has jumped to, until that is done.
+    """
 
     playing: bool
     speed: float
     at_ns: int
     since_ns: int
+    seek_ns: int | None
     ended: bool = False
-    seek: bool = True
 
 
 def look_into(
@@ -105,7 +108,7 @@ class RecordingPlayer:
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._stopping = False
-        self._course = _Course(not paused, speed, self.range_ns[0], clock())
+        self._course = _Course(not paused, speed, self.range_ns[0], clock(), self.range_ns[0])
         self._held = not paused
 
     @property
@@ -126,7 +129,8 @@ class RecordingPlayer:
             if seek_ns is None and request.playing and course.ended:
                 seek_ns = start  # play again
             if seek_ns is not None:
-                course.at_ns, course.seek, course.ended = min(max(seek_ns, start), end), True, False
+                course.at_ns = course.seek_ns = min(max(seek_ns, start), end)
+                course.ended = False
             course.playing, self._held = request.playing, False
             self._wake.set()
             return self._state(now, seeked=seek_ns is not None)
@@ -152,11 +156,11 @@ class RecordingPlayer:
                         now, course = self._clock(), self._course
                         if self._held:
                             self._held, course.since_ns = not sink.server.visitors, now
-                        position, seek, course.seek = self._position(now), course.seek, False
-                    if seek:
+                        position, seek_ns, course.seek_ns = self._position(now), course.seek_ns, None
+                    if seek_ns is not None:
                         pieces.close()
                         sink.restart()
-                        pieces, piece = self._read(position, sink), None
+                        pieces, piece = self._read(seek_ns, sink), None
                     piece = self._play(sink, pieces, piece, position)
                     self._tell(sink, position, over=piece is None)
                     self._wake.wait(_TICK_S)
@@ -171,7 +175,7 @@ class RecordingPlayer:
     ) -> _Piece | None:
         """Give out what is due; return what comes next, None at the end."""
         piece = piece or next(pieces, None)
-        while piece is not None and not (self._course.seek or self._stopping):
+        while piece is not None and self._course.seek_ns is None and not self._stopping:
             batch, columns = piece
             due = int(np.searchsorted(np.maximum.accumulate(batch.time_ns), position, side="right"))
             if due:
@@ -184,7 +188,7 @@ class RecordingPlayer:
     def _tell(self, sink: FoxgloveSink, position: int, *, over: bool) -> None:
         with self._lock:
             course = self._course
-            ends = over and not course.seek and position >= self.range_ns[1] and not course.ended
+            ends = over and course.seek_ns is None and position >= self.range_ns[1] and not course.ended
             if ends:
                 course.ended, course.playing, course.at_ns = True, False, self.range_ns[1]
             state = self._state(self._clock())

@@ -160,9 +160,7 @@ def test_on_the_bus_network_a_session_is_held(bench, cfs):
         while time.monotonic() < end:
             cfs.sendto(sbn.emit(sbn.MsgType.PROTO, them, sbn.emit_proto()), address)
             cfs.sendto(
-                sbn.emit(
-                    sbn.MsgType.SUB, them, sbn.emit_subscriptions([sbn.Subscription(route.msg_id, 0, 0)])
-                ),
+                sbn.emit(sbn.MsgType.SUB, them, wanted),
                 address,
             )
             why = commands.publish(pose, POSE, "cdr", cdr)
