@@ -15,7 +15,7 @@ from mcap.records import Chunk
 
 from edoras_tools.sinks.mcap_file import FinishedChunk
 from edoras_tools.sinks.mcap_rows import within_rows
-from edoras_tools.wire.window import copy_rows, put_rows
+from edoras_tools.wire.window import copy_rows, put_rows, spill_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -118,27 +118,30 @@ class ChunkWriter:
                     continue
                 self._buffer = np.empty(int(total[first]), dtype=np.uint8)
                 last = first + 1
+            copy = spill_rows  # the first stream's: all others are written over what it spills
             for stream, inside in zip(streams, within, strict=True):
                 low, high = np.searchsorted(stream.rows, (first, last)).tolist()
                 if low < high:
                     chosen = slice(low, high)
-                    self._place(
-                        stream, chosen, starts[stream.rows[chosen]] + inside[chosen] + (self._used - base)
-                    )
+                    positions = starts[stream.rows[chosen]] + inside[chosen] + (self._used - base)
+                    self._place(stream, chosen, positions, copy)
+                copy = copy_rows
             self._used += int(ends[last - 1]) - base
             first = last
 
-    def _place(self, messages: Messages, chosen: slice, positions: NDArray[np.int64]) -> None:
+    def _place(
+        self, messages: Messages, chosen: slice, positions: NDArray[np.int64], copy: Callable[..., None]
+    ) -> None:
         """Write the chosen messages at their positions in the chunk."""
         heads = messages.heads(chosen)
-        put_rows(self._buffer, positions, heads)
-        copy_rows(
+        copy(
             self._buffer,
             positions + messages.head_bytes,
             messages.data,
             messages.offset[chosen],
             messages.length[chosen],
         )
+        put_rows(self._buffer, positions, heads)
         self._placed.append((heads["channel_id"].copy(), heads["log_time"].copy(), positions))
 
     def _store(self) -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.window import copy_rows, put_rows, read_at
+from edoras_tools.wire.window import copy_rows, put_rows, read_at, spill_rows
 
 LENGTHS = st.lists(
     st.one_of(st.integers(0, 40), st.integers(250, 260), st.sampled_from([1, 127, 128, 1024])), max_size=40
@@ -26,6 +26,29 @@ def test_every_row_arrives_and_nothing_else_changes(lengths, seed):
         expected[position : position + size] = source[offset : offset + size]
     copy_rows(target, positions, source, offsets, length)
     assert np.array_equal(target, expected)
+
+
+@given(LENGTHS, st.integers(0, 2**32 - 1), st.integers(0, 40))
+def test_what_spills_stays_in_the_gaps(lengths, seed, behind):
+    random = np.random.default_rng(seed)
+    length = np.array(lengths, dtype=np.int32)
+    source = random.integers(0, 256, 1024 + behind, dtype=np.uint8)
+    offsets = random.integers(0, len(source) + 1 - length) if lengths else np.zeros(0, dtype=np.int64)
+    positions = 3 + np.cumsum(length + random.integers(0, 5, len(lengths))) - length
+    target = np.full((int(positions[-1] + length[-1]) if lengths else 3) + behind, 0xA5, dtype=np.uint8)
+    spill_rows(target, positions, source, offsets, length)
+    for position, offset, size in zip(positions, offsets, lengths, strict=True):
+        assert np.array_equal(target[position : position + size], source[offset : offset + size])
+    assert (target[: int(positions[0]) if lengths else None] == 0xA5).all()
+
+
+def test_one_long_row_does_not_make_the_others_long():
+    length = np.array([4] * 100 + [3000])
+    positions = np.cumsum(length) - length
+    target = np.zeros(int(length.sum()) + 3000, np.uint8)
+    spill_rows(target, positions, np.full(3000, 7, np.uint8), np.zeros(101, np.int64), length)
+    assert (target[: length.sum()] == 7).all()
+    assert not target[length.sum() :].any()
 
 
 @pytest.mark.parametrize("size", [0xFFFF, 0x10000, 0x10001, 300_000])
