@@ -83,10 +83,16 @@ def generate(types: TypeStore, order: Order) -> Generated:
     files["edoras_config.h"] = _config(types, order, command)
     files["edoras_msgs.h"] = umbrella(library, command)
     files["edoras_types.c"] = tables(library, command)
+    files |= side_files(order.mission, command)
     for package in library.packages:
-        files[f"{file_name(package)}.h"] = header(library, package, command)
-        files[f"{file_name(package)}.c"] = codec(library, package, command)
-    return Generated(library, files | side_files(order.mission, command))
+        name = file_name(package)
+        if files.keys() & {f"{name}.h", f"{name}.c"}:
+            raise ConfigError(
+                f"package {package}: its files would be called as others of the library; rename it"
+            )
+        files[f"{name}.h"] = header(library, package, command)
+        files[f"{name}.c"] = codec(library, package, command)
+    return Generated(library, files)
 
 
 def _command(types: TypeStore, order: Order) -> str:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
 
 _KEYWORDS: Final = frozenset(
     """
@@ -27,9 +30,17 @@ def type_name(ros: str) -> str:
     return ros.replace("/", "__")
 
 
-def member_name(ros: str) -> str:
-    """Return a field's C name: its own, but for words of the language."""
-    return f"{ros}_" if ros in _KEYWORDS else ros
+def member_name(ros: str, others: Collection[str] = ()) -> str:
+    """Return a field's C name: its own, but words of the language have as many ``_`` behind as it takes.
+
+    Args:
+        ros: its own name.
+        others: of the fields beside it.
+    """
+    name = ros
+    while name in _KEYWORDS or (name != ros and name in others):
+        name += "_"
+    return name
 
 
 def constant_name(owner: str, ros: str) -> str:

@@ -205,11 +205,11 @@ def _ordered(definitions: dict[str, Definition]) -> list[str]:
 
 
 def _members(definition: Definition, bounds: Bounds, messages: dict[str, Message]) -> tuple[Member, ...]:
-    owner = definition.name
+    owner, names = definition.name, {item.name for item in definition.fields}
     members = tuple(
         Member(
             item,
-            member_name(item.name),
+            member_name(item.name, names),
             bounds.elements(owner, item),
             bounds.characters(owner, item),
             messages.get(item.type),

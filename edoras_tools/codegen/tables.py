@@ -19,8 +19,7 @@ def tables(library: Library, command: str) -> str:
     parts = [banner(command, about) + _INCLUDES]
     parts += [_table(message, pooled=message.ros_name in wanted) for message in library.messages]
     listed = sorted(
-        (message for message in library.messages if "/msg/" in message.ros_name),
-        key=lambda message: (message.package, message.short_name),
+        library.messages, key=lambda message: (message.package, message.short_name, message.ros_name)
     )
     rows = "".join(f'    {{"edoras_codegen", &{message.name}__type}},\n' for message in listed)
     parts.append(

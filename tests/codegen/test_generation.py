@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from edoras_tools import __version__
-from edoras_tools.codegen import Bounds, Order, Rule, generate, summary
+from edoras_tools.codegen import Bounds, Order, Rule, generate, summary, write
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.mission import load
 from edoras_tools.ros import TypeStore
@@ -99,6 +99,26 @@ def test_packages_that_use_each_other():
     definitions = {"a/msg/A": "b/B b\n", "b/msg/B": "a/C c\n", "a/msg/C": "int8 x\n"}
     with pytest.raises(ConfigError, match=r"packages use each other: . > . > .; C wants one first"):
         generate(TypeStore(definitions=definitions), Order(("a/A",)))
+
+
+@pytest.mark.parametrize("package", ["core", "cdr", "msgs", "types", "config", "app_msg"])
+def test_packages_called_as_our_own_files(package):
+    types = TypeStore(definitions={f"{package}/msg/A": "int8 x\n"})
+    mission = missions("rover_ground")
+    with pytest.raises(ConfigError, match=f"package {package}: its files would be called as others"):
+        generate(types, Order((f"{package}/A",), mission=mission))
+
+
+def test_fields_are_renamed_only_where_they_must():
+    types = TypeStore(definitions={"a/msg/A": "int8 class\nint8 class_\nint8 name\n"})
+    members = generate(types, Order(("a/A",))).library.wanted[0].members
+    assert [member.name for member in members] == ["class__", "class_", "name"]
+
+
+def test_services_compile_too(cc, tmp_path):
+    types = TypeStore(definitions={"a/srv/A": "int8 x\n", "a/msg/A": "int8 y\n"})
+    write(tmp_path, generate(types, Order(("a/srv/A", "a/msg/A"))).files)
+    cc(tmp_path / "a.so", "-shared", "-fPIC", f"-I{tmp_path}", *sorted(tmp_path.glob("*.c")))
 
 
 @pytest.mark.parametrize("pool", [0, -1, 1025])
