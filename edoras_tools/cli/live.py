@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     from edoras_tools.errors import EdorasError
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.live_publish import Commands, Send
+    from edoras_tools.pipelines.live_sim import RunningSimulation
     from edoras_tools.pipelines.orders import To
     from edoras_tools.pipelines.record import Report
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.sinks.foxglove import FoxgloveSink
-    from edoras_tools.sources import Source
+    from edoras_tools.sources.device import DeviceSource
     from edoras_tools.wire.sbn import Peer
 
 _publishing = partial(typer.Option, rich_help_panel="Publishing")
@@ -144,6 +145,7 @@ def _play(
     """Play a recording back; return what became of it, and what was wrong with it."""
     from time import monotonic_ns
 
+    from edoras_tools.pipelines.interrupt import on_interrupt
     from edoras_tools.pipelines.live import attach
     from edoras_tools.pipelines.live_player import RecordingPlayer, look_into
 
@@ -152,15 +154,16 @@ def _play(
         reopen, bench, clock=monotonic_ns, selection=selection, speed=speed, paused=paused
     )
     sink = attach(bench, info, listen=where, player=player)
-    _say(info.name, sink)
-    player.run(sink, duration_ns=duration or 0)
+    with on_interrupt(player.stop):
+        _say(info.name, sink)
+        player.run(sink, duration_ns=duration or 0)
     start_ns, end_ns = player.range_ns
     summary = {"source": info.name, "kind": info.kind, "start_ns": start_ns, "end_ns": end_ns}
     return {**summary, "foxglove": sink.summary()}, player.failure
 
 
 def _show(
-    source: Source,
+    source: DeviceSource | RunningSimulation,
     bench: Workbench,
     selection: Selection,
     where: Endpoint,
@@ -174,6 +177,7 @@ def _show(
     """Show live traffic; return what became of it."""
     from time import monotonic_ns
 
+    from edoras_tools.pipelines.interrupt import on_interrupt
     from edoras_tools.pipelines.live import attach
     from edoras_tools.pipelines.live import live as run
     from edoras_tools.pipelines.record import Target, check_target
@@ -183,8 +187,8 @@ def _show(
     if goal:
         check_target(goal, ())
     sink = attach(bench, source.info, listen=where, statistics=source.statistics, publisher=commands)
-    _say(source.info.name, sink)
-    with watcher(source, output, quiet=quiet, live=True) as watch:
+    with on_interrupt(source.stop), watcher(source, output, quiet=quiet, live=True) as watch:
+        _say(source.info.name, sink)
         report = run(
             source,
             bench,
@@ -206,7 +210,7 @@ def _source(
     settings: Settings,
     *,
     every: bool,
-) -> tuple[Source, Workbench, Mapping[To, Send]]:
+) -> tuple[DeviceSource | RunningSimulation, Workbench, Mapping[To, Send]]:
     """Open live traffic; return with it what sends commands there without a socket."""
     if sim is not None:
         from time import monotonic_ns
@@ -217,8 +221,10 @@ def _source(
         running, bench = start(sim.value, settings, monotonic_ns)
         return running, bench, {To.CI: running.command}
     from edoras_tools.cli.inputs import open_input
+    from edoras_tools.sources.device import DeviceSource
 
     source, bench = open_input(None, interface, listen, settings, every_port=every)
+    assert isinstance(source, DeviceSource)
     return source, bench, {}
 
 

@@ -1,0 +1,183 @@
+"""``edoras live`` as a shell runs it, and as Foxglove sees it."""
+
+import importlib.util
+import json
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SPEC = importlib.util.spec_from_file_location("foxglove_client", ROOT / "tests/foxglove_client.py")
+peer = importlib.util.module_from_spec(SPEC)
+sys.modules["foxglove_client"] = peer
+SPEC.loader.exec_module(peer)
+
+TWIST = "geometry_msgs/msg/Twist"
+CDR = bytes.fromhex("00010000") + struct.pack("<6d", 0.5, 0, 0, 0, 0, -1)
+
+
+@pytest.fixture
+def started(command):
+    """A function: start it; return it, and where Foxglove connects to."""
+    running = []
+
+    def start(*arguments):
+        process = subprocess.Popen(
+            [command, "live", "--ws-port", "0", *map(str, arguments)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        running.append(process)
+        told = process.stderr.readline()
+        found = re.search(
+            r"https://app\.foxglove\.dev/\?ds=foxglove-websocket&ds\.url=(ws://127\.0\.0\.1:\d+)$", told
+        )
+        assert found, told + process.stderr.read()
+        return process, found[1]
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+def interrupt(process):
+    process.send_signal(signal.SIGINT)
+    return process.communicate(timeout=peer.PATIENCE_S)
+
+
+def test_a_recording_is_played_back_and_steered(started, captures, missions):
+    process, url = started(captures("a_rover"), *missions("rover_ground"), "--paused")
+    with peer.Client(url, 7) as client:
+        assert client.info["name"].endswith("a_rover.pcap")
+        assert "playbackControl" in client.info["capabilities"]
+        start = client.info["dataStartTime"]["sec"] * 10**9 + client.info["dataStartTime"]["nsec"]
+        client.subscribe("/cmd_vel")
+        client.until(lambda: client.states)
+        assert client.states[0].status == "paused"
+        seek = start + 30 * 10**9
+        assert client.control(play=True, speed=20.0, seek_ns=seek)[:3] == ("playing", seek, 20.0)
+        client.until(lambda: client.messages and client.messages[-1].time_ns > seek + 10**10)
+        _, err = interrupt(process)
+    assert process.returncode == 0
+    assert re.fullmatch(r"Foxglove: 1 client, \d+ messages sent\n", err)
+
+
+def test_a_cut_off_recording_is_played_and_said_to_be_one(started, captures, missions, tmp_path):
+    cut = tmp_path / "cut.pcap"
+    cut.write_bytes(captures("a_rover").read_bytes()[:60_000])
+    process, _ = started(cut, *missions("rover_ground"))
+    _, err = interrupt(process)
+    assert process.returncode == 1
+    assert err.splitlines()[-1].startswith(f"edoras: {cut}: ")
+
+
+def test_an_emulated_cfs_takes_commands_where_it_is_allowed(started):
+    process, url = started("--sim", "rover", "--allow-publish", "/cmd_*", "--json")
+    with peer.Client(url, 7) as client:
+        client.subscribe("/cmd_vel", "/telemetry_pose")
+        client.advertise(1, "/cmd_vel", TWIST)
+        client.advertise(2, "/telemetry_pose", "geometry_msgs/msg/PoseStamped")
+        client.until(lambda: client.statuses)
+        assert client.statuses[0]["message"] == (
+            "/telemetry_pose may not be published; --allow-publish lets /cmd_vel"
+        )
+        client.publish(1, CDR)
+        client.until(lambda: any(item.data == CDR for item in client.on("/cmd_vel")))
+        client.until(lambda: client.on("/telemetry_pose"))
+        out, err = interrupt(process)
+    assert (process.returncode, err) == (0, "")
+    report = json.loads(out)
+    assert report["kind"] == "sim"
+    told = report["foxglove"]
+    assert (told["published"], told["refused"], told["dropped"]) == (1, 0, 0)
+    assert told["clients"][0]["sent"] == told["sent"] > 1
+
+
+def test_sockets_are_shown_and_commands_go_to_the_target(started, missions):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as cfs:
+        cfs.bind(("127.0.0.1", 0))
+        cfs.settimeout(peer.PATIENCE_S)
+        target = f"127.0.0.1:{cfs.getsockname()[1]}"
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        process, url = started(
+            *("--listen", f"127.0.0.1:{port}", "--port", f"ci:{port}", *missions("rover_ground")),
+            *("--allow-publish", "*", "--target", target),
+        )
+        with peer.Client(url, 7) as client:
+            client.subscribe("/cmd_vel")
+            client.advertise(1, "/cmd_vel", TWIST)
+            client.publish(1, CDR)
+            command = cfs.recv(4096)
+            assert command.endswith(CDR)
+
+            def shown():
+                cfs.sendto(command, ("127.0.0.1", port))
+                return client.messages
+
+            client.until(shown)
+            assert client.messages[0].data == CDR
+            _, err = interrupt(process)
+        assert process.returncode == 0
+        assert err.splitlines()[-1].endswith("1 taken from them, 0 refused")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ((), "name one source: FILE, -i IFACE, --listen PORT or --sim DEMO"),
+        (("a.pcap", "--sim", "rover"), "name one source"),
+        (("a.pcap", "--allow-publish", "*"), "a recording is played back"),
+        (("--sim", "rover", "--speed", "2"), "live traffic has its own speed"),
+        (("nowhere.pcap",), "nowhere.pcap: "),
+        (("-",), "-: cannot be read twice"),
+        (("--sim", "rover", "--allow-publish", "/nowhere"), "'/nowhere' fits no topic that goes to cFS"),
+        (("--sim", "rover", "--topic", "/nowhere"), "no configured topic fits '/nowhere'"),
+        (("--sim", "rover", "--host", "192.0.2.1"), "192.0.2.1:0: cannot be listened on"),
+        (("--sim", "rover", "-o", "a.txt"), "a.txt: its suffix names no kind of recording"),
+    ],
+)
+def test_bad_input_is_one_line(call, arguments, line):
+    result = call("live", "--ws-port", "0", *arguments)
+    assert result.code in {1, 2}
+    assert line in result.err[-1]
+    assert len([item for item in result.err if item.startswith("edoras: ")]) == 1
+
+
+def test_a_port_in_use_is_one_line(call):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        result = call("live", "--sim", "rover", "--ws-port", port)
+    assert result.code == 1
+    assert len(result.err) == 1
+    assert result.err[0].startswith(
+        f"edoras: 127.0.0.1:{port}: cannot be listened on: Address already in use; name another port"
+    )
+
+
+def test_another_machine_is_sent_to_only_if_it_is_meant(call, missions):
+    result = call(
+        *("live", "--ws-port", "0", "--listen", "127.0.0.1:0", *missions("rover_ground")),
+        *("--allow-publish", "*", "--target", "192.0.2.1:1234"),
+    )
+    assert result.code == 2
+    assert "192.0.2.1:1234 is not on this machine's loopback; nothing was sent" in result.err[-1]
+
+
+def test_without_the_sdk_it_is_said_what_to_install(call, monkeypatch):
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    result = call("live", "--ws-port", "0", "--sim", "rover")
+    assert result.code == 2
+    assert result.err == [
+        "edoras: Foxglove needs foxglove-sdk, which is not installed: pip install 'edoras-tools[live]'"
+    ]
