@@ -7,9 +7,9 @@ asking     telemetry arrives                           hearing
 hearing    none arrives for ``SILENCE_NS``             asking
 =========  ==========================================  =========
 
-Asking is the enable command, and an add-packet command for what the mission wants in Telemetry Output's
-table: every ``ASK_NS`` at first, later every ``SILENCE_NS``, so that a cFS that starts late, or anew, is
-found.
+Asking is the enable command, after the remove-packet and add-packet commands for what the mission wants in
+Telemetry Output's table: every ``ASK_NS`` at first, later every ``SILENCE_NS``, so that a cFS that starts
+late, or anew, is found.
 """
 
 from __future__ import annotations
@@ -109,10 +109,13 @@ class GroundSession:
     def _ask(self) -> list[bytes]:
         assert self._address is not None
         command, write = telemetry_output.COMMAND_MSG_ID, self._writer.write
-        added = [
-            write(command, _ADD.pack(msg_id, 0, 0, limit), telemetry_output.ADD_PACKET)
-            for msg_id, limit in self._add.items()
-        ]
+        added = []
+        for msg_id, limit in self._add.items():
+            # What is in the table already keeps its limit when it is added once more.
+            added += [
+                write(command, _ADD.pack(msg_id, 0, 0, 0)[:4], telemetry_output.REMOVE_PACKET),
+                write(command, _ADD.pack(msg_id, 0, 0, limit), telemetry_output.ADD_PACKET),
+            ]
         return [
             *added,
             write(command, self._address.encode("ascii").ljust(16, b"\0"), telemetry_output.ENABLE),

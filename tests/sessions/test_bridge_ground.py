@@ -54,9 +54,11 @@ def test_who_never_answers_is_told_of_once(session):
 def test_what_the_mission_wants_in_the_table_is_added_and_real_to_takes_it():
     profile = SimProfile()
     output = TelemetryOutput(profile, SoftwareBus(profile))
+    output.subscribe([0x828])
     session = GroundSession(PacketWriter(checksum=True, sequence=True), "10.0.0.7", {0x828: 255}, now=0)
     said = [output.command(packet).event.message for packet in session.service(now=0)]
     assert said == [
+        "L497 TO RemovePkt 0x828",
         "L473 TO AddPkt 0x828, QoS 0.0, limit 255",
         "TO telemetry output enabled for IP 10.0.0.7",
     ]
