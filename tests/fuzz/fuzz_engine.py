@@ -50,18 +50,18 @@ class Finding:
 
 @contextmanager
 def _watched(seconds: int) -> Iterator[None]:
-    """Raise ``HangError`` in what takes longer; in the main thread only, where signals arrive."""
+    """Raise ``HangError`` in what computes longer, however busy the machine; in the main thread only."""
 
     def ring(_number: int, _frame: object) -> None:
         raise HangError(f"still busy after {seconds} s")
 
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.alarm(seconds)
+    before = signal.signal(signal.SIGVTALRM, ring)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        signal.signal(signal.SIGVTALRM, before)
 
 
 def execute(name: str, target: Callable[[bytes], Hashable], data: bytes) -> Hashable | Finding:

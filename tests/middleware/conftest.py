@@ -84,6 +84,7 @@ class Elsewhere(pytest.Item):
     def __init__(self, *, session_there, **options):
         super().__init__(**options)
         self.session_there = session_there
+        self.add_marker(pytest.mark.limit(LIMIT + 60))  # the first waits for all
 
     def runtest(self):
         if failure := self.session_there.failures[self.nodeid]:
