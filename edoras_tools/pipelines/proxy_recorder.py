@@ -27,12 +27,12 @@ from edoras_tools.sources.rawip import ROOM, write_headers
 from edoras_tools.wire.window import copy_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
     from edoras_tools.errors import EdorasError
-    from edoras_tools.model import Endpoint, PacketBatch
+    from edoras_tools.model import Columns, Endpoint, PacketBatch
     from edoras_tools.pipelines.record import Target
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults import Fault
@@ -85,6 +85,7 @@ class Recorder:
         bench: mission, types and decoders.
         name: of the relay, for the recording's metadata.
         kind: what the relay is, for the same.
+        tap: takes every batch as well, on the recorder's thread.
 
     Attributes:
         ledger: counts by route.
@@ -96,8 +97,16 @@ class Recorder:
         CaptureError: it cannot be written.
     """
 
-    def __init__(self, target: Target, bench: Workbench, name: str, kind: str = "proxy") -> None:
+    def __init__(
+        self,
+        target: Target,
+        bench: Workbench,
+        name: str,
+        kind: str = "proxy",
+        tap: Callable[[PacketBatch, Columns], None] | None = None,
+    ) -> None:
         self.path = target.path
+        self._tap = tap
         self.ledger = Ledger(bench.mission)
         self.missed = 0
         self.failure: EdorasError | None = None
@@ -250,6 +259,8 @@ class Recorder:
         batch = self._demux.demux(frames)
         columns = self._bench.columns.decode(batch)
         self._sink.write(batch, columns)
+        if self._tap is not None:
+            self._tap(batch, columns)
         self.ledger.add(batch, columns)
         statistics = self._source.statistics
         statistics.frames += len(frames)
