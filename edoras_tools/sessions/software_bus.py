@@ -110,6 +110,7 @@ class SoftwareBus:
 
     Attributes:
         counters: what it counts.
+        losses: packets that a pipe did not take, by MsgId and pipe.
         pipes: by name.
         subscribed: MsgIds in the order of their first subscription, as reported to SBN.
     """
@@ -117,6 +118,7 @@ class SoftwareBus:
     def __init__(self, profile: SimProfile) -> None:
         self.profile = profile
         self.counters = Counters()
+        self.losses: Counter[tuple[int, str]] = Counter()
         self.pipes: dict[str, Pipe] = {}
         self.subscribed: list[int] = []
         self._routes: dict[int, list[Pipe]] = {}
@@ -222,6 +224,8 @@ class SoftwareBus:
                 pipe.packets.append(packet)
                 pipe.waiting[wanted] += 1
                 delivered.append(pipe)
+                continue
+            self.losses[wanted, pipe.name] += 1
         self.counters.send_errors += len(events)
         return Publication(packet, tuple(delivered), tuple(events))
 

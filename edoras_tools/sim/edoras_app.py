@@ -69,6 +69,7 @@ class SingleRobotApp:
     """Demos 1 and 2: the robot hangs on the application; its state goes to the ground once a second.
 
     Attributes:
+        robot: what obeys and reports.
         robot_commands: commands that reached the robot.
     """
 
@@ -81,8 +82,7 @@ class SingleRobotApp:
     telemetry: Sequence[int] = (housekeeping, state)
 
     def __init__(self, robot: Robot, struct_bytes: int) -> None:
-        self.robot_commands = 0
-        self._robot = robot
+        self.robot, self.robot_commands = robot, 0
         self._struct = FixedStruct(struct_bytes)
         self._requests = 0
 
@@ -97,19 +97,19 @@ class SingleRobotApp:
             wanted = software_bus.msg_id(packet)
             if wanted == self.request:
                 yield Work(_ROBOT_WORK * cfs.profile.work_ns)
-                self._struct.put(self._robot.state(now=cfs.scheduler.now))
+                self._struct.put(self.robot.state(now=cfs.scheduler.now))
                 cfs.telemetry(self.state, self._struct.data, NAME)
                 yield Work(_ROBOT_WORK * cfs.profile.work_ns)
                 counters = bytes([2 * self._requests & 0xFF, self._requests & 0xFF])
                 cfs.telemetry(self.housekeeping, counters.ljust(56, b"\0"), NAME)
                 self._requests += 1
             elif wanted == self.command and _accepted(cfs, packet):
-                values = messages.decode(self._robot.command_type, packet[cfe.COMMAND_HEADER_BYTES :])
+                values = messages.decode(self.robot.command_type, packet[cfe.COMMAND_HEADER_BYTES :])
                 self.robot_commands += 1
                 if values is None:
                     cfs.print(UNREADABLE)
                 else:
-                    self._robot.obey(values, now=cfs.scheduler.now)
+                    self.robot.obey(values, now=cfs.scheduler.now)
                 yield Work(cfs.profile.work_ns)
 
 

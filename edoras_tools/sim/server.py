@@ -6,21 +6,31 @@ import selectors
 import socket
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import Endpoint
 from edoras_tools.sessions.profile import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from threading import Event
 
-    from edoras_tools.sim.simulation import Simulation
+    from edoras_tools.sim.simulation import Sent, Simulation
 
 _LONGEST_WAIT_S: Final = 0.1
 """How late a stop is noticed at most."""
 _LARGEST_DATAGRAM: Final = 65536
+
+
+class Watch(Protocol):
+    """Looks on while a simulation is served; times are the host's monotonic ns."""
+
+    def entered(self, endpoint: Endpoint, data: bytes, time_ns: int, /) -> None:
+        """Take what a socket was given, and when it was read."""
+
+    def left(self, sent: Sent, time_ns: int, /) -> None:
+        """Take what is about to leave, and when the simulation sent it: at or before now."""
 
 
 def serve(
@@ -29,6 +39,7 @@ def serve(
     duration: float | None = None,
     stop: Event | None = None,
     ready: Callable[[], None] | None = None,
+    watch: Watch | None = None,
 ) -> int:
     """Run a simulation on UDP sockets until it is told to stop.
 
@@ -38,6 +49,7 @@ def serve(
         duration: seconds to run; None for no end.
         stop: ends it when set.
         ready: called once all sockets are bound, before the first datagram leaves.
+        watch: looks on.
 
     Returns:
         datagrams sent.
@@ -64,9 +76,16 @@ def serve(
             if end_ns is not None and now >= end_ns:
                 break
             for item in simulation.run(now):
+                if watch:
+                    watch.left(item, item.time_ns - offset)
                 sent += _send(sockets[item.source], item.destination, item.payload)
             for key, _ in selector.select(_wait_s(simulation, time.monotonic_ns() + offset)):
-                _drain(simulation, key.data, sockets[key.data])
+                for data in _waiting(sockets[key.data]):
+                    read_ns = time.monotonic_ns()
+                    if watch:
+                        watch.entered(key.data, data, read_ns)
+                    # Fed, not delivered: the simulation's clock still stands where it last ran.
+                    simulation.feed(read_ns + offset, key.data, data)
         return sent
 
 
@@ -101,12 +120,9 @@ def _wait_s(simulation: Simulation, now: int) -> float:
     return _LONGEST_WAIT_S if due is None else min(max(due - now, 0) / SECOND, _LONGEST_WAIT_S)
 
 
-def _drain(simulation: Simulation, endpoint: Endpoint, opened: socket.socket) -> None:
+def _waiting(opened: socket.socket) -> Iterator[bytes]:
     while True:
         try:
-            data = opened.recv(_LARGEST_DATAGRAM)
-        except BlockingIOError:
+            yield opened.recv(_LARGEST_DATAGRAM)
+        except OSError:  # nothing more, or an error of an earlier datagram's
             return
-        except OSError:
-            return
-        simulation.deliver(endpoint, data)
