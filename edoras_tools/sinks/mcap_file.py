@@ -27,10 +27,10 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from mcap.writer import MCAP0_MAGIC
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
+from edoras_tools.wire.mcap import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -111,7 +111,7 @@ class Summary:
         summary = _built(builder)
         unsigned = _encode(Footer(start, offset_start, 0))[:_FOOTER_BYTES_IN_CRC]
         footer = Footer(start, offset_start, zlib.crc32(unsigned, zlib.crc32(summary)))
-        return end + summary + _encode(footer) + MCAP0_MAGIC
+        return end + summary + _encode(footer) + MAGIC
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +247,7 @@ def _text(name: str) -> str:
 
 
 def _opening() -> bytes:
-    return MCAP0_MAGIC + _encode(Header("ros2", f"edoras-tools {__version__}"))
+    return MAGIC + _encode(Header("ros2", f"edoras-tools {__version__}"))
 
 
 def _encode(record: McapRecord) -> bytes:

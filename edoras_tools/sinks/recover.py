@@ -26,12 +26,12 @@ from mcap.records import (
     MetadataIndex,
     Schema,
 )
-from mcap.writer import MCAP0_MAGIC
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.sinks.mcap import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.sinks.mcap_chunks import message_index
 from edoras_tools.sinks.mcap_file import FinishedChunk, McapFile, Summary
+from edoras_tools.wire.mcap import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -113,7 +113,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             reader = _Reader(source, file)
             if (whole := reader.whole()) is not None:
                 return whole
-            first = reader.prefix(len(MCAP0_MAGIC))
+            first = reader.prefix(len(MAGIC))
             if first is None or first[0] != Opcode.HEADER or first[2] > reader.size:
                 raise CaptureError(f"{source}: is cut off in its first record; there is nothing to recover")
             if _parsed(Opcode.HEADER, reader.bytes(*first[1:])) is None:
@@ -132,7 +132,7 @@ class _Reader:
         self.path = path
         self._file = file
         self.size = os.fstat(file.fileno()).st_size
-        if self.bytes(0, len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        if self.bytes(0, len(MAGIC)) != MAGIC:
             raise CaptureError(f"{path}: is no MCAP file, or one without even its first 8 bytes")
 
     def bytes(self, start: int, end: int) -> bytes:
@@ -152,7 +152,7 @@ class _Reader:
         """Return the report of a file that needs nothing; None of any other."""
         from mcap.reader import make_reader
 
-        if self.bytes(self.size - len(MCAP0_MAGIC), self.size) != MCAP0_MAGIC:
+        if self.bytes(self.size - len(MAGIC), self.size) != MAGIC:
             return None
         self._file.seek(0)
         with suppress(McapError, struct.error, OSError, ValueError, OverflowError, MemoryError):
@@ -182,7 +182,7 @@ class _Rebuild:
     def run(self) -> Recovery:
         """Copy record after record, then write the end."""
         try:
-            self._copy(0, len(MCAP0_MAGIC))
+            self._copy(0, len(MAGIC))
             self._records()
             opening = self._metadata.get(OPENING_METADATA_NAME)
             if opening is not None and METADATA_NAME not in self._metadata:
@@ -202,7 +202,7 @@ class _Rebuild:
 
     def _records(self) -> None:
         reader = self._reader
-        position = len(MCAP0_MAGIC)
+        position = len(MAGIC)
         while (record := reader.prefix(position)) is not None:
             opcode, start, end = record
             past = end > reader.size and opcode != Opcode.CHUNK

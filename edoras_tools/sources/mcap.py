@@ -18,12 +18,12 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
-from mcap.writer import MCAP0_MAGIC
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.sources.framing import PADDING
 from edoras_tools.sources.linklayer import Demux, FrameBatch
+from edoras_tools.wire.mcap import MAGIC
 from edoras_tools.wire.window import read_at
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ class McapSource:
         """
         failure: CaptureError | None = None
         stray = bytearray()
-        position = len(MCAP0_MAGIC)
+        position = len(MAGIC)
         ended = False
         while not ended and (record := self._prefix(position)) is not None:
             opcode, start, end = record
@@ -300,14 +300,14 @@ class McapSource:
         return position
 
     def _check(self, *, whole: bool) -> None:
-        if self._read(0, len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        if self._read(0, len(MAGIC)) != MAGIC:
             raise CaptureError(f"{self._name}: is no MCAP file")
         if whole and TOPIC not in self._topics.values():
             raise self._no_datagrams()
 
     def _read_front(self) -> bool:
         """Read what is in front of the first message, and the summary; tell whether there is a summary."""
-        position = len(MCAP0_MAGIC)
+        position = len(MAGIC)
         while (record := self._prefix(position)) is not None:
             opcode, start, end = record
             if opcode in {Opcode.CHUNK, Opcode.MESSAGE, Opcode.DATA_END}:
@@ -315,8 +315,8 @@ class McapSource:
             self._remember(opcode, start, end)
             position = end
         footer = _PREFIX.size + 20
-        tail = self._size - len(MCAP0_MAGIC) - footer
-        if tail < position or self._read(self._size - len(MCAP0_MAGIC), self._size) != MCAP0_MAGIC:
+        tail = self._size - len(MAGIC) - footer
+        if tail < position or self._read(self._size - len(MAGIC), self._size) != MAGIC:
             return False
         summary = int.from_bytes(self._read(tail + _PREFIX.size, tail + _PREFIX.size + 8), "little")
         if not 0 < summary <= tail:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.wire.mcap import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from mcap.reader import McapReader
 
 _SQLITE = b"SQLite format 3\0"
-_MCAP = b"\x89MCAP0\r\n"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _CDR = "cdr"
 
@@ -116,7 +116,7 @@ def _kind(path: Path) -> str:
         raise CaptureError(f"{path}: cannot be opened: {error.strerror or error}") from None
     if head.startswith(_SQLITE):
         return "db3"
-    if head.startswith(_MCAP):
+    if head.startswith(MAGIC):
         return "mcap"
     if head.startswith(_ZSTD):
         raise CaptureError(f"{path}: is compressed as a whole; unpack it first: zstd -d {path.name}")
