@@ -11,11 +11,13 @@ import typer
 
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import LOST
+from edoras_tools.cli.live import Shown, showing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from edoras_tools.errors import EdorasError
+    from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.bridge import Bridges
     from edoras_tools.pipelines.bridge_plan import BridgePlan
     from edoras_tools.pipelines.proxy_recorder import Recorder
@@ -83,6 +85,7 @@ def bridge(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Record to .mcap, .pcapng or .pcap.")
     ] = None,
+    live: Shown = None,
     duration: options.Duration = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what would be bridged; open nothing.")
@@ -99,6 +102,7 @@ def bridge(
     from edoras_tools.pipelines.bridge_plan import Wishes, plan_bridges
     from edoras_tools.render import bridge as view
     from edoras_tools.render.console import error_console, output_console
+    from edoras_tools.render.foxglove import served
 
     way = ros.value if ros else usual()
     wishes = Wishes(
@@ -129,19 +133,22 @@ def bridge(
         ros=way,
         domain=usual_domain() if domain is None else domain,
         options=dict(item.split("=", 1) for item in ros_options or ()),
-        recorder=_recorder(plan, output),
+        recorder=_recorder(plan, output, live),
         say=None if shows else _say,
     )
     failure = _run(bridges, output, duration or 0, shows=shows)
     summary = bridges.summary()
+    shown = bridges.recorder.shown.summary() if bridges.recorder and bridges.recorder.shown else None
     if json:
-        print_json(summary)
+        print_json({**summary, "foxglove": shown})
     elif not quiet:
         if shows:
             for note in bridges.notes:
                 _say(note)
         console = error_console()
         console.print(view.outcome(summary, console.width, output))
+        for line in served(shown) if shown else ():
+            sys.stderr.write(f"{line}\n")
     if json or quiet:
         for line in view.losses(summary):
             _say(line)
@@ -151,18 +158,19 @@ def bridge(
         raise typer.Exit(LOST)
 
 
-def _recorder(plan: BridgePlan, output: Path | None) -> Callable[[], Recorder] | None:
-    """Return what opens the recording, checked before anything is opened; None where there is none."""
-    if output is None:
+def _recorder(plan: BridgePlan, output: Path | None, live: Endpoint | None) -> Callable[[], Recorder] | None:
+    """Return what records and shows it, checked before anything is opened; None where nobody wants it."""
+    if output is None and live is None:
         return None
     from edoras_tools.pipelines.proxy_recorder import Recorder
     from edoras_tools.pipelines.record import Target, check_target
 
-    goal = Target(output)
-    check_target(goal, ())
+    goal = Target(output) if output else None
+    if goal:
+        check_target(goal, ())
     bench = plan.workbench()
     name = ", ".join(f"{item.kind} bridge {item.listen} to {item.target}" for item in plan.stations)
-    return lambda: Recorder(goal, bench, name, "bridge")
+    return lambda: Recorder(goal, bench, name, "bridge", show=showing(bench, live))
 
 
 def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool) -> EdorasError | None:

@@ -14,10 +14,10 @@ from edoras_tools.cli import options, sending
 from edoras_tools.cli.sim import Scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from edoras_tools.errors import EdorasError
-    from edoras_tools.model import Endpoint
+    from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.live_publish import Commands, Send
     from edoras_tools.pipelines.live_sim import RunningSimulation
     from edoras_tools.pipelines.orders import To
@@ -30,6 +30,40 @@ if TYPE_CHECKING:
 
 _publishing = partial(typer.Option, rich_help_panel="Publishing")
 _playback = partial(typer.Option, rich_help_panel="Playback")
+
+
+def place(text: str) -> Endpoint:
+    """Read ``[HOST:]PORT``; alone, a port is one of this machine's own address."""
+    return sending.endpoint(text if ":" in text else f"127.0.0.1:{text}")
+
+
+Shown = Annotated[
+    Any,
+    typer.Option(
+        "--live",
+        metavar="[HOST:]PORT",
+        parser=place,
+        help="Show it in Foxglove meanwhile, at 8765 or so; 0: any.",
+    ),
+]
+"""An option of whatever can be looked at while it runs; ``showing`` makes of it what a recorder takes."""
+
+
+def showing(
+    bench: Workbench, where: Endpoint | None
+) -> Callable[[SourceInfo, SourceStatistics], FoxgloveSink] | None:
+    """Return what attaches Foxglove, and says where to look; None where nobody wants it."""
+    if where is None:
+        return None
+
+    def show(info: SourceInfo, statistics: SourceStatistics) -> FoxgloveSink:
+        from edoras_tools.pipelines.live import attach
+
+        sink = attach(bench, info, listen=where, statistics=statistics)
+        _say(info.name, sink)
+        return sink
+
+    return show
 
 
 @options.takes_decoding

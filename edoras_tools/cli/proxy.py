@@ -11,10 +11,12 @@ import typer
 
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import LOST
+from edoras_tools.cli.live import Shown, showing
 from edoras_tools.cli.sending import DryRun, Yes, endpoint
 
 if TYPE_CHECKING:
     from edoras_tools.errors import EdorasError
+    from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.proxy import Proxy
     from edoras_tools.pipelines.proxy_plan import ProxyPlan
     from edoras_tools.pipelines.workbench import Settings, Workbench
@@ -86,6 +88,7 @@ def proxy(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Record to .mcap, .pcapng or .pcap.")
     ] = None,
+    live: Shown = None,
     idle: Annotated[
         int | None,
         typer.Option(metavar="TIME", parser=options.duration, help="Forget clients silent for so long; 60s."),
@@ -108,6 +111,7 @@ def proxy(
     from edoras_tools.pipelines.safety import check_target
     from edoras_tools.render import proxy as view
     from edoras_tools.render.console import error_console, output_console
+    from edoras_tools.render.foxglove import served
 
     relayed = Link[link.name]
     bench = as_relayed(settings, relayed, target).workbench()
@@ -130,14 +134,17 @@ def proxy(
     asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     for item in plan.targets:
         check_target(item, yes=yes, confirm=_confirm if asks else None)
-    relay = _opened(plan, bench, output)
+    relay = _opened(plan, bench, output, live)
     failure = _run(relay, output, duration or 0, keyboard=asks, quiet=quiet or json)
     summary = relay.summary()
+    shown = relay.recorder.shown.summary() if relay.recorder and relay.recorder.shown else None
     if json:
-        print_json(summary)
+        print_json({**summary, "foxglove": shown})
     elif not quiet:
         console = error_console()
         console.print(view.outcome(summary, console.width, output))
+        for line in served(shown) if shown else ():
+            sys.stderr.write(f"{line}\n")
     if quiet or json:
         for line in view.notes(summary):
             sys.stderr.write(f"edoras: {line}\n")
@@ -147,20 +154,22 @@ def proxy(
         raise typer.Exit(LOST)
 
 
-def _opened(plan: ProxyPlan, bench: Workbench, output: Path | None) -> Proxy:
-    """Bind the ports, then begin the recording."""
+def _opened(plan: ProxyPlan, bench: Workbench, output: Path | None, live: Endpoint | None) -> Proxy:
+    """Bind the ports, then begin the recording, and to show it."""
     from edoras_tools.pipelines.fault_where import compiler
     from edoras_tools.pipelines.proxy import Proxy
 
-    if output is None:
+    if output is None and live is None:
         return Proxy(plan, where=compiler(bench))
     from edoras_tools.pipelines.proxy_recorder import Recorder
     from edoras_tools.pipelines.record import Target, check_target
 
-    goal = Target(output)
-    check_target(goal, ())
+    goal = Target(output) if output else None
+    if goal:
+        check_target(goal, ())
     name = f"{plan.link.label} {plan.listen} to {plan.targets[0]}"
-    return Proxy(plan, recorder=lambda: Recorder(goal, bench, name), where=compiler(bench))
+    show = showing(bench, live)
+    return Proxy(plan, recorder=lambda: Recorder(goal, bench, name, show=show), where=compiler(bench))
 
 
 def _run(

@@ -18,8 +18,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.accounts import Ledger
 from edoras_tools.pipelines.record import open_sink
-from edoras_tools.sinks.mcap import McapSink
-from edoras_tools.sinks.rosbag2 import Rosbag2Sink
+from edoras_tools.sinks.tee import Tee
 from edoras_tools.sources.bpf import RAW
 from edoras_tools.sources.framing import PADDING
 from edoras_tools.sources.linklayer import Demux, FrameBatch
@@ -36,6 +35,8 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.record import Target
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults import Fault
+    from edoras_tools.sinks import Sink
+    from edoras_tools.sinks.foxglove import FoxgloveSink
     from edoras_tools.sources.relay import Arena
 
 PAGE_BYTES: Final = 2 << 20
@@ -81,17 +82,19 @@ class Recorder:
     """Writes what a relay sends.
 
     Args:
-        target: what to write.
+        target: what to write; None: nothing, it is only shown.
         bench: mission, types and decoders.
         name: of the relay, for the recording's metadata.
         kind: what the relay is, for the same.
         tap: takes every batch as well, on the recorder's thread.
+        show: makes what shows it meanwhile of the relay's info and counts, as ``pipelines.live.attach`` does.
 
     Attributes:
         ledger: counts by route.
         missed: datagrams that were not recorded, because the thread could not keep up or failed.
         failure: why recording ended early, if it did.
-        path: what is written.
+        path: what is written, if anything is.
+        shown: what ``show`` made.
 
     Raises:
         CaptureError: it cannot be written.
@@ -99,20 +102,28 @@ class Recorder:
 
     def __init__(
         self,
-        target: Target,
+        target: Target | None,
         bench: Workbench,
         name: str,
         kind: str = "proxy",
         tap: Callable[[PacketBatch, Columns], None] | None = None,
+        show: Callable[[SourceInfo, SourceStatistics], FoxgloveSink] | None = None,
     ) -> None:
-        self.path = target.path
+        self.path = target.path if target else None
         self._tap = tap
         self.ledger = Ledger(bench.mission)
         self.missed = 0
         self.failure: EdorasError | None = None
         self._bench = bench
         self._source = _RelaySource(SourceInfo(name, kind), SourceStatistics())
-        self._sink = open_sink(target, self._source, bench)
+        self.shown = show(self._source.info, self._source.statistics) if show else None
+        sinks: list[Sink] = [self.shown] if self.shown else []
+        try:
+            self._sink = Tee([*sinks, open_sink(target, self._source, bench)] if target else sinks)
+        except CaptureError:
+            for sink in sinks:
+                sink.close(self._source.statistics)
+            raise
         self._versions: list[int] = []
         self._rooms: list[int] = []
         self._ends: list[tuple[bytes, int, bytes, int]] = []
@@ -226,7 +237,7 @@ class Recorder:
                 return
             if page.rows:
                 self._write(page)
-            if page.faults and isinstance(self._sink, McapSink | Rosbag2Sink):
+            if page.faults:
                 self._sink.write_faults(page.faults)
             self._written += page.data.size
             now = time.monotonic_ns()
