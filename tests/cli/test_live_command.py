@@ -1,6 +1,5 @@
 """``edoras live`` as a shell runs it, and as Foxglove sees it."""
 
-import importlib.util
 import json
 import re
 import signal
@@ -10,14 +9,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import foxglove_client as peer
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SPEC = importlib.util.spec_from_file_location("foxglove_client", ROOT / "tests/foxglove_client.py")
-peer = importlib.util.module_from_spec(SPEC)
-sys.modules["foxglove_client"] = peer
-SPEC.loader.exec_module(peer)
-
 TWIST = "geometry_msgs/msg/Twist"
 CDR = bytes.fromhex("00010000") + struct.pack("<6d", 0.5, 0, 0, 0, 0, -1)
 
@@ -130,6 +125,49 @@ def test_sockets_are_shown_and_commands_go_to_the_target(started, missions):
             _, err = interrupt(process)
         assert process.returncode == 0
         assert err.splitlines()[-1].endswith("1 taken from them, 0 refused")
+
+
+def test_a_proxy_is_looked_at_while_it_relays(command, missions):
+    """The line that says where to look comes first; what crosses, faults included, is shown."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as cfs:
+        cfs.bind(("127.0.0.1", 0))
+        ends = ["--listen", "127.0.0.1:0", "--target", f"127.0.0.1:{cfs.getsockname()[1]}"]
+        process = subprocess.Popen(
+            [
+                command,
+                "proxy",
+                "ci",
+                *ends,
+                *missions("rover_ground"),
+                "--live",
+                "0",
+                "--fault",
+                "drop:1,every=2",
+            ],
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            url = process.stderr.readline().rpartition("ds.url=")[2].strip()
+            port = int(re.match(r"relaying ci 127\.0\.0\.1:(\d+)", process.stderr.readline())[1])
+            with peer.Client(url, 7) as client:
+                client.subscribe("/cmd_vel")
+                peer_packet = bytes.fromhex("18270000004501003400000000000000 3400000000000000") + CDR
+
+                def shown():
+                    cfs.sendto(peer_packet, ("127.0.0.1", port))
+                    return client.messages and "/edoras/faults" in client.channels
+
+                client.until(shown)
+                assert client.messages[0].data == CDR
+                process.send_signal(signal.SIGINT)
+                _, err = process.communicate(timeout=peer.PATIENCE_S)
+        finally:
+            process.kill()
+            process.communicate()
+        assert process.returncode == 0, err
+        assert re.search(r"^Foxglove: 1 client, \d+ messages? sent$", err, re.MULTILINE)
 
 
 @pytest.mark.parametrize(

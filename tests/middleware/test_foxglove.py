@@ -1,11 +1,10 @@
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 from contextlib import suppress
-from pathlib import Path
 
+import foxglove_client as peer
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,13 +14,6 @@ from edoras_tools.middleware import Qos
 from edoras_tools.middleware.foxglove import as_cdr, full_type, open_graph
 from edoras_tools.middleware.opening import open_graph as open_any
 from edoras_tools.ros import TypeStore
-
-SPEC = importlib.util.spec_from_file_location(
-    "foxglove_client", Path(__file__).parents[1] / "foxglove_client.py"
-)
-peer = importlib.util.module_from_spec(SPEC)
-sys.modules["foxglove_client"] = peer
-SPEC.loader.exec_module(peer)
 
 QOS = Qos()
 TWIST = "geometry_msgs/msg/Twist"

@@ -1,13 +1,12 @@
 from __future__ import annotations
 
-import importlib.util
 import struct
-import sys
 import threading
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic_ns
 
+import foxglove_client as peer
 import pytest
 
 from edoras_tools.errors import ConfigError, RouteError
@@ -22,11 +21,6 @@ from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sim import Simulation
 
 ROOT = Path(__file__).parents[2]
-SPEC = importlib.util.spec_from_file_location("foxglove_client", ROOT / "tests/foxglove_client.py")
-peer = importlib.util.module_from_spec(SPEC)
-sys.modules["foxglove_client"] = peer
-SPEC.loader.exec_module(peer)
-
 ANY = Endpoint("127.0.0.1", 0)
 ROVER = ROOT / "samples/captures/a_rover.pcap"
 SETTINGS = Settings((ROOT / "samples/missions/rover_ground.yaml",))

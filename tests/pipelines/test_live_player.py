@@ -1,13 +1,12 @@
 from __future__ import annotations
 
-import importlib.util
 import math
 import os
-import sys
 import threading
 from contextlib import contextmanager
 from pathlib import Path
 
+import foxglove_client as peer
 import pytest
 
 from edoras_tools.errors import CaptureError, RouteError
@@ -19,11 +18,6 @@ from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sinks.foxglove_offer import PlaybackRequest
 
 ROOT = Path(__file__).parents[2]
-SPEC = importlib.util.spec_from_file_location("foxglove_client", ROOT / "tests/foxglove_client.py")
-peer = importlib.util.module_from_spec(SPEC)
-sys.modules["foxglove_client"] = peer
-SPEC.loader.exec_module(peer)
-
 ANY = Endpoint("127.0.0.1", 0)
 ROVER = ROOT / "samples/captures/a_rover.pcap"
 SETTINGS = Settings((ROOT / "samples/missions/rover_ground.yaml",))

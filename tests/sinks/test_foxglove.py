@@ -1,12 +1,11 @@
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
-import sys
 from functools import cache
 from pathlib import Path
 
+import foxglove_client as peer
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -19,11 +18,6 @@ from edoras_tools.sinks.mcap import McapSink
 from edoras_tools.sinks.mcap_rows import Records
 
 ROOT = Path(__file__).parents[2]
-SPEC = importlib.util.spec_from_file_location("foxglove_client", ROOT / "tests/foxglove_client.py")
-peer = importlib.util.module_from_spec(SPEC)
-sys.modules["foxglove_client"] = peer
-SPEC.loader.exec_module(peer)
-
 LAST = 1
 OWN = 5
 """Topics beside those of the mission."""

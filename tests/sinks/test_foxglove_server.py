@@ -1,10 +1,9 @@
 from __future__ import annotations
 
-import importlib.util
 import socket
 import sys
-from pathlib import Path
 
+import foxglove_client as peer
 import numpy as np
 import pytest
 
@@ -15,13 +14,6 @@ from edoras_tools.sinks.foxglove_offer import Offer, PlaybackRequest, PlaybackSt
 from edoras_tools.sinks.foxglove_server import FoxgloveServer
 from edoras_tools.sinks.mcap_rows import Records
 from edoras_tools.sinks.streams import Topic
-
-SPEC = importlib.util.spec_from_file_location(
-    "foxglove_client", Path(__file__).parents[1] / "foxglove_client.py"
-)
-peer = importlib.util.module_from_spec(SPEC)
-sys.modules["foxglove_client"] = peer
-SPEC.loader.exec_module(peer)
 
 STRING = "std_msgs/msg/String"
 TOPICS = [Topic("/a", STRING, {"link": "ci"}), Topic("/b", STRING)]
