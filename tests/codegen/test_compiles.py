@@ -24,7 +24,7 @@ def build(cc, tools, generated, out, *flags):
 
 
 def steady():
-    """What a program is started with to lie at the same addresses every time: old sanitizers mind some of them."""
+    """What makes a program lie at the same addresses every time: old sanitizers mind some of them."""
     setarch = shutil.which("setarch")
     works = (
         setarch and subprocess.run([setarch, "-R", "true"], capture_output=True, check=False).returncode == 0
