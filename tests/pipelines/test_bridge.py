@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 import time
@@ -64,8 +65,7 @@ class Room:
 
     def file(self, name, *changes):
         text = (MISSIONS / f"{name}.yaml").read_text().replace('"0.0.0.0"', f'"{HOST}"')
-        for port, free in self.ports.items():
-            text = text.replace(f": {port}", f": {free}")
+        text = re.sub(r"(?<=: )\d{4}\b", lambda found: str(self.ports[found[0]]), text)
         for old, new in changes:
             assert old in text
             text = text.replace(old, new)
