@@ -28,6 +28,8 @@ _BATCH: Final = 512
 _PAGE_NS: Final = 40_000_000
 _NOTES: Final = 200
 _NEVER: Final = 1 << 63
+_SERVERS: Final = frozenset({"foxglove"})
+"""Where nodes are not each other's peers but clients come to a port: all bridges are one node."""
 
 
 class Bridges:
@@ -80,8 +82,15 @@ class Bridges:
         for note in plan.notes:
             self._say(note)
 
+        shared: list[Graph] = []
+
         def node(name: str) -> Graph:
-            return open_graph(ros, plan.types, name, domain=domain, options=options or {})
+            if shared:
+                return shared[0]
+            graph = open_graph(ros, plan.types, name, domain=domain, options=options or {})
+            if ros in _SERVERS:
+                shared.append(graph)
+            return graph
 
         arena = make_arena()
 

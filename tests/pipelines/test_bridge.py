@@ -444,3 +444,18 @@ def test_it_ends_by_itself_after_its_duration(room):
     bridges.run(duration_ns=SECOND // 50)
     assert not bridges.interrupted
     bridges.close()
+
+
+def test_bridges_behind_one_server_share_it(room, monkeypatch):
+    opened = []
+
+    def served(_ros, store, name, **_options):
+        opened.append(name)
+        return open_graph(store, name, domain=room.domain)
+
+    monkeypatch.setattr("edoras_tools.pipelines.bridge.open_graph", served)
+    plan = plan_bridges(Settings((room.file("two_rovers_ground"), room.file("two_rovers_flight"))), Wishes())
+    bridges = Bridges(plan, ros="foxglove")
+    bridges.run(duration_ns=MILLISECOND)
+    bridges.close()
+    assert (len(bridges.stations), opened) == (2, ["conversion_node"])
