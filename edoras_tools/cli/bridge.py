@@ -178,18 +178,21 @@ def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool
     from contextlib import ExitStack
 
     from edoras_tools.errors import EdorasError
+    from edoras_tools.pipelines.interrupt import on_interrupt
     from edoras_tools.render.bridge import BridgeTable
     from edoras_tools.render.console import error_console
 
-    for station in bridges.stations:
-        count = len(station.machine.routes)
-        sys.stderr.write(
-            f"bridging {count} topic{'' if count == 1 else 's'} through {bridges.ros}: {station.plan.name}, "
-            f"{station.plan.kind}, {station.endpoint} to {station.plan.target}; Ctrl-C ends\n"
-        )
-    sys.stderr.flush()
     failure: EdorasError | None = None
     with ExitStack() as stack:
+        stack.enter_context(on_interrupt(bridges.stop))  # from the moment that it is told
+        for station in bridges.stations:
+            count = len(station.machine.routes)
+            sys.stderr.write(
+                f"bridging {count} topic{'' if count == 1 else 's'} through {bridges.ros}: "
+                f"{station.plan.name}, {station.plan.kind}, {station.endpoint} to {station.plan.target}; "
+                "Ctrl-C ends\n"
+            )
+        sys.stderr.flush()
         table = stack.enter_context(BridgeTable(error_console(), output)) if shows else None
         try:
             bridges.run(duration_ns=duration_ns, watcher=table)

@@ -179,15 +179,17 @@ def _run(
     from contextlib import ExitStack
 
     from edoras_tools.errors import EdorasError
+    from edoras_tools.pipelines.interrupt import on_interrupt
     from edoras_tools.pipelines.keys import Keys
     from edoras_tools.render.console import error_console
     from edoras_tools.render.proxy import ProxyTable
     from edoras_tools.render.terminal import look
 
-    sys.stderr.write(f"relaying {relay.title}; Ctrl-C ends\n")
-    sys.stderr.flush()
     failure: EdorasError | None = None
     with ExitStack() as stack:
+        stack.enter_context(on_interrupt(relay.stop))  # from the moment that it is told
+        sys.stderr.write(f"relaying {relay.title}; Ctrl-C ends\n")
+        sys.stderr.flush()
         table = keys = None
         if not quiet and look(sys.stderr).interactive:
             keys = stack.enter_context(Keys()) if keyboard else None

@@ -44,6 +44,7 @@ _WAIT_MS: Final = 20
 """How late Ctrl-C, keys and idle clients are noticed at most."""
 _CHORES_NS: Final = 20_000_000
 _FINISH_NS: Final = 200_000_000
+"""What moving the rest may take at the end, in time of the thread: a machine that stands still loses none."""
 
 
 class Proxy:
@@ -229,8 +230,8 @@ class Proxy:
 
     def _finish(self) -> None:
         """Move what has arrived already."""
-        end = self._now() + _FINISH_NS
-        while self._now() < end and any(
+        end = time.thread_time_ns() + _FINISH_NS
+        while time.thread_time_ns() < end and any(
             fileno in self._owners or fileno == self._listen.fileno() for fileno, _ in self._poll.poll(0)
         ):
             self._turn(self._now(), 0, None)

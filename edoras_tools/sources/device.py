@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from edoras_tools.sources.linklayer import FrameBatch
 
 _DRAIN_S = 0.5
-"""How long after ``stop`` the device may take to give up what it holds."""
+"""How long after ``stop`` the device may take to give up what it holds,"""
+_DRAIN_TURNS = 500
+"""and how often it is asked at least: a machine that stood still for so long cuts nothing off."""
 
 
 class Device(Protocol):
@@ -106,6 +108,7 @@ class DeviceSource:
         self._room = threading.Event()
         self._stopping = False
         self._deadline = 0.0  # once stopping: until when the device may take
+        self._turns = 0  # and how often it was asked since
         self._closed = False
         self._wake, self._waker = socket.socketpair()
         self._waker.setblocking(False)
@@ -219,8 +222,11 @@ class DeviceSource:
                 self._deadline = time.monotonic() + _DRAIN_S
 
     def _late(self) -> bool:
-        """Tell whether the device has had its time to give up what it holds."""
-        return bool(self._deadline) and time.monotonic() > self._deadline
+        """Tell whether the device has had its time, and its turns, to give up what it holds."""
+        if not self._deadline:
+            return False
+        self._turns += 1
+        return self._turns > _DRAIN_TURNS and time.monotonic() > self._deadline
 
 
 def _nothing() -> PacketBatch:
