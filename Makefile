@@ -19,7 +19,7 @@ $(VENV)/.installed: pyproject.toml
 demo: venv  ## Tour the main job on loopback.
 	@$(BIN)/edoras demo
 
-judges:  ## Install tshark and Chromium, the tests' independent judges, where they are missing.
+judges:  ## Install tshark, Chromium and a C compiler, the tests' judges, where they are missing.
 	@.ci/install-judges
 
 test: venv judges lint  ## Run every check and test.
