@@ -24,13 +24,13 @@ _LARGEST_DATAGRAM: Final = 65536
 
 
 class Watch(Protocol):
-    """Looks on while a simulation is served; times are the host's monotonic ns."""
+    """Looks on while a simulation is served."""
 
-    def entered(self, endpoint: Endpoint, data: bytes, time_ns: int, /) -> None:
-        """Take what a socket was given, and when it was read."""
+    def entered(self, endpoint: Endpoint, data: bytes, /) -> None:
+        """Take what a socket was given and has just been read."""
 
-    def left(self, sent: Sent, time_ns: int, /) -> None:
-        """Take what is about to leave, and when the simulation sent it: at or before now."""
+    def left(self, sent: Sent, /) -> None:
+        """Take what leaves now."""
 
 
 def serve(
@@ -77,15 +77,14 @@ def serve(
                 break
             for item in simulation.run(now):
                 if watch:
-                    watch.left(item, item.time_ns - offset)
+                    watch.left(item)
                 sent += _send(sockets[item.source], item.destination, item.payload)
             for key, _ in selector.select(_wait_s(simulation, time.monotonic_ns() + offset)):
                 for data in _waiting(sockets[key.data]):
-                    read_ns = time.monotonic_ns()
                     if watch:
-                        watch.entered(key.data, data, read_ns)
+                        watch.entered(key.data, data)
                     # Fed, not delivered: the simulation's clock still stands where it last ran.
-                    simulation.feed(read_ns + offset, key.data, data)
+                    simulation.feed(time.monotonic_ns() + offset, key.data, data)
         return sent
 
 
