@@ -35,6 +35,9 @@ def sniff(
     tree: Annotated[bool, typer.Option("-V", "--tree", help="Every layer and field of each packet.")] = False,
     hexdump: Annotated[bool, typer.Option("-x", "--hex", help="The bytes of each packet.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
+    tui: Annotated[
+        bool, typer.Option("--tui", help="Packet list, layers and bytes, to move about in; ? there says how.")
+    ] = False,
     time: Annotated[Time, typer.Option("--time", "-t", help="How to tell time.")] = Time.RELATIVE,
     findings: Annotated[
         bool, typer.Option("--findings", help="Only packets with a warning or an error.")
@@ -75,13 +78,21 @@ def sniff(
         ("--json", json and not stat),
         ("-V", tree),
         ("-x", hexdump),
+        ("--tui", tui),
     )
     chosen = replace(
         selection,
         links=selection.links or (() if every or listen else (Link.CI, Link.TO, Link.SBN)),
         notable=NOTABLE if findings else 0,
     )
+    if tui:
+        from edoras_tools.cli.panes import check_terminal, show
+
+        check_terminal()
     source, bench = open_input(read, interface, listen, settings, every_port=every)
+    if tui:
+        show(source, bench, settings, chosen, time.value, count=count, duration_ns=duration, verbose=verbose)
+        return
     waits = read is None or str(read[0]) == "-"
     limits: dict[str, Any] = {"count": count or 0, "clock": monotonic_ns, "duration_ns": duration or 0}
     if fields or sequence or stat:

@@ -25,7 +25,7 @@ class Feed(threading.Thread):
         bench: mission, types and decoders.
         selection: what is taken at all; without a filter, which the view has itself.
         deliver: called with each block, in this thread.
-        ended: called once, with why when something went wrong, else with nothing.
+        ended: called once, with why if there is something to say, and whether it is that reading failed.
         clock: monotonic time in ns.
         count: take so many packets; 0 all.
         duration_ns: read so long; 0 to the end.
@@ -39,7 +39,7 @@ class Feed(threading.Thread):
         selection: Selection,
         *,
         deliver: Callable[[Block], None],
-        ended: Callable[[str], None],
+        ended: Callable[[str, bool], None],
         clock: Callable[[], int],
         count: int = 0,
         duration_ns: int = 0,
@@ -66,16 +66,17 @@ class Feed(threading.Thread):
 
     def run(self) -> None:
         """Read."""
-        why = ""
+        why, failed = "", True
         try:
             why = self._read()
+            failed = False
         except EdorasError as error:
             why = str(error)
         except Exception as error:  # noqa: BLE001  a thread that dies silently would look like a quiet link
             why = f"reading stopped: {type(error).__name__}: {error}"
         finally:
             self._source.close()
-            self._ended(why)
+            self._ended(why, failed)
 
     def _read(self) -> str:
         began, taken, size = self._clock(), 0, 0
@@ -100,7 +101,7 @@ class Feed(threading.Thread):
                 break
             if self._limit and size >= self._limit:
                 return (
-                    f"the first {units.plural(taken, 'packet')} are here, more do not fit {units.size(size)}; "
-                    "choose fewer with --link, --topic or --msg-id"
+                    f"the first {units.plural(taken, 'packet')} are here, more do not fit {units.size(size)};"
+                    " choose fewer with --link, --topic or --msg-id"
                 )
         return ""

@@ -28,12 +28,17 @@ _TOLD: Final = 34
 
 
 class Ladder(Lines):
-    """The runs of a conversation; choosing one goes to its first packet."""
+    """The runs of a conversation; choosing one goes to its first packet.
+
+    Attributes:
+        empty: what is said where there is none.
+    """
 
     def __init__(self) -> None:
         super().__init__(id="ladder")
         self._messages: Sequence[Message] = ()
         self._parties: list[str] = []
+        self.empty = ""
 
     def show(self, messages: Sequence[Message]) -> None:
         """Show a conversation."""
@@ -41,19 +46,26 @@ class Ladder(Lines):
         names = chain.from_iterable((item.source, item.destination) for item in messages)
         self._parties = list(dict.fromkeys(names))
         self.recount()
+        self.refresh_heads()
 
     @property
     def first_ns(self) -> int:
         """When the run under the cursor began, since the capture's first packet."""
         return self._messages[self.cursor].first_ns
 
-    @property
+    def on_resize(self) -> None:
+        """Lay the lifelines out for another width."""
+        self.refresh_heads()
+
     def header(self) -> Text:
-        """The parties, each over its lifeline."""
+        """Return the parties, each over its lifeline."""
+        if not self._messages:
+            return Text(f"  {self.empty}", palette.DIM)
         step = self._step
         line = Text(" " * _TIME)
         for name in self._parties:
-            shown = clip_middle(clean(name), step - 1)
+            shown = clean(name)
+            shown = shown if len(shown) < step else clip_middle(shown.removeprefix("SBN "), step - 1)
             line.append(f"{shown:^{step}}", palette.STRONG)
         return line
 
@@ -64,7 +76,7 @@ class Ladder(Lines):
     def draw(self, row: int, width: int) -> Strip:
         """Return a run: when, from whom to whom, what."""
         item = self._messages[row]
-        line = Text(fit(f"{item.first_ns / 1e9:>{_TIME - 2}.3f}", _TIME), palette.DIM)
+        line = Text.assemble((fit(f"{item.first_ns / 1e9:>{_TIME - 2}.3f}", _TIME), palette.DIM))
         line.append_text(self._arrow(item))
         line.append_text(_words(item, width - line.cell_len))
         return strip_of(line, self.app.console)
@@ -86,7 +98,7 @@ class Ladder(Lines):
             cells[source] = "↻"
         else:
             cells[low : high + 1] = ["●", *arrow, "▶"] if source < target else ["◀", *arrow, "●"]
-        line = Text("".join(cells), palette.DIM)
+        line = Text.assemble(("".join(cells), palette.DIM))
         line.stylize(_style(item), low, high + 1)
         return line
 
@@ -101,13 +113,11 @@ def _severity(item: Message) -> Severity:
 
 def _words(item: Message, room: int) -> Text:
     """Return what is said: the label, how often, how long, what is wrong."""
-    often = f"  ×{item.count:,}" if item.count > 1 else ""
+    often = f"  x{item.count:,}" if item.count > 1 else ""
     period = f" every {units.milliseconds(item.period_ns / 1e6)}" if item.period_ns >= 1e6 else ""
     until = f" until {item.last_ns / 1e9:.3f}" if item.count > 1 else ""
     wrong = [explain(label) for label in item.findings]
-    badge = " ".join(
-        f"{told.severity.mark} {told.short}" for told in wrong if told.severity > Severity.NOTE
-    )
+    badge = " ".join(f"{told.severity.mark} {told.short}" for told in wrong if told.severity > Severity.NOTE)
     line = Text("  ")
     if badge:
         line.append(f"{clip(badge, max(4, room // 2))}  ", _severity(item).style)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from rich.text import Text
 from textual.binding import Binding
 
 from edoras_tools.render import palette, tree
+from edoras_tools.render.text import clip, wrap
 from edoras_tools.tui.lines import Lines, strip_of
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _NARROW: Final = 64
 """Below so many cells the byte ranges are left out: the bytes show them."""
 _LEAST: Final = 40
+_MOST_LINES: Final = 6
+"""Lines that one value may take."""
 _BRANCHES: Final = ("layer", "group")
 _INSIDE: Final = ("field", *_BRANCHES)
 _PAINT: Final = palette.Paint(colour=True)
@@ -33,7 +35,7 @@ class Layers(Lines):
     BINDINGS: ClassVar[list[Any]] = [
         Binding("right,l", "open(True)", "Open", show=False),
         Binding("left,h", "open(False)", "Close", show=False),
-        Binding("enter,space", "toggle", "Open or close", show=False),
+        Binding("enter,space", "turn", "Open or close", show=False),
         Binding("asterisk", "all(True)", "Open all", show=False),
         Binding("minus", "all(False)", "Close all", show=False),
     ]
@@ -49,11 +51,12 @@ class Layers(Lines):
 
     def show(self, decoded: Decoded | None) -> None:
         """Show another packet; the cursor goes to the row of the same name, branches stay as they are."""
-        before = "" if self.chosen is None else self._paths[self.chosen]
+        before = None if self.chosen is None else self._paths[self.chosen]
         self._rows = list(tree.rows(decoded)) if decoded else []
         self._above = _branches_above(self._rows)
         self._paths = [
-            "\n".join(self._rows[place].label for place in (*above, row)) for row, above in enumerate(self._above)
+            "\n".join(_name(self._rows[place], place) for place in (*above, row))
+            for row, above in enumerate(self._above)
         ]
         same = next((row for row, path in enumerate(self._paths) if path == before), None)
         self._lay_out(same)
@@ -73,7 +76,9 @@ class Layers(Lines):
         holding = [row for row, item in enumerate(self._rows) if item.start <= at < item.end]
         if not holding:
             return False
-        best = min(holding, key=lambda row: (self._rows[row].end - self._rows[row].start, -self._rows[row].depth))
+        best = min(
+            holding, key=lambda row: (self._rows[row].end - self._rows[row].start, -self._rows[row].depth)
+        )
         for above in self._above[best]:
             self._shut.discard(self._paths[above])
         self._lay_out(best)
@@ -88,7 +93,35 @@ class Layers(Lines):
         del width
         place, line = self._lines[row]
         text = Text.from_ansi(line)
-        return strip_of(text[self._cut :] if self._rows[place].role in _INSIDE else text, self.app.console)
+        return strip_of(text[self._cut :] if self._rows[place].role in _BRANCHES else text, self.app.console)
+
+    def tint(self, row: int) -> str:
+        """Lay the cursor under every line of the row that is chosen."""
+        return (
+            "lines--cursor"
+            if self._lines and self._lines[row : row + 1] and self._lines[row][0] == self.chosen
+            else ""
+        )
+
+    def watch_cursor(self, before: int, after: int) -> None:
+        """Draw the lines of both rows anew, and tell."""
+        self.refresh()
+        super().watch_cursor(before, after)
+
+    def action_move(self, by: int) -> None:
+        """Move the cursor by rows, whatever lines they take."""
+        starts = [
+            line
+            for line, (place, _) in enumerate(self._lines)
+            if not line or self._lines[line - 1][0] != place
+        ]
+        ahead = (
+            [line for line in starts if line > self.cursor]
+            if by > 0
+            else [line for line in reversed(starts) if line < self.cursor]
+        )
+        if ahead:
+            self.go(ahead[0])
 
     def on_resize(self) -> None:
         """Lay the lines out for another width."""
@@ -99,9 +132,9 @@ class Layers(Lines):
         item = self._rows[self._lines[row][0]]
         arrow = 2 * item.depth + (0 if self.room < _NARROW else tree.GUTTER)
         if item.role in _BRANCHES and (again or arrow <= column <= arrow + 1):
-            self.action_toggle()
+            self.action_turn()
 
-    def action_toggle(self) -> None:
+    def action_turn(self) -> None:
         """Open or close the branch under the cursor."""
         if self.chosen is not None and self._is_branch(self.chosen):
             self._set(self.chosen, open_=self._paths[self.chosen] in self._shut)
@@ -120,7 +153,9 @@ class Layers(Lines):
 
     def action_all(self, open_: bool) -> None:
         """Open or close every branch."""
-        self._shut = set() if open_ else {self._paths[row] for row in range(len(self._rows)) if self._is_branch(row)}
+        self._shut = (
+            set() if open_ else {self._paths[row] for row in range(len(self._rows)) if self._is_branch(row)}
+        )
         above = self._above[self.chosen] if self.chosen is not None and not open_ else []
         self._lay_out(above[0] if above else self.chosen)
 
@@ -146,9 +181,13 @@ class Layers(Lines):
         self._lines = lines
         self.recount()
         at = next((line for line, (place, _) in enumerate(lines) if place == chosen), None)
-        first = next((line for line, (place, _) in enumerate(lines) if self._rows[place].role == "layer"), 0)
-        self.go(first if at is None else at)
+        self.go(0 if at is None else at)
         self.post_message(self.Moved(self))
+
+
+def _name(row: Row, place: int) -> str:
+    # The rows of the packet itself have its number in them.
+    return str(place) if row.role == "packet" else row.label
 
 
 def _branches_above(rows: Sequence[Row]) -> list[list[int]]:
@@ -166,8 +205,20 @@ def _branches_above(rows: Sequence[Row]) -> list[list[int]]:
 
 def _drawn(row: Row, width: int, cut: int, *, closed: bool) -> list[str]:
     """Return the lines of a row; where byte ranges are to be ``cut`` off, with room for them."""
-    if row.role in _INSIDE:
-        return tree.draw(row, max(_LEAST, width + cut), _PAINT, closed=closed)
-    if cut and row.role == "packet":
-        row = replace(row, label="", value=f"{row.label} {row.value}".strip())
-    return tree.draw(row, max(_LEAST, width), _PAINT)
+    if cut and row.role in {"field", "packet"}:
+        return _narrow(row, width)
+    return tree.draw(row, max(_LEAST, width + cut if row.role in _INSIDE else width), _PAINT, closed=closed)
+
+
+def _narrow(row: Row, width: int) -> list[str]:
+    """Return a field where every cell counts: its value right behind its name, further lines under it."""
+    indent = " " * (2 * row.depth)
+    if row.role == "packet":
+        # The rest stands in the title: here it is when, and from where to where.
+        return [clip(row.value.partition("  ")[0] if row.label else row.value.rpartition("  ")[2], width)]
+    label = f"{row.label}: "
+    first, *rest = wrap(f"{label}{row.value}", max(8, width - len(indent)))
+    told = min(len(label), len(first))
+    head = indent + _PAINT(first[:told], palette.DIM) + first[told:]
+    more = wrap(" ".join(rest), max(8, width - len(indent) - 2)) if rest else []
+    return [head, *(f"{indent}  {line}" for line in more)][:_MOST_LINES]

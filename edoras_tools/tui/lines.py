@@ -12,6 +12,7 @@ from textual.message import Message
 from textual.reactive import reactive
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
+from textual.widget import Widget
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,9 +22,10 @@ _WHEEL_LINES = 3
 
 
 class Lines(ScrollView, can_focus=True):
-    """Rows of one line each, moved about in by arrows, as in vi, and by mouse; what they are is for the subclass to say.
+    """Rows of one line each; what they are is for the subclass to say.
 
-    Posts ``Moved`` when the cursor goes to another row, ``Chosen`` at Enter or a second click on a row.
+    One moves about by arrows, as in vi, and by mouse. Posts ``Moved`` when the cursor goes to another row,
+    ``Chosen`` at Enter or a second click on a row.
     """
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {"lines--cursor"}
@@ -56,6 +58,10 @@ class Lines(ScrollView, can_focus=True):
     class Chosen(Moved):
         """The row under the cursor is chosen."""
 
+    def header(self) -> Text:
+        """Return what stands over the columns."""
+        return Text()
+
     def rows(self) -> int:
         """Return how many rows there are."""
         raise NotImplementedError
@@ -86,6 +92,13 @@ class Lines(ScrollView, can_focus=True):
         if self.cursor >= count:
             self.cursor = max(0, count - 1)
         self.refresh()
+
+    def refresh_heads(self) -> None:
+        """Draw what stands over the columns anew."""
+        if self.is_attached:
+            for heads in self.screen.query(Heads):
+                if heads.of == self.id:
+                    heads.refresh()
 
     def go(self, row: int, *, centre: bool = False) -> None:
         """Put the cursor on a row and bring it into sight.
@@ -182,6 +195,26 @@ class Lines(ScrollView, can_focus=True):
         self.scroll_relative(y=-_WHEEL_LINES, animate=False, force=True, immediate=True)
         self.touched()
         event.stop()
+
+
+class Heads(Widget):
+    """The line over a list that says what its columns are.
+
+    Args:
+        of: the list's id.
+    """
+
+    DEFAULT_CSS = "Heads { height: 1; }"
+
+    def __init__(self, of: str) -> None:
+        super().__init__(id=f"{of}-heads")
+        self.of = of
+
+    def render(self) -> Text:
+        """Return what the list says."""
+        text = self.screen.query_one(f"#{self.of}", Lines).header()
+        text.no_wrap, text.overflow = True, "crop"
+        return text
 
 
 def strip_of(line: str | Text, console: Console) -> Strip:

@@ -85,7 +85,7 @@ Lines {
 #filter-count { width: auto; padding: 0 1; color: $secondary; }
 #filter-wrong { height: auto; display: none; background: $panel; }
 
-Heads { height: 1; background: $panel-darken-1; }
+Heads { background: $surface; }
 Packets {
     height: 1fr;
     & > .packets--error { background: $error 13%; }
@@ -94,20 +94,20 @@ Packets {
     & > .packets--mark { color: $accent; text-style: bold; }
 }
 
-.bar { height: 1; background: $panel-darken-1; }
+.bar { height: 1; background: $panel; }
 .bar > .left { width: 1fr; padding: 0 1; text-style: bold; }
 .bar > .right { width: auto; padding: 0 1; color: $secondary; }
 #lower { height: 1fr; }
 #packet { height: 1fr; }
 Layers { width: 1fr; }
 Octets {
-    width: 42; padding: 0 0 0 1;
+    width: 43; border-left: vkey $panel-lighten-1; padding: 0 0 0 1;
     & > .octets--field { background: $accent 85%; color: $background; }
     & > .octets--byte { background: $foreground; color: $background; text-style: bold; }
 }
-.-wide Octets { width: 75; }
+Octets.-wide { width: 76; }
 #routes-view, #ladder-view { height: 1fr; }
-#routes-heads, #ladder-heads { height: 1; color: $secondary; }
+#routes-heads, #ladder-heads { color: $secondary; }
 
 #prompt {
     height: 1; background: $panel; display: none;
@@ -115,7 +115,7 @@ Octets {
     & > #prompt-input { width: 1fr; background: $panel; padding: 0; }
 }
 #status {
-    height: 1; background: $panel-darken-1;
+    height: 1; background: $panel;
     & > #status-left { width: 1fr; padding: 0 1; }
     & > #status-right { width: auto; padding: 0 1; color: $secondary; }
 }

@@ -63,7 +63,9 @@ class Octets(Lines):
         self._decoded = decoded
         self.field = (0, 0)
         datagram = decoded.datagram if decoded else None
-        self._data = b"" if datagram is None else datagram.payload if self.base == "payload" else datagram.frame
+        self._data = (
+            b"" if datagram is None else datagram.payload if self.base == "payload" else datagram.frame
+        )
         self._styles = [palette.DIM] * len(self._data)
         for region in hexdump.regions(decoded, self.base) if decoded else ():
             for place in range(max(0, region.start), min(len(self._data), region.end)):

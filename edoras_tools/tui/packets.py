@@ -9,7 +9,6 @@ from rich.style import Style
 from rich.text import Text
 from textual.cache import LRUCache
 from textual.strip import Strip
-from textual.widgets import Static
 
 from edoras_tools.decode import Dissector
 from edoras_tools.model import NO_FINDINGS, Finding
@@ -26,9 +25,7 @@ _GUTTER: Final = 2
 """Cells at the left, for marks."""
 _KEPT: Final = 4096
 """Lines that need not be drawn again."""
-_ERRORS: Final = Finding(
-    sum(item for item, told in EXPLANATIONS.items() if told.severity == Severity.ERROR)
-)
+_ERRORS: Final = Finding(sum(item for item, told in EXPLANATIONS.items() if told.severity == Severity.ERROR))
 
 
 class Packets(Lines):
@@ -38,10 +35,11 @@ class Packets(Lines):
         store: the packets.
         context: what they were decoded with.
         time_format: how to tell time.
+        verbose: show notes too, not only warnings and errors.
 
     Attributes:
         marks: numbers of the packets that are marked.
-        follow: stay at the end as packets come; so it is whenever the user goes to the end, until he leaves it.
+        follow: stay at the end as packets come: from when the user goes to the end until he leaves it.
         empty: what is said where there is no packet.
     """
 
@@ -53,7 +51,9 @@ class Packets(Lines):
         "packets--marked",
     }
 
-    def __init__(self, store: Store, context: Context, time_format: TimeFormat) -> None:
+    def __init__(
+        self, store: Store, context: Context, time_format: TimeFormat, *, verbose: bool = False
+    ) -> None:
         super().__init__(id="packets")
         self.marks: set[int] = set()
         self.follow = False
@@ -61,6 +61,7 @@ class Packets(Lines):
         self._store = store
         self._dissector = Dissector(context, detail=False)
         self._time_format = time_format
+        self._verbose = verbose
         self._view = self._make_view(80)
         self._lines: LRUCache[tuple[int, int], Strip] = LRUCache(_KEPT)
 
@@ -79,7 +80,7 @@ class Packets(Lines):
         self._view = self._make_view(self.room)
         self._lines.clear()
         self.refresh()
-        self.screen.query_one(Heads).refresh()
+        self.refresh_heads()
 
     def arrived(self, gone: int) -> None:
         """Take note of packets that came, and of so many rows at the top that had to go."""
@@ -111,7 +112,8 @@ class Packets(Lines):
         return len(self._store)
 
     def draw(self, row: int, width: int) -> Strip:
-        """Return a packet's line."""
+        """Return a packet's line; it is laid out for the list's width already."""
+        del width
         block, index = self._store.locate(row)
         number = int(block.batch.number[index])
         key = number, row if self._time_format is TimeFormat.DELTA else 0
@@ -138,8 +140,9 @@ class Packets(Lines):
         return "packets--error" if findings & _ERRORS else "packets--warning"
 
     def on_resize(self) -> None:
-        """Lay the columns out for another width."""
+        """Lay the columns out for another width; the cursor stays in sight."""
         self.forget()
+        self.go(self.cursor)
 
     def _make_view(self, width: int) -> PacketList:
         return PacketList(
@@ -147,15 +150,6 @@ class Packets(Lines):
             colour=True,
             time_format=self._time_format,
             names=MSG_ID_NAMES,
+            verbose=self._verbose,
             begin_ns=self._store.begin_ns,
         )
-
-
-class Heads(Static):
-    """The names of the list's columns."""
-
-    def render(self) -> Text:
-        """Return them as the list lays them out."""
-        text = self.screen.query_one(Packets).header()
-        text.no_wrap, text.overflow = True, "crop"
-        return text

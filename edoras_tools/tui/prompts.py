@@ -41,7 +41,9 @@ class _Fields(Suggester):
         if found is None or found[1] in _KEEPERS:
             return None
         if not self._names:
-            self._names = sorted(set(Names(self._decoding).all()), key=lambda name: (name.count("."), len(name), name))
+            self._names = sorted(
+                set(Names(self._decoding).all()), key=lambda name: (name.count("."), len(name), name)
+            )
         name = next((name for name in self._names if name.startswith(found[1]) and name != found[1]), None)
         return None if name is None else value[: found.start(1)] + name
 
@@ -49,7 +51,12 @@ class _Fields(Suggester):
 class FilterLine(Vertical):
     """The filter, what is wrong with it, and how many packets it lets pass.
 
-    Posts ``Applied`` with a filter that holds; nothing in it lets all pass.
+    Posts ``Applied`` with a filter that holds; None lets all pass.
+
+    Attributes:
+        input: where it is written.
+        count: how many packets there are.
+        wrong: the caret, and why.
     """
 
     class Applied(Message):
@@ -59,34 +66,30 @@ class FilterLine(Vertical):
             super().__init__()
             self.where = where
 
-    def __init__(self, context: Context, text: str = "") -> None:
+    def __init__(self, context: Context) -> None:
         super().__init__(id="filter-line")
         self._decoding = context
-        self._text = text
+        self.input: Input = _Line(
+            placeholder="msg_id == 0x827 and pose.position.x > 1",
+            suggester=_Fields(context),
+            id="filter",
+            compact=True,
+            select_on_focus=False,
+        )
+        self.count = Static(id="filter-count")
+        self.wrong = Static(id="filter-wrong")
 
     def compose(self) -> ComposeResult:
-        """Make the line, and room for what is wrong."""
+        """Lay out the line, and room for what is wrong."""
         with Horizontal():
             yield Static("Filter ", id="filter-label")
-            yield _Line(
-                self._text,
-                placeholder="msg_id == 0x827 and pose.position.x > 1",
-                suggester=_Fields(self._decoding),
-                id="filter",
-                compact=True,
-                select_on_focus=False,
-            )
-            yield Static("", id="filter-count")
-        yield Static("", id="filter-wrong")
-
-    @property
-    def input(self) -> Input:
-        """Where it is written."""
-        return self.query_one("#filter", Input)
+            yield self.input
+            yield self.count
+        yield self.wrong
 
     def tell(self, text: str) -> None:
         """Say how many packets there are."""
-        self.query_one("#filter-count", Static).update(text)
+        self.count.update(text)
 
     def compile(self, text: str, begin_ns: int | None) -> Where | None:
         """Return a filter; None lets all pass.
@@ -119,11 +122,10 @@ class FilterLine(Vertical):
         else:
             self.input.set_class(False, "-wrong")
             self.input.set_class(bool(event.value.strip()), "-right")
-        self.query_one("#filter-wrong").display = False
+        self.wrong.display = False
 
     def _show(self, error: WhereError | None) -> None:
-        wrong = self.query_one("#filter-wrong", Static)
-        wrong.display = error is not None
+        self.wrong.display = error is not None
         if error is None:
             return
         field = self.input
@@ -138,7 +140,7 @@ class FilterLine(Vertical):
             lines[0].append_text(Text(" ")).append_text(Text(told[0].plain, "not bold"))
         else:
             lines += [Text(" " * before).append_text(line) for line in told]
-        wrong.update(Text("\n").join(lines))
+        self.wrong.update(Text("\n").join(lines))
         field.cursor_position = error.at
         field.focus()
 
@@ -147,6 +149,9 @@ class Prompt(Horizontal):
     """One line at the bottom that asks; it is there only while it does.
 
     Posts ``Given`` with what was asked and what was written.
+
+    Attributes:
+        input: where it is written.
     """
 
     class Given(Message):
@@ -160,11 +165,13 @@ class Prompt(Horizontal):
     def __init__(self) -> None:
         super().__init__(id="prompt")
         self._kind = ""
+        self._label = Static(id="prompt-label")
+        self.input: Input = _Line(id="prompt-input", compact=True)
 
     def compose(self) -> ComposeResult:
-        """Make the line."""
-        yield Static("", id="prompt-label")
-        yield _Line(id="prompt-input", compact=True)
+        """Lay out the line."""
+        yield self._label
+        yield self.input
 
     def ask(self, kind: str, label: str, placeholder: str, value: str = "") -> None:
         """Ask.
@@ -177,11 +184,10 @@ class Prompt(Horizontal):
         """
         self._kind = kind
         self.display = True
-        self.query_one("#prompt-label", Static).update(f"{label} ")
-        line = self.query_one("#prompt-input", Input)
-        line.placeholder = placeholder
-        line.value = value
-        line.focus()
+        self._label.update(f"{label} ")
+        self.input.placeholder = placeholder
+        self.input.value = value
+        self.input.focus()
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Give the answer."""
@@ -194,8 +200,9 @@ class _Line(Input):
     """A line of text: Tab takes the completion, Escape and Down go back to the list."""
 
     BINDINGS: ClassVar[list[Any]] = [
-        Binding("tab", "complete", "Complete", show=False),
-        Binding("escape,down", "app.leave", "Back to the list", show=False),
+        Binding("enter", "submit", "Apply"),
+        Binding("tab", "complete", "Complete"),
+        Binding("escape,down", "app.leave", "Back", key_display="esc"),
     ]
 
     def action_complete(self) -> None:

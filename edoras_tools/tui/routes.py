@@ -89,7 +89,6 @@ class Routes(Lines):
             words.append(f"processor_id == {row['processor_id']}")
         return " and ".join(words)
 
-    @property
     def header(self) -> Text:
         """The names of the columns."""
         return Text.assemble(" " * _GUTTER, *((part.text, part.style or "") for part in self._lines[0]))
@@ -113,6 +112,7 @@ class Routes(Lines):
         options = console.options.update(width=width, height=None)
         self._lines = console.render_lines(table, options) or [[]]
         self.recount()
+        self.refresh_heads()
 
 
 def _key(row: Mapping[str, Any]) -> object:

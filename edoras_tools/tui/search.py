@@ -49,8 +49,8 @@ def seeker(text: str, context: Context, begin_ns: int | None) -> Seeker:
         wanted = bytes.fromhex(re.sub("[ :]", "", octets[1]))
         return lambda block: _holding(block, block.batch.data, wanted)
     word = text.strip().lower()
-    return lambda block: _named(block, word, context) | _holding(
-        block, _LOWER[block.batch.data], word.encode()
+    return lambda block: (
+        _named(block, word, context) | _holding(block, _LOWER[block.batch.data], word.encode())
     )
 
 
@@ -124,5 +124,7 @@ def _named(block: Block, word: str, context: Context) -> NDArray[np.bool_]:
 
 def _name(msg_id: int, context: Context) -> str:
     route = int(context.any_route_of[msg_id])
-    topic = f"{context.mission.routes[route].topic} {context.mission.routes[route].type}" * (route != NO_ROUTE)
+    topic = f"{context.mission.routes[route].topic} {context.mission.routes[route].type}" * (
+        route != NO_ROUTE
+    )
     return f"0x{msg_id:04x} {message_name(msg_id)} {topic}".lower()

@@ -1,0 +1,103 @@
+"""What the tests of the three-pane view share: the view, driven by textual's pilot, without a terminal."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from pathlib import Path
+
+import pytest
+
+from edoras_tools.decode import Options
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.tui.viewer import Choice, Viewer
+
+ROOT = Path(__file__).parents[2]
+MISSIONS = [ROOT / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]
+PATIENCE_S = 30
+
+
+class Hands:
+    """A user: presses keys, writes, clicks, and waits until something is so."""
+
+    def __init__(self, app, pilot):
+        self.app = app
+        self.pilot = pilot
+
+    async def until(self, holds, what=""):
+        deadline = time.monotonic() + PATIENCE_S
+        while not holds():
+            assert time.monotonic() < deadline, f"never came true: {what}"
+            await self.pilot.pause(0.01)
+
+    async def press(self, *keys):
+        for key in keys:
+            self.app.simulate_key(key)
+            await self.pilot.pause()
+
+    async def write(self, text):
+        self.app.focused.insert_text_at_cursor(text)
+        await self.pilot.pause()
+
+    async def filter(self, text):
+        await self.press("f")
+        self.app.filter_line.input.value = ""
+        await self.write(text)
+        await self.press("enter")
+
+    async def go(self, number):
+        await self.press("colon")
+        await self.write(str(number))
+        await self.press("enter")
+        await self.until(lambda: self.number == number, f"packet {number}")
+
+    async def settle(self):
+        store = self.app.store
+        await self.until(lambda: store.settled == store.packets, "the filter has run")
+        await self.pilot.pause()
+
+    @property
+    def number(self):
+        return self.app.decoded.datagram.number if self.app.decoded else 0
+
+    @property
+    def status(self):
+        return str(self.app._status_left.render())
+
+    def lines(self, widget):
+        return [widget.render_line(line).text.rstrip() for line in range(widget.page)]
+
+
+@pytest.fixture(scope="session")
+def drive():
+    """A function: run a coroutine with a user's hands on the view of a capture, or of another source."""
+
+    def run(
+        script,
+        capture="f_sbn_disconnect",
+        *,
+        size=(120, 40),
+        source=None,
+        selection=None,
+        options=None,
+        **choice,
+    ):
+        async def whole():
+            settings = Settings(MISSIONS, options=options or Options())
+            opened = source or open_files([ROOT / f"samples/captures/{capture}.pcap"])
+            app = Viewer(opened, settings.workbench(), Choice(selection or Selection(), settings, **choice))
+            async with app.run_test(size=size) as pilot:
+                hands = Hands(app, pilot)
+                if source is None:
+                    await hands.until(lambda: not app.reading, "the file is read")
+                await hands.pilot.pause()
+                await script(hands)
+            app._feed.join(PATIENCE_S)
+            app._sieve.join(PATIENCE_S)
+            assert not app._feed.is_alive()
+            assert not app._sieve.is_alive()
+
+        asyncio.run(whole())
+
+    return run

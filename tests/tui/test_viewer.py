@@ -1,0 +1,451 @@
+"""The view as its user has it: open, move, filter, search, mark, and how the panes hang together."""
+
+import os
+import signal
+
+import pytest
+from textual.events import MouseScrollDown
+
+from edoras_tools.model import Link
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.render.packet_list import TimeFormat
+from edoras_tools.tui.help import Help
+
+
+def test_a_file_opens_with_its_first_packet(drive):
+    async def script(hands):
+        app = hands.app
+        assert (app.store.packets, len(app.store), hands.number) == (1544, 1544, 1)
+        assert "1,544 packets" in str(app.filter_line.count.render())
+        shown = hands.lines(app.packets)
+        assert shown[0].split()[:4] == ["1", "0.000000", "2234→2235", "SBN"]
+        assert len(shown) == app.packets.page
+
+    drive(script)
+
+
+@pytest.mark.parametrize("size", [(80, 24), (160, 50), (40, 12)])
+def test_any_size_shows_a_list_and_keys(drive, size):
+    async def script(hands):
+        assert hands.lines(hands.app.packets)[0].strip().startswith("1 ")
+        await hands.press("G")
+        await hands.until(lambda: hands.number == 1544)
+        await hands.pilot.resize_terminal(100, 30)
+        await hands.until(
+            lambda: any("1544" in line for line in hands.lines(hands.app.packets)), "the cursor"
+        )
+
+    drive(script, size=size)
+
+
+def test_keys_move(drive):
+    async def script(hands):
+        page = hands.app.packets.page
+        for keys, number in [
+            (("up",), 1),
+            (("j", "down", "down", "k"), 3),
+            (("G",), 1544),
+            (("end", "k"), 1543),
+            (("home", "j"), 2),
+            (("g",), 1),
+            (("pagedown",), page),
+            (("pageup",), 1),
+            (("ctrl+d",), 1 + round((page - 1) / 2)),
+            (("ctrl+u",), 1),
+        ]:
+            await hands.press(*keys)
+            await hands.until(lambda number=number: hands.number == number, keys)
+
+    drive(script)
+
+
+def test_choosing_a_field_highlights_its_bytes(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.go(189)
+        await hands.press("enter")
+        assert app.focused is app.layers
+        await hands.press("G")
+        while app.layers.field.value != "0.2":
+            await hands.press("k")
+        field = app.layers.field
+        assert field.label == "x"
+        await hands.until(lambda: app.octets.field == (field.start, field.end), "its bytes")
+        await hands.until(
+            lambda: f"bytes {field.start}-{field.end - 1}" in hands.status, "and where they are"
+        )
+        # What is drawn under the highlight is what the field was read from.
+        style = app.octets.get_component_rich_style("octets--field")
+        lines = [app.octets.render_line(line) for line in range(app.octets.page)]
+        painted = [
+            part.text for line in lines for part in line if part.style and part.style.bgcolor == style.bgcolor
+        ]
+        octets = "".join(part for part in painted if len(part.strip()) == 2 and "·" not in part)
+        assert octets == app.decoded.datagram.payload[field.start : field.end].hex()
+
+    drive(script)
+
+
+def test_choosing_a_byte_selects_its_field(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.go(189)
+        await hands.press("tab", "tab")
+        assert app.focused is app.octets
+        layer = app.decoded.layer("cfe_telemetry")
+        seconds = next(item for item in layer.fields if item.name == "seconds")
+        await hands.press("j", *"l" * (seconds.start - app.octets.per_line + 1))
+        await hands.until(lambda: app.layers.field.label == "seconds", "its field")
+        await hands.until(lambda: app.octets.field == (seconds.start, seconds.end), "all of its bytes")
+        assert app.octets.at == seconds.start + 1
+
+    drive(script)
+
+
+def test_the_mouse_chooses_packets_fields_and_bytes(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.pilot.click(app.packets, offset=(30, 4))
+        await hands.until(lambda: hands.number == 5)
+        line = next(line for line in range(9) if "msg_type" in hands.lines(app.layers)[line])
+        await hands.pilot.click(app.layers, offset=(14, line))
+        await hands.until(lambda: app.octets.field == (2, 3), "the field's byte")
+        assert app.layers.field.label == "msg_type"
+        gutter = app.octets.gutter.left
+        for column, at in ((6, 0), (9, 1), (12, 2)):
+            await hands.pilot.click(app.octets, offset=(gutter + column, 0))
+            assert app.octets.at == at
+        await hands.until(lambda: app.layers.field.label == "msg_type", "the byte's field")
+        before = app.packets.scroll_offset.y
+        await hands.pilot._post_mouse_events([MouseScrollDown], app.packets, offset=(5, 5))
+        assert app.packets.scroll_offset.y > before
+
+    drive(script)
+
+
+def test_every_byte_of_every_layer_finds_a_field_that_holds_it(drive):
+    async def script(hands):
+        for number in (188, 1345):
+            await hands.go(number)
+            layers = hands.app.layers
+            for layer in hands.app.decoded.layers:
+                for at in range(layer.start, layer.end):
+                    assert layers.choose_byte(at)
+                    assert layers.field.start <= at < layers.field.end
+
+    drive(script)
+
+
+def test_branches_close_and_stay_closed(drive):
+    async def script(hands):
+        layers = hands.app.layers
+        await hands.press("enter", "j", "j")
+        assert layers.field.role == "layer"
+        many = layers.rows()
+        await hands.press("h")
+        assert layers.rows() < many
+        assert any("▸ Software Bus Network" in line for line in hands.lines(layers))
+        hands.app.packets.go(1)
+        await hands.until(lambda: hands.number == 2)
+        assert any("▸ Software Bus Network" in line for line in hands.lines(layers))
+        assert layers.choose_byte(0)
+        assert layers.rows() == many
+        await hands.press("minus")
+        assert layers.rows() < many
+        await hands.press("asterisk")
+        assert layers.rows() == many
+
+    drive(script)
+
+
+def test_a_filter_shows_what_it_lets_pass_and_keeps_the_packet(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.go(189)
+        await hands.filter("msg_id == 0x082a")
+        await hands.settle()
+        assert app.focused is app.packets
+        assert len(app.store) == 57
+        assert hands.number == 189
+        assert {int(block.columns.msg_id[row]) for block, _, shown in app.store.parts() for row in shown} == {
+            0x82A
+        }
+        assert "57 of 1,544" in str(app.filter_line.count.render())
+        await hands.filter("")
+        await hands.settle()
+        assert len(app.store) == 1544
+        assert hands.number == 189
+
+    drive(script)
+
+
+def test_a_filter_that_nothing_passes_says_so(drive):
+    async def script(hands):
+        await hands.filter("msg_id == 0x0999")
+        await hands.settle()
+        assert len(hands.app.store) == 0
+        assert "no packet passes the filter" in hands.lines(hands.app.packets)[1]
+        assert hands.app.decoded is None
+        # No key may trip over an empty list.
+        for key in (
+            "j",
+            "G",
+            "m",
+            "enter",
+            "w",
+            "n",
+            "escape",
+            "right_square_bracket",
+            "s",
+            "r",
+            "b",
+            "escape",
+        ):
+            await hands.press(key)
+
+    drive(script)
+
+
+def test_a_wrong_filter_is_shown_with_a_caret_at_the_character(drive):
+    async def script(hands):
+        app = hands.app
+        for text, at, words in [
+            ("msg_id == 0x827 and pse.position.x > 1", 20, "did you mean pose.position.x"),
+            ("msg_id = 1", 7, "equality is written =="),
+            ("link ==", 7, "a value belongs"),
+        ]:
+            await hands.filter(text)
+            line = app.filter_line
+            assert app.focused is line.input
+            assert line.wrong.display
+            told = str(line.wrong.render())
+            assert words in " ".join(told.split())
+            assert told.splitlines()[0].index("^") == line.input.region.x + at
+            assert line.input.has_class("-wrong")
+            assert len(app.store) == 1544
+            await hands.press("escape")
+            assert app.focused is app.packets
+
+    drive(script)
+
+
+def test_tab_completes_a_field_in_the_filter(drive):
+    async def script(hands):
+        line = hands.app.filter_line.input
+        await hands.press("f")
+        await hands.press(*"rq", "backspace", "ctrl+u")
+        await hands.press(*"pose.posi")
+        await hands.until(lambda: line._suggestion, "a suggestion")
+        await hands.press("tab")
+        assert line.value == "pose.position.x"
+        await hands.write(" > 0")
+        assert line.has_class("-right")
+
+    drive(script)
+
+
+def test_the_filter_of_the_command_line_is_the_first(drive):
+    async def script(hands):
+        await hands.settle()
+        assert len(hands.app.store) == 57
+        assert hands.app.store.packets < 1544
+        assert hands.app.filter_line.input.value == "msg_id == 0x082a"
+
+    drive(script, selection=Selection(links=(Link.SBN,), where="msg_id == 0x082a"))
+
+
+def test_a_field_becomes_a_filter(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.go(188)
+        assert app.layers.choose_byte(7)
+        await hands.press("enter", "equals_sign")
+        assert app.filter_line.input.value == "cfe_command.checksum == 0x00"
+        await hands.press("enter")
+        await hands.settle()
+        assert 0 < len(app.store) < 1544
+        assert hands.number == 188
+
+    drive(script)
+
+
+def test_search_goes_to_the_next_and_round_the_end(drive):
+    async def script(hands):
+        for text in ("Peer 66:3 connected", "msg_id == 0x1829"):
+            await hands.press("g", "slash")
+            hands.app.prompt.input.value = ""
+            await hands.write(text)
+            await hands.press("enter")
+            await hands.until(lambda: hands.number > 1, "found")
+            first = hands.number
+            await hands.press("n")
+            await hands.until(lambda first=first: hands.number != first, "the next")
+            await hands.press("N")
+            await hands.until(lambda first=first: hands.number == first, "the one before")
+            await hands.press("G", "n")
+            await hands.until(lambda first=first: hands.number == first, "from the beginning again")
+        await hands.press("slash")
+        await hands.write(" and no such thing")
+        await hands.press("enter")
+        await hands.until(lambda: "is in none of the packets shown" in hands.status)
+        assert hands.number == first
+
+    drive(script)
+
+
+def test_marks_are_gone_between_and_filtered_for(drive):
+    async def script(hands):
+        app = hands.app
+        for number in (10, 700, 300):
+            await hands.go(number)
+            await hands.press("m")
+        assert app.packets.marks == {10, 300, 700}
+        assert hands.lines(app.packets)[app.packets.cursor - app.packets.scroll_offset.y].startswith("◆")
+        for key, number in (("right", 700), ("right", 10), ("left", 700)):
+            await hands.press(f"{key}_square_bracket")
+            await hands.until(lambda number=number: hands.number == number, key)
+        await hands.press("m")
+        assert app.packets.marks == {10, 300}
+        await hands.press("M")
+        await hands.settle()
+        assert len(app.store) == 2
+
+    drive(script)
+
+
+def test_routes_are_counted_and_filter(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.press("r")
+        text = "\n".join(hands.lines(app.routes))
+        assert "/robot_1/cmd_vel" in text
+        assert app.routes._rows[0]["count"] == 185
+        await hands.press("j", "j", "enter")
+        await hands.settle()
+        assert app.filter_line.input.value == "link == sbn and msg_id == 0x082a and processor_id == 1"
+        assert len(app.store) == 57
+
+    drive(script)
+
+
+def test_every_route_gives_a_filter_that_lets_its_packets_pass(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.press("r")
+        for place, row in enumerate(app.routes._rows):
+            app.routes.set_reactive(type(app.routes).cursor, place)
+            where = app.filter_line.compile(app.routes.filter, None)
+            passed = sum(int(where.mask(block.batch, block.columns).sum()) for block in app.store.blocks)
+            assert passed >= row["count"], app.routes.filter
+
+    drive(script)
+
+
+def test_the_conversation_is_a_ladder_that_leads_to_packets(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.press("s")
+        await hands.until(lambda: app.ladder.rows() > 10, "the conversation")
+        first = hands.lines(app.ladder)[0]
+        assert "SUB" in first
+        assert "●─" in first
+        assert "▶" in first
+        assert "66:1" in app.ladder.header().plain
+        while "APP" not in hands.lines(app.ladder)[app.ladder.cursor]:
+            await hands.press("j")
+        await hands.press("enter")
+        await hands.until(lambda: hands.number > 1)
+        assert app.decoded.link is Link.SBN
+        await hands.press("escape")
+        assert app._lower.current == "packet"
+        await hands.press("S")
+        await hands.until(lambda: any("Ground" in name for name in app.ladder._parties), "all links")
+
+    drive(script)
+
+
+def test_time_is_told_four_ways(drive):
+    async def script(hands):
+        seen = []
+        for _ in TimeFormat:
+            seen.append(hands.lines(hands.app.packets)[1].split()[1])
+            await hands.press("t")
+        assert seen[0] == "0.000159"
+        assert seen[1] == "0.000159"
+        assert seen[2].startswith("06:18:47.19")
+        assert seen[3].startswith("1795241927.19")
+
+    drive(script)
+
+
+def test_the_frame_is_shown_and_linked_too(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.press("b")
+        assert app.octets.title == "Frame, 109 bytes"
+        assert app.layers.choose_byte(2)
+        await hands.until(lambda: app.octets.field == (44, 45), "the byte behind the headers")
+        app.octets.focus()
+        app.octets.action_byte(45)
+        await hands.until(lambda: app.layers.field.label == "processor_id")
+        app.octets.action_byte(3)
+        await hands.pilot.pause()
+        await hands.press("b")
+        assert app.octets.title == "UDP payload, 67 bytes"
+
+    drive(script)
+
+
+def test_panes_grow_and_shrink(drive):
+    async def script(hands):
+        app = hands.app
+        before = app.packets.size.height
+        await hands.press("greater_than_sign", "greater_than_sign")
+        assert app.packets.size.height > before
+        await hands.press("z")
+        assert app.screen.maximized is app.packets
+        await hands.press("escape")
+        assert app.screen.maximized is None
+        await hands.press("T")
+        assert app.theme == "edoras-light"
+
+    drive(script)
+
+
+def test_help_comes_and_goes(drive):
+    async def script(hands):
+        await hands.press("question_mark")
+        assert isinstance(hands.app.screen, Help)
+        await hands.press("escape")
+        assert not isinstance(hands.app.screen, Help)
+
+    drive(script)
+
+
+@pytest.mark.parametrize("key", ["q", "ctrl+c"])
+def test_it_quits(drive, key):
+    async def script(hands):
+        await hands.press(key)
+        await hands.until(lambda: hands.app._exit)
+        assert not hands.app.return_code
+
+    drive(script)
+
+
+def test_a_signal_ends_it_cleanly(drive):
+    async def script(hands):
+        os.kill(os.getpid(), signal.SIGINT)
+        await hands.until(lambda: hands.app._exit)
+
+    drive(script)
+
+
+def test_wireshark_that_is_not_there_is_one_clear_line(drive, monkeypatch):
+    monkeypatch.setenv("PATH", "/nowhere")
+
+    async def script(hands):
+        await hands.press("w")
+        await hands.until(lambda: "wireshark is not installed" in hands.status)
+        assert "\n" not in hands.status
+
+    drive(script)

@@ -1,0 +1,66 @@
+"""``w``: what the list shows goes to Wireshark, at the same packet."""
+
+import os
+import struct
+import sys
+import time
+
+import pytest
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.tui import wireshark
+
+PRETENDER = """#!{python}
+import shutil, sys
+if "--version" in sys.argv:
+    print("Wireshark 4.0.17 with Lua 5.2.4")
+else:
+    shutil.copy(sys.argv[sys.argv.index("-r") + 1], "{folder}/seen.pcapng")
+    open("{folder}/done", "w").write("\\n".join(sys.argv[1:]))
+"""
+
+
+@pytest.fixture
+def pretender(tmp_path, monkeypatch):
+    """A program called wireshark that keeps what it was given."""
+    program = tmp_path / "bin/wireshark"
+    program.parent.mkdir()
+    program.write_text(PRETENDER.format(python=sys.executable, folder=tmp_path))
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
+    return tmp_path
+
+
+def blocks(data):
+    """The types of a pcapng file's blocks, by its definition."""
+    at, found = 0, []
+    while at < len(data):
+        kind, length = struct.unpack_from("<II", data, at)
+        found.append(kind)
+        at += length
+    return found
+
+
+def test_wireshark_gets_what_is_shown_and_goes_to_the_packet(drive, pretender):
+    async def script(hands):
+        await hands.filter("msg_id == 0x082a")
+        await hands.settle()
+        await hands.press("j", "j", "w")
+        await hands.until((pretender / "done").exists, "Wireshark has run")
+        await hands.until(lambda: "Wireshark opens at packet 3" in hands.status, "that is said")
+
+    drive(script)
+    arguments = (pretender / "done").read_text().splitlines()
+    assert arguments[arguments.index("-g") + 1] == "3"
+    assert blocks((pretender / "seen.pcapng").read_bytes()).count(6) == 57
+    folder = os.path.dirname(arguments[arguments.index("-r") + 1])  # noqa: PTH120  a name, no file
+    deadline = time.monotonic() + 30
+    while os.path.exists(folder):  # noqa: PTH110
+        assert time.monotonic() < deadline, "the files are still there"
+        time.sleep(0.01)
+
+
+def test_absent_is_said(monkeypatch):
+    monkeypatch.setenv("PATH", "/nowhere")
+    with pytest.raises(CaptureError, match="wireshark is not installed"):
+        wireshark.open_in_wireshark([], 0, None)
