@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import threading
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.resources import as_file, files
@@ -11,10 +10,11 @@ from pathlib import Path
 from time import monotonic_ns, time_ns
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.errors import CaptureError
+from edoras_tools.pipelines.demo_cfs import Served
 from edoras_tools.pipelines.record import Report, Target, record
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.sim import Simulation, serve
+from edoras_tools.sim import Simulation
 from edoras_tools.sim.source import SimulatedSource
 from edoras_tools.sources.live import open_live
 
@@ -108,7 +108,7 @@ def tour(
             show(bench.dissector.dissect(batch[row]))
 
     live = folder / "two_rovers.mcap"
-    with _Server(simulation) if captured else nullcontext():
+    with Served(simulation) if captured else nullcontext():
         report = record(
             source, bench, Target(live), clock=monotonic_ns, duration_ns=duration_ns, watcher=watcher, tap=tap
         )
@@ -126,30 +126,3 @@ def _source(
         notice(f"{error}")
         notice("so the same link runs in simulated time instead")
         return SimulatedSource(simulation, duration_ns), False
-
-
-class _Server:
-    """The simulation on loopback sockets, in a thread, for as long as a block lasts."""
-
-    def __init__(self, simulation: Simulation) -> None:
-        self._simulation = simulation
-        self._stop, self._ready = threading.Event(), threading.Event()
-        self._failure: EdorasError | None = None
-        self._thread = threading.Thread(target=self._run, name="emulated cFS", daemon=True)
-
-    def _run(self) -> None:
-        try:
-            serve(self._simulation, stop=self._stop, ready=self._ready.set)
-        except EdorasError as error:
-            self._failure = error
-            self._ready.set()
-
-    def __enter__(self) -> None:
-        self._thread.start()
-        self._ready.wait()
-        if self._failure:
-            raise self._failure
-
-    def __exit__(self, *_error: object) -> None:
-        self._stop.set()
-        self._thread.join()
