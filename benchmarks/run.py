@@ -21,6 +21,7 @@ from pathlib import Path
 import bridge
 import codegen
 import filters
+import foxglove_live
 import lua
 import pacing
 import proxy
@@ -163,7 +164,7 @@ def main() -> None:
         "--only",
         choices=[
             *("record", "memory", "live", "startup", "pacing"),
-            *("proxy", "bridge", "where", "lua", "codegen"),
+            *("proxy", "bridge", "foxglove", "where", "lua", "codegen"),
         ],
     )
     options = parser.parse_args()
@@ -182,6 +183,7 @@ def main() -> None:
             "pacing": lambda: pacing.measure(folder),
             "proxy": lambda: proxy.measure(folder),
             "bridge": lambda: bridge.measure(folder),
+            "foxglove": foxglove_live.measure,
             "where": lambda: filters.measure(folder, options.packets),
             "lua": lambda: lua.measure(folder, options.packets // 5),
             "codegen": lambda: codegen.measure(folder),

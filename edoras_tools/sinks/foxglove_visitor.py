@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.sinks.mcap_rows import Records
     from edoras_tools.sinks.streams import Topic
 
-ROOM: Final = 4096
+ROOM: Final = 8192
 """Messages that may wait for a client."""
 ROOM_BYTES: Final = 8 << 20
 """Bytes of messages that may wait for a client; one message may always."""
@@ -179,12 +179,13 @@ class Visitor:
             self._server.broadcast_playback_state(_state(state))
 
     def summary(self) -> dict[str, Any]:
-        """Return what became of it."""
+        """Return what became of the messages that it wanted: sent, dropped, or waiting still."""
         return {
             "address": str(self._relay.client),
             "sent": self._relay.passed.messages,
             "bytes": self._relay.passed.octets,
             "dropped": self.dropped,
+            "waiting": max(self._given - self._relay.passed.messages, 0),
             "published": self.published,
             "refused": self.refused,
         }
