@@ -78,6 +78,8 @@ class Sniffer:
             self._packet_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
             if find(interface).loopback:  # a packet would come twice: on its way out, and in
                 self._packet_socket.setsockopt(_SOL_PACKET, _PACKET_IGNORE_OUTGOING, 1)
+            self.count()
+            self.drops = 0  # what there was no room for before the filter was there
 
     def filenos(self) -> tuple[int, ...]:
         """Return the file descriptor that becomes readable when a frame is there."""
