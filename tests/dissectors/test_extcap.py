@@ -7,11 +7,11 @@ import socket
 import struct
 import subprocess
 import sys
-import time
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
+from waiting import Program, free_ports
 
 from edoras_tools.model import Link
 from edoras_tools.pipelines import extcap
@@ -72,34 +72,28 @@ def test_mistakes_are_one_line(arguments, words, launcher):
     assert words in line
 
 
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @contextmanager
 def begin(launcher, tmp_path, *options):
     """Start a capture, with a reader on its fifo as Wireshark is one; give both."""
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
-    command = [launcher, "--capture", f"--fifo={fifo}", *options]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            with fifo.open("rb", buffering=0) as reader:
-                yield process, reader
-        finally:
-            process.kill()
+    with (
+        open(os.open(fifo, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0) as reader,  # noqa: PTH123
+        Program(launcher, "--capture", f"--fifo={fifo}", *options) as program,
+    ):
+        yield program, reader
 
 
-def read_blocks(reader, wanted, seconds=20):
-    """Read until so many enhanced packet blocks are there."""
-    os.set_blocking(reader.fileno(), False)
-    data, until = b"", time.monotonic() + seconds
-    while _packets(data) < wanted and time.monotonic() < until:
-        data += reader.read(65536) or b""
-        time.sleep(0.01)
-    return data
+def read(program, reader, enough):
+    """Read until it is enough."""
+    data = bytearray()
+
+    def more():
+        data.extend(reader.read(65536) or b"")
+        return enough(data)
+
+    program.until(more, "its blocks come")
+    return bytes(data)
 
 
 def _packets(data):
@@ -113,11 +107,16 @@ def _packets(data):
 
 @pytest.mark.parametrize("way", ["listen", "live"])
 def test_a_capture(way, launcher, tmp_path):
-    port = 1234 if way == "live" else free_port()
-    options = ["--interface=lo"] if way == "live" else [f"--listen=127.0.0.1:{port}"]
+    port = 1234
+    options = ["--interface=lo"]
+    if way == "listen":
+        (port,) = free_ports(1)
+        options = [f"--listen=127.0.0.1:{port}"]
     packets = [cfe.emit_command(0x1827, 1, bytes([number])) for number in range(5)]
-    with begin(launcher, tmp_path, "--extcap-interface=edoras-ci", *options) as (process, reader):
-        head = reader.read(28)  # the section's header: it is bound, and nothing sent from here on is missed
+    with begin(launcher, tmp_path, "--extcap-interface=edoras-ci", *options) as (program, reader):
+        head = read(
+            program, reader, lambda data: len(data) >= 28
+        )  # the section's header: it is bound, and nothing sent from here on is missed
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             for packet in packets:
                 sender.sendto(packet, ("127.0.0.1", port))
@@ -126,9 +125,8 @@ def test_a_capture(way, launcher, tmp_path):
                 sender.sendto(cfe.emit_telemetry(0x0800, bytes(4)), ("127.0.0.1", 1235))
                 sender.sendto(packets[0], ("127.0.0.1", port))
                 packets.append(packets[0])
-        data = head + read_blocks(reader, len(packets))
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(20) == 0, process.stderr.read()
+        data = head + read(program, reader, lambda data: _packets(head + data) >= len(packets))
+        program.end(signal.SIGTERM)
     (tmp_path / "got.pcapng").write_bytes(data)
     with closing(open_file(tmp_path / "got.pcapng")) as source:
         got = [batch[row].payload for batch in source.batches() for row in range(len(batch))]
@@ -138,11 +136,11 @@ def test_a_capture(way, launcher, tmp_path):
 
 
 def test_it_ends_when_wireshark_goes(launcher, tmp_path):
-    options = "--extcap-interface=edoras-to", f"--listen=127.0.0.1:{free_port()}"
-    with begin(launcher, tmp_path, *options) as (process, reader):
-        reader.read(28)
+    options = "--extcap-interface=edoras-to", "--listen=127.0.0.1:0"
+    with begin(launcher, tmp_path, *options) as (program, reader):
+        read(program, reader, lambda data: len(data) >= 28)
         reader.close()
-        assert process.wait(20) == 0
+        program.end(None)
 
 
 def test_a_port_that_is_taken_is_said_in_one_line(launcher, tmp_path):

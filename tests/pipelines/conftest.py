@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from waiting import HOST, PATIENCE_S
 
 from edoras_tools.model import Columns, Endpoint, Link, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines import proxy
@@ -20,9 +21,7 @@ from edoras_tools.sessions.faults import FaultPlan
 from edoras_tools.sources.relay import PlainArena
 
 ROOT = Path(__file__).parents[2]
-HOST = "127.0.0.1"
 ANY = Endpoint(HOST, 0)
-PATIENCE_S = 10
 
 
 def _batch(rows):

@@ -12,6 +12,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from waiting import HOST, PATIENCE_S, free_ports, until
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.middleware import Qos
@@ -26,16 +27,8 @@ from edoras_tools.sim import Simulation, serve
 from edoras_tools.wire import cfe, envelope, sbn
 
 MISSIONS = Path(__file__).parents[2] / "samples/missions"
-HOST, PATIENCE_S = "127.0.0.1", 30
 CDR = bytes.fromhex("00010000") + bytes(range(48))
 DOMAINS = count(1000)
-
-
-def until(condition, what=""):
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, what
-        time.sleep(0.005)
 
 
 class Room:
@@ -44,14 +37,7 @@ class Room:
     def __init__(self, stack, folder):
         self.stack, self.folder = stack, folder
         self.domain = next(DOMAINS)
-        opened = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(4)]
-        for item in opened:
-            item.bind((HOST, 0))
-        self.ports = dict(
-            zip(("1234", "1235", "2234", "2236"), (i.getsockname()[1] for i in opened), strict=True)
-        )
-        for item in opened:
-            item.close()
+        self.ports = dict(zip(("1234", "1235", "2234", "2236"), free_ports(4), strict=True))
         self.node = self.join()
 
     def join(self):
@@ -144,9 +130,7 @@ def room(tmp_path):
 
 def command(ci):
     """The next that is no request to Telemetry Output, which is asked again and again."""
-    while (data := ci.recv(2048))[:2] == b"\x18\x80":
-        pass
-    return data
+    return until(lambda: (data := ci.recv(2048))[:2] != b"\x18\x80" and data)
 
 
 def routes(bridges):
@@ -187,10 +171,14 @@ def test_a_peer_is_answered_and_told_goodbye(room):
     publish = room.node.advertise("/robot_1/pose", "geometry_msgs/msg/PoseStamped", Qos())
     publish(CDR)
     kinds = []
-    while sbn.MsgType.DISCONNECT not in kinds:
+
+    def gone():
         kinds.append(cfs.recv(2048)[2])
         if kinds[-1] == sbn.MsgType.APP:
             bridges.end()
+        return kinds[-1] == sbn.MsgType.DISCONNECT
+
+    until(gone, lambda: kinds)
     assert [kind for kind in kinds if kind not in {sbn.MsgType.PROTO, sbn.MsgType.HEARTBEAT}] == [
         sbn.MsgType.SUB,
         sbn.MsgType.APP,
@@ -298,10 +286,14 @@ def test_250_hz_of_state_reach_cfs_at_the_rate_that_the_file_allows(room):
     assert (row["in"], row["in"]) == (250, row["out"] + row["held"])
     assert row["out"] <= 30 * (took + 0.1) + 2
     got = []
-    while not got or got[-1] != 249:
+
+    def last():
         data = cfs.recv(2048)
         if data[2] == sbn.MsgType.APP:
             got.append(int.from_bytes(data[-4:], "little"))
+        return got[-1:] == [249]
+
+    until(last, lambda: got)
     assert got == sorted(got)
     assert len(got) == row["out"]
 

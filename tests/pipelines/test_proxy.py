@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 
 import pytest
+from waiting import HOST, PATIENCE_S, free_ports, until
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.errors import CaptureError, ConfigError
@@ -26,9 +27,7 @@ from edoras_tools.sim import Simulation, serve
 from edoras_tools.sources.relay import Sent
 from edoras_tools.wire import cfe, envelope
 
-HOST = "127.0.0.1"
 ANY = Endpoint(HOST, 0)
-PATIENCE_S = 10
 
 
 def take(opened, count):
@@ -41,13 +40,6 @@ def waiting(opened):
     while select.select([opened], [], [], 0)[0]:
         found.append(opened.recv(65536))
     return found
-
-
-def until(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def eventually(opened, count):
@@ -100,17 +92,25 @@ def flood(ends, rules, seed, bursts, count=1200):
     target = ends.port()
     proxy = ends.proxy(target, rules=rules, seed=seed)
     client = ends.client(proxy)
+    arrived = []
+
+    def came(so_far):
+        arrived.extend(waiting(target))
+        return proxy.forth[0].received == so_far
+
     for number, datagram in enumerate(numbered(count)):
         if number % bursts == 0:
             time.sleep(0.002)
         client.send(datagram)
-    until(lambda: proxy.forth[0].received == count)
+        if number % 300 == 299 or number == count - 1:  # as many as every system's buffers hold
+            until(lambda so_far=number + 1: came(so_far))
     proxy.end()
-    return [int.from_bytes(data[8:12], "big") for data in waiting(target)], proxy
+    arrived += waiting(target)
+    return [int.from_bytes(data[8:12], "big") for data in arrived], proxy
 
 
 def test_a_seed_drops_exactly_the_same_datagrams_in_every_run(ends):
-    runs = [flood(ends, ["drop:0.1"], 7, bursts) for bursts in (1, 3, 60, 1200)]
+    runs = [flood(ends, ["drop:0.1"], 7, bursts) for bursts in (1, 3, 60, 300)]
     first, proxy = runs[0]
     assert all(arrived == first for arrived, _ in runs)
     assert 60 < 1200 - len(first) < 180
@@ -140,11 +140,8 @@ def test_several_targets_each_get_everything(ends):
 
 def test_two_ground_stations_receive_the_same_telemetry_through_one_to(ends):
     """TO itself sends to one address only."""
-    ci, to, sbn, station = (ends.port() for _ in range(4))
-    stations = [station, ends.port()]
-    ports = [item.getsockname()[1] for item in (ci, to, sbn)]
-    for item in (ci, to, sbn):
-        item.close()
+    stations = [ends.port(), ends.port()]
+    ports = free_ports(3)
     fast = 25 * MILLISECOND
     profile = SimProfile(
         ci_port=ports[0],
@@ -158,7 +155,7 @@ def test_two_ground_stations_receive_the_same_telemetry_through_one_to(ends):
     proxy = ends.proxy(*stations, link=Link.TO, listen=Endpoint(HOST, ports[1]))
     ready, stop = threading.Event(), threading.Event()
     simulation = Simulation(profile, "rover", bridges=False)
-    thread = threading.Thread(target=serve, args=(simulation, HOST, 20, stop, ready.set))
+    thread = threading.Thread(target=serve, args=(simulation, HOST, None, stop, ready.set))
     thread.start()
     try:
         assert ready.wait(PATIENCE_S)
@@ -167,7 +164,7 @@ def test_two_ground_stations_receive_the_same_telemetry_through_one_to(ends):
         first, second = (take(item, 60) for item in stations)
     finally:
         stop.set()
-        thread.join()
+        thread.join(PATIENCE_S)
     assert first == second
     assert {packet[:2].hex() for packet in first} >= {"0800", "0803", "0827", "0880"}
     assert proxy.lost == 0
@@ -181,7 +178,7 @@ def test_a_delay_takes_its_time_one_way(ends):
     client.send(b"late")
     data, sender = target.recvfrom(99)
     assert data == b"late"
-    assert time.monotonic() - began >= 0.08
+    assert time.monotonic() - began > 0.079
     target.sendto(b"at once", sender)
     assert client.recv(99) == b"at once"
 
@@ -230,16 +227,9 @@ def test_a_filter_expression_chooses_what_is_struck(ends, arena):
     assert len(eventually(target, 3)) == 3
 
 
-def free_port(ends):
-    opened = ends.port()
-    number = opened.getsockname()[1]
-    opened.close()
-    return number
-
-
 def test_a_peer_that_speaks_to_a_port_of_its_table_finds_whoever_spoke_last(ends):
     """As SBN: cFS sends to the port in its table, never to where it was spoken to from."""
-    cfs, own = ends.port(), free_port(ends)
+    cfs, (own,) = ends.port(), free_ports(1)
     proxy = ends.proxy(cfs, link=Link.SBN, bind=Endpoint(HOST, own))
     cfs.sendto(b"to nobody yet", (HOST, own))
     until(lambda: proxy.back.unclaimed == 1)
@@ -253,37 +243,47 @@ def test_a_peer_that_speaks_to_a_port_of_its_table_finds_whoever_spoke_last(ends
 
 
 def test_a_client_may_be_named_before_it_has_spoken(ends):
-    cfs, bridge, own = ends.port(), ends.port(), free_port(ends)
+    cfs, bridge, (own,) = ends.port(), ends.port(), free_ports(1)
     ends.proxy(cfs, link=Link.SBN, bind=Endpoint(HOST, own), client=Endpoint(*bridge.getsockname()))
     cfs.sendto(b"first", (HOST, own))
     assert bridge.recv(99) == b"first"
 
 
-def test_clients_are_forgotten_when_idle_and_when_there_are_too_many(ends):
+def test_clients_are_forgotten_when_there_are_too_many(ends):
     target = ends.port()
-    proxy = ends.proxy(target, clients=2, idle_ns=300 * MILLISECOND)
+    proxy = ends.proxy(target, clients=2)
     for name in range(3):
         ends.client(proxy).send(bytes([name]))
         target.recv(9)
     assert (len(proxy.sessions), proxy.summary()["clients_evicted"]) == (2, 1)
+
+
+def test_clients_are_forgotten_when_idle(ends):
+    target = ends.port()
+    proxy = ends.proxy(target, idle_ns=50 * MILLISECOND)
+    ends.client(proxy).send(b"once")
+    assert target.recv(9) == b"once"
     until(lambda: not len(proxy.sessions))
     ends.client(proxy).send(b"again")
     assert target.recv(9) == b"again"
 
 
 def test_a_target_that_nobody_listens_on_is_told_and_lost_is_nothing(ends):
-    target = ends.port()
+    target = ends.port(*free_ports(1))
     proxy = ends.proxy(target)
     client = ends.client(proxy)
     address = target.getsockname()
     target.close()
-    for _ in range(5):
+
+    def refused():
         client.send(b"x")
-        time.sleep(0.01)
-    until(lambda: proxy.forth[0].refused >= 4)
+        return proxy.forth[0].refused >= 4
+
+    until(refused)
     again = ends.port(address[1])
     client.send(b"y")
-    assert again.recv(9) == b"y"
+    while (data := again.recv(9)) != b"y":
+        assert data == b"x"  # on its way as the port was opened
     assert proxy.lost == 0
 
 

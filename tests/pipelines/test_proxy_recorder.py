@@ -6,6 +6,7 @@ import select
 import time
 
 from mcap.reader import make_reader
+from waiting import HOST, until
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import Endpoint, Link
@@ -16,9 +17,6 @@ from edoras_tools.pipelines.record import Target
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe
-
-HOST = "127.0.0.1"
-PATIENCE_S = 10
 
 
 def take(opened, count):
@@ -31,13 +29,6 @@ def waiting(opened):
     while select.select([opened], [], [], 0)[0]:
         found.append(opened.recv(65536))
     return found
-
-
-def until(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def numbered(count, size=12):
@@ -76,16 +67,16 @@ def test_a_recording_holds_what_was_sent_and_what_was_done_on_purpose(ends, tmp_
     rules = ["drop:0.2", "corrupt:0.2", "duplicate:0.1"]
     proxy = ends.proxy(target, rules=rules, recorder=recorder(path, [target]))
     client = ends.client(proxy)
-    before = time.time_ns()
+    before, arrived = time.time_ns(), []
     for first in range(0, 600, 60):
         for datagram in numbered(600)[first : first + 60]:
             client.send(datagram)
-        time.sleep(0.01)
-    until(lambda: proxy.forth[0].received == 600)
+        until(lambda first=first: proxy.forth[0].received == first + 60)
+        arrived += waiting(target)
     target.sendto(b"answer", next(iter(proxy.sessions)).ports[0].getsockname())
     client.recv(99)
     proxy.end()
-    arrived = waiting(target)
+    arrived += waiting(target)
     ports = client.getsockname()[1], target.getsockname()[1]
     datagrams, faults = recorded(path, ports[1])
     assert datagrams[:-1] == [(data, *ports, Link.CI) for data in arrived]

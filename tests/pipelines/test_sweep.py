@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import HOST, PATIENCE_S, free_ports
 
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.mission import Mission, Route
@@ -28,7 +29,6 @@ from edoras_tools.sim import Simulation, serve
 from edoras_tools.wire import cfe, sbn
 
 MISSIONS = Path(__file__).parents[2] / "samples/missions"
-HOST = "127.0.0.1"
 TWO = ("two_rovers_ground", "two_rovers_flight")
 ROVER = ("rover_ground",)
 
@@ -256,13 +256,7 @@ def test_who_is_no_peer_of_cfs_is_told_what_is_usually_wrong(bench, monkeypatch)
 
 @pytest.fixture
 def ports():
-    opened = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(3)]
-    for item in opened:
-        item.bind((HOST, 0))
-    found = [item.getsockname()[1] for item in opened]
-    for item in opened:
-        item.close()
-    return found
+    return free_ports(3)
 
 
 def test_on_real_sockets_the_same_hop_is_found(bench, ports):
@@ -272,16 +266,16 @@ def test_on_real_sockets_the_same_hop_is_found(bench, ports):
     profile = SimProfile(ci_port=ci, to_port=to, sbn_port=own, ci_wake_ns=fast, to_wake_ns=fast)
     simulation = Simulation(replace(profile, housekeeping_ns=200 * MILLISECOND), "rover", bridges=False)
     stop, ready = threading.Event(), threading.Event()
-    thread = threading.Thread(target=serve, args=(simulation, HOST, 30, stop, ready.set))
+    thread = threading.Thread(target=serve, args=(simulation, HOST, None, stop, ready.set))
     thread.start()
     try:
-        assert ready.wait(5)
+        assert ready.wait(PATIENCE_S)
         orders = Orders(target=Endpoint(HOST, ci), listen=Endpoint(HOST, to))
         plan = plan_of(bench(*ROVER), "/cmd_vel", rates=(400, 400), step_s=1, orders=orders)
         found = sweep(plan, bench(*ROVER))
     finally:
         stop.set()
-        thread.join(5)
+        thread.join(PATIENCE_S)
     assert found.failure is None
     step = found.steps[0]
     assert (step.account.sent, step.hop) == (400, "EDORAS_APP_PIPE")

@@ -5,31 +5,16 @@ import threading
 from dataclasses import replace
 
 import pytest
+from waiting import HOST, PATIENCE_S, free_ports, until
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.sessions.profile import MILLISECOND, SbnPeerConfig, SimProfile
 from edoras_tools.sim import Simulation, serve
 from edoras_tools.wire import cfe, sbn
 
-HOST = "127.0.0.1"
-
 
 @pytest.fixture
-def free_ports():
-    def take(count: int) -> list[int]:
-        opened = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-        for item in opened:
-            item.bind((HOST, 0))
-        ports = [item.getsockname()[1] for item in opened]
-        for item in opened:
-            item.close()
-        return ports
-
-    return take
-
-
-@pytest.fixture
-def profile(free_ports):
+def profile():
     """A hasty one: every period of the flight side is twenty times shorter."""
     ci, to, own, peer = free_ports(4)
     fast = 25 * MILLISECOND
@@ -51,17 +36,17 @@ def serving(simulation):
 
     def run():
         try:
-            serve(simulation, HOST, duration=20, stop=stop, ready=ready.set)
+            serve(simulation, HOST, stop=stop, ready=ready.set)
         except BaseException as error:  # noqa: BLE001  handed to the test's thread
             failures.append(error)
 
     thread = threading.Thread(target=run)
     thread.start()
-    assert ready.wait(5)
+    assert ready.wait(PATIENCE_S)
 
     def end():
         stop.set()
-        thread.join(5)
+        thread.join(PATIENCE_S)
         assert not thread.is_alive()
         assert not failures
 
@@ -74,16 +59,20 @@ def test_ground_enables_telemetry_and_is_answered_on_real_sockets(profile):
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
             ground.bind((HOST, profile.to_port))
-            ground.settimeout(10)
+            ground.settimeout(PATIENCE_S)
             ci = (HOST, profile.ci_port)
             ground.sendto(cfe.emit_command(0x1880, 6, HOST.encode().ljust(16, b"\0")), ci)
             ground.recv(2048)
             ground.sendto(cfe.emit_command(0x1884, 0), ci)
             ground.sendto(b"short", ci)
-            while not seen >= {"0800", "0803", "0827", "NOOP", "dropped"}:
+
+            def complete():
                 packet = ground.recv(2048)
                 seen.add(packet[:2].hex())
-                seen |= {word for word in ("NOOP", "dropped") if word.encode() in packet}
+                seen.update(word for word in ("NOOP", "dropped") if word.encode() in packet)
+                return seen >= {"0800", "0803", "0827", "NOOP", "dropped"}
+
+            until(complete, lambda: seen)
     finally:
         end()
 
@@ -94,23 +83,33 @@ def test_a_peer_subscribes_on_a_real_socket(profile):
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bridge:
             bridge.bind((HOST, profile.sbn_peers[0].port))
-            bridge.settimeout(10)
+            bridge.settimeout(PATIENCE_S)
             wanted = sbn.emit_subscriptions([sbn.Subscription(0x0803)])
             bridge.sendto(sbn.emit(sbn.MsgType.SUB, sbn.Peer(0x42, 3), wanted), (HOST, profile.sbn_port))
-            while not kinds >= {sbn.MsgType.PROTO, sbn.MsgType.SUB, sbn.MsgType.APP}:
+
+            def complete():
                 kinds.add(bridge.recv(2048)[2])
+                return kinds >= {sbn.MsgType.PROTO, sbn.MsgType.SUB, sbn.MsgType.APP}
+
+            until(complete, lambda: kinds)
     finally:
         end()
 
 
-def test_a_demo_runs_for_its_duration_and_says_when_it_is_ready(profile):
+def test_a_demo_runs_on_its_own(profile):
     simulation = Simulation(profile, "two-rovers", command_rate_hz=20, state_rate_hz=20)
+    end = serving(simulation)
+    try:
+        until(lambda: simulation.ground.received)
+        until(lambda: simulation.cfs.sbn.node.peers[sbn.Peer(0x42, 3)].connected)
+    finally:
+        end()
+
+
+def test_it_says_when_it_is_ready_and_ends_after_its_duration(profile):
     told = []
-    sent = serve(simulation, HOST, duration=1.6, ready=lambda: told.append("ready"))
+    assert serve(Simulation(profile), HOST, duration=0.3, ready=lambda: told.append("ready")) >= 0
     assert told == ["ready"]
-    assert sent > 0
-    assert simulation.ground.received
-    assert simulation.cfs.sbn.node.peers[sbn.Peer(0x42, 3)].connected
 
 
 def test_a_port_in_use_is_one_clear_line(profile):

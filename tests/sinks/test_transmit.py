@@ -4,13 +4,12 @@ import socket
 
 import numpy as np
 import pytest
+from waiting import HOST, PATIENCE_S
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import Endpoint
 from edoras_tools.sinks import transmit
 from edoras_tools.sinks.transmit import Listener, Transmitter
-
-HOST = "127.0.0.1"
 
 
 @pytest.fixture
@@ -18,7 +17,7 @@ def receiver():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 << 20)
         opened.bind((HOST, 0))
-        opened.settimeout(5)
+        opened.settimeout(PATIENCE_S)
         yield opened
 
 
@@ -58,9 +57,11 @@ def test_a_part_of_a_buffer_is_sent(sender, receiver):
     assert [receiver.recv(100) for _ in range(2)] == PAYLOADS[7:9]
 
 
-def test_more_than_fit_into_one_call(sender, receiver):
-    payloads = [index.to_bytes(4, "big") for index in range(2 * transmit._MANY + 3)]
-    assert sender.send_many(*laid_out(payloads)) == len(payloads)
+def test_more_than_fit_into_one_call(receiver, monkeypatch):
+    monkeypatch.setattr(transmit, "_MANY", 50)
+    payloads = [index.to_bytes(4, "big") for index in range(2 * 50 + 3)]
+    with Transmitter(Endpoint(HOST, receiver.getsockname()[1])) as sender:
+        assert sender.send_many(*laid_out(payloads)) == len(payloads)
     assert [receiver.recv(10) for _ in payloads] == payloads
 
 

@@ -5,13 +5,12 @@ import os
 import socket
 
 import pytest
+from waiting import HOST, PATIENCE_S
 
 from edoras_tools.model import Endpoint, Link
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.sinks.transmit import Listener, Transmitter
 from edoras_tools.sinks.wire import UdpWire, precise_timing
-
-HOST = "127.0.0.1"
 
 
 @pytest.fixture
@@ -19,7 +18,7 @@ def ends():
     """A wire, the socket at its other end, and its listener."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind((HOST, 0))
-        other.settimeout(5)
+        other.settimeout(PATIENCE_S)
         ear = Listener(Endpoint(HOST, 0))
         with Transmitter(Endpoint(HOST, other.getsockname()[1])) as transmitter:
             yield UdpWire(transmitter, Link.SBN, [(Link.TO, ear)]), other, ear, transmitter

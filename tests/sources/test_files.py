@@ -14,6 +14,7 @@ import pytest
 import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import PATIENCE_S
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.sources import open_file, stream
@@ -197,7 +198,7 @@ def test_a_growing_pipe_hands_over_what_is_there(tmp_path, wrapped):
                 if compressor is not None:
                     part = compressor.compress(part) + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
                 pipe.write(part)
-                if not handed_over.acquire(timeout=10):
+                if not handed_over.acquire(timeout=PATIENCE_S):
                     failures.append(start)
                     return
             if compressor is not None:

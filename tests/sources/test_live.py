@@ -8,6 +8,7 @@ import sys
 import threading
 
 import pytest
+from waiting import PATIENCE_S, until
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import concatenate
@@ -78,13 +79,10 @@ def test_ready_is_said_when_nothing_can_be_missed(live, pair):
     said = threading.Event()
     source = live("lo", [port], ready=said.set)
     batches = source.batches()
-    waiting = threading.Thread(target=lambda: said.wait(10) and sender.send(b"the first"))
+    waiting = threading.Thread(target=lambda: said.wait(PATIENCE_S) and sender.send(b"the first"))
     waiting.start()
-    seen = []
-    while not seen:
-        seen = payloads([next(batches)])
+    assert until(lambda: payloads([next(batches)])) == [b"the first"]
     waiting.join()
-    assert seen == [b"the first"]
     assert source.started.is_set()
 
 

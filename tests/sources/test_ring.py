@@ -16,6 +16,7 @@ import time
 
 import numpy as np
 import pytest
+from waiting import PATIENCE_S
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.sources import interfaces
@@ -95,14 +96,14 @@ def take(source):
     """All frames that have come to a ring: the batches up to the moment when nothing is left in it."""
     source.refuse()
     batches = []
-    end = time.monotonic() + 5
+    end = time.monotonic() + PATIENCE_S
     while time.monotonic() < end:
         while (frames := source.read()) is not None:
             batches.append(frames)
         if source.drained():
             return batches
         select.select(source.filenos(), [], [], 0.1)
-    raise AssertionError("the ring did not give up what it holds in 5 s")
+    raise AssertionError("the ring did not give up what it holds in time")
 
 
 def payloads(batches):
