@@ -76,6 +76,7 @@ class Finding(IntFlag):
     CDR_BIG_ENDIAN = 1 << 24
     FRAGMENT = 1 << 25
     CAPTURE_CUT = 1 << 26
+    STRUCT_LENGTH = 1 << 27
 
     @property
     def label(self) -> str:

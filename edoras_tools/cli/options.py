@@ -120,6 +120,12 @@ ExtendedHeader = Annotated[bool, typer.Option(help="Packets carry cFE's extended
 TelemetryHeader = Annotated[
     int, typer.Option(metavar="BYTES", help="cFE telemetry header: 16, or 12 in older builds.")
 ]
+StructsFile = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--structs", metavar="FILE", help="Layout of C structs, as 'edoras structs' writes it; repeatable."
+    ),
+]
 LinkChoice = Annotated[
     list[str] | None,
     typer.Option("--link", metavar="LINK", parser=link_name, help="Only ci, to, sbn or other; repeatable."),
@@ -177,6 +183,7 @@ def decoding(
     envelope: Envelope = "8/8 le",
     extended_header: ExtendedHeader = False,
     telemetry_header: TelemetryHeader = 16,
+    structs: StructsFile = None,
 ) -> Settings:
     """Gather the options of missions, types and decoding."""
     from edoras_tools.decode import Options
@@ -188,7 +195,7 @@ def decoding(
         envelope=envelope,
         ports=tuple(port or ()),
     )
-    return Settings(tuple(config or ()), distro, tuple(msg_path or ()), options)
+    return Settings(tuple(config or ()), distro, tuple(msg_path or ()), options, tuple(structs or ()))
 
 
 def choice(

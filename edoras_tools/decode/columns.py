@@ -279,6 +279,7 @@ class _Pass:
         for name in _PACKET_COLUMNS:
             self.out[name][absent] = _BLANK.get(name, 0)
         self._envelopes(packet)
+        self._structs()
 
     def _msg_id(
         self, word: NDArray[np.int32], head: NDArray[np.uint8], length: NDArray[np.int32]
@@ -328,6 +329,13 @@ class _Pass:
         )
         self.flag(Finding.UNKNOWN_FUNCTION_CODE, rows, unknown)
         self.flag(Finding.COMMAND_LENGTH, rows, misfit)
+
+    def _structs(self) -> None:
+        """Judge whether packets are as long as the C structs they should hold."""
+        rows = np.flatnonzero(self.context.structs.has[self.out["msg_id"]])
+        if len(rows):
+            for _, members, fits in self.context.structs.split(rows, self.out.__getitem__):
+                self.flag(Finding.STRUCT_LENGTH, members, ~fits)
 
     def _envelopes(self, packet: NDArray[np.bool_]) -> None:
         """Read the envelopes of the routes' packets, a route at a time."""

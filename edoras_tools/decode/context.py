@@ -11,6 +11,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission import FlightLink, GroundLink, Mission
 from edoras_tools.model import NO_ROUTE, Link
+from edoras_tools.structs import Structs, shipped
 from edoras_tools.wire import cfe, names
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 
@@ -124,6 +125,7 @@ class Context:
         mission: its routes give ``Columns.route`` its meaning.
         types: the ROS types, or None to leave CDR bodies alone.
         options: as given.
+        structs: the C structs that packets without a route hold.
         peers: grows as datagrams are decoded, in order.
         port_links: u8 (65536,), bit ``1 << link`` for every link that a UDP port may belong to.
         cfs_addresses: IPv4 addresses of the cFS of ground missions, as numbers.
@@ -137,11 +139,16 @@ class Context:
     """
 
     def __init__(
-        self, mission: Mission | None = None, types: TypeStore | None = None, options: Options | None = None
+        self,
+        mission: Mission | None = None,
+        types: TypeStore | None = None,
+        options: Options | None = None,
+        structs: Structs | None = None,
     ) -> None:
         self.mission = mission or Mission()
         self.types = types
         self.options = options or Options()
+        self.structs = (structs or shipped()).unclaimed(route.msg_id for route in self.mission.routes)
         self.peers = Peers()
         self.port_links = self._ports()
         self.cfs_addresses = frozenset(
@@ -164,6 +171,7 @@ class Context:
         self.any_route_of: NDArray[np.int16] = np.full(65536, NO_ROUTE, np.int16)
         self.known = np.zeros(65536, bool)
         self.known[list(names.MSG_ID_NAMES)] = True
+        self.known |= self.structs.has
         for index, route in reversed(list(enumerate(self.mission.routes))):
             self.route_of[route.link, route.msg_id] = index
             self.any_route_of[route.msg_id] = index

@@ -17,5 +17,6 @@ UNKNOWABLE: Final = (
     | Finding.COMMAND_LENGTH
     | Finding.HEADER_ONLY
     | Finding.SBN_LEGACY_HEADER
+    | Finding.STRUCT_LENGTH
 )
 """What a datagram that the capture itself cut cannot be blamed for."""

@@ -6,7 +6,7 @@ are the same as :mod:`edoras_tools.decode.columns` gives for a batch.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_of
@@ -21,6 +21,9 @@ from edoras_tools.wire.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, CI_BU
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.wire.layout import Layout
+
+_OWN_LAYERS: Final = frozenset({cfe.EVENT.name, cfe.SOFTWARE_BUS_HOUSEKEEPING.name})
+"""Layers that show a struct already."""
 
 
 class Dissector:
@@ -250,6 +253,7 @@ class _Dissection:
         if command:
             self._command(msg_id, code or 0, start, min(length, total), extra)
         if bare:
+            self._struct(msg_id, start, header, code)
             return
         self._payload(msg_id, start, header, code)
 
@@ -293,6 +297,7 @@ class _Dissection:
             ):
                 if msg_id == known and len(self.data) - at >= layout.size:
                     self.read(layout, at)
+            self._struct(msg_id, start, header, code)
             return
         if length == header:
             if Finding.LENGTH_MISMATCH in self.findings:
@@ -301,6 +306,36 @@ class _Dissection:
                 self.findings |= Finding.HEADER_ONLY
             return
         self._envelope(route, at)
+
+    def _struct(self, msg_id: int, start: int, header: int, code: int | None) -> None:
+        """Read the C struct that a packet without a route holds, as a message."""
+        length = len(self.data) - start - header
+        bound = self.context.structs.find(msg_id, code, length)
+        if bound is None:
+            return
+        if not bound.fits(length):
+            self.findings |= Finding.STRUCT_LENGTH
+            return
+        peer = self.layers[0].values() if self.link is Link.SBN else {}
+        sequence = ccsds.PRIMARY.parse(self.data, start)["packet_sequence_count"]
+        origin = (peer.get("processor_id", 0), msg_id, sequence, code or 0, self.link)
+        cdr = bound.encode_one(self.data[start + header :], origin)
+        values = self.context.structs.types.decode(bound.type, cdr)
+        self.message = RosMessage(bound.type, bound.topic, values, cdr)
+        if self.detail and not any(layer.name in _OWN_LAYERS for layer in self.layers):
+            fields = tuple(
+                LayerField(
+                    path,
+                    value,
+                    start + header + low,
+                    start + header + high,
+                    bound.text(member, value),
+                    member.doc,
+                )
+                for path, value, low, high, member in bound.spans(values, length)
+            )
+            title = f"{bound.name}: {bound.struct.doc}" if bound.struct.doc else bound.name
+            self.layers.append(Layer("cfs", title, start + header, len(self.data), fields))
 
     def _envelope(self, route: int, at: int) -> None:
         envelope = self.context.envelopes[route] or detect(self.data, at) or DEFAULT

@@ -22,8 +22,6 @@ def summarise(decoded: Decoded) -> Decoded:
 
 
 def _text(decoded: Decoded) -> str:
-    if decoded.message is not None:
-        return short_values(decoded.message.values)
     event = decoded.layer("cfe_event")
     if event is not None:
         values = event.values()
@@ -36,6 +34,9 @@ def _text(decoded: Decoded) -> str:
             f"message limit {values['message_limit_error_counter']}, "
             f"no subscribers {values['no_subscribers_counter']}"
         )
+    if decoded.message is not None:
+        bare = decoded.layer("edoras") is None  # a C struct's header says what the line says already
+        return short_values({k: v for k, v in decoded.message.values.items() if not bare or k != "header"})
     head = decoded.layer("sbn")
     if head is not None and head.values()["msg_type"] != sbn.MsgType.APP:
         return _network(decoded)

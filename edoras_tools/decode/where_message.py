@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -12,6 +13,8 @@ from edoras_tools.decode.where_field import MESSAGE, Field
 from edoras_tools.decode.where_series import INDEX, Kind, Series
 from edoras_tools.ros import grammar, schema
 from edoras_tools.ros.columns import Ragged
+from edoras_tools.structs import cfe
+from edoras_tools.structs.bindings import Encoded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +26,10 @@ if TYPE_CHECKING:
     from edoras_tools.model import Decoded
     from edoras_tools.ros.columns import MessageColumns
     from edoras_tools.ros.schema import Definition
+    from edoras_tools.structs import Bound
+
+    Owned = tuple[NDArray[np.int64], MessageColumns]
+    """Rows that hold messages, and the messages."""
 
 _PART: Final = re.compile(r"(\w+)(?:\[(-?\d+)\])?")
 _PREFIX: Final = "ros."
@@ -44,12 +51,15 @@ class Messages:
     """Finds fields of messages by their path.
 
     Args:
-        context: gives the routes and the types.
+        context: gives the routes, the types and the C structs.
     """
 
     def __init__(self, context: Context) -> None:
         self._routes: dict[str, list[int]] = {}
-        self._definitions: dict[str, Definition] = {}
+        self._definitions: dict[str, Definition] = dict(context.structs.definitions)
+        self._structs: dict[str, list[Bound]] = {}
+        for bound in context.structs.all:
+            self._structs.setdefault(bound.name, []).append(bound)
         types = context.types
         for index, route in enumerate(context.mission.routes):
             if types is None or not types.has(route.type):
@@ -62,17 +72,49 @@ class Messages:
         return bool(self._routes)
 
     def find(self, path: str) -> list[Field]:
-        """Return the field of that path of each type that has it."""
-        wanted = [
-            (match[1], None if match[2] is None else int(match[2]))
-            for match in _PART.finditer(path.removeprefix(_PREFIX))
-        ]
+        """Return the field of that path of each type of a route that has it."""
+        wanted = _wanted(path.removeprefix(_PREFIX))
         found = []
         for name, routes in self._routes.items():
             steps = self._steps(name, wanted)
             if steps:
                 found.append(self._field(path, name, tuple(routes), steps))
         return found
+
+    def of_structs(self, path: str) -> list[Field]:
+        """Return the field of that path of each C struct that has it, or of the one it begins with."""
+        path = path.removeprefix(_PREFIX)
+        name, _, rest = path.partition(".")
+        if name in self._structs:
+            found = [self._of_struct(path, rest, bound) for bound in self._structs[name]]
+        else:
+            every = [bound for bounds in self._structs.values() for bound in bounds]
+            found = [self._of_struct(path, path, bound) for bound in every if not _is_layer(bound)]
+        return [field for field in found if field is not None]
+
+    def _of_struct(self, path: str, inside: str, bound: Bound) -> Field | None:
+        """Return the field of a path inside a C struct, if it has one; the struct for an empty path."""
+        if not inside:
+            return Field(
+                path,
+                Kind.STRUCT,
+                lambda _, decoded: 0 if decoded.message and decoded.message.topic == bound.topic else None,
+                partial(_read_struct, bound),
+                cost=MESSAGE,
+                doc=f"whether there is a {bound.name}",
+            )
+        steps = self._steps(bound.type, _wanted(inside))
+        if not steps:
+            return None
+        member = bound.member([step.field.name for step in steps])
+        field = self._field(path, bound.type, (), steps, bound)
+        return replace(
+            field,
+            names=bound.values(member) if member else {},
+            base=member.base if member else 10,
+            digits=2 * field.dtype.itemsize,
+            doc=(member and member.doc) or f"of {bound.name}",
+        )
 
     def inside(self, path: str) -> list[str]:
         """Return the names of what a group of fields holds."""
@@ -83,6 +125,8 @@ class Messages:
         """Yield the path of every single value, without indices."""
         for name in self._routes:
             yield from self._leaves(schema.full_name(name), "")
+        for name, bounds in self._structs.items():
+            yield from self._leaves(bounds[0].type, f"{name}.")
 
     def _leaves(self, name: str, prefix: str) -> Iterator[str]:
         for item in self._definitions[name].fields:
@@ -105,7 +149,11 @@ class Messages:
             definition = self._definitions.get(item.type)
         return steps
 
-    def _field(self, path: str, name: str, routes: tuple[int, ...], steps: list[_Step]) -> Field:
+    def _field(
+        self, path: str, name: str, routes: tuple[int, ...], steps: list[_Step], bound: Bound | None = None
+    ) -> Field:
+        messages = partial(_messages, name, routes) if bound is None else partial(_struct_messages, bound)
+        scope = (lambda rows: np.isin(rows.routes(), routes)) if bound is None else partial(_holds, bound)
         last = steps[-1].field.type
         dtype = np.dtype(schema.PRIMITIVES.get(last, "q"))
         kind = (
@@ -121,9 +169,9 @@ class Messages:
         return Field(
             path,
             kind,
-            partial(_pick, name, steps),
-            self._reader(name, routes, steps),
-            scope=lambda rows: np.isin(rows.routes(), routes),
+            partial(_pick, name if bound is None else bound.topic, steps),
+            self._reader(messages, steps),
+            scope=scope,
             cost=MESSAGE,
             dtype=dtype,
             limits=limits if kind is Kind.NUMBER else None,
@@ -132,14 +180,14 @@ class Messages:
         )
 
     def _reader(
-        self, name: str, routes: tuple[int, ...], steps: list[_Step]
+        self, messages: Callable[[ColumnRows], Owned], steps: list[_Step]
     ) -> Callable[[ColumnRows], Series] | None:
         """Return what reads a field of many messages; None where columns do not tell."""
         indices = [step.element for step in steps if step.listed]
         path = ".".join(step.field.name for step in steps)
         if steps[-1].field.type in self._definitions:
             if not indices:
-                return partial(_read_whole, name, routes)
+                return partial(_read_whole, messages)
             single = self._single(steps[-1].field.type)
             if not single:
                 return None
@@ -147,7 +195,7 @@ class Messages:
         if len(indices) > 1 and any(index is not None for index in indices):
             return None
         index = indices[0] if indices else None
-        return partial(_read, name, routes, path, index)
+        return partial(_read, messages, path, index)
 
     def _single(self, name: str) -> str:
         """Return the path of a value that every message of a type has exactly one of, if there is any."""
@@ -162,8 +210,17 @@ class Messages:
         return ""
 
 
+def _is_layer(bound: Bound) -> bool:
+    """Tell whether a struct's fields are those of a layer, and found there."""
+    return bound.layout.origin == cfe.NAME and bound.key.msg_id in cfe.HEADERS
+
+
+def _wanted(path: str) -> list[tuple[str, int | None]]:
+    return [(match[1], None if match[2] is None else int(match[2])) for match in _PART.finditer(path)]
+
+
 def _pick(name: str, steps: Sequence[_Step], _: Rows, decoded: Decoded) -> Any:
-    if decoded.message is None or decoded.message.type != name:
+    if decoded.message is None or name not in {decoded.message.type, decoded.message.topic}:
         return None
     items: list[Any] = [decoded.message.values]
     many = False
@@ -179,29 +236,67 @@ def _pick(name: str, steps: Sequence[_Step], _: Rows, decoded: Decoded) -> Any:
     return items if many else items[0] if items else None
 
 
-def _messages(
-    name: str, routes: tuple[int, ...], rows: ColumnRows
-) -> tuple[NDArray[np.int64], MessageColumns]:
+def _messages(name: str, routes: tuple[int, ...], rows: ColumnRows) -> Owned:
     """Return the rows that carry messages of a type, and the messages."""
 
-    def make() -> tuple[NDArray[np.int64], MessageColumns]:
+    def make() -> Owned:
         owner = np.flatnonzero(np.isin(rows.routes(), routes) & (rows.column("cdr_length") > 0))
         offset, length = rows.column("cdr_offset")[owner], rows.column("cdr_length")[owner]
         assert rows.context.types is not None, "messages have types"
         return owner, rows.context.types.columns(name, rows.batch.data, offset, length)
 
-    found: tuple[NDArray[np.int64], MessageColumns] = rows.once(("messages", name), make)
+    found: Owned = rows.once(("messages", name), make)
     return found
 
 
-def _read_whole(name: str, routes: tuple[int, ...], rows: ColumnRows) -> Series:
-    owner, messages = _messages(name, routes, rows)
+def structs_of(rows: ColumnRows) -> dict[Bound, tuple[NDArray[np.int64], Encoded]]:
+    """Return the messages of all C structs, and the rows that hold them."""
+
+    def make() -> dict[Bound, tuple[NDArray[np.int64], Encoded]]:
+        structs = rows.context.structs
+        there = np.flatnonzero(structs.has[rows.column("msg_id")])
+        return {
+            bound: (members, encoded)
+            for bound, members, encoded in structs.messages(there, rows.column, rows.batch.data)
+        }
+
+    found: dict[Bound, tuple[NDArray[np.int64], Encoded]] = rows.once("structs", make)
+    return found
+
+
+def _struct_messages(bound: Bound, rows: ColumnRows) -> Owned:
+    """Return the rows that hold a C struct, and its messages."""
+
+    def make() -> Owned:
+        nothing = np.zeros(0, np.int64)
+        empty = Encoded(np.zeros(1, np.uint8), nothing, nothing)
+        owner, encoded = structs_of(rows).get(bound, (nothing, empty))
+        size = encoded.size.astype(np.int32)
+        return owner, rows.context.structs.types.columns(bound.type, encoded.data, encoded.start, size)
+
+    found: Owned = rows.once(("struct", bound.topic), make)
+    return found
+
+
+def _holds(bound: Bound, rows: ColumnRows) -> NDArray[np.bool_]:
+    out = np.zeros(len(rows), np.bool_)
+    out[_struct_messages(bound, rows)[0]] = True
+    return out
+
+
+def _read_struct(bound: Bound, rows: ColumnRows) -> Series:
+    owner = _struct_messages(bound, rows)[0]
+    return Series(len(rows), np.zeros(len(owner), INDEX), owner)
+
+
+def _read_whole(read: Callable[[ColumnRows], Owned], rows: ColumnRows) -> Series:
+    owner, messages = read(rows)
     owner = owner[messages.valid]
     return Series(len(rows), np.zeros(len(owner), INDEX), owner)
 
 
-def _read(name: str, routes: tuple[int, ...], path: str, index: int | None, rows: ColumnRows) -> Series:
-    owner, messages = _messages(name, routes, rows)
+def _read(read: Callable[[ColumnRows], Owned], path: str, index: int | None, rows: ColumnRows) -> Series:
+    owner, messages = read(rows)
     column, valid = messages.fields[path], messages.valid
     holders = owner[valid]
     values: NDArray[Any]

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from difflib import get_close_matches
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from edoras_tools.decode.where_field import BYTES, COLUMN, MESSAGE, Field
 from edoras_tools.decode.where_layers import layer_fields
-from edoras_tools.decode.where_message import Messages
+from edoras_tools.decode.where_message import Messages, structs_of
 from edoras_tools.decode.where_series import INDEX, Kind, Series
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding, Link
 from edoras_tools.ros.schema import full_name
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.where_rows import ColumnRows, Rows
@@ -31,11 +32,24 @@ _ALIASES: Final = {
 }
 """Names of ``sniff --json`` and of the columns, which win over everything else of that name."""
 _BITS: Final = {bit: finding.label for bit, finding in enumerate(Finding)}
+_STRUCT_LAYERS: Final = frozenset({cfe.EVENT.name, cfe.SOFTWARE_BUS_HOUSEKEEPING.name})
+"""Layers that are C structs like others, and share names with them."""
 _CLOSE: Final = 0.6
 
 
 class Unknown(Exception):  # noqa: N818  it never leaves the compiler
-    """A name that is no field, or more than one; the message says what to write."""
+    """A name that is no field, or more than one; the message says what to write.
+
+    Args:
+        say: makes the message, once it is asked for: to look for names that are like it takes a while.
+    """
+
+    def __init__(self, say: Callable[[], str]) -> None:
+        super().__init__()
+        self._say = say
+
+    def __str__(self) -> str:
+        return self._say()
 
 
 class Names:
@@ -72,10 +86,15 @@ class Names:
         short = [] if name.startswith("ros.") else self._short.get(name, [])
         if len(short) + bool(messages) > 1:
             clear = short + [f"ros.{name}"] * bool(messages)
-            raise Unknown(f"{name!r} is more than one field; write {' or '.join(clear)}")
-        if not messages and not short:
-            raise Unknown(self._nothing(name))
-        return messages or [self._layers[short[0]]]
+            raise Unknown(lambda: f"{name!r} is more than one field; write {' or '.join(clear)}")
+        layers = [self._layers[item] for item in short]
+        # What a mission's own messages call so goes before what C structs do.
+        if messages or (layers and short[0].partition(".")[0] not in _STRUCT_LAYERS):
+            return messages or layers
+        found = layers + self._messages.of_structs(name)
+        if not found:
+            raise Unknown(partial(self._nothing, name))
+        return found
 
     def inside(self, field: Field) -> list[str]:
         """Return what a group of fields holds."""
@@ -169,7 +188,7 @@ def _packet_fields(context: Context) -> Iterator[Field]:
         lambda _, decoded: 0 if decoded.message else None,
         _read_messages,
         cost=MESSAGE,
-        doc="whether a ROS message was decoded",
+        doc="whether a message was decoded, ROS or a C struct",
     )
     yield Field("summary", Kind.TEXT, lambda _, decoded: decoded.summary, doc="the packet in a few words")
     yield Field(
@@ -226,7 +245,10 @@ def _read_messages(rows: ColumnRows) -> Series:
     for row in np.flatnonzero(there & cut):
         # The decoder blames a cut packet for nothing.
         invalid[row] = rows.take(np.array([row])).packets()[0].message is None
-    return Series.of_chosen(np.zeros(len(rows), INDEX), there & ~invalid)
+    there &= ~invalid
+    for members, _ in structs_of(rows).values():
+        there[members] = True
+    return Series.of_chosen(np.zeros(len(rows), INDEX), there)
 
 
 def _read_payload(rows: ColumnRows) -> Series:
@@ -284,7 +306,9 @@ def _distinct(rows: ColumnRows, key: Any, text: Any) -> Series:
     return Series(len(rows), codes.reshape(-1), table=[text(row) for row in first.tolist()])
 
 
-def _route(context: Context, name: str, texts: Sequence[str], alike: Any) -> Field:
+def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Field:
+    texts: list[str] = [*routed, *(getattr(bound, name) for bound in context.structs.all)]
+
     def pick(_: Rows, decoded: Decoded) -> str | None:
         packet = decoded.layer("ccsds")
         if packet is None:
@@ -292,12 +316,19 @@ def _route(context: Context, name: str, texts: Sequence[str], alike: Any) -> Fie
         msg_id = packet.values()["msg_id"]
         route = int(context.route_of[decoded.link, msg_id])
         route = route if route != NO_ROUTE else int(context.any_route_of[msg_id])
-        return texts[route] if route != NO_ROUTE else None
+        if route == NO_ROUTE:
+            told: str | None = getattr(decoded.message, name, None)
+            return told
+        return texts[route]
 
     def read(rows: ColumnRows) -> Series:
         routes = rows.routes()
-        there = np.flatnonzero((routes != NO_ROUTE) & (rows.column("msg_id") != NO_MSG_ID))
-        return Series(len(rows), routes[there], there, table=texts)
+        which = np.where(rows.column("msg_id") == NO_MSG_ID, NO_ROUTE, routes).astype(INDEX)
+        candidates = np.flatnonzero(context.structs.has[rows.column("msg_id")])
+        for bound, members, fits in context.structs.split(candidates, rows.column):
+            which[members[fits]] = len(routed) + context.structs.all.index(bound)
+        there = np.flatnonzero(which != NO_ROUTE)
+        return Series(len(rows), which[there], there, table=texts)
 
     return Field(
         name,
@@ -307,7 +338,7 @@ def _route(context: Context, name: str, texts: Sequence[str], alike: Any) -> Fie
         cost=COLUMN,
         choices=sorted(set(texts)),
         alike=alike,
-        doc=f"the {name} of the route that its MsgId is",
+        doc=f"the {name} of the route, or of the C struct, that its MsgId is",
     )
 
 

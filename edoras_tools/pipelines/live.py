@@ -65,6 +65,7 @@ def attach(
         statistics=statistics,
         publisher=publisher,
         player=player,
+        structs=bench.columns.context.structs,
     )
 
 

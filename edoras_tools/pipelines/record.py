@@ -131,6 +131,7 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
             split_bytes=target.split_bytes,
             split_ns=target.split_ns,
             statistics=source.statistics,
+            structs=bench.columns.context.structs,
         )
     if suffix == ".pcapng":
         from edoras_tools.sinks.pcapng import PcapngSink

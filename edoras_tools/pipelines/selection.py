@@ -11,7 +11,7 @@ import numpy as np
 from edoras_tools.errors import RouteError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.structs import Key
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +40,7 @@ class Selection:
     notable: int = 0
     where: str = ""
     _filter: Where | None = field(default=None, repr=False, compare=False)
+    _structs: Mapping[str, Sequence[Key]] = field(default_factory=dict, repr=False, compare=False)
 
     def __bool__(self) -> bool:
         return bool(self.links or self.msg_ids or self.topics or self.notable or self.where)
@@ -57,12 +59,19 @@ class Selection:
             RouteError: a topic pattern fits no configured topic.
             ConfigError: the filter has a mistake.
         """
-        self.check(bench.mission)
+        context, chosen = bench.columns.context, self
+        if self.topics:
+            structs = {
+                pattern: [item.key for item in context.structs.all if _fits(item.topic, pattern)]
+                for pattern in self.topics
+            }
+            chosen = replace(self, _structs=structs)
+        chosen.check(bench.mission)
         if not self.where:
-            return self
+            return chosen
         from edoras_tools.decode.where import Where
 
-        return replace(self, _filter=Where(self.where, bench.columns.context))
+        return replace(chosen, _filter=Where(self.where, context))
 
     def check(self, mission: Mission) -> None:
         """Find out early whether a mission has what is chosen.
@@ -84,7 +93,11 @@ class Selection:
         if self.msg_ids:
             chosen &= np.isin(columns.msg_id, list(self.msg_ids))
         if self.topics:
-            chosen &= np.isin(columns.route, self._routes(mission))
+            on_topic = np.isin(columns.route, self._routes(mission))
+            for key in (key for keys in self._structs.values() for key in keys):
+                code = key.function_code
+                on_topic |= (columns.msg_id == key.msg_id) & (code is None or columns.function_code == code)
+            chosen &= on_topic
         if self.notable:
             chosen &= (columns.findings & np.uint32(self.notable)) != 0
         return chosen
@@ -105,10 +118,14 @@ class Selection:
     def _routes(self, mission: Mission) -> list[int]:
         routes = []
         for pattern in self.topics:
-            wanted = pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
-            fits = [index for index, route in enumerate(mission.routes) if fnmatchcase(route.topic, wanted)]
-            if not fits:
+            fits = [index for index, route in enumerate(mission.routes) if _fits(route.topic, pattern)]
+            if not fits and not self._structs.get(pattern):
                 there = ", ".join(route.topic for route in mission.routes) or "none; name a mission with -c"
                 raise RouteError(f"no configured topic fits {pattern!r}; there are: {there}")
             routes += fits
         return routes
+
+
+def _fits(topic: str, pattern: str) -> bool:
+    wanted = pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
+    return fnmatchcase(topic, wanted)

@@ -100,7 +100,9 @@ def as_json(decoded: Decoded) -> dict[str, Any]:
         "source": str(decoded.datagram.source),
         "destination": str(decoded.datagram.destination),
         "length": len(decoded.datagram.payload),
-        "layers": {layer.name: layer.values() for layer in decoded.layers if layer.name != "ros"},
+        "layers": {
+            layer.name: layer.values() for layer in decoded.layers if layer.name not in {"ros", "cfs"}
+        },
         "msg_id": f"0x{packet.values()['msg_id']:04x}" if packet else None,
         "topic": message.topic if message else None,
         "type": message.type if message else None,

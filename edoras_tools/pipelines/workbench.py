@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.mission import Mission, load, loads
 from edoras_tools.ros import TypeStore
 from edoras_tools.sources import open_file
+from edoras_tools.structs import Structs, read, shipped
+from edoras_tools.structs import loads as loads_layout
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
 
     from edoras_tools.model import SourceInfo
     from edoras_tools.sources import Source
+
+_LAYOUTS: Final = "structs/"
+"""What the names of layouts begin with in a recording, where mission files lie beside them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,31 +50,43 @@ class Settings:
         distro: ROS distribution whose message definitions hold.
         msg_paths: folders with further ``.msg`` and ``.idl`` files.
         options: how to read the bytes.
+        structs: layouts of C structs, before those of cFE itself.
     """
 
     configs: Sequence[Path] = ()
     distro: str = "humble"
     msg_paths: Sequence[Path] = ()
     options: Options = Options()  # noqa: RUF009  frozen, and the same for all
+    structs: Sequence[Path] = ()
 
     def workbench(self, info: SourceInfo | None = None) -> Workbench:
         """Set up.
 
         Args:
-            info: of the source. A recording's mission files hold where no mission is named, its message
-                definitions before the distribution's.
+            info: of the source. A recording's mission files hold where no mission is named, its layouts of
+                C structs where none is, its message definitions before the distribution's.
 
         Raises:
             ConfigError: a mission, a type folder or an option has mistakes.
         """
+        attached = info.attachments if info else {}
         types = TypeStore(self.distro, self.msg_paths, info.definitions if info else None)
         if self.configs:
             mission = load(self.configs, check_type=types.check)
-        elif info and info.attachments:
-            mission = loads(info.attachments, check_type=types.check)
         else:
-            mission = Mission()
-        context = Context(mission, types, self.options)
+            bridges = {name: data for name, data in attached.items() if not name.startswith(_LAYOUTS)}
+            mission = loads(bridges, check_type=types.check) if bridges else Mission()
+        given = [read(path) for path in self.structs]
+        carried = {name: data for name, data in attached.items() if name.startswith(_LAYOUTS)}
+        contents = [(str(file), data) for file, data in given] or list(carried.items())
+        structs = shipped()
+        if contents:
+            layouts = [loads_layout(data, name) for name, data in contents]
+            structs = Structs([*layouts, *structs.layouts])
+            names = [f"{_LAYOUTS}{place}_{file.name}" for place, (file, _) in enumerate(given, 1)]
+            files = dict(zip(names or carried, (data for _, data in contents), strict=True))
+            mission = replace(mission, files={**mission.files, **files})
+        context = Context(mission, types, self.options, structs)
         return Workbench(mission, types, ColumnDecoder(context), Dissector(context))
 
 

@@ -200,6 +200,12 @@ EXPLANATIONS: Final = {
         "capture cut",
         "The capture's snap length cut the frame: the bytes are missing here, not on the wire.",
     ),
+    Finding.STRUCT_LENGTH: Explanation(
+        _WARNING,
+        "struct length",
+        "The payload is not as long as the C struct that is known for this MsgId, so it is not read by it: "
+        "another build; --structs names its own layout.",
+    ),
 }
 """Every finding; :func:`explain` looks one up."""
 

@@ -11,7 +11,7 @@ from edoras_tools.sinks.foxglove_offer import Offer
 from edoras_tools.sinks.foxglove_server import FoxgloveServer
 from edoras_tools.sinks.mcap_faults import fault_messages
 from edoras_tools.sinks.mcap_rows import lay_out
-from edoras_tools.sinks.streams import FAULTS, Streams
+from edoras_tools.sinks.streams import FAULTS, Streams, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.faults import Fault
     from edoras_tools.sinks.foxglove_offer import Player, Publisher
+    from edoras_tools.structs import Structs
 
 PORT: Final = 8765
 """Where Foxglove looks for a server unless told otherwise."""
@@ -62,15 +63,21 @@ class FoxgloveSink:
         statistics: SourceStatistics | None = None,
         publisher: Publisher | None = None,
         player: Player | None = None,
+        structs: Structs | None = None,
     ) -> None:
         self._mission, self._types, self._info = mission, types, info
         self._levels, self._counted = levels or {}, statistics
-        self._faults = -1
+        self._faults, self._structs = -1, structs
+        self._late: dict[str, int] = {}
         self._begin()
         topics = [*self._streams.topics, DIAGNOSTICS]
         definitions = {
             **self._streams.definitions,
             **{item.type: types.definition(item.type) for item in (DIAGNOSTICS, FAULTS)},
+            **{
+                item.type: self._streams.structs.types.definition(item.type)
+                for item in self._streams.structs.all
+            },
         }
         self._diagnostics_id = len(topics) - 1
         offer = Offer(f"edoras: {info.name}", definitions, publisher, player, session=token_hex(8))
@@ -113,8 +120,16 @@ class FoxgloveSink:
         """Return what became of it; see ``FoxgloveServer.summary``."""
         return self.server.summary()
 
+    def _add_topic(self, topic: Topic) -> int:
+        """Offer a topic of whose kind there may be none, once; return its place."""
+        if topic.name not in self._late:
+            self._late[topic.name] = self.server.add(topic)
+        return self._late[topic.name]
+
     def _begin(self) -> None:
-        self._streams = Streams(self._mission, self._types, self._counted)
+        self._streams = Streams(
+            self._mission, self._types, self._counted, structs=self._structs, add=self._add_topic
+        )
         self._diagnostics = Diagnostics(
             self._mission, self._types, self._info.name, self._levels, self._counted
         )

@@ -15,7 +15,7 @@ from edoras_tools.model import Finding
 from edoras_tools.sinks.mcap_chunks import ChunkWriter
 from edoras_tools.sinks.mcap_faults import fault_messages
 from edoras_tools.sinks.mcap_file import McapFile
-from edoras_tools.sinks.streams import FAULTS, Streams
+from edoras_tools.sinks.streams import FAULTS, Streams, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.faults import Fault
+    from edoras_tools.structs import Structs
 
 METADATA_NAME = "edoras"
 """The metadata record of a whole recording."""
@@ -53,6 +54,7 @@ class McapSink:
         split_ns: begin a new file when one covers this much capture time; 0 never.
         datagrams: whether to write ``/edoras/datagrams``.
         statistics: the source's, if ``/edoras/link_statistics`` is to show its kernel drops as they happen.
+        structs: C structs that packets hold; None for those of cFE itself.
 
     Attributes:
         files: what was written, one a file, with its summary.
@@ -74,6 +76,7 @@ class McapSink:
         split_ns: int = 0,
         datagrams: bool = True,
         statistics: SourceStatistics | None = None,
+        structs: Structs | None = None,
     ) -> None:
         self._path = Path(path)
         self._mission = mission
@@ -83,7 +86,9 @@ class McapSink:
         self._split_bytes = split_bytes
         self._split_ns = split_ns
         self._live = statistics
-        self._streams = Streams(mission, types, statistics, datagrams=datagrams)
+        self._streams = Streams(
+            mission, types, statistics, datagrams=datagrams, structs=structs, add=self._add_topic
+        )
         self._faults_id = 0
         self._count = 0
         self._start_ns = 0
@@ -104,13 +109,9 @@ class McapSink:
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
         """Take what was done on purpose, with times in ns since 1970; makes the topic where it is needed."""
-        if not self._faults_id:
-            self.flush()  # until then the file belongs to the thread
-            with self._failing():
-                file = self.files[-1]
-                schema = file.add_schema(FAULTS.type, self._types.definition(FAULTS.type))
-                self._faults_id = file.add_channel(FAULTS.name, schema, {})
         with self._failing():
+            if not self._faults_id:
+                self._faults_id = self._add_topic(FAULTS)
             self._chunks.append([fault_messages(faults, self._faults_id)], len(faults))
 
     def flush(self) -> None:
@@ -125,6 +126,16 @@ class McapSink:
                 self._chunks.append([self._streams.finish()], 1)
                 self._close_file(statistics)
             self._state = "closed"
+
+    def _add_topic(self, topic: Topic) -> int:
+        """Make a topic of whose kind there may be none; return its channel."""
+        self._chunks.flush()  # until then the file belongs to the thread
+        structs = self._streams.structs
+        types = structs.types if topic.type in structs.definitions else self._types
+        file = self.files[-1]
+        return file.add_channel(
+            topic.name, file.add_schema(topic.type, types.definition(topic.type)), topic.metadata
+        )
 
     def _append(self, batch: PacketBatch, columns: Columns) -> None:
         self._attach(int(batch.time_ns[0]))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.faults import Fault
     from edoras_tools.sinks.mcap_file import McapFile
+    from edoras_tools.structs import Structs
 
 _VERSION = 5
 """Of the metadata format: what ROS 2 humble writes, and every later one reads."""
@@ -33,6 +34,7 @@ class Rosbag2Sink:
         split_bytes: as for ``McapSink``.
         split_ns: as for ``McapSink``.
         statistics: as for ``McapSink``.
+        structs: as for ``McapSink``.
 
     Raises:
         CaptureError: from every method: the directory or a file in it cannot be written.
@@ -49,6 +51,7 @@ class Rosbag2Sink:
         split_bytes: int = 0,
         split_ns: int = 0,
         statistics: SourceStatistics | None = None,
+        structs: Structs | None = None,
     ) -> None:
         self._path = Path(path)
         try:
@@ -69,6 +72,7 @@ class Rosbag2Sink:
             split_bytes=split_bytes,
             split_ns=split_ns,
             statistics=statistics,
+            structs=structs,
         )
         self._closed = False
 

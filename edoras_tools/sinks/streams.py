@@ -12,14 +12,17 @@ from edoras_tools.sinks.mcap_clock import MissionClock
 from edoras_tools.sinks.mcap_datagrams import DatagramWriter, ros_messages
 from edoras_tools.sinks.mcap_faults import FAULTS_TOPIC, FAULTS_TYPE
 from edoras_tools.sinks.mcap_statistics import LinkStatistics
+from edoras_tools.sinks.mcap_structs import struct_messages
+from edoras_tools.structs import Structs, shipped
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
     from edoras_tools.sinks.mcap_rows import Messages
+    from edoras_tools.structs import Bound
 
 _DATAGRAMS: Final = "/edoras/datagrams"
 _EVENTS: Final = "/edoras/events"
@@ -61,10 +64,14 @@ class Streams:
         types: gives the definitions.
         statistics: the source's, if link statistics are to show its kernel drops as they happen.
         datagrams: whether there is a topic of every datagram whole.
+        structs: C structs that packets hold, each a topic of its own; None for those of cFE itself.
+        add: makes the topic of a struct when the first one comes, and returns its channel id; None: such
+            packets make no messages.
 
     Attributes:
         topics: this package's own, then one a route.
-        definitions: complete ``ros2msg`` texts by type, of all topics.
+        definitions: complete ``ros2msg`` texts by type, of all these topics.
+        structs: those that no route claims.
         clock: maps mission time to UTC.
 
     Raises:
@@ -78,7 +85,11 @@ class Streams:
         statistics: SourceStatistics | None = None,
         *,
         datagrams: bool = True,
+        structs: Structs | None = None,
+        add: Callable[[Topic], int] | None = None,
     ) -> None:
+        self.structs = (structs or shipped()).unclaimed(route.msg_id for route in mission.routes)
+        self._add = add
         own = OWN_TOPICS if datagrams else OWN_TOPICS[1:]
         self.topics = (
             *own,
@@ -110,6 +121,7 @@ class Streams:
             own[name] for name in (_EVENTS, _SOFTWARE_BUS, _STATISTICS)
         )
         self._routes = np.array(ids[self._own :], dtype=np.uint16)
+        self._struct_ids: dict[str, int] = {}
 
     def messages(self, batch: PacketBatch, columns: Columns, *, datagrams: bool = True) -> list[Messages]:
         """Return what a batch of at least one row puts on the topics, in the order within a row.
@@ -123,12 +135,23 @@ class Streams:
         streams = [self._statistics.messages(batch, columns, self._statistics_id)]
         if self._datagrams and datagrams:
             streams.append(self._datagrams.messages(batch, columns, published))
-        return [
-            *streams,
+        streams += [
             ros_messages(batch, columns, self._routes, published),
             event_messages(batch, columns, self._events, published),
             software_bus_messages(batch, columns, self._software_bus, published),
         ]
+        rows = np.flatnonzero(self.structs.has[columns.msg_id])
+        if len(rows) and self._add:
+            streams += struct_messages(batch, columns, rows, self.structs, self._struct_id, published)
+        return streams
+
+    def _struct_id(self, bound: Bound) -> int:
+        """Return the channel of a struct's topic, which is made when it is first needed."""
+        if bound.topic not in self._struct_ids:
+            assert self._add is not None, "asked for only where topics can be made"
+            told = {"msg_id": f"0x{bound.key.msg_id:04x}", "struct": bound.struct.name}
+            self._struct_ids[bound.topic] = self._add(Topic(bound.topic, bound.type, told))
+        return self._struct_ids[bound.topic]
 
     def finish(self) -> Messages:
         """Return what the second of statistics under way amounts to; all belong to row 0."""

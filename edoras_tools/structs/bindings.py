@@ -2,28 +2,51 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.schema import Definition, complete_text
-from edoras_tools.structs.messages import HEADER, definition, header_definition, parts, type_name, unique
+from edoras_tools.structs import cfe
+from edoras_tools.structs.messages import (
+    HEADER,
+    HEADER_FIELDS,
+    definition,
+    header_definition,
+    parts,
+    type_name,
+    unique,
+)
 from edoras_tools.structs.transcode import HEAD, Plan
+from edoras_tools.wire import ccsds
 from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.structs.shapes import Key, Layout, Member, Struct
-    from edoras_tools.structs.transcode import Leaf
 
-_LARGEST: Final = 65536
+_MSG_IDS: Final = 65536
+
+
+class Encoded(NamedTuple):
+    """Messages one after the other.
+
+    Attributes:
+        data: u8, their CDR, encapsulation included.
+        start: i64 (n,), where each starts.
+        size: i64 (n,), its bytes.
+    """
+
+    data: NDArray[np.uint8]
+    start: NDArray[np.int64]
+    size: NDArray[np.int64]
 
 
 class Bound:
@@ -66,9 +89,8 @@ class Bound:
         """Tell which payload lengths hold this struct: exactly, or but for padding at its end."""
         length = np.asarray(length)
         fits: NDArray[np.bool_] = length >= self._least
-        if self._step:
-            return fits & ((length - self._least) % self._step == 0)
-        return fits & (length <= self.size)
+        fits &= (length - self._least) % self._step == 0 if self._step else length <= self.size
+        return fits
 
     @property
     def expected(self) -> str:
@@ -91,17 +113,14 @@ class Bound:
         offset: NDArray[np.int64],
         length: NDArray[np.integer[Any]],
         heads: NDArray[np.void],
-    ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
-        """Return the messages of many packets, encapsulation included.
+    ) -> Encoded:
+        """Return the messages of many packets.
 
         Args:
             data: u8, the buffer that holds them.
             offset: i64 (n,), where each payload starts.
             length: (n,) their bytes; all fit.
             heads: (n,) of ``HEAD``.
-
-        Returns:
-            u8, the messages; i64 (n,), where each starts; i64 (n,), its bytes.
         """
         start, size = np.zeros(len(offset), np.int64), np.zeros(len(offset), np.int64)
         pieces, base = [], 0
@@ -114,11 +133,33 @@ class Bound:
             start[rows] = at + base
             base += len(piece)
             pieces.append(piece)
-        return np.concatenate([*pieces, np.zeros(1, np.uint8)]), start, size
+        return Encoded(np.concatenate([*pieces, np.zeros(1, np.uint8)]), start, size)
 
-    def leaves(self, length: int) -> list[Leaf]:
-        """Return every value of a payload and where it is."""
-        return self.plan(length).leaves
+    def encode_one(self, payload: bytes, origin: tuple[int, ...]) -> bytes:
+        """Return the message of one packet.
+
+        Args:
+            payload: what follows the header; its length fits.
+            origin: the values of ``HEADER_FIELDS``.
+        """
+        head = np.array(origin, HEAD).tobytes()
+        window = np.frombuffer(head + payload, np.uint8).reshape(1, -1)
+        return self.plan(len(payload)).encode(window)[0].tobytes()
+
+    def spans(self, values: Mapping[str, Any], length: int) -> Iterator[tuple[str, Any, int, int, Member]]:
+        """Yield every value of a message as (dotted path, value, start, end, member).
+
+        Args:
+            values: the message.
+            length: bytes of the payload; places count from its start.
+        """
+        for leaf in self.plan(length).leaves:
+            value: Any = values
+            path = ""
+            for part in leaf.path:
+                value = value[part]
+                path += f"[{part}]" if isinstance(part, int) else f".{part}"
+            yield path.removeprefix("."), value, leaf.start, leaf.end, leaf.member
 
     def member(self, path: Sequence[str]) -> Member | None:
         """Return what a field of the message is, by its path without indices; None for the header's."""
@@ -166,8 +207,10 @@ class Structs:
 
     Args:
         layouts: in that order.
+        claimed: MsgIds that something else is on.
 
     Attributes:
+        layouts: as given.
         all: every struct that is bound, by MsgId and function code.
         has: bool (65536,), MsgIds that one is bound to.
 
@@ -175,12 +218,13 @@ class Structs:
         ConfigError: a struct cannot become a message.
     """
 
-    def __init__(self, layouts: Sequence[Layout] = ()) -> None:
+    def __init__(self, layouts: Sequence[Layout] = (), claimed: frozenset[int] = frozenset()) -> None:
         self.layouts = tuple(layouts)
+        self._claimed = claimed
         taken: dict[Key, Layout] = {}
         for layout in layouts:
             for key in layout.bindings:
-                if key not in taken and not any(
+                if key.msg_id not in claimed and not any(
                     key.msg_id == other.msg_id and owner is not layout for other, owner in taken.items()
                 ):
                     taken[key] = layout
@@ -200,9 +244,9 @@ class Structs:
             bound.append(Bound(key, layout, struct, topic, self.define(layout, struct, whole=True)))
         self.all: tuple[Bound, ...] = tuple(bound)
         self._by_id: dict[int, list[Bound]] = {}
-        for item in bound:
+        for item in sorted(bound, key=lambda item: item.key.function_code is None):
             self._by_id.setdefault(item.key.msg_id, []).append(item)
-        self.has: NDArray[np.bool_] = np.zeros(_LARGEST, np.bool_)
+        self.has: NDArray[np.bool_] = np.zeros(_MSG_IDS, np.bool_)
         self.has[list(self._by_id)] = True
 
     def define(self, layout: Layout, struct: Struct, *, whole: bool) -> str:
@@ -223,30 +267,71 @@ class Structs:
         """Every definition by type."""
         return self._definitions
 
-    def find(self, msg_id: int, function_code: int | None) -> Bound | None:
-        """Return the struct that lies in a packet."""
+    def find(self, msg_id: int, function_code: int | None, length: int) -> Bound | None:
+        """Return the struct that should lie in a packet whose payload has so many bytes.
+
+        A packet that is all header is a request or a wake-up, unless its function code is a struct's own.
+        """
         for item in self._by_id.get(msg_id, ()):
-            if item.key.function_code in {None, function_code}:
+            if (length > 0) if item.key.function_code is None else item.key.function_code == function_code:
                 return item
         return None
 
+    def unclaimed(self, msg_ids: Iterable[int]) -> Structs:
+        """Return these but for the MsgIds that something else claims."""
+        claimed = frozenset(msg_ids) & self._by_id.keys() - {*self._claimed}
+        return Structs(self.layouts, self._claimed | claimed) if claimed else self
+
     def split(
-        self, msg_id: NDArray[np.int32], function_code: NDArray[np.int16]
-    ) -> Iterator[tuple[Bound, NDArray[np.intp]]]:
-        """Yield every struct that lies in some of many packets, and which ones those are.
+        self, rows: NDArray[np.intp], columns: Callable[[str], NDArray[Any]]
+    ) -> Iterator[tuple[Bound, NDArray[np.intp], NDArray[np.bool_]]]:
+        """Yield every struct that should lie in some of many packets.
 
         Args:
-            msg_id: (n,) all of them have a struct.
-            function_code: (n,) -1 for telemetry.
+            rows: packets whose MsgIds have a struct, where ``has`` says so; increasing.
+            columns: gives the decoder's by name.
+
+        Yields:
+            the struct; which of ``rows`` should hold it; bool, which of those are as long as it is.
         """
-        for value, rows in by_value(msg_id):
-            left = np.ones(len(rows), np.bool_)
+        header = columns("header_length")[rows]
+        rows = rows[header > ccsds.PRIMARY.size]
+        for value, members in by_value(columns("msg_id")[rows]):
+            left = rows[members]
             for item in self._by_id[value]:
                 code = item.key.function_code
-                chosen = left if code is None else left & (function_code[rows] == code)
+                length = columns("packet_length")[left] - columns("header_length")[left]
+                chosen = length > 0 if code is None else columns("function_code")[left] == code
                 if chosen.any():
-                    yield item, rows[chosen]
-                left = left & ~chosen
+                    yield item, left[chosen], item.fits(length[chosen])
+                left = left[~chosen]
+
+    def messages(
+        self, rows: NDArray[np.intp], columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
+    ) -> Iterator[tuple[Bound, NDArray[np.intp], Encoded]]:
+        """Yield the messages of many packets, a struct at a time.
+
+        Args:
+            rows: packets whose MsgIds have a struct; increasing.
+            columns: gives the decoder's by name.
+            data: u8, what they point into.
+
+        Yields:
+            the struct; which of ``rows`` hold it; their messages.
+        """
+        for item, members, fits in self.split(rows, columns):
+            members = members[fits]  # noqa: PLW2901  only these hold it
+            if not len(members):
+                continue
+            heads = np.empty(len(members), HEAD)
+            for field in HEADER_FIELDS:
+                heads[field.name] = np.maximum(columns(field.name)[members], 0)
+            header = columns("header_length")[members]
+            offset, length = (
+                columns("packet_offset")[members] + header,
+                columns("packet_length")[members] - header,
+            )
+            yield item, members, item.encode(data, offset, length, heads)
 
     def _define(self, layout: Layout, struct: Struct, whole: bool, within: tuple[str, ...]) -> str:
         key = (id(layout), struct.name, whole)
@@ -276,18 +361,7 @@ class Structs:
         return found.removeprefix(package)
 
 
-def heads(
-    processor_id: NDArray[Any],
-    msg_id: NDArray[Any],
-    sequence_count: NDArray[Any],
-    function_code: NDArray[Any],
-    link: NDArray[Any],
-) -> NDArray[np.void]:
-    """Return what stands in front of the structs of some packets, from their columns."""
-    found = np.empty(len(msg_id), HEAD)
-    found["processor_id"] = processor_id
-    found["msg_id"] = msg_id
-    found["sequence_count"] = sequence_count
-    found["function_code"] = np.maximum(function_code, 0)
-    found["link"] = link
-    return found
+@cache
+def shipped() -> Structs:
+    """Return the structs of what cFE itself sends."""
+    return Structs([cfe.shipped()])

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 VERSION: Final = 1
+NAME: Final = "structs.yaml"
+"""The layout file of a folder that 'edoras structs' wrote."""
 _LARGEST: Final = 1 << 24
 _TYPE: Final = re.compile(
     r"(?P<name>[A-Za-z_]\w*)(?P<dims>(?:\[\w*\])*)(?::(?P<bits>\d+))?(?P<hex>\s+hex)?"
@@ -46,8 +48,18 @@ def load(path: str | os.PathLike[str]) -> Layout:
     Raises:
         ConfigError: it cannot be read, or holds mistakes: all of them, a line each.
     """
+    file, data = read(path)
+    return loads(data, str(file))
+
+
+def read(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
+    """Return which layout file a path names, and what is in it.
+
+    Raises:
+        ConfigError: it cannot be read, or is a program.
+    """
     file = Path(path)
-    file = file / "structs.yaml" if file.is_dir() else file
+    file = file / NAME if file.is_dir() else file
     try:
         with file.open("rb") as stream:
             data = stream.read(_LARGEST + 1)
@@ -57,7 +69,7 @@ def load(path: str | os.PathLike[str]) -> Layout:
         raise ConfigError(
             f"{file}: a program, not a layout; 'edoras structs {file} -o DIR' makes a layout of it"
         )
-    return loads(data, str(file))
+    return file, data
 
 
 def loads(data: bytes, name: str) -> Layout:

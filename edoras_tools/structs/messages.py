@@ -1,9 +1,9 @@
 """C structs as ROS messages: names that rosidl takes, and the definitions.
 
-A struct that lies in a packet becomes a message that begins with ``CfsHeader`` in the place of cFE's own: which
-packet it was, and from where. One that then holds nothing but ``Payload`` becomes what that holds. A union's
-members stand side by side, each read from the same bytes. Arrays of several dimensions become flat ones, texts
-become strings.
+A struct that lies in a packet becomes a message that begins with ``CfsHeader`` in the place of cFE's own:
+which packet it was, and from where. One that then holds nothing but ``Payload`` becomes what that holds. A
+union's members stand side by side, each read from the same bytes. Arrays of several dimensions become flat
+ones, texts become strings.
 """
 
 from __future__ import annotations

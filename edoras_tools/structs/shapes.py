@@ -80,7 +80,7 @@ class Member:
     Attributes:
         name: as in C.
         type: a basic type, or the name of an enumeration or a struct of the same layout.
-        offset: its first byte, from the start of the struct; of a bit-field the byte that its first bit is in.
+        offset: its first byte, from the start of the struct; of a bit-field the byte its first bit is in.
         dims: dimensions of an array, outermost first; the last of a ``char`` array is its text.
         bits: width of a bit-field; 0 where it is none.
         bit: where in byte ``offset`` a bit-field starts: counted from the least significant bit where the

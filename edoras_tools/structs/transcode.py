@@ -333,18 +333,18 @@ def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.uint64]:
     taken = window[:, bits.source : bits.source + bits.size]
     if bits.order == ">":
         taken = taken[:, ::-1]
-    value = np.zeros(len(window), np.uint64)
+    value: NDArray[np.uint64] = np.zeros(len(window), np.uint64)
     for index in range(bits.size):
         octet, move = taken[:, index].astype(np.uint64), 8 * index - bits.shift
         value |= octet << np.uint64(move) if move >= 0 else octet >> np.uint64(-move)
     if bits.width < 64:
         value &= np.uint64((1 << bits.width) - 1)
     if bits.truth:
-        return (value != 0).astype(np.uint64)
+        value = np.minimum(value, np.uint64(1))
     if bits.signed and bits.width < 64:
         spare = np.int64(64 - bits.width)
         extended: NDArray[np.int64] = (value << np.uint64(spare)).view(np.int64) >> spare
-        return extended.view(np.uint64)
+        value = extended.view(np.uint64)
     return value
 
 

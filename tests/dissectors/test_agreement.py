@@ -12,6 +12,7 @@ from edoras_tools.mission import load
 from edoras_tools.model import Link
 from edoras_tools.ros import TypeStore
 from edoras_tools.sources import open_file
+from edoras_tools.structs import Structs
 
 ROOT = Path(__file__).parents[2]
 COMMITTED = ROOT / "dissectors/edoras.lua"
@@ -44,7 +45,7 @@ def missions(names):
 
 def decoded(capture, mission):
     """Yield every packet of a capture, by our own decoder."""
-    dissector = Dissector(Context(mission, TYPES))
+    dissector = Dissector(Context(mission, TYPES, structs=Structs()))
     with closing(open_file(capture)) as source:
         for batch in source.batches():
             for row in range(len(batch)):

@@ -14,6 +14,7 @@ from edoras_tools.mission import load
 from edoras_tools.model import Link
 from edoras_tools.ros import TypeStore
 from edoras_tools.sources import open_file
+from edoras_tools.structs import Structs
 from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.envelope import FORMATS
 
@@ -143,7 +144,7 @@ def compared(capture, frames, context, judge):
 def test_fuzzed_datagrams(tshark, write_pcap, tmp_path, judge):
     capture = write_pcap(tmp_path / "fuzz.pcap", mangled(20_000, seed=4))
     frames = tshark(*ROVERS).frames(capture)
-    compared(capture, frames, Context(load(ROVERS), TYPES), judge)
+    compared(capture, frames, Context(load(ROVERS), TYPES, structs=Structs()), judge)
 
 
 @pytest.mark.parametrize(
@@ -159,14 +160,14 @@ def test_fuzzed_datagrams(tshark, write_pcap, tmp_path, judge):
 def test_fuzzed_datagrams_under_other_options(options, tshark, write_pcap, tmp_path, judge):
     capture = write_pcap(tmp_path / "fuzz.pcap", mangled(1500, seed=5))
     frames = tshark(*ROVERS, options=options).frames(capture)
-    compared(capture, frames, Context(load(ROVERS), TYPES, options), judge)
+    compared(capture, frames, Context(load(ROVERS), TYPES, options, Structs()), judge)
 
 
 def test_every_length_of_every_kind(tshark, write_pcap, tmp_path, judge):
     cut = [(*PORTS[port], data[:end]) for port, data in KINDS.values() for end in range(len(data) + 1)]
     capture = write_pcap(tmp_path / "cut.pcap", cut)
     frames = tshark(*ROVERS).frames(capture)
-    compared(capture, frames, Context(load(ROVERS), TYPES), judge)
+    compared(capture, frames, Context(load(ROVERS), TYPES, structs=Structs()), judge)
 
 
 @pytest.mark.parametrize("snap", [28, 29, 35, 50, 80, 110])
@@ -174,7 +175,7 @@ def test_what_the_capture_cut_is_not_blamed(snap, tshark, write_pcap, tmp_path, 
     rows = [(*PORTS[port], data) for port, data in KINDS.values()]
     capture = write_pcap(tmp_path / "snapped.pcap", rows, snap=snap)
     frames = tshark(*ROVERS).frames(capture)
-    compared(capture, frames, Context(load(ROVERS), TYPES), judge)
+    compared(capture, frames, Context(load(ROVERS), TYPES, structs=Structs()), judge)
 
 
 @pytest.fixture(scope="module")
@@ -218,7 +219,7 @@ def test_every_kind_of_field_in_both_byte_orders(distro, zoo, tshark, write_pcap
         messages += packet.message is not None
         judge(packet, frame, types)
 
-    compared(capture, frames, Context(load(mission), types), count)
+    compared(capture, frames, Context(load(mission), types, structs=Structs()), count)
     assert messages > 100
 
 

@@ -21,6 +21,10 @@ from edoras_tools.sinks.mcap_datagrams import NO_MESSAGE
 from edoras_tools.sinks.mcap_file import McapFile
 
 OWN = {"/edoras/datagrams", "/edoras/events", "/edoras/software_bus", "/edoras/link_statistics"}
+HOUSEKEEPING = {
+    *(f"/cfs/CFE_{name}_HousekeepingTlm" for name in ("ES", "EVS", "SB", "TBL", "TIME")),
+    *("/cfs/TO_LAB_HkTlm", "/cfs/CI_LAB_HkTlm"),
+}
 
 
 def record(path, mission, types, info, pairs, statistics=None, **options):
@@ -53,7 +57,8 @@ def test_a_rover_holds_what_was_sent(tmp_path, types, capture):
         for channel, count in summary.statistics.channel_message_counts.items()
     }
     assert counts.pop("/edoras/link_statistics") > 65
-    assert counts == {
+    assert counts == dict.fromkeys(HOUSEKEEPING, 63) | {
+        "/cfs/CFE_EVS_LongEventTlm": 15,
         "/cmd_vel": 600,
         "/telemetry_pose": 63,
         "/edoras/datagrams": 1827,
@@ -70,7 +75,10 @@ def test_rosbags_reads_every_message_of_every_schema(tmp_path, types, capture):
     with AnyReader([path]) as reader:
         for connection, _, raw in reader.messages():
             seen.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
-    assert {*seen} == OWN | {"/cmd_vel", "/telemetry_pose"}
+    assert {*seen} == OWN | HOUSEKEEPING | {"/cmd_vel", "/telemetry_pose", "/cfs/CFE_EVS_LongEventTlm"}
+    table = seen["/cfs/CFE_TBL_HousekeepingTlm"][-1]
+    assert (table.last_updated_table, table.tables, table.header.msg_id) == ("SBN.SBN_RemapTbl", 4, 0x0804)
+    assert [item.app_id & 0xFF for item in seen["/cfs/CFE_EVS_HousekeepingTlm"][-1].app_data][:3] == [1, 2, 3]
     twist = seen["/cmd_vel"][2]
     assert (twist.linear.x, twist.angular.z) == (0.5099833416646828, 0.19900083305560518)
     pose = seen["/telemetry_pose"][2]
