@@ -38,24 +38,24 @@ class Seen:
         start: the first of them.
         way: how far it came: m of a rover, rad of all joints of an arm.
         track: places of a rover, some of them, oldest first.
-        states: how many came.
+        looks: how often it was looked at.
     """
 
     place: tuple[float, ...] = ()
     start: tuple[float, ...] = ()
     way: float = 0.0
     track: list[tuple[float, float]] = field(default_factory=list)
-    states: int = 0
+    looks: int = 0
 
     def take(self, values: Mapping[str, Any]) -> None:
         """Take a PoseStamped or a JointState."""
         place = place_of(values)
-        if not self.states:
+        if not self.looks:
             self.start = place
         elif len(place) == len(self.place):
             moved = slice(0, 2) if "pose" in values else slice(None)
             self.way += dist(place[moved], self.place[moved])
-        self.states += 1
+        self.looks += 1
         self.place = place
         if "pose" in values and (not self.track or dist(place[:2], self.track[-1]) > 0.02):
             self.track.append((place[0], place[1]))
@@ -105,6 +105,7 @@ class GroundStation:
         self._lanes, self._commands, self._states = lanes, commands, states
         self._rate_hz, self._types, self._agenda = rate_hz, types, agenda
         self._others_ns = [-_GIVES_WAY_NS] * len(lanes)
+        self._newest = [b""] * len(lanes)
         self._index = 0
         self._quiet = False
         self._publish: list[Any] = []
@@ -151,15 +152,19 @@ class GroundStation:
         return heard
 
     def _state(self, robot: int) -> Any:
-        leg, ask, look = self._states[robot], self._agenda.ask, self._look
+        leg, ask, look, newest = self._states[robot], self._agenda.ask, self._look, self._newest
 
         def heard(cdr: bytes) -> None:
             leg.arrive(cdr, time.monotonic_ns())
-            ask(look, robot, cdr)
+            # Telemetry comes in bursts: of each, the last is looked at.
+            waits, newest[robot] = newest[robot], cdr
+            if not waits:
+                ask(look, robot)
 
         return heard
 
-    def _look(self, robot: int, cdr: bytes) -> None:
+    def _look(self, robot: int) -> None:
+        cdr, self._newest[robot] = self._newest[robot], b""
         try:
             values = self._types.decode(self._lanes[robot].state.type, cdr)
         except WireError:

@@ -22,8 +22,6 @@ from edoras_tools.pipelines.demo_nodes import AppRobot, GroundStation, RobotNode
 from edoras_tools.pipelines.demo_router import router
 from edoras_tools.pipelines.demo_scene import (
     LAYOUTS,
-    USUAL,
-    Ports,
     free_ports,
     lanes_of,
     profile,
@@ -40,6 +38,7 @@ from edoras_tools.sim.edoras_app import PIPE, SingleRobotApp, TwoRobotApp
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from edoras_tools.errors import EdorasError
     from edoras_tools.middleware import Graph
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.demo_trace import Leg
@@ -74,7 +73,6 @@ class DemoPlan:
         options: of the middleware.
         distro: ROS 2 distribution.
         live: where Foxglove connects to; None: nowhere.
-        ports: tried first; None for any that are free.
     """
 
     scenario: Scenario
@@ -87,7 +85,6 @@ class DemoPlan:
     options: Mapping[str, str] = field(default_factory=dict)
     distro: str = "humble"
     live: Endpoint | None = None
-    ports: Ports | None = USUAL
 
 
 class Demo:
@@ -136,7 +133,7 @@ class Demo:
             for attempt in range(_ATTEMPTS):
                 with ExitStack() as parts:
                     try:
-                        self._open(parts, folder, target, plan.ports if attempt == 0 else None)
+                        self._open(parts, folder, target)
                     except CaptureError:
                         # Somebody was quicker to take a port; what is wrong otherwise is so the next time.
                         if attempt == _ATTEMPTS - 1:
@@ -152,6 +149,21 @@ class Demo:
         """For how long it has been running."""
         ended = self._elapsed_ns or (time.monotonic_ns() - self._began_ns if self._began_ns else 0)
         return ended / 1e9
+
+    @property
+    def tracks(self) -> list[list[tuple[float, float]]]:
+        """Where each rover was, as the ground heard of it."""
+        return [list(item.track) for item in self.station.seen]
+
+    @property
+    def last_events(self) -> list[str]:
+        """What cFS said last."""
+        return list(self.events)
+
+    @property
+    def failure(self) -> EdorasError | None:
+        """Why recording ended early, if it did."""
+        return self.bridges.recorder.failure if self.bridges.recorder else None
 
     def run(self, *, duration_ns: int = 0, watcher: Watcher[Demo] | None = None) -> None:
         """Let it move until Ctrl-C, or for so long.
@@ -205,14 +217,15 @@ class Demo:
                 "events": dict(self.event_counts),
             },
             "recorded": bridges["recorded"],
+            "unrecorded": bridges["unrecorded"],
             "lost": bridges["lost"],
             "bridges": bridges["bridges"],
             "notes": bridges["notes"],
         }
 
-    def _open(self, stack: ExitStack, folder: Path, target: Target, usual: Ports | None) -> None:
+    def _open(self, stack: ExitStack, folder: Path, target: Target) -> None:
         plan = self.plan
-        self.ports = free_ports(usual)
+        self.ports = free_ports()
         paths = write_missions(plan.scenario, folder, self.ports, plan.max_rate)
         bridged = plan_bridges(Settings(paths, plan.distro), Wishes())
         self.lanes = lanes_of(plan.scenario, [item.bridge for item in bridged.stations])

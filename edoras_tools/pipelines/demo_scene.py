@@ -56,10 +56,6 @@ class Ports:
     peer: int
 
 
-USUAL: Final = Ports(1234, 1235, 2234, 2236)
-"""Those of the paper, which every command of this package looks at."""
-
-
 @dataclass(frozen=True, slots=True)
 class Lane:
     """One robot and its four topics.
@@ -79,18 +75,22 @@ class Lane:
     board_state: Route | None = None
 
 
-def free_ports(usual: Ports | None = USUAL) -> Ports:
-    """Return ports that nobody has: the usual ones if possible.
+def free_ports() -> Ports:
+    """Return ports that nobody has.
+
+    They are not the usual ones: whoever sends to those would be heard here too.
 
     Raises:
         CaptureError: the system has none.
     """
-    try:
-        if usual is not None and (taken := _bound((usual.ci, usual.to, usual.sbn, usual.peer))):
-            return Ports(*taken)
-        return Ports(*_bound((0, 0, 0, 0)))
-    except TypeError:
-        raise CaptureError(f"{HOST} has no free UDP port; end some programs") from None
+    with ExitStack() as stack:
+        opened = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(4)]
+        try:
+            for item in opened:
+                item.bind((HOST, 0))
+        except OSError as error:
+            raise CaptureError(f"{HOST}: no free UDP port: {error.strerror or error}") from None
+        return Ports(*(item.getsockname()[1] for item in opened))
 
 
 def profile(ports: Ports, states: Iterable[int]) -> SimProfile:
@@ -138,7 +138,9 @@ def write_missions(scenario: Scenario, folder: Path, ports: Ports, max_rate: flo
         ):
             text = re.sub(rf"\b{key}: \d+", f"{key}: {port}", text)
         if max_rate and name.endswith("flight"):
-            group = f"    edoras: # read by edoras bridge only\n      max_rate: {max_rate:g}\n      keep: first\n"
+            group = (
+                f"    edoras: # read by edoras bridge only\n      max_rate: {max_rate:g}\n      keep: first\n"
+            )
             text = text.replace("  ros__parameters:\n", f"  ros__parameters:\n{group}\n")
         path = folder / f"{name}.yaml"
         try:
@@ -166,17 +168,3 @@ def lanes_of(scenario: Scenario, bridges: Iterable[Bridge]) -> tuple[Lane, ...]:
         return tuple(Lane(scenario, *pair) for pair in zip(commands, states, strict=True))
     rows = zip(commands, states, board_commands, board_states, strict=True)
     return tuple(Lane(row[0].topic.split("/")[1], *row) for row in rows)
-
-
-def _bound(ports: tuple[int, ...]) -> list[int]:
-    """Bind UDP ports and let them go; return which, or nothing where one is not to be had."""
-    with ExitStack() as stack:
-        found = []
-        for port in ports:
-            opened = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            try:
-                opened.bind((HOST, port))
-            except OSError:
-                return []
-            found.append(opened.getsockname()[1])
-        return found

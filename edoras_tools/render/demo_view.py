@@ -1,0 +1,288 @@
+"""A demo under way, and what came of it: who said what, what arrived, what it cost, where the robots are."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+
+from rich.console import Group
+from rich.live import Live
+from rich.text import Text
+
+from edoras_tools.render import palette, units
+from edoras_tools.render.bridge import losses as bridge_losses
+from edoras_tools.render.demo_picture import joints, tracks
+from edoras_tools.render.live import Rates
+from edoras_tools.render.severity import Severity
+from edoras_tools.render.table import Column, build, plain
+from edoras_tools.render.watch import size_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from rich.console import Console, RenderableType
+
+_REFRESH_S: Final = 0.25
+_EVENTS: Final = 3
+_PICTURE: Final = (76, 9)
+_LEGS: Final = ("commands", "states")
+
+
+class Demo(Protocol):
+    """A demo under way."""
+
+    @property
+    def tracks(self) -> Sequence[Sequence[tuple[float, float]]]:
+        """Where each rover was."""
+        ...
+
+    @property
+    def last_events(self) -> Sequence[str]:
+        """What cFS said last."""
+        ...
+
+    def summary(self) -> Mapping[str, Any]:
+        """Return what there is so far, in the shape of ``demo SCENARIO --json``."""
+        ...
+
+
+class DemoTable:
+    """Shows a demo while it runs; a context manager.
+
+    Args:
+        console: a terminal.
+        output: the recording that grows.
+    """
+
+    def __init__(self, console: Console, output: Path) -> None:
+        self._output = output
+        self._rates = Rates()
+        self._drawn = 0.0
+        # Transient: the report takes its place.
+        self._live = Live(console=console, auto_refresh=False, redirect_stdout=False, transient=True)
+
+    def __enter__(self) -> Self:
+        self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def update(self, demo: Demo, /) -> None:
+        """Draw, if the last drawing is long enough ago; from one thread only."""
+        now = time.monotonic()
+        if now - self._drawn < _REFRESH_S:
+            return
+        self._drawn = now
+        summary, width = demo.summary(), self._live.console.width
+        counts: dict[object, int] = {
+            (robot["robot"], leg, name): robot[leg][name]
+            for robot in summary["robots"]
+            for leg in _LEGS
+            for name in ("said", "arrived")
+        }
+        parts: list[RenderableType] = [
+            _head(summary, size_of(self._output)),
+            Text(),
+            _table(summary, width, self._rates.add(now, counts)),
+            Text(),
+            *_picture(summary, demo.tracks, width),
+            Text(),
+            *(_one_line(plain(line, palette.DIM)) for line in list(demo.last_events)[-_EVENTS:]),
+            _one_line(Text(beside(summary), palette.DIM)),
+            Text("Ctrl-C ends", palette.DIM),
+        ]
+        self._live.update(Group(*parts), refresh=True)
+
+
+def outcome(
+    summary: Mapping[str, Any],
+    lines: Sequence[Sequence[tuple[float, float]]],
+    width: int,
+    output: Path,
+) -> Group:
+    """Return what came of a demo, for people.
+
+    Args:
+        summary: in the shape of ``demo SCENARIO --json``.
+        lines: where each rover was.
+        width: of the terminal.
+        output: the recording.
+    """
+    facts = [_one_line(plain(line)) for line in (*moved(summary), *lost(summary))]
+    return Group(
+        _head(summary, size_of(output)),
+        Text(),
+        _table(summary, width, None),
+        Text(),
+        *_picture(summary, lines, width),
+        Text(),
+        *facts,
+        Text(),
+        *(_one_line(plain(line)) for line in hints(summary)),
+    )
+
+
+def moved(summary: Mapping[str, Any]) -> list[str]:
+    """Return what became of each robot, a line each."""
+    found = []
+    for robot in summary["robots"]:
+        commands, place = robot["commands"], robot["place"]
+        by = f"{units.plural(commands['said'], 'command')} of the ground station"
+        if commands["others_said"]:
+            by += f", {commands['others_said']:,} of other nodes"
+        reached = commands["arrived"] + commands["of_others"]
+        line = f"{robot['robot']}: {by}; {reached:,} reached it"
+        if len(place) == 3:
+            line += f"; it drove {robot['way']:.1f} m, to x {place[0]:.2f}, y {place[1]:.2f}"
+        elif place:
+            line += f"; its joints turned {robot['way']:.1f} rad together"
+        else:
+            line += "; nothing was heard of it"
+        found.append(line)
+    return found
+
+
+def lost(summary: Mapping[str, Any]) -> list[str]:
+    """Return what did not arrive and why, a line each."""
+    found = []
+    for robot in summary["robots"]:
+        for leg in _LEGS:
+            row = robot[leg]
+            name = f"{robot['robot']}: {leg}"
+            found += [
+                f"{name}: {count:,} lost inside cFS: {pipe} takes no more of one MsgId at a time"
+                for pipe, count in row["lost"].items()
+            ]
+            if row["replaced"]:
+                found.append(
+                    f"{name}: {row['replaced']:,} replaced by newer ones: the flight application sends the "
+                    "last on each wake-up"
+                )
+            if row["held"]:
+                found.append(
+                    f"{name}: {row['held']:,} of {row['said']:,} held back by the bridge's rate limit"
+                )
+    return found + bridge_losses(
+        {"bridges": summary["bridges"], "inbox_overflowed": 0, "unrecorded": summary["unrecorded"]}
+    )
+
+
+def beside(summary: Mapping[str, Any]) -> str:
+    """Return the command that looks at the same link from another terminal."""
+    ports = summary["ports"]
+    names = {"ci": ports["ci"], "to": ports["to"]} | ({"sbn": ports["sbn"]} if "sbn" in ports else {})
+    return "in another terminal: edoras sniff -i lo " + " ".join(
+        f"--port {name}:{port}" for name, port in names.items()
+    )
+
+
+def hints(summary: Mapping[str, Any]) -> list[str]:
+    """Return what to try next, a line each."""
+    output = summary["output"]
+    return [
+        f"what was lost and why   edoras doctor {output}",
+        f"every packet            edoras sniff -r {output}",
+        f"all in one page         edoras report {output}",
+        f"Foxglove                open {output}, then its layout {summary['layout']}",
+        f"                        or play it there: edoras live {output}",
+    ]
+
+
+def _head(summary: Mapping[str, Any], written: int) -> Text:
+    head = plain(f"demo {summary['demo']}, ROS 2 through {summary['ros']}", palette.STRONG)
+    head.append(f"   {units.duration(summary['seconds'])}", palette.DIM)
+    head.append(f"   {summary['output']}: {units.plural(summary['recorded'], 'datagram')}", palette.DIM)
+    head.append(f", {units.size(written)}", palette.DIM)
+    if summary["foxglove"]:
+        clients = len(summary["foxglove"]["clients"])
+        head.append(
+            f"   Foxglove {summary['foxglove']['url']}: {units.plural(clients, 'client')}", palette.DIM
+        )
+    return _one_line(head)
+
+
+def _table(summary: Mapping[str, Any], width: int, rates: Mapping[object, float] | None) -> RenderableType:
+    rows = [
+        {
+            **robot[leg],
+            "robot": robot["robot"],
+            "leg": leg,
+            "in": None if rates is None else rates.get((robot["robot"], leg, "said")),
+            "out": None if rates is None else rates.get((robot["robot"], leg, "arrived")),
+        }
+        for leg in _LEGS
+        for robot in summary["robots"]
+    ]
+    columns = [item for item in _COLUMNS if rates is not None or item.title not in {"in Hz", "out Hz"}]
+    return build(columns, rows, width, apart=lambda row: row["leg"])
+
+
+def _picture(
+    summary: Mapping[str, Any], lines: Sequence[Sequence[tuple[float, float]]], width: int
+) -> list[Text]:
+    robots = summary["robots"]
+    if "Twist" in robots[0]["commands"]["type"]:
+        pairs = [(line, robot["place"]) for line, robot in zip(lines, robots, strict=True)]
+        return tracks(pairs, min(width, _PICTURE[0]), _PICTURE[1])
+    return joints([(robot["robot"], robot["place"]) for robot in robots])
+
+
+def _one_line(text: Text) -> Text:
+    text.no_wrap, text.overflow = True, "ellipsis"
+    return text
+
+
+def _way(row: Mapping[str, Any]) -> Text:
+    return plain(f"{row['from'] or 'the robot'} → {row['to'] or 'the robot'}")
+
+
+def _count(name: str, style: str = "") -> Any:
+    def cell(row: Mapping[str, Any]) -> Text:
+        value = row[name]
+        return Text(units.count(value), style if value else palette.DIM)
+
+    return cell
+
+
+def _lost(row: Mapping[str, Any]) -> Text:
+    value = sum(row["lost"].values()) + row["refused"]
+    return Text(units.count(value), Severity.ERROR.style if value else palette.DIM)
+
+
+def _arrived(row: Mapping[str, Any]) -> Text:
+    return Text(units.count(row["arrived"] + row["of_others"]), palette.STRONG)
+
+
+def _now(name: str) -> Any:
+    def cell(row: Mapping[str, Any]) -> Text:
+        return Text(units.rate(row[name]).removesuffix(" Hz"), "" if row[name] else palette.DIM)
+
+    return cell
+
+
+def _latency(name: str, percent: str) -> Any:
+    def cell(row: Mapping[str, Any]) -> Text:
+        value = row[name][percent]
+        return Text(units.milliseconds(None if value is None else value / 1000))
+
+    return cell
+
+
+_COLUMNS: Final = (
+    Column("", lambda row: Text(row["leg"], palette.DIM), justify="left", rank=3),
+    Column("Topic", _way, justify="left", elastic=True),
+    Column("Said", _count("said")),
+    Column("in Hz", _now("in"), rank=1),
+    Column("Held", _count("held"), rank=2),
+    Column("Lost", _lost),
+    Column("Replaced", _count("replaced"), rank=2),
+    Column("Arrived", _arrived),
+    Column("out Hz", _now("out"), rank=1),
+    Column("p50", _latency("latency_us", "p50"), rank=1),
+    Column("p99", _latency("latency_us", "p99"), rank=2),
+    Column("added p50", _latency("added_us", "p50"), rank=1),
+    Column("p99 ", _latency("added_us", "p99"), rank=1),
+)
+"""``added`` is what all but cFS took."""
