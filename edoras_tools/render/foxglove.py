@@ -26,5 +26,5 @@ def served(summary: Mapping[str, Any]) -> Iterator[str]:
     yield ", ".join(words)
     for client in clients:
         if client["dropped"]:
-            of = client["dropped"] + client["sent"]
+            of = client["dropped"] + client["sent"] + client["waiting"]
             yield f"{client['address']} was too slow for {client['dropped']:,} of {of:,} messages"
