@@ -174,7 +174,7 @@ def _sizes() -> str:
         for batch in open_files([ROOT / f"samples/captures/{capture}.pcap"]).batches():
             for row in range(len(batch)):
                 found = bench.dissector.dissect(batch[row])
-                if found.message and not found.findings & NOTABLE:
+                if found.layer("edoras") and found.message and not found.findings & NOTABLE:
                     kind = "command" if found.layer("cfe_command") else "telemetry"
                     padding = found.layer("padding")
                     packet = len(found.datagram.payload) - found.layer("ccsds").start

@@ -266,9 +266,9 @@ class _Dissection:
 
     def _name(self, msg_id: int) -> str:
         route = int(self.context.any_route_of[msg_id])
-        return names.message_name(msg_id) or (
-            self.context.mission.routes[route].topic if route != NO_ROUTE else ""
-        )
+        if route != NO_ROUTE:
+            return names.message_name(msg_id) or self.context.mission.routes[route].topic
+        return names.message_name(msg_id) or self.context.structs.name(msg_id)
 
     def _command(self, msg_id: int, code: int, start: int, length: int, extra: int) -> None:
         """Judge a command's checksum and function code."""

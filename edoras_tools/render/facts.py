@@ -46,8 +46,8 @@ def facts(decoded: Decoded, names: Mapping[int, str] | None = None) -> Facts:
         if layer.name == "sbn":
             octet = int.from_bytes(payload[layer.start + 2 : layer.start + 3], "big")
             kind = MSG_TYPE_NAMES.get(octet, f"0x{octet:02x}")
-    if decoded.message:
-        name = decoded.message.topic
+    if decoded.message and (not name or decoded.layer("edoras")):
+        name = decoded.message.topic  # of a C struct the packet's name says as much, and is shorter
     return Facts(kind, msg_id, name or (names or {}).get(msg_id, ""))
 
 

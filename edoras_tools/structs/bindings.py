@@ -277,6 +277,10 @@ class Structs:
                 return item
         return None
 
+    def name(self, msg_id: int) -> str:
+        """Return what packets of a MsgId hold, in short; nothing where that is not known."""
+        return " or ".join(item.name for item in self._by_id.get(msg_id, ()))
+
     def unclaimed(self, msg_ids: Iterable[int]) -> Structs:
         """Return these but for the MsgIds that something else claims."""
         claimed = frozenset(msg_ids) & self._by_id.keys() - {*self._claimed}
