@@ -7,16 +7,21 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from textual.widgets import Input
+
 from edoras_tools.pipelines.info import inspect
+from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.sniff import find
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.render import packet, palette
 from edoras_tools.render.info import capture_summary
 from edoras_tools.render.packet_list import PacketList
-from edoras_tools.render.svg import picture
+from edoras_tools.render.svg import picture, without_fonts
+from edoras_tools.tui.viewer import Choice, Viewer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -69,7 +74,81 @@ def info() -> str:
     return picture([view], width=100, title="edoras info a_rover.pcap -c rover_ground.yaml")
 
 
-PICTURES: Final[dict[str, Callable[[], str]]] = {"sniff": sniff, "decode": decode, "info": info}
+def _three_panes(
+    size: tuple[int, int],
+    *keys: str | int,
+    capture: str = "f_sbn_disconnect",
+    missions: Sequence[str] = _ROVERS,
+) -> str:
+    """Draw the three-pane view after some keys.
+
+    Args:
+        size: columns and lines.
+        keys: ``<key>`` to be pressed, a text to be written, or a byte whose field is to be chosen.
+        capture: whose packets.
+        missions: that are named.
+    """
+    settings, path = _bench(capture, missions)
+    app = Viewer(open_files([path]), settings.workbench(), Choice(Selection(), settings))
+    app.title = " ".join(["edoras sniff --tui -r", path.name, *(f"-c {name}.yaml" for name in missions)])
+
+    async def draw() -> str:
+        async with app.run_test(size=size) as pilot:
+            while app.reading:
+                await pilot.pause(0.02)
+            for key in keys:
+                if isinstance(key, int):
+                    app.layers.choose_byte(key)
+                elif key.startswith("<"):
+                    await pilot.press(key[1:-1])
+                elif isinstance(app.focused, Input):
+                    app.focused.insert_text_at_cursor(key)
+                await app.workers.wait_for_complete()
+                await pilot.pause(0.1)
+            while app.store.settled < app.store.packets:
+                await pilot.pause(0.02)
+            await pilot.pause(1)
+            return without_fonts(app.export_screenshot())
+
+    return asyncio.run(draw())
+
+
+def tui() -> str:
+    """Draw the three panes, a field chosen."""
+    keys = ("<f>", "link == ci", "<enter>", "<colon>", "149", "<enter>", "<enter>", 28)
+    return _three_panes((130, 42), *keys, capture="e_ci_errors", missions=["rover_ground"])
+
+
+def tui_filter() -> str:
+    """Draw what is wrong with a filter."""
+    return _three_panes((100, 16), "<f>", "msg_id == 0x82a and liner.x > 0.1", "<enter>")
+
+
+def tui_routes() -> str:
+    """Draw the routes."""
+    return _three_panes((110, 34), "<r>", "<j>", "<j>", "<enter>")
+
+
+def tui_sequence() -> str:
+    """Draw the conversation."""
+    return _three_panes((110, 34), "<s>", *["<j>"] * 6, "<enter>")
+
+
+def tui_small() -> str:
+    """Draw the view on a small terminal."""
+    return _three_panes((80, 24), "<colon>", "1197", "<enter>", "<enter>")
+
+
+PICTURES: Final[dict[str, Callable[[], str]]] = {
+    "sniff": sniff,
+    "decode": decode,
+    "info": info,
+    "tui": tui,
+    "tui_filter": tui_filter,
+    "tui_routes": tui_routes,
+    "tui_sequence": tui_sequence,
+    "tui_small": tui_small,
+}
 """What draws each ``pictures/NAME.svg``."""
 
 

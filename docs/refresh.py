@@ -211,6 +211,17 @@ def _layout(path: str) -> Callable[[], str]:
     return table
 
 
+def _keys() -> str:
+    """Return the keys of the three-pane view."""
+    from edoras_tools.tui.help import KEYS
+
+    lines = ["| keys | what |", "|---|---|"]
+    for head, *keys in KEYS:
+        lines.append(f"| **{head}** | |")
+        lines += [f"| {' '.join(f'`{name}`' for name in names.split())} | {what} |" for names, what in keys]
+    return "\n".join(lines) + "\n"
+
+
 def _attributes(name: str) -> Callable[[], str]:
     """Return a function that writes the attributes of a class of ``model`` as a table, from its docstring."""
 
@@ -230,6 +241,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "bits": _bits,
     "truth": _truth,
     "sizes": _sizes,
+    "tui.KEYS": _keys,
     "model.PacketBatch": _attributes("PacketBatch"),
     "model.Columns": _attributes("Columns"),
     **{

@@ -23,7 +23,7 @@ _TIME: Final = 11
 _WIDEST: Final = 22
 _NARROWEST: Final = 8
 """Cells from one lifeline to the next."""
-_TOLD: Final = 34
+_TOLD: Final = 46
 """Cells that are left for what is said, at the least."""
 
 

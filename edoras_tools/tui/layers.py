@@ -71,6 +71,15 @@ class Layers(Lines):
         """The row under the cursor."""
         return None if self.chosen is None else self._rows[self.chosen]
 
+    @property
+    def field_name(self) -> str:
+        """The name of the row under the cursor, the groups it is in before it: ``pose.position.x``."""
+        if self.chosen is None:
+            return ""
+        above = [self._rows[place] for place in self._above[self.chosen]]
+        groups = [row.label for row in above if row.role == "group"]
+        return ".".join([*groups, self._rows[self.chosen].label])
+
     def choose_byte(self, at: int) -> bool:
         """Put the cursor on the field, the smallest there is, that a byte of the payload belongs to."""
         holding = [row for row, item in enumerate(self._rows) if item.start <= at < item.end]
@@ -81,7 +90,7 @@ class Layers(Lines):
         )
         for above in self._above[best]:
             self._shut.discard(self._paths[above])
-        self._lay_out(best)
+        self._lay_out(best, centre=True)
         return True
 
     def rows(self) -> int:
@@ -167,7 +176,7 @@ class Layers(Lines):
         # A layer that is one line of many like it has nothing under it.
         return self._rows[row].role in _BRANCHES and not self._rows[row].value
 
-    def _lay_out(self, chosen: int | None) -> None:
+    def _lay_out(self, chosen: int | None, *, centre: bool = False) -> None:
         width = self.room
         self._cut = tree.GUTTER if width < _NARROW else 0
         lines: list[tuple[int, str]] = []
@@ -181,7 +190,7 @@ class Layers(Lines):
         self._lines = lines
         self.recount()
         at = next((line for line, (place, _) in enumerate(lines) if place == chosen), None)
-        self.go(0 if at is None else at)
+        self.go(0 if at is None else at, centre=centre)
         self.post_message(self.Moved(self))
 
 

@@ -68,6 +68,7 @@ Lines {
     scrollbar-color: $panel-lighten-2;
     scrollbar-color-hover: $secondary;
     scrollbar-color-active: $primary;
+    scrollbar-gutter: stable;
     overflow-x: hidden;
     overflow-y: auto;
     & > .lines--cursor { background: $panel; }

@@ -245,7 +245,9 @@ class Panes(App[None]):
         row = self.layers.field
         if not text and row is not None and row.end > row.start:
             span = f"{row.start}" if row.end == row.start + 1 else f"{row.start}-{row.end - 1}"
-            left = Text.assemble((row.label, row.style), (f"  bytes {span}", "dim"), f"  {row.doc}")
+            left = Text.assemble(
+                (self.layers.field_name, row.style), (f"  bytes {span}", "dim"), f"  {row.doc}"
+            )
         left.no_wrap, left.overflow = True, "ellipsis"
         self._status_left.update(left)
         self.filter_line.tell(self._counted())

@@ -32,6 +32,12 @@ class Seeking(Panes):
     ]
     _sought = ""
 
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Offer no search while something is being written: its key is a letter there."""
+        del parameters
+        writing = self.filter_line.input.has_focus or self.prompt.input.has_focus
+        return not (action == "search" and writing)
+
     def action_search(self) -> None:
         """Ask what to search."""
         hint = "words, bytes as 0x0b0c, or a comparison as apid == 39"

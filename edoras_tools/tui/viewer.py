@@ -181,7 +181,7 @@ class Viewer(Seeking):
     def _show_field(self) -> None:
         row = self.layers.field
         octets = self.octets
-        if self.focused is self.layers:
+        if self.layers.has_focus:
             self._said_until = 0.0
         if row is None or row.end <= row.start:
             octets.point(0, 0)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from edoras_tools.decode import Options
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.pipelines.selection import Selection
-from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.tui.viewer import Choice, Viewer
 
 ROOT = Path(__file__).parents[2]
@@ -73,6 +73,8 @@ class Hands:
 def drive():
     """A function: run a coroutine with a user's hands on the view of a capture, or of another source."""
 
+    known = Settings(MISSIONS).workbench()
+
     def run(
         script,
         capture="f_sbn_disconnect",
@@ -85,8 +87,10 @@ def drive():
     ):
         async def whole():
             settings = Settings(MISSIONS, options=options or Options())
+            context = Context(known.mission, known.types, settings.options)
+            bench = Workbench(known.mission, known.types, ColumnDecoder(context), Dissector(context))
             opened = source or open_files([ROOT / f"samples/captures/{capture}.pcap"])
-            app = Viewer(opened, settings.workbench(), Choice(selection or Selection(), settings, **choice))
+            app = Viewer(opened, bench, Choice(selection or Selection(), settings, **choice))
             async with app.run_test(size=size) as pilot:
                 hands = Hands(app, pilot)
                 if source is None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -45,6 +45,7 @@ def test_names_and_comparisons(text, like):
         assert all(text.lower().encode() in WHOLE[row].payload.lower() for row in rest)
 
 
+@settings(max_examples=25)
 @given(st.integers(0, len(WHOLE) - 1), st.data())
 def test_bytes_are_found_in_the_packets_that_hold_them_and_in_no_other(row, data):
     payload = WHOLE[row].payload
