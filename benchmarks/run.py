@@ -25,6 +25,7 @@ import foxglove_live
 import lua
 import pacing
 import proxy
+import tui
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
@@ -164,7 +165,7 @@ def main() -> None:
         "--only",
         choices=[
             *("record", "memory", "live", "startup", "pacing"),
-            *("proxy", "bridge", "foxglove", "where", "lua", "codegen"),
+            *("proxy", "bridge", "foxglove", "where", "lua", "codegen", "tui"),
         ],
     )
     options = parser.parse_args()
@@ -187,6 +188,7 @@ def main() -> None:
             "where": lambda: filters.measure(folder, options.packets),
             "lua": lambda: lua.measure(folder, options.packets // 5),
             "codegen": lambda: codegen.measure(folder),
+            "tui": lambda: tui.measure(folder, options.packets),
         }.items():
             if options.only in {None, key}:
                 results[key] = run()
