@@ -14,7 +14,7 @@ from edoras_tools.decode.where_series import INDEX, Kind, Series
 from edoras_tools.ros import grammar, schema
 from edoras_tools.ros.columns import Ragged
 from edoras_tools.structs import cfe
-from edoras_tools.structs.bindings import Encoded
+from edoras_tools.structs.bound import Encoded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Decoded
     from edoras_tools.ros.columns import MessageColumns
     from edoras_tools.ros.schema import Definition
-    from edoras_tools.structs import Bound
+    from edoras_tools.structs.bound import Bound
 
     Owned = tuple[NDArray[np.int64], MessageColumns]
     """Rows that hold messages, and the messages."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.structs import Key
+    from edoras_tools.structs.shapes import Key
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,7 @@ from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.mission import Mission, load, loads
 from edoras_tools.ros import TypeStore
 from edoras_tools.sources import open_file
-from edoras_tools.structs import Structs, read, shipped
-from edoras_tools.structs import loads as loads_layout
+from edoras_tools.structs import Structs, shipped
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,11 +75,14 @@ class Settings:
         else:
             bridges = {name: data for name, data in attached.items() if not name.startswith(_LAYOUTS)}
             mission = loads(bridges, check_type=types.check) if bridges else Mission()
-        given = [read(path) for path in self.structs]
         carried = {name: data for name, data in attached.items() if name.startswith(_LAYOUTS)}
-        contents = [(str(file), data) for file, data in given] or list(carried.items())
         structs = shipped()
-        if contents:
+        if self.structs or carried:
+            from edoras_tools.structs.files import loads as loads_layout
+            from edoras_tools.structs.files import read
+
+            given = [read(path) for path in self.structs]
+            contents = [(str(file), data) for file, data in given] or list(carried.items())
             layouts = [loads_layout(data, name) for name, data in contents]
             structs = Structs([*layouts, *structs.layouts])
             names = [f"{_LAYOUTS}{place}_{file.name}" for place, (file, _) in enumerate(given, 1)]

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.model import Columns, PacketBatch
-    from edoras_tools.structs import Bound, Structs
+    from edoras_tools.structs import Structs
+    from edoras_tools.structs.bound import Bound
 
 
 def struct_messages(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
     from edoras_tools.sinks.mcap_rows import Messages
-    from edoras_tools.structs import Bound
+    from edoras_tools.structs.bound import Bound
 
 _DATAGRAMS: Final = "/edoras/datagrams"
 _EVENTS: Final = "/edoras/events"

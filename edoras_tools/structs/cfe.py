@@ -11,6 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.structs.files import layout_of
+from edoras_tools.structs.packets import PACKETS
 from edoras_tools.structs.shapes import BASIC, Enumeration, Key, Layout, Member, Struct
 from edoras_tools.wire import cfe
 
@@ -236,22 +237,11 @@ _STRUCTS: Final[dict[str, tuple[str, dict[str, str | tuple[str, str]]]]] = {
         },
     ),
 }
-_BINDINGS: Final = {
-    0x0800: "CFE_ES_HousekeepingTlm",
-    0x0801: "CFE_EVS_HousekeepingTlm",
-    0x0804: "CFE_TBL_HousekeepingTlm",
-    0x0805: "CFE_TIME_HousekeepingTlm",
-    0x0806: "CFE_TIME_DiagnosticTlm",
-    0x080A: "CFE_SB_StatsTlm",
-    0x080B: "CFE_ES_OneAppTlm",
-    0x0880: "TO_LAB_HkTlm",
-    0x0884: "CI_LAB_HkTlm",
-}
 HEADERS: Final = {
-    cfe.EVENT_MSG_ID: ("CFE_EVS_LongEventTlm", cfe.EVENT),
-    cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: ("CFE_SB_HousekeepingTlm", cfe.SOFTWARE_BUS_HOUSEKEEPING),
+    cfe.EVENT_MSG_ID: cfe.EVENT,
+    cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
 }
-"""Packets that the wire's own tables describe: the struct made of each, and its table."""
+"""Packets that the wire's own tables describe, by MsgId."""
 
 
 @cache
@@ -259,7 +249,7 @@ def shipped() -> Layout:
     """Return the layout of what cFE itself sends."""
     raw = {
         "enums": _ENUMS,
-        "bind": _BINDINGS,
+        "bind": {msg_id: name for msg_id, name in PACKETS.items() if msg_id not in HEADERS},
         "structs": {
             name: {
                 "doc": doc,
@@ -274,7 +264,8 @@ def shipped() -> Layout:
     layout = layout_of(raw, NAME)
     structs, enums = dict(layout.structs), dict(layout.enums)
     bindings = dict(layout.bindings)
-    for msg_id, (name, header) in HEADERS.items():
+    for msg_id, header in HEADERS.items():
+        name = PACKETS[msg_id]
         structs[name] = _of_header(name, header, enums)
         bindings[Key(msg_id)] = name
     return Layout(structs, enums, bindings, origin=NAME)

@@ -1,0 +1,186 @@
+"""One struct and the packets that hold it: their bytes as messages, one or many."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from edoras_tools.structs.messages import parts
+from edoras_tools.structs.transcode import HEAD, Plan
+from edoras_tools.wire.order import by_value
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.structs.shapes import Key, Layout, Member, Struct
+
+
+class Encoded(NamedTuple):
+    """Messages one after the other.
+
+    Attributes:
+        data: u8, their CDR, encapsulation included.
+        start: i64 (n,), where each starts.
+        size: i64 (n,), its bytes.
+    """
+
+    data: NDArray[np.uint8]
+    start: NDArray[np.int64]
+    size: NDArray[np.int64]
+
+
+class Bound:
+    """A struct that lies in the packets of a MsgId.
+
+    Args:
+        key: which packets.
+        layout: of the struct.
+        struct: what lies in them.
+        topic: where its messages go.
+        type: their type, in full.
+
+    Attributes:
+        key: which packets.
+        struct: what lies in them.
+        topic: where its messages go.
+        type: their type, in full.
+        size: bytes of the payload, where it is not open to the end.
+    """
+
+    def __init__(self, key: Key, layout: Layout, struct: Struct, topic: str, type: str) -> None:  # noqa: A002
+        self.key = key
+        self.layout = layout
+        self.struct = struct
+        self.topic = topic
+        self.type = type
+        self._plans: dict[int, Plan] = {}
+        members = parts(layout, struct, whole=True)
+        self._open = members[-1].member if members and members[-1].open else None
+        self.size = struct.size - struct.header
+        self._least = max((self._end(part.member) for part in members), default=0)
+        self._step = self._row(self._open) if self._open is not None else 0
+
+    @property
+    def name(self) -> str:
+        """The struct's name without ``_t``."""
+        return self.struct.name.removesuffix("_t")
+
+    def fits(self, length: NDArray[np.integer[Any]] | int) -> NDArray[np.bool_]:
+        """Tell which payload lengths hold this struct: exactly, or but for padding at its end."""
+        length = np.asarray(length)
+        fits: NDArray[np.bool_] = length >= self._least
+        fits &= (length - self._least) % self._step == 0 if self._step else length <= self.size
+        return fits
+
+    @property
+    def expected(self) -> str:
+        """The payload length in words."""
+        return f"{self._least} + n x {self._step}" if self._step else str(self.size)
+
+    def plan(self, length: int) -> Plan:
+        """Return how payloads of one length are read; the length fits.
+
+        Raises:
+            ConfigError: the struct spells out too many values.
+        """
+        if length not in self._plans:
+            self._plans[length] = Plan(self.layout, self.struct, length)
+        return self._plans[length]
+
+    def encode(
+        self,
+        data: NDArray[np.uint8],
+        offset: NDArray[np.int64],
+        length: NDArray[np.integer[Any]],
+        heads: NDArray[np.void],
+    ) -> Encoded:
+        """Return the messages of many packets.
+
+        Args:
+            data: u8, the buffer that holds them.
+            offset: i64 (n,), where each payload starts.
+            length: (n,) their bytes; all fit.
+            heads: (n,) of ``HEAD``.
+        """
+        start, size = np.zeros(len(offset), np.int64), np.zeros(len(offset), np.int64)
+        pieces, base = [], 0
+        for one, rows in by_value(length):
+            window = np.empty((len(rows), HEAD.itemsize + one), np.uint8)
+            window[:, : HEAD.itemsize] = heads[rows].view(np.uint8).reshape(len(rows), -1)
+            if one:
+                window[:, HEAD.itemsize :] = gather(data, offset[rows], one)
+            piece, at, size[rows] = self.plan(one).encode(window)
+            start[rows] = at + base
+            base += len(piece)
+            pieces.append(piece)
+        return Encoded(np.concatenate([*pieces, np.zeros(1, np.uint8)]), start, size)
+
+    def encode_one(self, payload: bytes, origin: tuple[int, ...]) -> bytes:
+        """Return the message of one packet.
+
+        Args:
+            payload: what follows the header; its length fits.
+            origin: the values of ``HEADER_FIELDS``.
+        """
+        head = np.array(origin, HEAD).tobytes()
+        window = np.frombuffer(head + payload, np.uint8).reshape(1, -1)
+        return self.plan(len(payload)).encode(window)[0].tobytes()
+
+    def spans(self, values: Mapping[str, Any], length: int) -> Iterator[tuple[str, Any, int, int, Member]]:
+        """Yield every value of a message as (dotted path, value, start, end, member).
+
+        Args:
+            values: the message.
+            length: bytes of the payload; places count from its start.
+        """
+        for leaf in self.plan(length).leaves:
+            value: Any = values
+            path = ""
+            for part in leaf.path:
+                value = value[part]
+                path += f"[{part}]" if isinstance(part, int) else f".{part}"
+            yield path.removeprefix("."), value, leaf.start, leaf.end, leaf.member
+
+    def member(self, path: Sequence[str]) -> Member | None:
+        """Return what a field of the message is, by its path without indices; None for the header's."""
+        struct, whole, found = self.struct, True, None
+        for name in path:
+            found = next((p.member for p in parts(self.layout, struct, whole=whole) if p.name == name), None)
+            if found is None:
+                return None
+            struct, whole = self.layout.structs.get(str(found.type), struct), False
+        return found
+
+    def values(self, member: Member) -> Mapping[int, str]:
+        """Return what the values of a member mean."""
+        enum = self.layout.enumeration(member)
+        return enum.names if enum else {}
+
+    def text(self, member: Member, value: Any) -> str:
+        """Return a value as people read it."""
+        if isinstance(value, list):
+            return "[" + ", ".join(self.text(member, item) for item in value) + "]"
+        name = self.values(member).get(value) if isinstance(value, int) else None
+        if member.base == 16 and isinstance(value, int):
+            basic = self.layout.basic(member)
+            number = f"0x{value:0{2 * basic.size if basic else 1}x}"
+        else:
+            number = f"{value:.9g}" if isinstance(value, float) else str(value)
+        return f"{name} ({number})" if name else number
+
+    def _row(self, member: Member) -> int:
+        size = self.layout.size(member) if member.array or not member.text else 1
+        for count in member.array[1:]:
+            size *= count
+        return size
+
+    def _end(self, member: Member) -> int:
+        if member.bits:
+            return member.offset + (member.bit + member.bits + 7) // 8
+        if member is self._open:
+            return member.offset
+        return member.offset + member.count * self.layout.size(member)

@@ -1,0 +1,170 @@
+"""The C structs that packets hold, as the decoders ask for them."""
+
+from __future__ import annotations
+
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.structs.packets import PACKETS
+from edoras_tools.wire import ccsds
+from edoras_tools.wire.order import by_value
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.ros import TypeStore
+    from edoras_tools.ros.schema import Definition
+    from edoras_tools.structs.bindings import Bindings
+    from edoras_tools.structs.bound import Bound, Encoded
+    from edoras_tools.structs.shapes import Layout, Struct
+
+_MSG_IDS: Final = 65536
+
+
+class Structs:
+    """The structs that are bound to packets; of layouts that name the same packets the first holds.
+
+    Args:
+        layouts: in that order; None for that of what cFE itself sends, which is read once a packet needs it.
+        claimed: MsgIds that something else is on.
+
+    Attributes:
+        has: bool (65536,), MsgIds that one is bound to.
+
+    Raises:
+        ConfigError: a struct cannot become a message.
+    """
+
+    def __init__(self, layouts: Sequence[Layout] | None = (), claimed: frozenset[int] = frozenset()) -> None:
+        self._given = layouts
+        self._claimed = claimed
+        bound = PACKETS if layouts is None else self._bindings.by_id
+        self.has: NDArray[np.bool_] = np.zeros(_MSG_IDS, np.bool_)
+        self.has[list(bound.keys() - claimed)] = True
+
+    @cached_property
+    def layouts(self) -> tuple[Layout, ...]:
+        """The layouts, in order."""
+        if self._given is None:
+            from edoras_tools.structs import cfe
+
+            return (cfe.shipped(),)
+        return tuple(self._given)
+
+    @cached_property
+    def _bindings(self) -> Bindings:
+        from edoras_tools.structs.bindings import Bindings
+
+        return Bindings(self.layouts, self._claimed)
+
+    @property
+    def all(self) -> tuple[Bound, ...]:
+        """Every struct that is bound, by MsgId and function code."""
+        return self._bindings.all
+
+    @property
+    def definitions(self) -> Mapping[str, Definition]:
+        """Every definition by type."""
+        return self._bindings.definitions
+
+    def define(self, layout: Layout, struct: Struct, *, whole: bool) -> str:
+        """Make the definition of a struct's message, and of all that it uses; return its type in full."""
+        return self._bindings.define(layout, struct, whole=whole)
+
+    @cached_property
+    def types(self) -> TypeStore:
+        """The types of the messages."""
+        from edoras_tools.ros import TypeStore
+        from edoras_tools.ros.schema import complete_text
+
+        texts = {
+            name: complete_text([item, *(other for other in self.definitions.values() if other is not item)])
+            for name, item in list(self.definitions.items())[:1]
+        }
+        return TypeStore(definitions=texts)
+
+    def find(self, msg_id: int, function_code: int | None, length: int) -> Bound | None:
+        """Return the struct that should lie in a packet whose payload has so many bytes.
+
+        A packet that is all header is a request or a wake-up, unless its function code is a struct's own.
+        """
+        for item in self._of(msg_id):
+            if (length > 0) if item.key.function_code is None else item.key.function_code == function_code:
+                return item
+        return None
+
+    def name(self, msg_id: int) -> str:
+        """Return what packets of a MsgId hold, in short; nothing where that is not known."""
+        return " or ".join(item.name for item in self._of(msg_id))
+
+    def unclaimed(self, msg_ids: Iterable[int]) -> Structs:
+        """Return these but for the MsgIds that something else claims."""
+        claimed = frozenset(msg_id for msg_id in msg_ids if self.has[msg_id])
+        return Structs(self._given, self._claimed | claimed) if claimed else self
+
+    def split(
+        self, rows: NDArray[np.intp], columns: Callable[[str], NDArray[Any]]
+    ) -> Iterator[tuple[Bound, NDArray[np.intp], NDArray[np.bool_]]]:
+        """Yield every struct that should lie in some of many packets.
+
+        Args:
+            rows: packets whose MsgIds have a struct, where ``has`` says so; increasing.
+            columns: gives the decoder's by name.
+
+        Yields:
+            the struct; which of ``rows`` should hold it; bool, which of those are as long as it is.
+        """
+        header = columns("header_length")[rows]
+        rows = rows[header > ccsds.PRIMARY.size]
+        for value, members in by_value(columns("msg_id")[rows]):
+            left = rows[members]
+            for item in self._of(value):
+                code = item.key.function_code
+                length = columns("packet_length")[left] - columns("header_length")[left]
+                chosen = length > 0 if code is None else columns("function_code")[left] == code
+                if chosen.any():
+                    yield item, left[chosen], item.fits(length[chosen])
+                left = left[~chosen]
+
+    def messages(
+        self, rows: NDArray[np.intp], columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
+    ) -> Iterator[tuple[Bound, NDArray[np.intp], Encoded]]:
+        """Yield the messages of many packets, a struct at a time.
+
+        Args:
+            rows: packets whose MsgIds have a struct; increasing.
+            columns: gives the decoder's by name.
+            data: u8, what they point into.
+
+        Yields:
+            the struct; which of ``rows`` hold it; their messages.
+        """
+        from edoras_tools.structs.messages import HEADER_FIELDS
+        from edoras_tools.structs.transcode import HEAD
+
+        for item, members, fits in self.split(rows, columns):
+            members = members[fits]  # noqa: PLW2901  only these hold it
+            if not len(members):
+                continue
+            heads = np.empty(len(members), HEAD)
+            for field in HEADER_FIELDS:
+                heads[field.name] = np.maximum(columns(field.name)[members], 0)
+            header = columns("header_length")[members]
+            offset, length = (
+                columns("packet_offset")[members] + header,
+                columns("packet_length")[members] - header,
+            )
+            yield item, members, item.encode(data, offset, length, heads)
+
+    def _of(self, msg_id: int) -> Sequence[Bound]:
+        return self._bindings.by_id[msg_id] if self.has[msg_id] else ()
+
+
+@cache
+def shipped() -> Structs:
+    """Return the structs of what cFE itself sends."""
+    return Structs(None)
