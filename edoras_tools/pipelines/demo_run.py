@@ -180,6 +180,7 @@ class Demo:
         self._said("")
         self.bridges.run(duration_ns=duration_ns, watcher=_Looking(self, watcher) if watcher else None)
         self._elapsed_ns = time.monotonic_ns() - self._began_ns
+        self._rest()
         self._agenda.close()
 
     def stop(self) -> None:

@@ -37,11 +37,13 @@ def tracks(
     low = [min(point[axis] for point in points) for axis in (0, 1)]
     high = [max(point[axis] for point in points) for axis in (0, 1)]
     # A metre is as long across as up: a dot is as wide as high.
-    scale = max((high[0] - low[0]) / (2 * width - 5), (high[1] - low[1]) / (4 * height - 5), 0.02)
+    room = max(2 * width - 5, 1), max(4 * height - 5, 1)
+    scale = max((high[0] - low[0]) / room[0], (high[1] - low[1]) / room[1], 0.02)
     middle = [(low[axis] + high[axis]) / 2 for axis in (0, 1)]
 
     def dot(x: float, y: float) -> tuple[int, int]:
-        return round(width + (x - middle[0]) / scale), round(2 * height - (y - middle[1]) / scale)
+        column, row = width + (x - middle[0]) / scale, 2 * height - (y - middle[1]) / scale
+        return min(max(round(column), 0), 2 * width - 1), min(max(round(row), 0), 4 * height - 1)
 
     cells: dict[tuple[int, int], tuple[int, str]] = {}
     marks: dict[tuple[int, int], tuple[str, str]] = {}

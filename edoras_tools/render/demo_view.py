@@ -11,7 +11,7 @@ from rich.text import Text
 
 from edoras_tools.render import palette, units
 from edoras_tools.render.bridge import losses as bridge_losses
-from edoras_tools.render.demo_picture import joints, tracks
+from edoras_tools.render.demo_picture import COLOURS, joints, tracks
 from edoras_tools.render.live import Rates
 from edoras_tools.render.severity import Severity
 from edoras_tools.render.table import Column, build, plain
@@ -225,7 +225,10 @@ def _picture(
     robots = summary["robots"]
     if "Twist" in robots[0]["commands"]["type"]:
         pairs = [(line, robot["place"]) for line, robot in zip(lines, robots, strict=True)]
-        return tracks(pairs, min(width, _PICTURE[0]), _PICTURE[1])
+        legend = Text("the plane as the ground sees it: ", palette.DIM)
+        for robot, colour in zip(robots, COLOURS, strict=False):
+            legend.append(f"{robot['robot']} ", colour)
+        return [*tracks(pairs, min(width, _PICTURE[0]), _PICTURE[1]), _one_line(legend)]
     return joints([(robot["robot"], robot["place"]) for robot in robots])
 
 

@@ -1,0 +1,107 @@
+"""The layouts of the demos hold together, and all that they name is in a recording of the demo."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import cache
+from pathlib import Path
+from time import monotonic_ns
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+LAYOUTS = {
+    "rover": ("foxglove_layout_rover", "rover_ground"),
+    "arm": ("foxglove_layout_arm", "single_arm_ground"),
+    "two-arms": ("foxglove_layout_two_arms", "two_arms_ground", "two_arms_flight"),
+}
+"""That of two-rovers is the tour's, and has a test of its own."""
+PATH = re.compile(
+    r"(?P<topic>/[\w/]+)(?:\{(?P<key>\w+)==\"(?P<value>[^\"]+)\"\})?\.(?P<field>[\w.]+)(?:\[(?P<index>\d+)\])?"
+)
+
+
+@cache
+def layout(scenario):
+    return json.loads((SAMPLES / f"{LAYOUTS[scenario][0]}.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """Scenario to topic to (type, messages), 8 s in simulated time."""
+    from edoras_tools.pipelines.record import Target, record
+    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.sessions.profile import SECOND
+    from edoras_tools.sim import Simulation
+    from edoras_tools.sim.source import SimulatedSource
+
+    def make(scenario):
+        path = tmp_path_factory.mktemp("layout") / "demo.mcap"
+        bench = Settings([SAMPLES / f"missions/{name}.yaml" for name in LAYOUTS[scenario][1:]]).workbench()
+        simulation = Simulation(scenario=scenario, start_ns=1_800_000_000 * SECOND, command_rate_hz=10)
+        record(SimulatedSource(simulation, 8 * SECOND), bench, Target(path), clock=monotonic_ns)
+        store, found = get_typestore(Stores.EMPTY), {}
+        with path.open("rb") as file:
+            for schema, channel, message in make_reader(file).iter_messages():
+                if schema.name not in store.types:
+                    store.register(get_types_from_msg(schema.data.decode(), schema.name))
+                value = store.deserialize_cdr(message.data, schema.name)
+                found.setdefault(channel.topic, (schema.name, []))[1].append(value)
+        return found
+
+    return cache(make)
+
+
+def leaves(node):
+    return [node] if isinstance(node, str) else leaves(node["first"]) + leaves(node["second"])
+
+
+def paths():
+    return [
+        (scenario, item["value"])
+        for scenario in LAYOUTS
+        for name, panel in layout(scenario)["configById"].items()
+        if name.startswith("Plot!")
+        for item in panel["paths"]
+    ]
+
+
+@pytest.mark.parametrize("scenario", LAYOUTS)
+def test_it_has_the_form_that_foxglove_imports(scenario):
+    made = layout(scenario)
+    assert made.keys() >= {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
+    assert sorted(leaves(made["layout"])) == sorted(made["configById"])
+    assert all(re.fullmatch(r"(3D|Plot|RosOut|Teleop|Publish)!\w+", name) for name in made["configById"])
+
+
+@pytest.mark.parametrize(("scenario", "path"), paths())
+def test_every_curve_has_points(recordings, scenario, path):
+    found = PATH.fullmatch(path)
+    values = []
+    for value in recordings(scenario)[found["topic"]][1]:
+        if found["key"] and getattr(value, found["key"]) != found["value"]:
+            continue
+        for name in found["field"].split("."):
+            value = getattr(value, name)  # noqa: PLW2901  a walk
+        values.append(value if found["index"] is None else float(value[int(found["index"])]))
+    assert len(values) >= 5
+    assert all(isinstance(value, (int, float)) for value in values)
+
+
+@pytest.mark.parametrize("scenario", LAYOUTS)
+def test_other_panels_name_topics_that_are_there(recordings, scenario):
+    recording = recordings(scenario)
+    for name, panel in layout(scenario)["configById"].items():
+        kind = name.partition("!")[0]
+        if kind == "3D":
+            assert {recording[topic][0] for topic in panel["topics"]} == {"geometry_msgs/msg/PoseStamped"}
+        elif kind == "RosOut":
+            assert recording[panel["topicToRender"]][0] == "rcl_interfaces/msg/Log"
+        elif kind == "Teleop":
+            assert recording[panel["topic"]][0] == "geometry_msgs/msg/Twist"
+        elif kind == "Publish":
+            assert recording[panel["topicName"]][0] == panel["datatype"] == "geometry_msgs/msg/Pose"
+            assert json.loads(panel["value"]).keys() == {"position", "orientation"}
