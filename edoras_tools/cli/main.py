@@ -23,6 +23,7 @@ _USAGE: Final[Any] = typer.BadParameter.__mro__[1]
 COMMANDS: Final = (
     *("demo", "sniff", "record", "live", "info", "decode", "recover"),
     *("replay", "inject", "sweep", "proxy", "bridge", "doctor", "report", "sim", "wireshark", "codegen"),
+    "structs",
 )
 """Each is a function, or a group of commands, of that name in a module of that name."""
 

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.bound import Bound
-from edoras_tools.structs.messages import HEADER, definition, header_definition, parts, type_name, unique
+from edoras_tools.structs.messages import (
+    HEADER,
+    definition,
+    described,
+    header_definition,
+    parts,
+    text,
+    type_name,
+    unique,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,6 +35,7 @@ class Bindings:
         all: every struct that is bound, by MsgId and function code.
         by_id: those of a MsgId, function codes first.
         definitions: of their messages, and all that these use, by type.
+        texts: the ``.msg`` file of each.
 
     Raises:
         ConfigError: a struct cannot become a message.
@@ -43,6 +53,7 @@ class Bindings:
         for key, layout in taken.items():
             often[layout.bindings[key]] = often.get(layout.bindings[key], 0) + 1
         self.definitions: dict[str, Definition] = {}
+        self.texts: dict[str, str] = {}
         self._names: dict[tuple[int, str, bool], str] = {}
         self._taken: set[str] = set()
         bound = []
@@ -79,9 +90,12 @@ class Bindings:
             nested = layout.structs.get(str(part.member.type))
             if nested is not None:
                 names[nested.name] = self._define(layout, nested, False, inside)
-        self.definitions[name] = definition(layout, struct, name, names, whole=whole)
+        fields = described(layout, struct, names, whole=whole)
+        self.definitions[name] = definition(name, fields)
+        self.texts[name] = text(struct, fields)
         if whole and names[HEADER] not in self.definitions:
-            self.definitions[names[HEADER]] = header_definition(names[HEADER])
+            self.definitions[names[HEADER]] = header = header_definition(names[HEADER])
+            self.texts[names[HEADER]] = "# what the packet was, and where it came from\n" + header.text
         return name
 
     def _free(self, package: str, name: str) -> str:

@@ -317,6 +317,11 @@ def parse_key(raw: Any) -> Key:
     return key
 
 
+def is_package(name: str) -> bool:
+    """Tell whether a name can be that of a ROS package."""
+    return _PACKAGE.fullmatch(name) is not None
+
+
 def _refuse(raw: Any) -> NoReturn:
     raise ConfigError(f"{raw!r} is no MsgId as 0x0801, nor one with a function code as 0x1880/6")
 

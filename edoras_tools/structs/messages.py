@@ -16,7 +16,7 @@ from edoras_tools.ros.schema import Constant, Definition, Field, Shape
 from edoras_tools.structs.shapes import OPEN, Basic, Kind, Layout, Member, Struct
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
 HEADER: Final = "CfsHeader"
 HEADER_FIELDS: Final = (
@@ -109,36 +109,75 @@ def _empty(layout: Layout, member: Member) -> bool:
     return member.count > 0 and str(member.type) in layout.structs
 
 
-def definition(
-    layout: Layout, struct: Struct, name: str, names: dict[str, str], *, whole: bool
-) -> Definition:
-    """Return the message definition of a struct.
+class Described(NamedTuple):
+    """A field of a message, and what it is in C.
+
+    Attributes:
+        field: of the message.
+        part: of the struct; None for the header.
+        constants: names for its values.
+    """
+
+    field: Field
+    part: Part | None
+    constants: tuple[Constant, ...]
+
+
+def described(layout: Layout, struct: Struct, names: Mapping[str, str], *, whole: bool) -> list[Described]:
+    """Return the fields of a struct's message.
 
     Args:
         layout: of the struct.
         struct: the struct.
-        name: the message's type in full.
         names: types in full of the structs that it uses, and of the header, by name.
         whole: as for :func:`parts`.
     """
-    fields = [Field("header", names[HEADER])] if whole else []
-    constants: list[Constant] = []
+    found = [Described(Field("header", names[HEADER]), None, ())] if whole else []
+    taken: set[str] = set()
     for part in parts(layout, struct, whole=whole):
         kind, shape, size = _type(layout, part.member, names), Shape.SCALAR, 0
         if part.open and part.member.array:
             shape = Shape.SEQUENCE
         elif part.member.array:
             shape, size = Shape.ARRAY, part.member.count
-        fields.append(Field(part.name, kind, 0, shape, size))
         enum = layout.enumeration(part.member)
-        if enum is not None:
-            taken = {item.name for item in constants}
-            constants += [
-                Constant(unique(f"{part.name}_{field_name(label)}".upper(), taken), kind, value)
-                for value, label in enum.names.items()
-                if _fits(value, enum.basic)
-            ]
-    return Definition(name, tuple(fields), tuple(constants))
+        constants = tuple(
+            Constant(unique(f"{part.name}_{field_name(label)}".upper(), taken), kind, value)
+            for value, label in (enum.names.items() if enum else ())
+            if enum is not None and _fits(value, enum.basic)
+        )
+        found.append(Described(Field(part.name, kind, 0, shape, size), part, constants))
+    return found
+
+
+def definition(name: str, fields: Iterable[Described]) -> Definition:
+    """Return the definition of a message."""
+    fields = list(fields)
+    constants = tuple(constant for item in fields for constant in item.constants)
+    return Definition(name, tuple(item.field for item in fields), constants)
+
+
+def text(struct: Struct, fields: Iterable[Described]) -> str:
+    """Return the ``.msg`` file of a struct's message, with what each field is in C."""
+    what = f"{'union' if struct.union else 'struct'} {struct.name}, {struct.size} bytes"
+    lines = [f"# {what}" + f"; bytes count from behind its header of {struct.header}" * bool(struct.header)]
+    lines += [f"# {struct.doc}"] * bool(struct.doc)
+    for item in fields:
+        lines += [f"{constant.type} {constant.name}={constant.value}" for constant in item.constants]
+        line = f"{item.field.type_text} {item.field.name}"
+        if item.part is not None:
+            member = item.part.member
+            told = [place(member), *filter(None, [member.doc])]
+            line += f"  # {': '.join(told)}"
+        lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def place(member: Member) -> str:
+    """Return where a member lies and what it is called in C."""
+    dims = "".join(f"[{size or ''}]" for size in member.dims)
+    bits = f".{member.bit}, {member.bits} bits" if member.bits else ""
+    return f"byte {member.offset}{bits} {member.name}{dims}"
 
 
 def header_definition(name: str) -> Definition:
@@ -153,7 +192,7 @@ def _fits(value: int, basic: Basic) -> bool:
     return low <= value < low + (1 << bits)
 
 
-def _type(layout: Layout, member: Member, names: dict[str, str]) -> str:
+def _type(layout: Layout, member: Member, names: Mapping[str, str]) -> str:
     if member.text:
         return "string"
     basic = layout.basic(member)

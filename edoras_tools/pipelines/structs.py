@@ -1,0 +1,183 @@
+"""C structs out of ELF files, headers and layout files, into message definitions and a layout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.structs import cfe
+from edoras_tools.structs.bindings import Bindings
+from edoras_tools.structs.dwarf import DebugInfo, Listed
+from edoras_tools.structs.files import NAME, dumps, load
+from edoras_tools.structs.shapes import Layout
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from edoras_tools.structs.shapes import Key
+
+_ELF: Final = b"\x7fELF"
+
+
+class LayoutFile:
+    """A layout as a place to take structs from.
+
+    Args:
+        layout: the layout.
+
+    Attributes:
+        warnings: none.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self.warnings: list[str] = []
+
+    def list(self) -> list[Listed]:
+        """Return every struct, in the order of their names."""
+        return [
+            Listed(item.name, item.size, item.header, len(item.members))
+            for item in sorted(self._layout.structs.values(), key=lambda item: item.name)
+        ]
+
+    def bound(self) -> dict[str, str]:
+        """Return the packets that structs lie in, by the structs' names."""
+        found: dict[str, list[str]] = {}
+        for key, name in self._layout.bindings.items():
+            found.setdefault(name, []).append(str(key))
+        return {name: ", ".join(keys) for name, keys in found.items()}
+
+    def layout(self, names: Iterable[str], bindings: Mapping[Key, str], package: str | None) -> Layout:
+        """Return some structs, all that they use, and the packets they lie in; as ``DebugInfo.layout``."""
+        found = self._layout
+        bound = {**found.bindings, **{key: self._find(name) for key, name in bindings.items()}}
+        wanted = [self._find(name) for name in names]
+        wanted += [self._find(name) for name in bindings.values()]
+        kept: dict[str, None] = {}
+        while wanted:
+            name = wanted.pop()
+            if name not in kept and name in found.structs:
+                kept[name] = None
+                wanted += [str(member.type) for member in found.structs[name].members]
+        structs = {name: item for name, item in found.structs.items() if name in kept}
+        used = {str(member.type) for item in structs.values() for member in item.members}
+        return replace(
+            found,
+            structs=structs,
+            enums={name: item for name, item in found.enums.items() if name in used},
+            bindings={key: name for key, name in bound.items() if name in kept},
+            package=package or found.package,
+        )
+
+    def _find(self, name: str) -> str:
+        for known in (name, f"{name}_t", name.removesuffix("_t")):
+            if known in self._layout.structs:
+                return known
+        near = get_close_matches(name, self._layout.structs, 3)
+        hint = (
+            f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(self._layout.structs)}"
+        )
+        raise ConfigError(f"{self._layout.origin}: no struct {name!r}; {hint}")
+
+
+def open_types(path: Path | None, include: Sequence[Path], flags: Sequence[str]) -> DebugInfo | LayoutFile:
+    """Open a place that describes structs: an ELF file, a C header, a layout file; none: what is shipped.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    from edoras_tools.structs.compiler import SUFFIXES, compiled
+
+    if path is None or (str(path) == cfe.NAME and not path.exists()):
+        return LayoutFile(cfe.shipped())
+    if path.suffix.lower() in SUFFIXES:
+        return compiled(path, include, flags)
+    try:
+        with path.open("rb") as file:
+            elf = file.read(len(_ELF)) == _ELF
+    except IsADirectoryError:
+        elf = False
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror}); give an ELF file, a C header or a layout file"
+        ) from error
+    return DebugInfo(path) if elf else LayoutFile(load(path))
+
+
+def bound(source: DebugInfo | LayoutFile) -> dict[str, str]:
+    """Return the packets that structs are known to lie in, by the structs' names."""
+    return source.bound() if isinstance(source, LayoutFile) else {}
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """Structs that were asked for.
+
+    Attributes:
+        layout: they, and all that they use.
+        messages: theirs.
+        types: the type of each that was asked for, in full, by name.
+    """
+
+    layout: Layout
+    messages: Bindings
+    types: Mapping[str, str]
+
+
+def take(
+    source: DebugInfo | LayoutFile, names: Sequence[str], bindings: Mapping[Key, str], package: str | None
+) -> Taken:
+    """Take structs out of a file; where none is named, all that begin with a cFE header or lie in a packet.
+
+    Raises:
+        ConfigError: there is none of that name, or it cannot become a message.
+    """
+    if not names and not bindings:
+        listed = source.list()
+        names = [item.name for item in listed if item.header] or [item.name for item in listed]
+    if isinstance(source, DebugInfo):
+        layout = source.layout(names, bindings, package or Layout({}).package)
+    else:
+        layout = source.layout(names, bindings, package)
+    messages = Bindings([layout], frozenset())
+    types = {item.struct.name: item.type for item in messages.all}
+    for name in names:
+        found = next(item for item in (name, f"{name}_t", name.removesuffix("_t")) if item in layout.structs)
+        if found not in types:
+            struct = layout.structs[found]
+            types[found] = messages.define(layout, struct, whole=bool(struct.header))
+    return Taken(layout, messages, types)
+
+
+def write(taken: Taken, folder: Path, *, force: bool = False) -> list[Path]:
+    """Write the definitions, ``PACKAGE/msg/NAME.msg``, and the layout, ``structs.yaml``.
+
+    Nothing is written where a file that is not the same is there already.
+
+    Raises:
+        ConfigError: it is, and ``force`` was not given; or a file cannot be written.
+    """
+    contents = {folder / f"{name}.msg": text for name, text in taken.messages.texts.items()}
+    contents[folder / NAME] = dumps(taken.layout)
+    others = [path for path, text in contents.items() if not _same(path, text)]
+    there = [path for path in others if path.exists()]
+    if there and not force:
+        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+        raise ConfigError(f"{there[0]}{more}: is there already and differs; --force writes over it")
+    for path in others:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(contents[path], encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be written ({error.strerror}); name another folder") from error
+    return sorted(contents)
+
+
+def _same(path: Path, text: str) -> bool:
+    try:
+        return path.read_text(encoding="utf-8") == text
+    except (OSError, UnicodeDecodeError):
+        return False

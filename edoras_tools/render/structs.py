@@ -1,0 +1,66 @@
+"""Structs for people: what there is, and where the members of one lie."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from edoras_tools.structs.files import type_text
+from edoras_tools.structs.messages import parts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.structs.dwarf import Listed
+    from edoras_tools.structs.shapes import Layout, Member, Struct
+
+
+def listing(items: Sequence[Listed], bound: dict[str, str]) -> Iterator[str]:
+    """Yield a line a struct, those that begin with a cFE header or lie in a packet first.
+
+    Args:
+        items: the structs.
+        bound: the packets that some lie in, by name.
+    """
+    width = max([6, *(len(item.name) for item in items)])
+    yield f"{'struct':<{width}}  {'bytes':>6}  {'members':>7}  packet"
+    for item in sorted(items, key=lambda item: (item.name not in bound, not item.header, item.name)):
+        packet = bound.get(item.name) or (f"begins with a header of {item.header}" if item.header else "")
+        yield f"{item.name:<{width}}  {item.size:>6}  {item.members:>7}  {packet}".rstrip()
+
+
+def layout(made: Layout, struct: Struct, message: str) -> Iterator[str]:
+    """Yield where the members of a struct lie, what fills up between them, and its message's fields.
+
+    Args:
+        made: of the struct.
+        struct: the struct.
+        message: the message's type in full.
+    """
+    packets = [str(key) for key, name in made.bindings.items() if name == struct.name]
+    what = "union" if struct.union else "struct"
+    yield f"{what} {struct.name}: {struct.size} bytes, {made.byte_order}-endian, {message}"
+    if packets:
+        yield f"  in {', '.join(packets)}"
+    whole = bool(struct.header or packets)
+    fields = {part.member.name: part.name for part in parts(made, struct, whole=whole)}
+    rows = [(_place(item), type_text(item), item.name, fields.get(item.name, "")) for item in struct.members]
+    widths = [max([0, *(len(row[column]) for row in rows)]) for column in range(3)]
+    end = 0
+    for member, row in zip(struct.members, rows, strict=True):
+        if member.offset > end and not struct.union:
+            yield f"  {end:>{widths[0]}}  {_padding(member.offset - end)}"
+        yield "  {:>{}}  {:<{}}  {:<{}}  {}".format(
+            row[0], widths[0], row[1], widths[1], row[2], widths[2], row[3]
+        ).rstrip()
+        size = (member.bit + member.bits + 7) // 8 if member.bits else made.size(member) * member.count
+        end = max(end, member.offset + size)
+    if struct.size > end:
+        yield f"  {end:>{widths[0]}}  {_padding(struct.size - end)}"
+
+
+def _padding(size: int) -> str:
+    return f"{size} byte{'s' * (size > 1)} of padding"
+
+
+def _place(member: Member) -> str:
+    return f"{member.offset}.{member.bit}" if member.bits else str(member.offset)

@@ -1,0 +1,66 @@
+"""Debug information of structs of which only the headers are at hand: the machine's C compiler makes it."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.structs.dwarf import DebugInfo
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+SUFFIXES: Final = frozenset({".h", ".hh", ".hpp", ".c"})
+"""What the names of C headers and sources end in."""
+_PATIENCE_S: Final = 120
+
+
+def compiled(source: Path, include: Sequence[Path], flags: Sequence[str]) -> DebugInfo:
+    """Compile a header for its debug information alone: every type in it, used or not.
+
+    The compiler is ``$CC`` with its options, or ``cc``; a cross compiler gives the sizes and byte order of
+    its target.
+
+    Args:
+        source: the header, or a source that includes some.
+        include: where the headers that it includes are.
+        flags: further options, as ``-m32`` or ``-DX=1``.
+
+    Raises:
+        ConfigError: there is no compiler, or it refuses; says what it said first.
+    """
+    compiler = shlex.split(os.environ.get("CC", "cc")) or ["cc"]
+    if not source.is_file():
+        raise ConfigError(f"{source}: no such file; give a C header, or an ELF file")
+    with tempfile.TemporaryDirectory(prefix="edoras-") as folder:
+        unit, made = Path(folder, "structs.c"), Path(folder, "structs.o")
+        unit.write_text(f'#include "{source.resolve()}"\n', encoding="utf-8")
+        command = [*compiler, "-g", "-gdwarf-4", "-fno-eliminate-unused-debug-types", *flags]
+        command += [f"-I{path}" for path in include]
+        try:
+            done = subprocess.run(  # noqa: S603  the user's own compiler, with the user's own options
+                [*command, "-c", str(unit), "-o", str(made)],
+                capture_output=True,
+                text=True,
+                errors="replace",
+                check=False,
+                timeout=_PATIENCE_S,
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            why = getattr(error, "strerror", None) or "takes too long"
+            raise ConfigError(
+                f"{compiler[0]}: {why}; install a C compiler or name one in CC, or give an ELF file"
+            ) from error
+        if done.returncode:
+            said = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
+            raise ConfigError(
+                f"{source}: does not compile: {said[0].strip() if said else 'no word from the compiler'}"
+            )
+        info = DebugInfo(made)
+    info.path = source
+    return info
