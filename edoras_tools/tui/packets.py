@@ -41,6 +41,7 @@ class Packets(Lines):
         marks: numbers of the packets that are marked.
         follow: stay at the end as packets come: from when the user goes to the end until he leaves it.
         empty: what is said where there is no packet.
+        drawn: lines that need not be drawn again, by packet number.
     """
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {
@@ -63,7 +64,7 @@ class Packets(Lines):
         self._time_format = time_format
         self._verbose = verbose
         self._view = self._make_view(80)
-        self._lines: LRUCache[tuple[int, int], Strip] = LRUCache(_KEPT)
+        self.drawn: LRUCache[tuple[int, int], Strip] = LRUCache(_KEPT)
 
     @property
     def time_format(self) -> TimeFormat:
@@ -78,7 +79,7 @@ class Packets(Lines):
     def forget(self) -> None:
         """Draw every line anew: another filter, or another way to tell time."""
         self._view = self._make_view(self.room)
-        self._lines.clear()
+        self.drawn.clear()
         self.refresh()
         self.refresh_heads()
 
@@ -117,12 +118,12 @@ class Packets(Lines):
         block, index = self._store.locate(row)
         number = int(block.batch.number[index])
         key = number, row if self._time_format is TimeFormat.DELTA else 0
-        line = self._lines.get(key)
+        line = self.drawn.get(key)
         if line is None:
             decoded = self._dissector.dissect(block.batch[index])
             previous = self._store.time_ns(row - 1) if row else int(block.batch.time_ns[index])
             line = strip_of(self._view.line(decoded, previous), self.app.console)
-            self._lines[key] = line
+            self.drawn[key] = line
         marked = number in self.marks
         style = self.get_component_rich_style("packets--mark", partial=True) if marked else Style.null()
         return Strip([Segment("◆ " if marked else "  ", style), *line], _GUTTER + line.cell_length)

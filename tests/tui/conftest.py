@@ -29,16 +29,25 @@ class Hands:
         deadline = time.monotonic() + PATIENCE_S
         while not holds():
             assert time.monotonic() < deadline, f"never came true: {what}"
-            await self.pilot.pause(0.01)
+            await asyncio.sleep(0.005)
+
+    async def rest(self):
+        """Wait until every message has been dealt with; the pilot's own pause takes far longer."""
+        quiet = 0
+        while quiet < 5:
+            await asyncio.sleep(0)
+            pumps = [self.app, *(pump for screen in self.app.screen_stack for pump in screen.walk_children())]
+            busy = any(pump.message_queue_size for pump in (*pumps, *self.app.screen_stack))
+            quiet = 0 if busy else quiet + 1
 
     async def press(self, *keys):
         for key in keys:
             self.app.simulate_key(key)
-            await self.pilot.pause()
+            await self.rest()
 
     async def write(self, text):
         self.app.focused.insert_text_at_cursor(text)
-        await self.pilot.pause()
+        await self.rest()
 
     async def filter(self, text):
         await self.press("f")
@@ -55,7 +64,7 @@ class Hands:
     async def settle(self):
         store = self.app.store
         await self.until(lambda: store.settled == store.packets, "the filter has run")
-        await self.pilot.pause()
+        await self.rest()
 
     @property
     def number(self):
@@ -95,7 +104,7 @@ def drive():
                 hands = Hands(app, pilot)
                 if source is None:
                     await hands.until(lambda: not app.reading, "the file is read")
-                await hands.pilot.pause()
+                await pilot.pause()
                 await script(hands)
             app._feed.join(PATIENCE_S)
             app._sieve.join(PATIENCE_S)
