@@ -58,19 +58,19 @@ def commands(datagrams, path):
     return [item.payload for item in datagrams(path) if item.destination == 1234]
 
 
-FAST = ("--max", "--no-listen")
+FAST = ("--max", "--no-listen", "-n", "500")
+"""At once, and no more than the buffers of every system hold."""
 
 
 def test_every_byte_of_every_command(call, captures, datagrams, receiver):
     target, take = receiver
     done = call("replay", captures("a_rover"), "--to", "ci", "--target", target, *FAST, "--json")
     wanted = commands(datagrams, captures("a_rover"))
-    assert take() == wanted
+    assert take() == wanted[:500]
     report = done.json()
     assert done.code == 0
-    assert (report["sent"], report["send_errors"], report["rate_asked_hz"]) == (601, 0, None)
+    assert (report["sent"], report["send_errors"], report["rate_asked_hz"]) == (500, 0, None)
     assert report["lateness_us"] == {"p50": None, "p99": None, "max": None}
-    assert report["rate_achieved_hz"] > 0
     assert report["seen"] == {"events": [], "counters": {}, "telemetry": [], "sbn": {}}
 
 
@@ -79,7 +79,7 @@ def test_a_recording_of_a_capture_sends_the_same(through, call, captures, datagr
     assert call("record", "-q", "-r", captures("e_ci_errors"), "-o", tmp_path / through).code == 0
     target, take = receiver
     call("replay", tmp_path / through, "--to", "ci", "--target", target, *FAST, "-q")
-    assert take() == commands(datagrams, captures("e_ci_errors"))
+    assert take() == commands(datagrams, captures("e_ci_errors"))[:500]
 
 
 def test_pace_and_report(call, captures, receiver):
@@ -103,7 +103,7 @@ def test_what_is_changed_on_the_way(call, captures, missions, receiver):
         *(*options, *FAST, "-q"),
     )
     sent = take()
-    assert len(sent) == 600
+    assert len(sent) == 500
     for index, packet in enumerate(sent):
         assert struct.unpack_from(">HH", packet) == (0x1829, 0xC000 | index)
         check = 0xFF
@@ -122,7 +122,7 @@ def test_messages_of_another_tool(call, captures, missions, receiver, datagrams,
     )
     assert done.code == 0
     wanted = [item for item in commands(datagrams, captures("a_rover")) if item[:2] == TWIST]
-    assert take() == wanted
+    assert take() == wanted[:500]
 
 
 def test_faults_strike_the_same_ones_every_time(call, captures, datagrams, receiver, recording, tmp_path):
@@ -136,8 +136,8 @@ def test_faults_strike_the_same_ones_every_time(call, captures, datagrams, recei
         rounds.append((take(), done.json()["faults"]))
     assert rounds[0] == rounds[1]
     sent, faults = rounds[0]
-    assert faults == {"drop": 601 - len(sent)}
-    assert 80 < faults["drop"] < 160
+    assert faults == {"drop": 500 - len(sent)}
+    assert 60 < faults["drop"] < 140
     counts = recording(tmp_path / "a.mcap").counts
     assert (counts["/edoras/faults"], counts["/edoras/datagrams"]) == (faults["drop"], len(sent))
 
