@@ -204,5 +204,7 @@ def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool
 
 
 def _say(text: str) -> None:
-    sys.stderr.write(f"edoras: {text}\n")
+    from edoras_tools.render.text import clean
+
+    sys.stderr.write(f"edoras: {clean(text)}\n")  # a peer's own words may be in it
     sys.stderr.flush()

@@ -27,16 +27,14 @@ def open_graph(
         options: see docs/dds.md: ``interface``, ``peers``, ``multicast``.
 
     Raises:
-        ConfigError: cyclonedds is not installed, an option cannot be honoured, or Cyclone DDS
-            refuses the domain.
+        ConfigError: an option cannot be honoured, or Cyclone DDS refuses the domain.
+        ImportError: cyclonedds is not installed.
     """
     name = node_name(node)
     try:
         import_module("cyclonedds.internal")
-    except ImportError as error:
-        raise ConfigError(
-            "--ros dds needs cyclonedds; install it with pip install 'edoras-tools[dds]'"
-        ) from error
+    except ImportError:
+        raise
     except Exception as error:
         raise ConfigError(f"dds: cyclonedds does not load: {error}") from error
     from edoras_tools.middleware.dds_domain import configuration

@@ -16,6 +16,7 @@ from cyclonedds.core import DDSException
 from cyclonedds.domain import Domain
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.names import unknown_options
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,11 +45,7 @@ def configuration(options: Mapping[str, str]) -> str:
     Raises:
         ConfigError: all mistakes at once.
     """
-    mistakes = [
-        f"dds: there is no option {name!r}; there are {', '.join(OPTIONS)}"
-        for name in options
-        if name not in OPTIONS
-    ]
+    mistakes = unknown_options("dds", options, OPTIONS)
     multicast = options.get("multicast", _TRUTH[0])
     if multicast not in _TRUTH:
         mistakes.append(f"dds: multicast cannot be {multicast!r}; write {' or '.join(_TRUTH)}")

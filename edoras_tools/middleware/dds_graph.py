@@ -22,8 +22,8 @@ from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware import dds_cdr, dds_domain, dds_presence
 from edoras_tools.middleware.dds_qos import BLOCKING_MS, reader_qos, writer_qos
 from edoras_tools.middleware.dds_raw import ANY, taker_of, writer_of
-from edoras_tools.middleware.dds_types import DdsTypes, dds_name
-from edoras_tools.middleware.names import check_name
+from edoras_tools.middleware.dds_types import DdsTypes
+from edoras_tools.middleware.names import check_name, dds_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -82,6 +82,7 @@ class DdsGraph:
         self._made = DdsTypes(types)
         self._lock = RLock()
         self._closed = Event()
+        self._told: set[str] = set()
         self._ears: list[_Ear] = []
         self._topics: dict[str, Topic[Any]] = {}
         self._readers: list[tuple[str, DataReader[Any]]] = []
@@ -135,8 +136,8 @@ class DdsGraph:
 
         return publish
 
-    def mismatches(self) -> list[str]:
-        """Return a line for each topic with somebody who cannot be heard, or cannot hear, and why."""
+    def notes(self) -> list[str]:
+        """Tell once of each topic with somebody who cannot be heard, or hear, and why; see ``Graph``."""
         with self._lock:
             if self._closed.is_set():
                 return []
@@ -148,11 +149,14 @@ class DdsGraph:
                 (topic, "a subscriber", writer.get_offered_incompatible_qos_status())  # type: ignore[no-untyped-call]
                 for topic, writer in self._writers
             ]
-        return [
+        unfit = dict.fromkeys(
             f"{topic}: {who} does not match: {_UNFIT.get(status.last_policy_id, 'a policy')} differs"
             for topic, who, status in found
             if status.total_count
-        ]
+        )
+        new = [note for note in unfit if note not in self._told]
+        self._told.update(new)
+        return new
 
     def close(self) -> None:
         """Leave the graph; see ``Graph``."""

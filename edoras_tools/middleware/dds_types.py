@@ -13,6 +13,7 @@ from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.names import dds_name
 from edoras_tools.ros.schema import PLACEHOLDER, Shape, full_name
 
 if TYPE_CHECKING:
@@ -36,12 +37,6 @@ _PRIMITIVES: Final = {
     "float32": idl.float32,
     "float64": idl.float64,
 }
-
-
-def dds_name(type_name: str) -> str:
-    """Return the DDS name of a ROS type: ``geometry_msgs::msg::dds_::Twist_``."""
-    package, kind, name = full_name(type_name).split("/")
-    return f"{package}::{kind}::dds_::{name}_"
 
 
 class DdsTypes:

@@ -13,6 +13,7 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.middleware.names import unknown_options
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -44,9 +45,8 @@ def open_graph(
         ConfigError: an option is not known, or the address cannot be listened on.
         ImportError: the SDK is not installed.
     """
-    for name in options:
-        if name not in _OPTIONS:
-            raise ConfigError(f"--ros foxglove has no option {name!r}; there are {', '.join(_OPTIONS)}")
+    if mistakes := unknown_options("foxglove", options, tuple(_OPTIONS)):
+        raise ConfigError(*mistakes)
     given = {**_OPTIONS, **options}
     if not given["port"].isdecimal() or int(given["port"]) > 0xFFFF:
         raise ConfigError(f"--ros foxglove: port {given['port']!r} is no TCP port: 0 to 65535")
@@ -79,7 +79,7 @@ class FoxgloveGraph:
         self._heard: defaultdict[str, list[Callable[[bytes], None]]] = defaultdict(list)
         self._advertised: dict[tuple[int, int], Any] = {}
         self._lock = threading.Lock()
-        self._closed = False
+        self._closed = self._told = False
         self.refused = 0
         try:
             self._server = foxglove.start_server(
@@ -131,6 +131,11 @@ class FoxgloveGraph:
                 log(bytes(cdr))
 
         return publish
+
+    def notes(self) -> list[str]:
+        """Say once where clients connect to; see ``Graph``."""
+        told, self._told = self._told, True
+        return [] if told else [f"Foxglove connects to {self.url}"]
 
     def close(self) -> None:
         """See ``Graph``."""

@@ -45,5 +45,8 @@ class Graph(Protocol):
             ConfigError: the type is unknown, or the middleware refuses the topic.
         """
 
+    def notes(self) -> list[str]:
+        """Return what people should know and were not told yet: who cannot be heard, where to connect to."""
+
     def close(self) -> None:
         """Leave the graph. Nothing is heard after this returns; calling it again does nothing."""

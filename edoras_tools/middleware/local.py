@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.names import unknown_options
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -67,8 +68,8 @@ def open_graph(
     Raises:
         ConfigError: an option is given.
     """
-    if options:
-        raise ConfigError(f"--ros local has no option {next(iter(options))!r}; leave it out")
+    if mistakes := unknown_options("local", options, ()):
+        raise ConfigError(*mistakes)
     return LocalGraph(store, node, domain)
 
 
@@ -119,6 +120,10 @@ class LocalGraph:
                     item.heard(cdr)
 
         return publish
+
+    def notes(self) -> list[str]:
+        """See ``Graph``: there is nothing to tell."""
+        return []
 
     def close(self) -> None:
         """See ``Graph``."""

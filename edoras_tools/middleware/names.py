@@ -1,4 +1,4 @@
-"""What a node and a topic may be called.
+"""What a node and a topic may be called, and what DDS calls a type; the options of a middleware.
 
 The rules: https://design.ros2.org/articles/topic_and_service_names.html
 """
@@ -6,9 +6,13 @@ The rules: https://design.ros2.org/articles/topic_and_service_names.html
 from __future__ import annotations
 
 import re
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.ros.schema import full_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
 
 _NAME: Final = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 
@@ -40,3 +44,21 @@ def node_name(node: str) -> tuple[str, str]:
     full = check_name(node if node.startswith("/") else "/" + node, "node")
     namespace, _, name = full.rpartition("/")
     return namespace or "/", name
+
+
+def dds_name(type_name: str) -> str:
+    """Return the DDS name of a ROS type: ``geometry_msgs::msg::dds_::Twist_``."""
+    package, kind, name = full_name(type_name).split("/")
+    return f"{package}::{kind}::dds_::{name}_"
+
+
+def unknown_options(ros: str, options: Iterable[str], known: Sequence[str]) -> list[str]:
+    """Return a line for each option that a middleware does not have.
+
+    Args:
+        ros: name of the middleware.
+        options: names of those given.
+        known: and of those that there are.
+    """
+    there = f"there are {', '.join(known)}" if known else "leave it out"
+    return [f"--ros {ros} has no option {name!r}; {there}" for name in options if name not in known]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
@@ -70,7 +71,8 @@ def open_graph(
 
 
 def _absent(ros: str, error: ImportError) -> str:
-    extra = _EXTRAS.get(ros)
+    extra, why = _EXTRAS.get(ros), str(error).partition("\n")[0]
     if extra is None:
-        return f"--ros {ros} needs a ROS 2 that is sourced ({error}); source one, or choose zenoh or dds"
-    return f"--ros {ros} needs an extra ({error}): pip install 'edoras-tools[{extra}]'"
+        python = f"{sys.version_info.major}.{sys.version_info.minor}"
+        return f"--ros {ros} needs a sourced ROS 2 of Python {python} ({why}); source its setup.bash"
+    return f"--ros {ros} needs an extra ({why}): pip install 'edoras-tools[{extra}]'"

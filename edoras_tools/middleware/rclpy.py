@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import defaultdict, deque
 from contextlib import suppress
@@ -11,7 +10,7 @@ from threading import Lock, Thread, current_thread
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.names import check_name, node_name
+from edoras_tools.middleware.names import check_name, node_name, unknown_options
 from edoras_tools.ros.schema import full_name
 
 if TYPE_CHECKING:
@@ -20,6 +19,13 @@ if TYPE_CHECKING:
     from edoras_tools.middleware.graph import Qos
     from edoras_tools.ros import TypeStore
 
+_MODULES: Final = (
+    "rclpy",
+    "rclpy.context",
+    "rclpy.executors",
+    "rclpy.qos",
+    "rosidl_runtime_py.utilities",
+)
 _ECHO_SECONDS: Final = 1.0
 _MOST_ECHOES: Final = 10_000
 
@@ -55,9 +61,8 @@ class RclpyGraph:
             raise
         self._executor = executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._thread = Thread(
-            target=_spin, args=(self._executor, executors.ExternalShutdownException), daemon=True, name=name
-        )
+        shut_down = executors.ExternalShutdownException
+        self._thread = Thread(target=self._spin, args=(shut_down,), daemon=True, name=name)
         self._thread.start()
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
@@ -94,6 +99,10 @@ class RclpyGraph:
 
         return publish
 
+    def notes(self) -> list[str]:
+        """See ``Graph``: ROS 2 logs by itself who cannot be heard."""
+        return []
+
     def close(self) -> None:
         """Leave the graph; see ``Graph``."""
         with self._closing:
@@ -105,6 +114,14 @@ class RclpyGraph:
             self._thread.join()
         self._executor.shutdown()
         self._node.destroy_node()
+
+    def _spin(self, shut_down: type[Exception]) -> None:
+        try:
+            with suppress(shut_down):
+                self._executor.spin()
+        except Exception:
+            if not self._closed:  # a context that goes away while it is waited for makes more than one
+                raise
 
     def _type(self, topic: str, type_name: str) -> Any:
         check_name(topic, "topic")
@@ -161,25 +178,13 @@ def open_graph(
         options: there are none.
 
     Raises:
-        ConfigError: no ROS 2 is sourced, an option is given, or ``rclpy`` refuses.
+        ConfigError: an option is given, or ``rclpy`` refuses.
+        ImportError: no ROS 2 is sourced.
     """
-    if options:
-        raise ConfigError(f"--ros rclpy has no option {next(iter(options))!r}; its environment decides")
-    try:
-        for module in (
-            "rclpy",
-            "rclpy.context",
-            "rclpy.executors",
-            "rclpy.qos",
-            "rosidl_runtime_py.utilities",
-        ):
-            import_module(module)
-    except ImportError as error:
-        python = f"{sys.version_info.major}.{sys.version_info.minor}"
-        raise ConfigError(
-            f"--ros rclpy needs a sourced ROS 2 of this Python, {python} ({_line(error)}); "
-            "source its setup.bash, or choose --ros zenoh or dds"
-        ) from error
+    if mistakes := unknown_options("rclpy", options or (), ()):
+        raise ConfigError(*mistakes)
+    for module in _MODULES:
+        import_module(module)
     try:
         return RclpyGraph(store, node, domain)
     except ConfigError:
@@ -198,11 +203,6 @@ def _profile(qos: Qos) -> Any:
         reliability=reliability.RELIABLE if qos.reliable else reliability.BEST_EFFORT,
         durability=durability.TRANSIENT_LOCAL if qos.transient_local else durability.VOLATILE,
     )
-
-
-def _spin(executor: Any, shut_down: type[Exception]) -> None:
-    with suppress(shut_down):
-        executor.spin()
 
 
 def _line(error: Exception) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.names import check_name
 from edoras_tools.middleware.zenoh_attachment import ATTACHMENT, GID
-from edoras_tools.middleware.zenoh_config import check_options, reason, session_config
+from edoras_tools.middleware.zenoh_config import reason, session_config
 from edoras_tools.middleware.zenoh_gid import gid
 from edoras_tools.middleware.zenoh_names import NO_TYPE_HASH, Kind, Node, Topic, depth
 from edoras_tools.ros.schema import full_name
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 _WITHOUT_HASH: Final = frozenset({"dashing", "eloquent", "foxy", "galactic", "humble"})
 """Distributions whose definitions have no hash."""
 _HASHES: Final = {"rihs01": True, "none": False}
+_LONELY_S: Final = 3.0
+"""Seconds without anybody to talk to, after which it is told."""
+_LONELY: Final = "no Zenoh router or other peer answers; start a router: ros2 run rmw_zenoh_cpp rmw_zenohd"
 _HEARTBEAT: Final = 0.5
 """Seconds after which a subscription learns of a last message that it missed, as rmw_zenoh has it."""
 
@@ -51,6 +54,7 @@ class ZenohGraph:
         self._own: set[bytes] = set()
         self._closing = Lock()
         self._closed = False
+        self._lonely_at: float | None = time.monotonic() + _LONELY_S
         self._tokens = [session.liveliness().declare_token(node.token)]
         self._entities: list[Any] = []
 
@@ -131,6 +135,13 @@ class ZenohGraph:
 
         return publish
 
+    def notes(self) -> list[str]:
+        """Say once that nobody is there; see ``Graph``."""
+        if self._lonely_at is None or time.monotonic() < self._lonely_at:
+            return []
+        self._lonely_at = None
+        return [] if self.connected else [_LONELY]
+
     def close(self) -> None:
         """Leave the graph; see ``Graph``."""
         with self._closing:
@@ -204,18 +215,14 @@ def open_graph(
         options: see docs/zenoh.md: ``router``, ``mode``, ``listen``, ``config``, ``type_hash``.
 
     Raises:
-        ConfigError: Zenoh is not installed, an option cannot be honoured, or the session cannot be opened.
+        ConfigError: an option cannot be honoured, or the session cannot be opened.
+        ImportError: Zenoh is not installed.
     """
+    import zenoh
+
     options = options or {}
-    try:
-        import zenoh
-    except ImportError as error:
-        raise ConfigError(
-            "--ros zenoh needs eclipse-zenoh; install it with pip install 'edoras-tools[zenoh]'"
-        ) from error
     if domain < 0:
         raise ConfigError(f"zenoh: domain {domain} does not exist; they count from 0")
-    check_options(options)
     wanted = options.get("type_hash", "none" if store.distro in _WITHOUT_HASH else "rihs01")
     if wanted not in _HASHES:
         raise ConfigError(f"zenoh: type_hash {wanted!r} does not exist; write {' or '.join(_HASHES)}")

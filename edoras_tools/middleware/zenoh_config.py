@@ -8,6 +8,7 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.names import unknown_options
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -68,11 +69,7 @@ def check_options(options: Mapping[str, str]) -> None:
     Raises:
         ConfigError: all mistakes at once.
     """
-    mistakes = [
-        f"zenoh: there is no option {name!r}; there are {', '.join(OPTIONS)}"
-        for name in options
-        if name not in OPTIONS
-    ]
+    mistakes = unknown_options("zenoh", options, OPTIONS)
     mode = options.get("mode", _MODES[0])
     if mode not in _MODES:
         mistakes.append(f"zenoh: mode {mode!r} does not exist; write {' or '.join(_MODES)}")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
-from edoras_tools.middleware.names import node_name
+from edoras_tools.middleware.names import dds_name, node_name
 
 if TYPE_CHECKING:
     from edoras_tools.middleware.graph import Qos
@@ -46,8 +46,7 @@ class Topic(NamedTuple):
     @property
     def dds_type(self) -> str:
         """The type as DDS names it, ``geometry_msgs::msg::dds_::Twist_``."""
-        *package, name = self.type.split("/")
-        return "::".join([*package, "dds_", name + "_"])
+        return dds_name(self.type)
 
     def key(self, domain: int) -> str:
         """Return the key expression that messages travel under."""

@@ -6,7 +6,7 @@ import select
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.middleware import open_graph
 from edoras_tools.pipelines.bridge_inbox import Inbox
 from edoras_tools.pipelines.bridge_plan import Wishes
@@ -54,6 +54,7 @@ class Bridges:
 
     Raises:
         CaptureError: no bridge has its port.
+        RouteError: none has a topic that the middleware takes.
         ConfigError: the middleware is absent or refuses.
     """
 
@@ -111,7 +112,7 @@ class Bridges:
             for item in plan.stations:
                 try:
                     start(item)
-                except CaptureError as error:
+                except (CaptureError, RouteError) as error:
                     if item is plan.stations[-1] and not self.stations:
                         raise
                     self._say(f"{item.name} is left out: {error}")

@@ -15,7 +15,7 @@ from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.bridge import describe
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from edoras_tools.mission import Route
     from edoras_tools.pipelines.workbench import Settings
@@ -204,7 +204,7 @@ class _Judge:
         self._topics: dict[str, Route] = {}
         self._claims: dict[tuple[object, ...], Route] = {}
 
-    def takes(self, bridge: Bridge) -> Any:
+    def takes(self, bridge: Bridge) -> Callable[[Route], bool]:
         """Return what tells of a route of a bridge whether it can be bridged."""
         station = StationPlan("", bridge)
 
@@ -246,9 +246,9 @@ def _limited(bridges: list[Bridge], limits: Sequence[str]) -> list[Bridge]:
         ):
             raise ConfigError(f"--max-rate {text}: write 30, /cmd_vel=30,first or all=100")
         if name == "all":
-            bridges = [replace(item, max_rate_total=float(rate)) for item in bridges]
+            bridges = [replace(item, max_rate_total=float(hertz)) for item in bridges]
             continue
-        wish: dict[str, Any] = {"max_rate": float(rate), **({"keep": keep} if keep else {})}
+        wish: dict[str, Any] = {"max_rate": float(hertz), **({"keep": keep} if keep else {})}
         found = 0
         changed = []
         for bridge in bridges:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.errors import CaptureError, EdorasError, RouteError
 from edoras_tools.mission import GroundLink
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.bridge_plan import qos_of, sizes_of
@@ -69,7 +69,8 @@ class Station:
 
     Raises:
         CaptureError: the port is in use.
-        ConfigError: the graph cannot be joined, or takes none of the topics.
+        ConfigError: the graph cannot be joined.
+        RouteError: it takes none of the topics; why is said.
     """
 
     def __init__(
@@ -178,6 +179,7 @@ class Station:
         if now >= self._fold_ns:
             self._fold_ns = now + _FOLD_NS
             self.fold()
+            machine.link.notes += self._graph.notes()
         notes = machine.link.notes
         while notes:
             self._say(f"{self.plan.name}: {notes.pop(0)}")
@@ -225,8 +227,10 @@ class Station:
                 self._say(f"{self.plan.name}: {route.topic} is left out: {error}")
             else:
                 routes.append(route)
-        if not routes and failure is not None:
-            raise failure
+        if failure is not None and not routes:
+            raise RouteError(
+                f"no topic of {self.plan.name} can be joined; the last one: {failure}"
+            ) from failure
         return routes, publish
 
     def _machine(self, routes: list[Route], whole: BridgePlan, wishes: Wishes) -> Bridge:

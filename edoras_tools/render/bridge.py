@@ -92,7 +92,7 @@ def plan(bridges: Sequence[Mapping[str, Any]], ros: str, output: Path | None, wi
         Text.assemble("would bridge to ROS 2 through ", (ros, palette.STRONG), "; nothing was opened")
     ]
     for item in bridges:
-        lines.append(plain(f"{_title(item)}"))
+        lines.append(plain(_title(item)))
         lines.append(build(_PLANNED, item["routes"], width))
     if output:
         lines.append(plain(f"record {output}"))

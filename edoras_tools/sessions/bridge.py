@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 CI_LARGEST: Final = limits.CI_BUFFER
 """Command Ingest cuts a longer packet."""
+_REASONS: Final = 16
 SBN_LARGEST: Final = sbn.LARGEST_PAYLOAD
 
 
@@ -96,7 +97,9 @@ class Traffic:
     refused: dict[str, int] = field(default_factory=dict)
 
     def refuse(self, reason: str) -> None:
-        """Count one that goes no further."""
+        """Count one that goes no further; reasons that hold a message's own bytes are endless."""
+        if reason not in self.refused and len(self.refused) >= _REASONS:
+            reason = "other reasons"
         self.refused[reason] = self.refused.get(reason, 0) + 1
 
 

@@ -34,6 +34,7 @@ _QUIET: Final = frozenset(
 )
 _NOTHING: Final[list[bytes]] = []
 _NO_PACKET: Final = -1
+_MOST_TOLD: Final = 64
 _PATIENCE_NS: Final = 2 * SECOND
 """What cFS wants has been said by then."""
 
@@ -243,15 +244,14 @@ class FlightSession:
             _, _, processor_id, spacecraft_id = _HEADER.unpack_from(data)
             other = sbn.Peer(spacecraft_id, processor_id)
             self._count(f"peer {other}" if len(self.refused) < 16 else "further peers")
-            if len(self._told) < 16:
-                self._tell(f"peer {other} speaks here, the file expects {self.peer}: refused")
+            self._tell(f"peer {other} speaks here, the file expects {self.peer}: refused")
 
     def _count(self, reason: str) -> None:
         self.refused[reason] = self.refused.get(reason, 0) + 1
 
     def _tell(self, text: str) -> None:
         """Say something once."""
-        if text not in self._told:
+        if text not in self._told and len(self._told) < _MOST_TOLD:
             self._told.add(text)
             self.notes.append(text)
 

@@ -5,16 +5,15 @@ import sys
 import pytest
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.middleware import opening
 from edoras_tools.middleware.dds import open_graph
 from edoras_tools.ros import TypeStore
 
 
 def test_without_the_library_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "cyclonedds.internal", None)
-    with pytest.raises(
-        ConfigError, match=r"--ros dds needs cyclonedds; .* pip install 'edoras-tools\[dds\]'"
-    ):
-        open_graph(TypeStore(), "bridge")
+    with pytest.raises(ConfigError, match=r"--ros dds needs an extra .*: pip install 'edoras-tools\[dds\]'"):
+        opening.open_graph("dds", TypeStore(), "bridge")
 
 
 @pytest.mark.parametrize("name", ["", "9lives", "a b", "/", "a//b"])
@@ -24,5 +23,5 @@ def test_a_node_has_a_ros_name(name):
 
 
 def test_an_option_that_does_not_exist_is_refused():
-    with pytest.raises(ConfigError, match="dds: there is no option 'router'"):
+    with pytest.raises(ConfigError, match="--ros dds has no option 'router'"):
         open_graph(TypeStore(), "bridge", options={"router": "tcp/localhost:7447"})

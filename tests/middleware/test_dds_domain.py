@@ -33,7 +33,7 @@ def test_all_mistakes_are_told_at_once():
     with pytest.raises(ConfigError) as caught:
         configuration({"iface": "lo", "multicast": "no"})
     assert caught.value.mistakes == (
-        "dds: there is no option 'iface'; there are interface, peers, multicast",
+        "--ros dds has no option 'iface'; there are interface, peers, multicast",
         "dds: multicast cannot be 'no'; write true or false",
     )
 

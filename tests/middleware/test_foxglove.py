@@ -31,6 +31,7 @@ def graph():
 
 def test_what_is_published_is_shown(graph):
     publish = graph.advertise("/cmd_vel", TWIST, QOS)
+    assert [graph.notes(), graph.notes()] == [[f"Foxglove connects to {graph.url}"], []]
     with peer.Client(graph.url) as client:
         assert client.info["name"] == "bridge"
         told = client.channels["/cmd_vel"]

@@ -27,18 +27,18 @@ def test_a_graph_by_name():
         ("foxglove", "--ros foxglove needs an extra (no such library): pip install 'edoras-tools[live]'"),
         (
             "rclpy",
-            "--ros rclpy needs a ROS 2 that is sourced (no such library); source one, or choose zenoh or dds",
+            "--ros rclpy needs a sourced ROS 2 of Python 3.VERSION (no such library); source its setup.bash",
         ),
     ],
 )
 def test_an_absent_library_is_one_line_that_says_what_to_install(monkeypatch, ros, told):
     def absent(*_arguments, **_options):
-        raise ImportError("no such library")
+        raise ImportError("no such library\nand how to get it")
 
     monkeypatch.setitem(sys.modules, f"edoras_tools.middleware.{ros}", SimpleNamespace(open_graph=absent))
     with pytest.raises(ConfigError) as caught:
         open_graph(ros, TypeStore(), "node")
-    assert str(caught.value) == told
+    assert str(caught.value) == told.replace("VERSION", str(sys.version_info.minor))
 
 
 def test_another_name_is_told():

@@ -279,7 +279,7 @@ def test_without_a_ros_one_line_says_so(store, monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(ConfigError) as caught:
         opening.open_graph("rclpy", store, "bridge")
-    assert str(caught.value).startswith("--ros rclpy needs a sourced ROS 2 of this Python, 3.")
+    assert str(caught.value).startswith("--ros rclpy needs a sourced ROS 2 of Python 3.")
     assert "\n" not in str(caught.value)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from waiting import HOST, PATIENCE_S, free_ports, until
 
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.middleware import Qos
 from edoras_tools.middleware.local import open_graph
 from edoras_tools.pipelines.bridge import Bridges
@@ -298,22 +298,6 @@ def test_250_hz_of_state_reach_cfs_at_the_rate_that_the_file_allows(room):
     assert len(got) == row["out"]
 
 
-def test_the_emulated_cfs_reports_no_loss_where_states_are_limited(room):
-    simulation = room.simulation("two-rovers", sbn_wake_ns=200 * MILLISECOND)
-    limit = ("mid: 0x1829", "mid: 0x1829\n      max_rate: 30")
-    bridges = room.bridges(room.file("two_rovers_flight", limit))
-    until(lambda: bridges.stations[0].machine.link.ready)
-    publish = room.node.advertise("/robot_1/pose", "geometry_msgs/msg/PoseStamped", Qos())
-    cdr = room.store.encode("geometry_msgs/msg/PoseStamped", {})
-    for _ in range(250):
-        publish(cdr)
-        time.sleep(0.004)
-    until(lambda: not routes(bridges)["/robot_1/pose"]["waiting"])
-    assert simulation.cfs.bus.counters.msg_limits == 0
-    told = [text for _, text in simulation.cfs.console if "Limit" in text or "Overflow" in text]
-    assert told == []
-
-
 def test_what_the_file_wants_in_telemetry_output_s_table_is_not_lost_there(room):
     room.simulation("two-rovers", to_wake_ns=200 * MILLISECOND, app_msg_limit=32, app_pipe_depth=64)
     wanted = ("mid: 0x828", "mid: 0x828\n      to_limit: 255")
@@ -363,6 +347,18 @@ def recording_of():
 IN_USE = "another program has that port (a bridge?); stop it, or choose another bridge_port"
 
 
+def test_topics_that_the_graph_refuses_are_told_and_the_other_bridge_goes_on(room):
+    for topic in ("cmd_vel", "pose"):
+        for robot in (1, 2):
+            room.node.advertise(f"/robot_{robot}/ground/{topic}", "geometry_msgs/msg/Pose", Qos())
+    bridges = room.bridges(room.file("two_rovers_ground"), room.file("two_rovers_flight"))
+    assert [item.plan.kind for item in bridges.stations] == ["flight"]
+    assert bridges.notes[0].startswith("conversion_node: /robot_1/ground/cmd_vel is left out: ")
+    (note,) = bridges.notes[4:]
+    assert note.startswith("conversion_node is left out: no topic of conversion_node can be joined; the last")
+    room.socket("1235")
+
+
 def test_a_port_in_use_is_told_and_the_other_bridge_goes_on(room):
     room.socket("1235")
     ground, flight = room.file("two_rovers_ground"), room.file("two_rovers_flight")
@@ -390,7 +386,7 @@ def test_a_topic_that_the_graph_refuses_is_left_out(room):
 def test_no_topic_at_all_is_an_error_and_leaves_nothing_open(room):
     for topic in ("/cmd_vel", "/telemetry_pose"):
         room.node.advertise(topic, "geometry_msgs/msg/Pose", Qos())
-    with pytest.raises(ConfigError, match="in this graph"):
+    with pytest.raises(RouteError, match=r"no topic of conversion_node can be joined; .* in this graph"):
         room.bridges(room.file("rover_ground"), run=False)
     room.socket("1235")
 

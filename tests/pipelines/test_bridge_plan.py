@@ -123,7 +123,7 @@ def test_limits_of_the_command_line_come_before_those_of_the_files(changed):
     ]
     assert handlings(plan(file)) == [(5.0, "first"), (None, None), (None, None), (None, None)]
     assert handlings(plan(file, limits=["30"])) == [(30.0, "first"), (30.0, None), (None, None), (None, None)]
-    found = plan(file, limits=["/robot_2/pose=1.5,latest", "0x82A=2", "twist_cmd_2=3", "all=80"])
+    found = plan(file, limits=["/robot_2/pose=1.5,latest", "0x82A=2", "twist_cmd_2=3", "all=0x50"])
     assert handlings(found) == [(5.0, "first"), (1.5, "latest"), (2.0, None), (3.0, None)]
     assert found.stations[0].bridge.max_rate_total == 80
 

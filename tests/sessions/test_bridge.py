@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from edoras_tools.mission import Handling, Route
 from edoras_tools.model import Link
-from edoras_tools.sessions.bridge import Bridge, Habits
+from edoras_tools.sessions.bridge import Bridge, Habits, Traffic
 from edoras_tools.sessions.bridge_flight import FlightSession
 from edoras_tools.sessions.bridge_ground import GroundSession
 from edoras_tools.sessions.bridge_packets import PacketWriter
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.sessions.profile import MILLISECOND, SECOND, SbnPeerConfig, SimProfile
+from edoras_tools.sim import Simulation
 from edoras_tools.wire import cfe, envelope, sbn
 
 US, CFS = sbn.Peer(0x42, 3), sbn.Peer(0x42, 1)
@@ -213,3 +214,35 @@ def test_every_message_is_somewhere_whatever_comes(steps, kind, rate):
     assert counts(bridge, 1)[1] == published
     packets = [data for data in sent(bridge) if kind == "ground" or data[2] == sbn.MsgType.APP]
     assert len(packets) == counts(bridge, 0)[1]
+
+
+@pytest.mark.parametrize(("max_rate", "hertz"), [(30.0, 30), (None, 250)])
+def test_250_hz_of_state_lose_nothing_in_cfs_only_where_they_are_limited(max_rate, hertz):
+    """An SBN that polls ten times a second, four messages of a MsgId at most in the application's pipe."""
+    state = with_handling(Route("/robot_1/pose", POSE, 0x1829, Link.SBN, "command"), max_rate=max_rate)
+    bridge = flight(state)
+    polls = SimProfile(sbn_peers=(SbnPeerConfig(US, 2236),), sbn_polls=True, sbn_wake_ns=100 * MILLISECOND)
+    simulation = Simulation(polls, "two-rovers", bridges=False)
+    for time_ms in range(12_000):
+        now = time_ms * MILLISECOND
+        for item in simulation.run(now):
+            if item.destination.port == 2236:
+                bridge.receive_datagram(item.payload, now=now)
+        if time_ms >= 2_000 and time_ms % 4 == 0:
+            bridge.hear(0, CDR, now=now)
+        bridge.service(now=now)
+        for datagram in sent(bridge):
+            simulation.feed(now, simulation.cfs.sbn_endpoint, datagram)
+    taken, given_out, *_, refused = counts(bridge, 0)
+    assert (taken, round(given_out / 10), refused) == (2500, hertz, {})
+    told = {text for _, text in simulation.cfs.console if "sender SBN" in text}
+    limit = "EVS Port1 66/1/CFE_SB 17: Msg Limit Err,MsgId 0x1829,pipe EDORAS_APP_PIPE,sender SBN"
+    assert told == (set() if max_rate else {limit})
+
+
+def test_reasons_without_end_are_counted_as_one():
+    traffic = Traffic()
+    for number in range(100):
+        traffic.refuse(f"byte {number}")
+    assert len(traffic.refused) == 17
+    assert (traffic.refused["byte 15"], traffic.refused["other reasons"]) == (1, 84)
