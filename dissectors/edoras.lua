@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 humble.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "acb2febbdb3b43e6"
+local DIGEST = "06af5132141ed2b3"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -25,18 +25,18 @@ D.layouts = {
 				abbreviation = "ccsds_sp.packet_version_number",
 				name = "packet_version_number",
 				start = 0,
-				size = 1,
-				kind = "uint8",
-				mask = 224,
+				size = 2,
+				kind = "uint16",
+				mask = 57344,
 				doc = "always 0 on this link (133.0-B 4.1.3.2)",
 			},
 			{
 				abbreviation = "ccsds_sp.packet_type",
 				name = "packet_type",
 				start = 0,
-				size = 1,
-				kind = "uint8",
-				mask = 16,
+				size = 2,
+				kind = "uint16",
+				mask = 4096,
 				names = {[0] = "telemetry", [1] = "telecommand"},
 				doc = "decides which cFE header follows (133.0-B 4.1.3.3.2)",
 			},
@@ -44,9 +44,9 @@ D.layouts = {
 				abbreviation = "ccsds_sp.secondary_header_flag",
 				name = "secondary_header_flag",
 				start = 0,
-				size = 1,
-				kind = "uint8",
-				mask = 8,
+				size = 2,
+				kind = "uint16",
+				mask = 2048,
 				doc = "set in every cFE packet (133.0-B 4.1.3.3.3)",
 			},
 			{
@@ -63,9 +63,9 @@ D.layouts = {
 				abbreviation = "ccsds_sp.sequence_flags",
 				name = "sequence_flags",
 				start = 2,
-				size = 1,
-				kind = "uint8",
-				mask = 192,
+				size = 2,
+				kind = "uint16",
+				mask = 49152,
 				names = {[0] = "continuation", [1] = "first", [2] = "last", [3] = "unsegmented"},
 				doc = "cFE sends 3, the EDORAS bridges 0 (133.0-B 4.1.3.4.2)",
 			},
@@ -107,18 +107,18 @@ D.layouts = {
 				abbreviation = "cfe.extended.eds_version",
 				name = "eds_version",
 				start = 0,
-				size = 1,
-				kind = "uint8",
-				mask = 248,
+				size = 2,
+				kind = "uint16",
+				mask = 63488,
 				doc = "electronic data sheet version",
 			},
 			{
 				abbreviation = "cfe.extended.endian",
 				name = "endian",
 				start = 0,
-				size = 1,
-				kind = "uint8",
-				mask = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 1024,
 				names = {[0] = "big", [1] = "little"},
 				doc = "payload byte order",
 			},
@@ -126,9 +126,9 @@ D.layouts = {
 				abbreviation = "cfe.extended.playback",
 				name = "playback",
 				start = 0,
-				size = 1,
-				kind = "uint8",
-				mask = 2,
+				size = 2,
+				kind = "uint16",
+				mask = 512,
 				names = {[0] = "original", [1] = "playback"},
 				doc = "a recorded packet sent again",
 			},
@@ -1416,7 +1416,7 @@ end
 -- Small tools that all parts share.
 
 local bit = bit
-local unpack = Struct.unpack
+local unpack, format = Struct.unpack, string.format
 local analysis = {}  -- what the sequence count says of a frame: a gap's size, "duplicate" or "reordered"
 
 -- A text field, cut at its first NUL.
@@ -1535,13 +1535,16 @@ end
 
 -- What Wireshark shows: the protocols, a field for every slot of every layout, and the expert information.
 
-local P = {
-	edoras = EDORAS,
-	ccsds_sp = Proto("ccsds_sp", "CCSDS Space Packet"),
-	cfe = Proto("cfe", "core Flight System"),
-	sbn = Proto("sbn", "Software Bus Network"),
-	ros2cdr = Proto("ros2cdr", "ROS 2 message (CDR)"),
+-- Looked up once: tree:add() and the like search for the method in every call.
+local add, add_le, cut = TreeItem.add, TreeItem.add_le, Tvb.range
+local set_text, set_generated, add_expert = TreeItem.set_text, TreeItem.set_generated, TreeItem.add_proto_expert_info
+
+local TITLES = {
+	ccsds_sp = "CCSDS Space Packet", cfe = "core Flight System", sbn = "Software Bus Network",
+	ros2cdr = "ROS 2 message (CDR)",
 }
+local P = {edoras = EDORAS}
+for name, title in pairs(TITLES) do P[name] = Proto(name, title) end
 local members = {edoras = {}, ccsds_sp = {}, cfe = {}, sbn = {}, ros2cdr = {}}
 local by_name = {}  -- abbreviation to record
 
@@ -1559,6 +1562,30 @@ local function new_field(protocol, abbreviation, kind, ...)
 	return record
 end
 
+-- Make a function that adds some slots of a layout, without a loop: (node, tvb, offset, the datagram's bytes).
+local function adder(layout, slots)
+	local text = {"local add, put, cut, text, fields = ...", "", "return function(node, tvb, at, s)", "local range"}
+	local fields, before = {}, {}
+	for index, slot in ipairs(slots) do
+		fields[index] = slot.record.field
+		text[2] = text[2] .. format("\nlocal field%d = fields[%d]", index, index)
+		if slot.start ~= before.start or slot.size ~= before.size then
+			text[#text + 1] = format("range = cut(tvb, at + %d, %d)", slot.start, slot.size)
+		end
+		if slot.kind == "string" then
+			text[#text + 1] = format(
+				"add(node, field%d, range, text(s, at + %d, at + %d))", index, slot.start + 1, slot.start + slot.size
+			)
+		else
+			text[#text + 1] = format("put(node, field%d, range)", index)
+		end
+		before = slot
+	end
+	text[#text + 1] = "end"
+	local function readable(...) return utf8_text(D.text(...)) end
+	return load(table.concat(text, "\n"))(add, layout.little and add_le or add, cut, readable, fields)
+end
+
 for _, layout in pairs(D.layouts) do
 	for _, slot in ipairs(layout.fields) do
 		if slot.kind == "string" or slot.kind == "bytes" then
@@ -1570,6 +1597,8 @@ for _, layout in pairs(D.layouts) do
 			)
 		end
 	end
+	layout.proto, layout.add_all = P[layout.protocol], adder(layout, layout.fields)
+	if layout.title == TITLES[layout.protocol] then layout.title = nil end  -- Wireshark says so by itself
 end
 
 local F = {
@@ -1621,60 +1650,6 @@ local EXPERT = {
 }
 for _, made in pairs(EXPERT) do table.insert(experts, made) end
 
--- Without a tree for people, only what a filter or a tap refers to is added. What it refers to changes only
--- between passes over the packets, and every pass begins before where the last one ended.
-local asked = {any = false, messages = false, protocols = {}, last = math.huge}
-
-local function look_who_asks(tree, number)
-	if number <= asked.last then
-		asked.any, asked.messages = false, false
-		for name in pairs(P) do
-			asked.protocols[name] = tree:referenced(Dissector.get(name))
-			asked.any = asked.any or asked.protocols[name]
-		end
-		for _, record in ipairs(members) do
-			record.on = tree:referenced(record.field)
-			asked.any = asked.any or record.on
-			asked.messages = asked.messages or (record.on and record.protocol == "ros2cdr")
-		end
-		for _, layout in pairs(D.layouts) do
-			layout.on = asked.protocols[layout.protocol]
-			for _, slot in ipairs(layout.fields) do layout.on = layout.on or slot.record.on end
-		end
-	end
-	asked.last = number
-	return asked.any
-end
-
--- Add a header that starts at an offset; return its tree.
-local function show_layout(tree, layout, tvb, at, visible)
-	if not (visible or layout.on) then return tree end
-	local node = tree:add(P[layout.protocol], tvb(at, layout.size), layout.title)
-	local little = layout.little
-	for _, slot in ipairs(layout.fields) do
-		local record = slot.record
-		if visible or record.on then
-			local range = tvb(at + slot.start, slot.size)
-			if slot.kind == "string" then
-				node:add(record.field, range, utf8_text(D.text(range:raw(), 1, slot.size)))
-			elseif little then
-				node:add_le(record.field, range)
-			else
-				node:add(record.field, range)
-			end
-		end
-	end
-	return node
-end
-
--- Add a value that was not read from bytes.
-local function show_value(node, record, value, visible)
-	if value ~= nil and (visible or record.on) then
-		return node:add(record.field, value):set_generated()
-	end
-	return node
-end
-
 -- Which link a datagram belongs to: by the mission's endpoints, then by port and content. cpu2's CI port equals
 -- TO's destination port (both 1235): a port alone does not tell.
 
@@ -1690,15 +1665,24 @@ local function is_cfs(address)
 	return false
 end
 
+-- Tell whether a datagram is for cFS, or nil where the addresses do not tell.
+local function is_for_cfs(pinfo)
+	if #cfs == 0 then return nil end
+	local to, from = pinfo.dst, pinfo.src
+	if to == from then return nil end
+	local for_cfs = is_cfs(to)
+	if for_cfs == is_cfs(from) then return nil end
+	return for_cfs
+end
+
 -- Return "ci", "to" or "sbn", or nil for none of them.
 local function link_of(pinfo, first_byte)
 	local destination = pinfo.dst_port
 	if ports.sbn[destination] then return "sbn" end
 	local ci, to = ports.ci[destination], ports.to[destination]
-	local command = not first_byte or first_byte % 32 >= 16  -- TO never sends an empty datagram
+	local command
 	if ci and to then
-		local to_cfs, from_cfs = is_cfs(pinfo.dst), is_cfs(pinfo.src)
-		if to_cfs ~= from_cfs then command = to_cfs end
+		command = is_for_cfs(pinfo)
 	elseif ci then
 		return "ci"
 	elseif to then
@@ -1708,6 +1692,9 @@ local function link_of(pinfo, first_byte)
 		if ports.sbn[source] then return "sbn" end
 		if ports.ci[source] or ports.to[source] then return nil end
 		-- "Decode As": no port of ours has a say.
+	end
+	if command == nil then
+		command = not first_byte or first_byte % 32 >= 16  -- TO never sends an empty datagram
 	end
 	return command and "ci" or "to"
 end
@@ -1723,21 +1710,34 @@ local KINDS = {
 local CODES = {
 	["?"] = "B", b = "b", B = "B", h = "i2", H = "I2", i = "i4", I = "I4", q = "e", Q = "E", f = "f", d = "d",
 }
-local MOST_WORDS, MOST_ITEMS = 8, 3  -- what fits in one line
 local MOST_AT_ONCE = 64
+
+local records  -- of the type that is compiled
+
+local function ros_field(abbreviation, kind, ...)
+	local record = new_field("ros2cdr", abbreviation, kind, ...)
+	records[#records + 1] = record
+	return record
+end
 
 local function value_field(abbreviation, name, code, array)
 	if array and code == "B" then
-		return new_field("ros2cdr", abbreviation, "bytes", name)
+		return ros_field(abbreviation, "bytes", name)
 	elseif code == "?" or code == "f" or code == "d" then
-		return new_field("ros2cdr", abbreviation, KINDS[code], name)
+		return ros_field(abbreviation, KINDS[code], name)
 	end
-	return new_field("ros2cdr", abbreviation, KINDS[code], name, base.DEC)
+	return ros_field(abbreviation, KINDS[code], name, base.DEC)
 end
 
 -- A list's number of elements. No ROS field's name begins with an underscore.
 local function count_field(path, name)
-	return new_field("ros2cdr", path .. "._count", "uint32", name .. " items", base.DEC)
+	return ros_field(path .. "._count", "uint32", name .. " items", base.DEC)
+end
+
+-- How a leaf's value is said in a few words, as a format: numbers only, and "nan" has its own spelling.
+local function format_of_words(leaf)
+	if leaf.code == "?" then return leaf.name .. "=True" end
+	return leaf.name .. (leaf.code:find("[fd]") and "=%.6g" or "=%d")
 end
 
 -- Give a run of single values one format for them all.
@@ -1762,17 +1762,18 @@ local function compile(steps, prefix, array)
 				if leaf.count then leaf.counter = count_field(path, leaf.name) end
 				leaf.record = value_field(path, leaf.name ~= "" and leaf.name or path:match("[^.]*$"), leaf.code, many)
 				leaf.little, leaf.big = "<" .. CODES[leaf.code], ">" .. CODES[leaf.code]
-				leaf.said, leaf.in_header = leaf.name .. "=", leaf.name:sub(1, 7) == "header."
+				leaf.field, leaf.form, leaf.in_header = leaf.record.field, format_of_words(leaf), leaf.name:sub(1, 7) == "header."
+				leaf.wide = leaf.code == "q" or leaf.code == "Q"  -- objects, which equal no number
 			end
 			compile_run(step)
 		else
 			local path = prefix .. (step.name ~= "" and "." .. step.name or "")
 			if step.steps then
 				step.counter = count_field(path, step.name ~= "" and step.name or path:match("[^.]*$"))
-				step.item = new_field("ros2cdr", path .. "._item", "none", "Item")
+				step.item = ros_field(path .. "._item", "none", "Item")
 				compile(step.steps, path, true)
 			else
-				step.record = new_field("ros2cdr", path, "string", step.name ~= "" and step.name or path:match("[^.]*$"))
+				step.record = ros_field(path, "string", step.name ~= "" and step.name or path:match("[^.]*$"))
 			end
 		end
 	end
@@ -1780,7 +1781,9 @@ end
 
 for name, kind in pairs(D.types) do
 	local prefix = "ros2." .. name:gsub("/msg/", "."):gsub("/", ".")
-	kind.record = new_field("ros2cdr", prefix, "none", name)
+	kind.records = {}
+	records = kind.records
+	kind.record = ros_field(prefix, "none", name)
 	compile(kind.steps, prefix, false)
 end
 
@@ -1838,6 +1841,10 @@ local function is_message(kind, s, start, stop, big)
 	return p ~= nil and stop + 1 - p <= 3
 end
 
+-- A message in a few words, for the packet list.
+
+local MOST_WORDS, MOST_ITEMS = 8, 3  -- what fits in one line
+
 local function text_value(step, s, p, count, big)
 	if step.width == 1 then
 		return utf8_text(s:sub(p, p + count - 2))
@@ -1849,26 +1856,21 @@ end
 local function short_value(leaf, value)
 	local code = leaf.code
 	if code == "d" or code == "f" then
-		return value ~= value and "nan" or string.format("%.6g", value)
+		return value ~= value and "nan" or format("%.6g", value)
 	elseif code == "?" then
 		return value ~= 0 and "True" or "False"
 	elseif leaf.size == 8 then
 		return tostring(value)
 	end
-	return string.format("%d", value)
+	return format("%d", value)
 end
 
 local function value_at(leaf, s, p, big)
 	return (unpack(big and leaf.big or leaf.little, s, p))
 end
 
--- Tell a zero; -0.0 is one too. 64-bit integers are objects, which equal no number.
-local function is_zero(leaf, value)
-	return value == 0 or ((leaf.code == "q" or leaf.code == "Q") and tostring(value) == "0")
-end
-
 local function listed(items, count)
-	return "[" .. table.concat(items, ", ") .. (count > MOST_ITEMS and string.format(", ... %d", count) or "") .. "]"
+	return "[" .. table.concat(items, ", ") .. (count > MOST_ITEMS and format(", ... %d", count) or "") .. "]"
 end
 
 local function short_numbers(leaf, s, p, count, big)
@@ -1920,19 +1922,22 @@ local function say(name, value)
 	list[#list + 1] = name .. "=" .. value
 end
 
--- Say the single values of a run, decoded at once where they can be.
+-- Say the single values of a run, decoded at once where they can be. A zero is not said; -0.0 is one too.
 local function say_run(run, s, p, big)
 	local values = run.little and {unpack(big and run.big or run.little, s, p)}
 	local leaves = run.leaves
 	for index = 1, #leaves do
-		local leaf, value = leaves[index], values and values[index]
+		local leaf = leaves[index]
 		if leaf.count then
 			say(leaf.name, short_numbers(leaf, s, p + leaf.offset, leaf.count, big))
 		elseif not leaf.hidden then
-			if not values then value = value_at(leaf, s, p + leaf.offset, big) end
-			if not is_zero(leaf, value) then
+			local value = values and values[index] or value_at(leaf, s, p + leaf.offset, big)
+			if leaf.wide or value ~= value then
+				value = short_value(leaf, value)
+				if value ~= "0" then say(leaf.name, value) end
+			elseif value ~= 0 then
 				local list = leaf.in_header and header or words
-				list[#list + 1] = leaf.said .. short_value(leaf, value)
+				list[#list + 1] = format(leaf.form, value)
 			end
 		end
 	end
@@ -1974,90 +1979,6 @@ function short_message(steps, s, p, start, big, whole)
 	return table.concat(told, " ", 1, MOST_WORDS) .. " ...", p
 end
 
-local function show_number(node, leaf, tvb, p, big)
-	local range = tvb(p - 1, leaf.size)
-	if big then
-		node:add(leaf.record.field, range)
-	else
-		node:add_le(leaf.record.field, range)
-	end
-end
-
--- Add the node of a list; return it, or its parent where nobody asks for it.
-local function show_count(node, counter, range, name, count, visible)
-	if not (visible or counter.on) then return node end
-	local list = node:add(counter.field, range, count)
-	if visible then list:set_text(string.format("%s: %d items", name, count)) end
-	return list
-end
-
-local function show_numbers(node, leaf, counter, tvb, p, count, big, name, visible)
-	local range = tvb(p - 1, count * leaf.size)
-	if leaf.code == "B" then
-		if visible or leaf.record.on then node:add(leaf.record.field, range) end
-		return
-	end
-	node = show_count(node, counter, range, name, count, visible)
-	if not (visible or leaf.record.on) then return end
-	for index = 0, count - 1 do
-		show_number(node, leaf, tvb, p + index * leaf.size, big)
-	end
-end
-
-local show_steps
-
-local function show_list(node, step, tvb, s, p, start, big, visible)
-	local from, count = p, step.count
-	if not count then count, p = count_at(s, p, start, big) end
-	if step.element and count > 0 then
-		local leaf = step.steps[1].leaves[1]
-		p = p + (start - p) % leaf.size
-		show_numbers(node, leaf, step.counter, tvb, p, count, big, step.name, visible)
-		return p + count * leaf.size
-	end
-	local stop = visible and check({step}, s, from, start, #s, big) or p
-	local list = show_count(node, step.counter, tvb(from - 1, stop - from), step.name, count, visible)
-	for index = 0, count - 1 do
-		local item = list
-		if (visible or step.item.on) and not step.unnamed then
-			stop = visible and check(step.steps, s, p, start, #s, big) or p
-			item = list:add(step.item.field, tvb(p - 1, stop - p))
-			if visible then item:set_text(string.format("%s[%d]", step.name, index)) end
-		end
-		p = show_steps(item, step.steps, tvb, s, p, start, big, visible)
-	end
-	return p
-end
-
--- Add every value of a valid message; return where it ends.
-function show_steps(node, steps, tvb, s, p, start, big, visible)
-	for index = 1, #steps do
-		local step = steps[index]
-		if step.leaves then
-			p = p + (start - p) % step.alignment
-			for place = 1, #step.leaves do
-				local leaf = step.leaves[place]
-				if leaf.count then
-					show_numbers(node, leaf, leaf.counter, tvb, p + leaf.offset, leaf.count, big, leaf.name, visible)
-				elseif visible or leaf.record.on then
-					show_number(node, leaf, tvb, p + leaf.offset, big)
-				end
-			end
-			p = p + step.size
-		elseif step.steps then
-			p = show_list(node, step, tvb, s, p, start, big, visible)
-		else
-			local from, length = p + (start - p) % 4, nil
-			length, p = count_at(s, p, start, big)
-			if visible or step.record.on then
-				local range = tvb(from - 1, 4 + length * step.width)
-				node:add(step.record.field, range, text_value(step, s, p, length, big))
-			end
-			p = p + length * step.width
-		end
-	end
-	return p
-end
 
 -- Sequence counts, followed as edoras_tools.sessions.sequence does: one stream may carry several senders that
 -- count each for themselves, so it is followed as strands, and a packet belongs to the strand that it continues.
@@ -2068,7 +1989,7 @@ local FORWARD = MODULUS / 2  -- a step of half the range or more is a step back
 local MOST_STRANDS = 8
 
 local function continued(strands, count)
-	for index = 1, #strands do
+	for index = 1, #strands do  -- the first, almost always
 		if (strands[index].last + 1) % MODULUS == count then return index end
 	end
 	return nil
@@ -2146,12 +2067,13 @@ for _, pair in ipairs(D.identities) do
 	identities[pair[2]][pair[1]] = true
 end
 
-local function begin(s, link, pinfo)
+-- `listed` tells whether anybody sees the columns.
+local function begin(s, link, pinfo, number, listed)
 	W.serial = W.serial + 1
-	W.s, W.link, W.pinfo, W.number = s, link, pinfo, pinfo.number
-	W.layers, W.findings = 0, 0
-	W.stop, W.kind, W.msg_id, W.code, W.route, W.message, W.envelope = nil, nil, nil, nil, nil, nil, nil
-	W.padding, W.entries, W.summary, W.time, W.processor, W.bare = nil, 0, nil, nil, 0, false
+	W.s, W.link, W.pinfo, W.number, W.listed = s, link, pinfo, number, listed
+	W.layers, W.findings, W.entries, W.processor, W.bare = 0, 0, 0, 0, false
+	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
+	W.route, W.message, W.envelope, W.padding, W.name = nil, nil, nil, nil, nil
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -2180,7 +2102,7 @@ end
 -- Note that a header is cut. Offsets count from the datagram's first byte, from 0.
 local function truncated(name, at, need)
 	note("truncated")
-	W.stop = string.format("%s at byte %d needs %d bytes, %d are there", name, at, need, math.max(0, #W.s - at))
+	W.stop = format("%s at byte %d needs %d bytes, %d are there", name, at, need, math.max(0, #W.s - at))
 end
 
 -- Take a header that must be whole; tell whether it is.
@@ -2210,13 +2132,16 @@ local function is_legacy(s)
 	return size == 0
 end
 
+local source, source_text  -- the last address: most datagrams come from where the one before did
+
 -- Return what is known of the endpoint that a datagram came from: a table in `places`, by address and port.
 local function sender(places)
-	local address, port = tostring(W.pinfo.src), W.pinfo.src_port
-	local place = places[address]
+	local address, port = W.pinfo.src, W.pinfo.src_port
+	if address ~= source then source, source_text = address, tostring(address) end
+	local place = places[source_text]
 	if not place then
 		place = {}
-		places[address] = place
+		places[source_text] = place
 	end
 	return place, port
 end
@@ -2246,12 +2171,13 @@ local function subscriptions(at)
 	local first = at + L.subscriptions.size
 	local size = L.subscription.size
 	W.entries = math.min(count, math.floor((#s - first) / size))
-	local some = {}
-	for index = 0, math.min(W.entries, 3) - 1 do
-		some[index + 1] = string.format("0x%04x", (read.subscription(s, first + index * size + 1)))
+	if W.listed then
+		local some = {}
+		for index = 0, math.min(W.entries, 3) - 1 do
+			some[index + 1] = format("0x%04x", (read.subscription(s, first + index * size + 1)))
+		end
+		W.summary = table.concat(some, ", ") .. (W.entries > 3 and format(" and %d more", W.entries - 3) or "")
 	end
-	local more = W.entries > 3 and string.format(" and %d more", W.entries - 3) or ""
-	W.summary = table.concat(some, ", ") .. more
 	if #s - first < count * size then truncated(L.subscription.name, first, count * size) end
 end
 
@@ -2272,7 +2198,7 @@ local function software_bus_network(s)
 		size, kind, processor, spacecraft = read.sbn(s, 1)
 	end
 	local known, payload = D.sbn.names[kind], #s - layout.size
-	W.kind, W.processor = known or string.format("0x%02x", kind), processor
+	W.kind, W.processor = known or format("0x%02x", kind), processor
 	if size ~= payload then note("sbn_size_mismatch") end
 	if not known then note("sbn_unknown_type") end
 	if kind == D.sbn.NO_MSG then note("sbn_no_message") end
@@ -2282,21 +2208,33 @@ local function software_bus_network(s)
 		subscriptions(layout.size)
 	elseif kind == D.sbn.PROTO and take(L.proto, layout.size) then
 		local version = read.proto(s, layout.size + 1)
-		W.summary = string.format("protocol version %d", version)
+		W.summary = format("protocol version %d", version)
 		if version ~= D.sbn.version then note("sbn_version_mismatch") end
 	end
-	local from = legacy and string.format("from ?:%d", processor) or string.format("from %d:%d", spacecraft, processor)
-	W.summary = (W.summary and W.summary ~= "") and W.summary .. " " .. from or from
+	if W.listed then
+		local from = legacy and format("from ?:%d", processor) or format("from %d:%d", spacecraft, processor)
+		W.summary = (W.summary and W.summary ~= "") and W.summary .. " " .. from or from
+	end
 	return nil
 end
 
 -- Space packets: the primary header, cFE's headers, what cFE itself sends, and the EDORAS envelope.
 
 local routes = D.routes
-local settings = {extended = D.extended_header, telemetry_header = D.telemetry_header}
-for _, format in ipairs(D.formats) do
-	format.read = read[string.format("envelope_%d_%s", format.width, format.little and "little" or "big")]
-	format.size = 2 * format.width
+local settings = {}
+
+-- Take what the preferences say of the headers; all the rest follows from it.
+local function settle(extended, short)
+	local layout = short and L.telemetry_short or L.telemetry
+	settings.extra = extended and L.extended.size or 0
+	settings.command_header = L.ccsds.size + L.command.size + settings.extra
+	settings.telemetry_header = L.ccsds.size + layout.size + settings.extra
+	settings.telemetry, settings.read_time = layout, read[short and "telemetry_short" or "telemetry"]
+end
+settle(D.extended_header, D.telemetry_header == L.ccsds.size + L.telemetry_short.size)
+for _, form in ipairs(D.formats) do
+	form.read = read[format("envelope_%d_%s", form.width, form.little and "little" or "big")]
+	form.size = 2 * form.width
 end
 for _, route in ipairs(routes) do
 	route.format = D.formats[route.format]  -- nil where the bytes shall tell
@@ -2357,29 +2295,29 @@ end
 
 -- Tell the envelope's format from the bytes: its lengths hold, and an encapsulation follows.
 local function detect(s, at)
-	for _, format in ipairs(D.formats) do
-		local start = at + format.size
+	for _, form in ipairs(D.formats) do
+		local start = at + form.size
 		if #s >= start + 4 then
-			local length, capacity = format.read(s, at + 1)
+			local length, capacity = form.read(s, at + 1)
 			if length >= 4 and length <= capacity and length <= #s - start
 				and s:find("^\0[\0\1]\0\0", start + 1) then
-				return format
+				return form
 			end
 		end
 	end
 	return nil
 end
 
-local function format_of(route, at)
+local function envelope_format(route, at)
 	return route.format or detect(W.s, at) or D.formats[1]
 end
 
 -- Tell whether the bytes hold a whole message of a route.
 local function suits(route, at)
-	local format, s = format_of(route, at), W.s
-	local start = at + format.size
+	local form, s = envelope_format(route, at), W.s
+	local start = at + form.size
 	if #s < start + 4 then return false end
-	local length = format.read(s, at + 1)
+	local length = form.read(s, at + 1)
 	local representation = length >= 4 and length <= #s - start and read.cdr(s, start + 1) or 2
 	return representation <= 1 and route.kind ~= nil
 		and is_message(route.kind, s, start + L.cdr.size + 1, start + length, representation == 0)
@@ -2394,20 +2332,20 @@ local function envelope(claims, at)
 			break
 		end
 	end
-	local format = format_of(route, at)
+	local form = envelope_format(route, at)
 	W.route = route
-	if #s - at < format.size then return truncated("edoras", at, format.size) end
-	local length, capacity = format.read(s, at + 1)
-	local start = at + format.size
+	if #s - at < form.size then return truncated("edoras", at, form.size) end
+	local length, capacity = form.read(s, at + 1)
+	local start = at + form.size
 	local space = #s - start
-	W.envelope, W.format = at, format
+	W.envelope, W.form = at, form
 	if length > space or capacity < length then note("envelope_overrun") end
 	if length > space then
-		W.stop = string.format("cdr at byte %d needs %.0f bytes, %d are there", start, length, space)
+		W.stop = format("cdr at byte %d needs %.0f bytes, %d are there", start, length, space)
 		return
 	elseif length < L.cdr.size then
 		note("cdr_invalid")
-		W.stop = string.format("cdr at byte %d needs %d bytes, %d are there", start, L.cdr.size, length)
+		W.stop = format("cdr at byte %d needs %d bytes, %d are there", start, L.cdr.size, length)
 		return
 	end
 	local stop = start + length
@@ -2419,7 +2357,7 @@ local function envelope(claims, at)
 	if representation == 0 then note("cdr_big_endian") end
 	if representation > 1 then
 		note("cdr_invalid")
-		W.stop = string.format("cdr at byte %d has representation 0x%04x; CDR is 0x0000 or 0x0001", start, representation)
+		W.stop = format("cdr at byte %d has representation 0x%04x; CDR is 0x0000 or 0x0001", start, representation)
 		return
 	end
 	local kind = route.kind
@@ -2427,10 +2365,10 @@ local function envelope(claims, at)
 	W.big = representation == 0
 	if proven or is_message(kind, s, W.body + 1, stop, W.big) then
 		W.message = kind
-		W.summary = short_message(kind.steps, s, W.body + 1, W.body + 1, W.big)
+		if W.listed then W.summary = short_message(kind.steps, s, W.body + 1, W.body + 1, W.big) end
 	else
 		note("cdr_invalid")
-		W.stop = string.format("cdr at byte %d does not decode as %s", start, route.type)
+		W.stop = format("cdr at byte %d does not decode as %s", start, route.type)
 	end
 end
 
@@ -2445,13 +2383,15 @@ local function payload(msg_id, start, header, code)
 		if code ~= 0 then note("header_only") end
 	elseif msg_id == D.msg_id.event and #s - at >= L.event.size then
 		add_layer(L.event, at)
+		if not W.listed then return end
 		local id, _, _, _, app, message = read.event(s, at + 1)
-		W.summary = string.format("%s %d: %s", utf8_text(app), id, utf8_text(message))
+		W.summary = format("%s %d: %s", utf8_text(app), id, utf8_text(message))
 	elseif msg_id == D.msg_id.software_bus and #s - at >= L.software_bus.size then
 		add_layer(L.software_bus, at)
+		if not W.listed then return end
 		local values = {read.software_bus(s, at + 1)}
 		local place = L.software_bus.place
-		W.summary = string.format(
+		W.summary = format(
 			"pipe overflow %d, message limit %d, no subscribers %d", values[place.pipe_overflow_error_counter],
 			values[place.message_limit_error_counter], values[place.no_subscribers_counter]
 		)
@@ -2464,7 +2404,7 @@ local function space_packet(start)
 	if not take(L.ccsds, start) then return end
 	local version, kind, secondary, apid, flags, count, data_length = read.ccsds(s, start + 1)
 	local msg_id = version * 8192 + kind * 4096 + secondary * 2048 + apid
-	local extra = settings.extended and L.extended.size or 0
+	local extra = settings.extra
 	local is_command, total = kind == 1, data_length + D.limits.length_bias
 	local after = start + L.ccsds.size
 	if extra > 0 and length >= L.ccsds.size + extra then
@@ -2487,9 +2427,9 @@ local function space_packet(start)
 	end
 	if (W.link == "ci" and not is_command) or (W.link == "to" and is_command) then note("wrong_direction") end
 
-	local as_command = L.ccsds.size + L.command.size + extra
+	local as_command = settings.command_header
 	local bare = not is_command and length == as_command and total == length
-	local header = (is_command or bare) and as_command or settings.telemetry_header + extra
+	local header = (is_command or bare) and as_command or settings.telemetry_header
 	W.bare = bare
 	if bare then note("header_only") end
 	if extra > 0 and length >= L.ccsds.size + extra then add_layer(L.extended, after) end
@@ -2502,10 +2442,8 @@ local function space_packet(start)
 		local _
 		_, code, sent = read.command(s, at + 1)
 	else
-		local short = settings.telemetry_header == L.ccsds.size + L.telemetry_short.size
-		local layout = short and L.telemetry_short or L.telemetry
-		add_layer(layout, at)
-		local seconds, subseconds = read[short and "telemetry_short" or "telemetry"](s, at + 1)
+		add_layer(settings.telemetry, at)
+		local seconds, subseconds = settings.read_time(s, at + 1)
 		W.time = seconds + subseconds / 65536
 	end
 	if is_command then
@@ -2513,6 +2451,161 @@ local function space_packet(start)
 		command(msg_id, code, sent, start, math.min(length, total), extra)
 	end
 	if not bare then payload(msg_id, start, header, code) end
+end
+
+-- Adding to the tree, which is what costs most: as few calls and ranges as can be.
+
+-- Without a tree for people, only what a filter or a tap refers to is added. What tshark refers to changes only
+-- between passes over the packets, and every pass begins before where the last one ended. Wireshark draws single
+-- packets amid a pass: it is asked about every packet, and given all fields of one that anything refers to.
+local asked = {any = false, protocols = {}, last = math.huge}
+local interactive = gui_enabled()
+
+local function look_for_protocols(tree)
+	local any = false
+	for name in pairs(P) do
+		local refers = tree:referenced(Dissector.get(name))
+		asked.protocols[name] = refers
+		any = any or refers
+	end
+	return any
+end
+
+local function look_for_fields(tree)
+	for _, record in ipairs(members) do record.on = tree:referenced(record.field) end
+	for _, layout in pairs(D.layouts) do
+		local slots = {}
+		for _, slot in ipairs(layout.fields) do
+			if slot.record.on then slots[#slots + 1] = slot end
+		end
+		layout.add_asked = adder(layout, slots)
+		layout.on = asked.protocols[layout.protocol]
+	end
+	for _, kind in pairs(D.types) do
+		kind.on = kind.record.on
+		for _, record in ipairs(kind.records) do kind.on = kind.on or record.on end
+	end
+end
+
+-- Tell what of a packet shall be added: "all", "some" or nil.
+local function look_who_asks(tree, number)
+	if tree.visible then return "all" end
+	if interactive then return look_for_protocols(tree) and "all" or nil end
+	if number <= asked.last then
+		asked.any = look_for_protocols(tree)
+		if asked.any then look_for_fields(tree) end
+	end
+	asked.last = number
+	return asked.any and "some" or nil
+end
+
+-- There are no columns where nobody sees them, as in tshark's trees and fields. As above, tshark does not change
+-- its mind amid a pass; passes for trees and for lists are told apart.
+local passes = {[true] = {last = math.huge}, [false] = {last = math.huge}}  -- by whether the tree is for people
+
+local function has_columns(pinfo, visible, number)
+	local pass = passes[visible]
+	if number <= pass.last then pass.columns = interactive or tostring(pinfo.cols.info) ~= "(info)" end
+	pass.last = number
+	return pass.columns
+end
+
+-- Add a header that starts at an offset; return its tree.
+local function show_layout(tree, layout, tvb, at, visible)
+	if not (visible or layout.on) then return tree end
+	local bytes = cut(tvb, at, layout.size)
+	local node = layout.title and add(tree, layout.proto, bytes, layout.title) or add(tree, layout.proto, bytes)
+	local add_slots = visible and layout.add_all or layout.add_asked
+	add_slots(node, tvb, at, W.s)
+	return node
+end
+
+-- Add a value that was not read from bytes; return it, or its parent where nobody asks for it.
+local function show_value(node, record, value, visible)
+	if not (visible or record.on) then return node end
+	local item = add(node, record.field, value)
+	set_generated(item)
+	return item
+end
+
+-- A message in the tree: every value with its bytes.
+
+-- Add the node of a list; return it, or its parent where nobody asks for it.
+local function show_count(node, counter, range, name, count, visible)
+	if not (visible or counter.on) then return node end
+	local list = add(node, counter.field, range, count)
+	if visible then set_text(list, format("%s: %d items", name, count)) end
+	return list
+end
+
+local function show_numbers(node, leaf, counter, tvb, p, count, big, name, visible)
+	local range = cut(tvb, p - 1, count * leaf.size)
+	if leaf.code == "B" then
+		if visible or leaf.record.on then add(node, leaf.field, range) end
+		return
+	end
+	node = show_count(node, counter, range, name, count, visible)
+	if not (visible or leaf.record.on) then return end
+	local put, size = big and add or add_le, leaf.size
+	for index = 0, count - 1 do
+		put(node, leaf.field, cut(tvb, p + index * size - 1, size))
+	end
+end
+
+local show_steps
+
+local function show_list(node, step, tvb, s, p, start, big, visible)
+	local from, count = p, step.count
+	if not count then count, p = count_at(s, p, start, big) end
+	if step.element and count > 0 then
+		local leaf = step.steps[1].leaves[1]
+		p = p + (start - p) % leaf.size
+		show_numbers(node, leaf, step.counter, tvb, p, count, big, step.name, visible)
+		return p + count * leaf.size
+	end
+	local stop = visible and check({step}, s, from, start, #s, big) or p
+	local list = show_count(node, step.counter, cut(tvb, from - 1, stop - from), step.name, count, visible)
+	for index = 0, count - 1 do
+		local item = list
+		if (visible or step.item.on) and not step.unnamed then
+			stop = visible and check(step.steps, s, p, start, #s, big) or p
+			item = add(list, step.item.field, cut(tvb, p - 1, stop - p))
+			if visible then set_text(item, format("%s[%d]", step.name, index)) end
+		end
+		p = show_steps(item, step.steps, tvb, s, p, start, big, visible)
+	end
+	return p
+end
+
+-- Add every value of a valid message; return where it ends.
+function show_steps(node, steps, tvb, s, p, start, big, visible)
+	for index = 1, #steps do
+		local step = steps[index]
+		if step.leaves then
+			p = p + (start - p) % step.alignment
+			local leaves, put = step.leaves, big and add or add_le
+			for place = 1, #leaves do
+				local leaf = leaves[place]
+				if leaf.count then
+					show_numbers(node, leaf, leaf.counter, tvb, p + leaf.offset, leaf.count, big, leaf.name, visible)
+				elseif visible or leaf.record.on then
+					put(node, leaf.field, cut(tvb, p + leaf.offset - 1, leaf.size))
+				end
+			end
+			p = p + step.size
+		elseif step.steps then
+			p = show_list(node, step, tvb, s, p, start, big, visible)
+		else
+			local from, length = p + (start - p) % 4, nil
+			length, p = count_at(s, p, start, big)
+			if visible or step.record.on then
+				local range = cut(tvb, from - 1, 4 + length * step.width)
+				add(node, step.record.field, range, text_value(step, s, p, length, big))
+			end
+			p = p + length * step.width
+		end
+	end
+	return p
 end
 
 -- The dissector itself: read a datagram, fill the columns, and add to the tree what is asked for.
@@ -2541,8 +2634,7 @@ local function register_ports()
 		for port in pairs(ports[link]) do registered[port] = true end
 	end
 	for port in pairs(registered) do udp:add(port, edoras) end
-	settings.extended = edoras.prefs.extended_header
-	settings.telemetry_header = edoras.prefs.short_telemetry_header and 12 or 16
+	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header)
 end
 
 function edoras.prefs_changed()
@@ -2551,7 +2643,7 @@ end
 
 function edoras.init()
 	peers, sequences, analysis = {}, {}, {}
-	asked.last = math.huge
+	asked.last, passes[true].last, passes[false].last = math.huge, math.huge, math.huge
 end
 
 -- Forget what a datagram that the capture cut cannot be blamed for.
@@ -2570,10 +2662,10 @@ end
 
 -- What people would say of a packet of which nothing more is known.
 local function said_of(msg_id)
-	if not msg_id then return W.stop or string.format("%d bytes", #W.s) end
+	if not msg_id then return W.stop or format("%d bytes", #W.s) end
 	if W.code then
 		local known = (D.commands[msg_id] or {})[W.code]
-		return string.format("function code %d", W.code) .. (known and " " .. known.name or "")
+		return format("function code %d", W.code) .. (known and " " .. known.name or "")
 	end
 	return W.bare and "header only" or D.msg_id_names[msg_id] or ""
 end
@@ -2597,28 +2689,36 @@ end
 
 local function info()
 	local msg_id, head = W.msg_id, W.kind
-	local told = printable(W.summary or said_of(msg_id))
+	local told = W.summary and printable(W.summary) or said_of(msg_id)
 	if msg_id then
+		W.name = name_of(msg_id)
 		local name = W.message and W.route.topic or W.name
 		if told == name then told = "" end
-		head = string.format(name == "" and "%s 0x%04x" or "%s 0x%04x %s", head, msg_id, name)
+		head = format(name == "" and "%s 0x%04x" or "%s 0x%04x %s", head, msg_id, name)
 	end
 	if W.findings > 0 then told = badges() .. told end
 	local text = (not head and told) or (told == "" and head) or head .. "  " .. told
 	local missing = analysis[W.number]
 	if missing then
-		text = text .. (type(missing) == "number" and string.format("  [gap of %d]", missing) or "  [" .. missing .. "]")
+		text = text .. (type(missing) == "number" and format("  [gap of %d]", missing) or "  [" .. missing .. "]")
 	end
 	return text
 end
 
+local LENGTHS = {F.buffer_length, F.buffer_capacity}
+
 local function show_envelope(tree, tvb, visible)
-	local at, size = W.envelope, W.format.width
-	local node = tree:add(edoras, tvb(at, 2 * size), "EDORAS Envelope")
-	for index, record in ipairs({F.buffer_length, F.buffer_capacity}) do
+	local at, size, form = W.envelope, W.form.width, W.form
+	local node = add(tree, edoras, cut(tvb, at, 2 * size), "EDORAS Envelope")
+	for index = 1, 2 do
+		local record = LENGTHS[index]
 		if visible or record.on then
-			local range = tvb(at + (index - 1) * size, size)
-			node:add(record.field, range, W.format.little and range:le_uint64() or range:uint64())
+			local range = cut(tvb, at + (index - 1) * size, size)
+			if size == 8 then
+				(form.little and add_le or add)(node, record.field, range)
+			else
+				add(node, record.field, range, form.little and range:le_uint64() or range:uint64())
+			end
 		end
 	end
 	return node
@@ -2628,85 +2728,99 @@ local function show_message(tree, tvb, visible)
 	local at, size, kind = W.body, W.body_end - W.body, W.message
 	local record = kind and kind.record or F.body
 	local node = tree
-	if size > 0 and (visible or record.on) then node = tree:add(record.field, tvb(at, size)) end
-	if kind then show_steps(node, kind.steps, tvb, W.s, at + 1, at + 1, W.big, visible) end
+	if size > 0 and (visible or record.on) then node = add(tree, record.field, cut(tvb, at, size)) end
+	if kind and (visible or kind.on) then show_steps(node, kind.steps, tvb, W.s, at + 1, at + 1, W.big, visible) end
 end
 
 local function show_findings(node, visible)
 	for index = 1, W.findings do
 		local finding = D.findings[W.found[index]]
-		show_value(node, F.finding, finding.label, visible):add_proto_expert_info(finding.expert)
+		add_expert(show_value(node, F.finding, finding.label, visible), finding.expert)
 	end
 	local missing = analysis[W.number]
 	if missing then
 		local kind = type(missing) == "number" and "gap" or missing
-		show_value(node, F[kind], kind == "gap" and missing or true, visible):add_proto_expert_info(EXPERT[kind])
+		add_expert(show_value(node, F[kind], kind == "gap" and missing or true, visible), EXPERT[kind])
 	end
 end
 
 local function show_facts(node, visible)
 	show_value(node, F.link, W.link, visible)
-	show_value(node, F.msg_id, W.msg_id, visible)
-	if W.msg_id then
-		show_value(node, F.name, W.name ~= "" and W.name or nil, visible)
-		local known = W.code and (D.commands[W.msg_id] or (D.any_link[W.msg_id] and D.route_commands) or {})[W.code]
-		show_value(node, F.command, known and known.name, visible)
+	local msg_id = W.msg_id
+	if msg_id then
+		show_value(node, F.msg_id, msg_id, visible)
+		local name = W.name or name_of(msg_id)
+		if name ~= "" then show_value(node, F.name, name, visible) end
+		local code = W.code
+		if code then
+			local known = (D.commands[msg_id] or (D.any_link[msg_id] and D.route_commands) or {})[code]
+			if known then show_value(node, F.command, known.name, visible) end
+		end
 	end
-	if W.route then
-		show_value(node, F.topic, W.route.topic, visible)
-		show_value(node, F.type, W.route.type, visible)
+	local route = W.route
+	if route then
+		show_value(node, F.topic, route.topic, visible)
+		show_value(node, F.type, route.type, visible)
 	end
-	show_value(node, F.mission_time, W.time, visible)
-	show_value(node, F.stop, W.stop, visible)
+	if W.time then show_value(node, F.mission_time, W.time, visible) end
+	if W.stop then show_value(node, F.stop, W.stop, visible) end
 end
 
--- Add every layer, outermost first.
+-- Add every layer, outermost first; return where findings belong.
 local function show(tree, tvb, visible)
-	local node
+	local ours, node = visible or asked.protocols.edoras, tree
 	for index = 1, W.layers do
 		local layout, at = W.layer[index], W.at[index]
-		if layout == L.cdr then node = show_envelope(tree, tvb, visible) end
+		if layout == L.cdr and ours then node = show_envelope(tree, tvb, visible) end
 		local header = show_layout(tree, layout, tvb, at, visible)
 		if layout == L.subscriptions then
 			for entry = 0, W.entries - 1 do
 				show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
 			end
 		elseif layout == L.cdr then
-			if visible or asked.messages then show_message(header, tvb, visible) end
+			if visible or layout.on then show_message(header, tvb, visible) end
 		end
 	end
-	if not node and W.envelope then node = show_envelope(tree, tvb, visible) end
-	if not node then
-		node = tree:add(edoras, tvb(0, 0), "EDORAS")
-		node:set_generated()
+	if not ours then return tree end
+	if node == tree then
+		if W.envelope then
+			node = show_envelope(tree, tvb, visible)
+		else
+			node = add(tree, edoras, cut(tvb, 0, 0))
+			set_generated(node)
+		end
 	end
 	if W.padding and (visible or F.padding.on) then
-		node:add(F.padding.field, tvb(W.padding, #W.s - W.padding))
+		add(node, F.padding.field, cut(tvb, W.padding, #W.s - W.padding))
 	end
 	show_facts(node, visible)
 	return node
 end
 
+local reported_len, captured_len, raw = Tvb.reported_len, Tvb.captured_len, Tvb.raw
+
 local function dissect(tvb, pinfo, tree)
 	if pinfo.in_error_pkt then return 0 end  -- what an ICMP error quotes was not sent again
-	local s = tvb:len() > 0 and tvb:raw() or ""
+	local s = captured_len(tvb) > 0 and raw(tvb) or ""
 	local link = link_of(pinfo, byte(s))
 	if not link then return 0 end
-	begin(s, link, pinfo)
+	local number = pinfo.number
+	local wanted = look_who_asks(tree, number)
+	local visible = wanted == "all"
+	begin(s, link, pinfo, number, has_columns(pinfo, visible, number))
 	if link == "ci" and #s > D.limits.ci_buffer then note("over_ci_buffer") end
 	if link == "to" and #s > D.limits.bridge_buffer then note("over_bridge_buffer") end
 	local start = 0
 	if link == "sbn" then start = software_bus_network(s) end
 	if start then space_packet(start) end
-	if W.msg_id then W.name = name_of(W.msg_id) end
-	if tvb:reported_len() > #s then forgive() end
+	if reported_len(tvb) > #s then forgive() end
 
-	local columns = pinfo.cols
-	columns.protocol = PROTOCOL[link]
-	columns.info = info()
-	local visible, node = tree.visible, tree
-	if visible or look_who_asks(tree, W.number) then node = show(tree, tvb, visible) end
-	show_findings(node, visible)
+	if W.listed then
+		local columns = pinfo.cols
+		columns.protocol = PROTOCOL[link]
+		columns.info = info()
+	end
+	show_findings(wanted and show(tree, tvb, visible) or tree, visible)
 	return #s
 end
 

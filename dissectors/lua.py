@@ -45,7 +45,10 @@ LAYOUTS: Final[dict[str, tuple[Layout, Place]]] = {
 }
 """Every header, by what the engine calls it; the envelopes are added for each of their formats."""
 
-ENGINE: Final = ("base", "fields", "links", "cdr", "sequence", "network", "packet", "dissector")
+ENGINE: Final = (
+    *("base", "fields", "links", "cdr", "words", "sequence", "network", "packet", "show", "message"),
+    "dissector",
+)
 """The parts of the engine, in the order in which they need each other."""
 GUARD: Final = "EDORAS_LUA"
 """The environment variable that names the one digest that may load, where several copies are installed."""
@@ -229,22 +232,40 @@ def _layout(layout: Layout, place: Place) -> dict[str, Any]:
         "title": layout.title,
         "size": layout.size,
         "little": layout.byte_order == "little" or None,
-        "fields": [_field(slot, place.prefix) for slot in layout.slots],
+        "fields": [_field(slot, _word(layout, slot), place.prefix) for slot in layout.slots],
         "place": {slot.field.name: place for place, slot in enumerate(_read(layout), 1)},
     }
 
 
-def _field(slot: Slot, prefix: str) -> dict[str, Any]:
-    item, size = slot.field, slot.end - slot.start
+def _word(layout: Layout, slot: Slot) -> Slot:
+    """Return the slot whose bytes show a slot: the widest of bits that has its own among them.
+
+    Bits of one word are shown in that word, and share the one range that Wireshark makes for it.
+    """
+    words = (
+        other
+        for other in layout.slots
+        if other.field.bits % 8 and other.start <= slot.start and slot.end <= other.end
+    )
+    return (
+        max(words, key=lambda other: other.end - other.start, default=slot) if slot.field.bits % 8 else slot
+    )
+
+
+def _field(slot: Slot, word: Slot, prefix: str) -> dict[str, Any]:
+    item, size = slot.field, word.end - word.start
     number = item.kind in {"uint", "int"}
     whole = slot.mask == (1 << 8 * size) - 1
+    shift = slot.shift + 8 * (
+        word.end - slot.end
+    )  # bits are numbered from the big end: no little one has any
     return {
         "abbreviation": f"{prefix}.{item.name}",
         "name": item.name,
-        "start": slot.start,
+        "start": word.start,
         "size": size,
         "kind": f"{item.kind}{8 * size}" if number else {"text": "string", "bytes": "bytes"}[item.kind],
-        "mask": slot.mask << slot.shift if number and not whole else None,
+        "mask": slot.mask << shift if number and not whole else None,
         "hex": (item.base == 16 and number) or None,
         "names": dict(item.names) or None,
         "doc": f"{item.doc} ({item.clause})" if item.clause else item.doc,

@@ -1,7 +1,7 @@
 -- Small tools that all parts share.
 
 local bit = bit
-local unpack = Struct.unpack
+local unpack, format = Struct.unpack, string.format
 local analysis = {}  -- what the sequence count says of a frame: a gap's size, "duplicate" or "reordered"
 
 -- A text field, cut at its first NUL.

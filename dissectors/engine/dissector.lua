@@ -24,8 +24,7 @@ local function register_ports()
 		for port in pairs(ports[link]) do registered[port] = true end
 	end
 	for port in pairs(registered) do udp:add(port, edoras) end
-	settings.extended = edoras.prefs.extended_header
-	settings.telemetry_header = edoras.prefs.short_telemetry_header and 12 or 16
+	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header)
 end
 
 function edoras.prefs_changed()
@@ -34,7 +33,7 @@ end
 
 function edoras.init()
 	peers, sequences, analysis = {}, {}, {}
-	asked.last = math.huge
+	asked.last, passes[true].last, passes[false].last = math.huge, math.huge, math.huge
 end
 
 -- Forget what a datagram that the capture cut cannot be blamed for.
@@ -53,10 +52,10 @@ end
 
 -- What people would say of a packet of which nothing more is known.
 local function said_of(msg_id)
-	if not msg_id then return W.stop or string.format("%d bytes", #W.s) end
+	if not msg_id then return W.stop or format("%d bytes", #W.s) end
 	if W.code then
 		local known = (D.commands[msg_id] or {})[W.code]
-		return string.format("function code %d", W.code) .. (known and " " .. known.name or "")
+		return format("function code %d", W.code) .. (known and " " .. known.name or "")
 	end
 	return W.bare and "header only" or D.msg_id_names[msg_id] or ""
 end
@@ -80,28 +79,36 @@ end
 
 local function info()
 	local msg_id, head = W.msg_id, W.kind
-	local told = printable(W.summary or said_of(msg_id))
+	local told = W.summary and printable(W.summary) or said_of(msg_id)
 	if msg_id then
+		W.name = name_of(msg_id)
 		local name = W.message and W.route.topic or W.name
 		if told == name then told = "" end
-		head = string.format(name == "" and "%s 0x%04x" or "%s 0x%04x %s", head, msg_id, name)
+		head = format(name == "" and "%s 0x%04x" or "%s 0x%04x %s", head, msg_id, name)
 	end
 	if W.findings > 0 then told = badges() .. told end
 	local text = (not head and told) or (told == "" and head) or head .. "  " .. told
 	local missing = analysis[W.number]
 	if missing then
-		text = text .. (type(missing) == "number" and string.format("  [gap of %d]", missing) or "  [" .. missing .. "]")
+		text = text .. (type(missing) == "number" and format("  [gap of %d]", missing) or "  [" .. missing .. "]")
 	end
 	return text
 end
 
+local LENGTHS = {F.buffer_length, F.buffer_capacity}
+
 local function show_envelope(tree, tvb, visible)
-	local at, size = W.envelope, W.format.width
-	local node = tree:add(edoras, tvb(at, 2 * size), "EDORAS Envelope")
-	for index, record in ipairs({F.buffer_length, F.buffer_capacity}) do
+	local at, size, form = W.envelope, W.form.width, W.form
+	local node = add(tree, edoras, cut(tvb, at, 2 * size), "EDORAS Envelope")
+	for index = 1, 2 do
+		local record = LENGTHS[index]
 		if visible or record.on then
-			local range = tvb(at + (index - 1) * size, size)
-			node:add(record.field, range, W.format.little and range:le_uint64() or range:uint64())
+			local range = cut(tvb, at + (index - 1) * size, size)
+			if size == 8 then
+				(form.little and add_le or add)(node, record.field, range)
+			else
+				add(node, record.field, range, form.little and range:le_uint64() or range:uint64())
+			end
 		end
 	end
 	return node
@@ -111,85 +118,99 @@ local function show_message(tree, tvb, visible)
 	local at, size, kind = W.body, W.body_end - W.body, W.message
 	local record = kind and kind.record or F.body
 	local node = tree
-	if size > 0 and (visible or record.on) then node = tree:add(record.field, tvb(at, size)) end
-	if kind then show_steps(node, kind.steps, tvb, W.s, at + 1, at + 1, W.big, visible) end
+	if size > 0 and (visible or record.on) then node = add(tree, record.field, cut(tvb, at, size)) end
+	if kind and (visible or kind.on) then show_steps(node, kind.steps, tvb, W.s, at + 1, at + 1, W.big, visible) end
 end
 
 local function show_findings(node, visible)
 	for index = 1, W.findings do
 		local finding = D.findings[W.found[index]]
-		show_value(node, F.finding, finding.label, visible):add_proto_expert_info(finding.expert)
+		add_expert(show_value(node, F.finding, finding.label, visible), finding.expert)
 	end
 	local missing = analysis[W.number]
 	if missing then
 		local kind = type(missing) == "number" and "gap" or missing
-		show_value(node, F[kind], kind == "gap" and missing or true, visible):add_proto_expert_info(EXPERT[kind])
+		add_expert(show_value(node, F[kind], kind == "gap" and missing or true, visible), EXPERT[kind])
 	end
 end
 
 local function show_facts(node, visible)
 	show_value(node, F.link, W.link, visible)
-	show_value(node, F.msg_id, W.msg_id, visible)
-	if W.msg_id then
-		show_value(node, F.name, W.name ~= "" and W.name or nil, visible)
-		local known = W.code and (D.commands[W.msg_id] or (D.any_link[W.msg_id] and D.route_commands) or {})[W.code]
-		show_value(node, F.command, known and known.name, visible)
+	local msg_id = W.msg_id
+	if msg_id then
+		show_value(node, F.msg_id, msg_id, visible)
+		local name = W.name or name_of(msg_id)
+		if name ~= "" then show_value(node, F.name, name, visible) end
+		local code = W.code
+		if code then
+			local known = (D.commands[msg_id] or (D.any_link[msg_id] and D.route_commands) or {})[code]
+			if known then show_value(node, F.command, known.name, visible) end
+		end
 	end
-	if W.route then
-		show_value(node, F.topic, W.route.topic, visible)
-		show_value(node, F.type, W.route.type, visible)
+	local route = W.route
+	if route then
+		show_value(node, F.topic, route.topic, visible)
+		show_value(node, F.type, route.type, visible)
 	end
-	show_value(node, F.mission_time, W.time, visible)
-	show_value(node, F.stop, W.stop, visible)
+	if W.time then show_value(node, F.mission_time, W.time, visible) end
+	if W.stop then show_value(node, F.stop, W.stop, visible) end
 end
 
--- Add every layer, outermost first.
+-- Add every layer, outermost first; return where findings belong.
 local function show(tree, tvb, visible)
-	local node
+	local ours, node = visible or asked.protocols.edoras, tree
 	for index = 1, W.layers do
 		local layout, at = W.layer[index], W.at[index]
-		if layout == L.cdr then node = show_envelope(tree, tvb, visible) end
+		if layout == L.cdr and ours then node = show_envelope(tree, tvb, visible) end
 		local header = show_layout(tree, layout, tvb, at, visible)
 		if layout == L.subscriptions then
 			for entry = 0, W.entries - 1 do
 				show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
 			end
 		elseif layout == L.cdr then
-			if visible or asked.messages then show_message(header, tvb, visible) end
+			if visible or layout.on then show_message(header, tvb, visible) end
 		end
 	end
-	if not node and W.envelope then node = show_envelope(tree, tvb, visible) end
-	if not node then
-		node = tree:add(edoras, tvb(0, 0), "EDORAS")
-		node:set_generated()
+	if not ours then return tree end
+	if node == tree then
+		if W.envelope then
+			node = show_envelope(tree, tvb, visible)
+		else
+			node = add(tree, edoras, cut(tvb, 0, 0))
+			set_generated(node)
+		end
 	end
 	if W.padding and (visible or F.padding.on) then
-		node:add(F.padding.field, tvb(W.padding, #W.s - W.padding))
+		add(node, F.padding.field, cut(tvb, W.padding, #W.s - W.padding))
 	end
 	show_facts(node, visible)
 	return node
 end
 
+local reported_len, captured_len, raw = Tvb.reported_len, Tvb.captured_len, Tvb.raw
+
 local function dissect(tvb, pinfo, tree)
 	if pinfo.in_error_pkt then return 0 end  -- what an ICMP error quotes was not sent again
-	local s = tvb:len() > 0 and tvb:raw() or ""
+	local s = captured_len(tvb) > 0 and raw(tvb) or ""
 	local link = link_of(pinfo, byte(s))
 	if not link then return 0 end
-	begin(s, link, pinfo)
+	local number = pinfo.number
+	local wanted = look_who_asks(tree, number)
+	local visible = wanted == "all"
+	begin(s, link, pinfo, number, has_columns(pinfo, visible, number))
 	if link == "ci" and #s > D.limits.ci_buffer then note("over_ci_buffer") end
 	if link == "to" and #s > D.limits.bridge_buffer then note("over_bridge_buffer") end
 	local start = 0
 	if link == "sbn" then start = software_bus_network(s) end
 	if start then space_packet(start) end
-	if W.msg_id then W.name = name_of(W.msg_id) end
-	if tvb:reported_len() > #s then forgive() end
+	if reported_len(tvb) > #s then forgive() end
 
-	local columns = pinfo.cols
-	columns.protocol = PROTOCOL[link]
-	columns.info = info()
-	local visible, node = tree.visible, tree
-	if visible or look_who_asks(tree, W.number) then node = show(tree, tvb, visible) end
-	show_findings(node, visible)
+	if W.listed then
+		local columns = pinfo.cols
+		columns.protocol = PROTOCOL[link]
+		columns.info = info()
+	end
+	show_findings(wanted and show(tree, tvb, visible) or tree, visible)
 	return #s
 end
 

@@ -1,12 +1,15 @@
 -- What Wireshark shows: the protocols, a field for every slot of every layout, and the expert information.
 
-local P = {
-	edoras = EDORAS,
-	ccsds_sp = Proto("ccsds_sp", "CCSDS Space Packet"),
-	cfe = Proto("cfe", "core Flight System"),
-	sbn = Proto("sbn", "Software Bus Network"),
-	ros2cdr = Proto("ros2cdr", "ROS 2 message (CDR)"),
+-- Looked up once: tree:add() and the like search for the method in every call.
+local add, add_le, cut = TreeItem.add, TreeItem.add_le, Tvb.range
+local set_text, set_generated, add_expert = TreeItem.set_text, TreeItem.set_generated, TreeItem.add_proto_expert_info
+
+local TITLES = {
+	ccsds_sp = "CCSDS Space Packet", cfe = "core Flight System", sbn = "Software Bus Network",
+	ros2cdr = "ROS 2 message (CDR)",
 }
+local P = {edoras = EDORAS}
+for name, title in pairs(TITLES) do P[name] = Proto(name, title) end
 local members = {edoras = {}, ccsds_sp = {}, cfe = {}, sbn = {}, ros2cdr = {}}
 local by_name = {}  -- abbreviation to record
 
@@ -24,6 +27,30 @@ local function new_field(protocol, abbreviation, kind, ...)
 	return record
 end
 
+-- Make a function that adds some slots of a layout, without a loop: (node, tvb, offset, the datagram's bytes).
+local function adder(layout, slots)
+	local text = {"local add, put, cut, text, fields = ...", "", "return function(node, tvb, at, s)", "local range"}
+	local fields, before = {}, {}
+	for index, slot in ipairs(slots) do
+		fields[index] = slot.record.field
+		text[2] = text[2] .. format("\nlocal field%d = fields[%d]", index, index)
+		if slot.start ~= before.start or slot.size ~= before.size then
+			text[#text + 1] = format("range = cut(tvb, at + %d, %d)", slot.start, slot.size)
+		end
+		if slot.kind == "string" then
+			text[#text + 1] = format(
+				"add(node, field%d, range, text(s, at + %d, at + %d))", index, slot.start + 1, slot.start + slot.size
+			)
+		else
+			text[#text + 1] = format("put(node, field%d, range)", index)
+		end
+		before = slot
+	end
+	text[#text + 1] = "end"
+	local function readable(...) return utf8_text(D.text(...)) end
+	return load(table.concat(text, "\n"))(add, layout.little and add_le or add, cut, readable, fields)
+end
+
 for _, layout in pairs(D.layouts) do
 	for _, slot in ipairs(layout.fields) do
 		if slot.kind == "string" or slot.kind == "bytes" then
@@ -35,6 +62,8 @@ for _, layout in pairs(D.layouts) do
 			)
 		end
 	end
+	layout.proto, layout.add_all = P[layout.protocol], adder(layout, layout.fields)
+	if layout.title == TITLES[layout.protocol] then layout.title = nil end  -- Wireshark says so by itself
 end
 
 local F = {
@@ -85,57 +114,3 @@ local EXPERT = {
 	),
 }
 for _, made in pairs(EXPERT) do table.insert(experts, made) end
-
--- Without a tree for people, only what a filter or a tap refers to is added. What it refers to changes only
--- between passes over the packets, and every pass begins before where the last one ended.
-local asked = {any = false, messages = false, protocols = {}, last = math.huge}
-
-local function look_who_asks(tree, number)
-	if number <= asked.last then
-		asked.any, asked.messages = false, false
-		for name in pairs(P) do
-			asked.protocols[name] = tree:referenced(Dissector.get(name))
-			asked.any = asked.any or asked.protocols[name]
-		end
-		for _, record in ipairs(members) do
-			record.on = tree:referenced(record.field)
-			asked.any = asked.any or record.on
-			asked.messages = asked.messages or (record.on and record.protocol == "ros2cdr")
-		end
-		for _, layout in pairs(D.layouts) do
-			layout.on = asked.protocols[layout.protocol]
-			for _, slot in ipairs(layout.fields) do layout.on = layout.on or slot.record.on end
-		end
-	end
-	asked.last = number
-	return asked.any
-end
-
--- Add a header that starts at an offset; return its tree.
-local function show_layout(tree, layout, tvb, at, visible)
-	if not (visible or layout.on) then return tree end
-	local node = tree:add(P[layout.protocol], tvb(at, layout.size), layout.title)
-	local little = layout.little
-	for _, slot in ipairs(layout.fields) do
-		local record = slot.record
-		if visible or record.on then
-			local range = tvb(at + slot.start, slot.size)
-			if slot.kind == "string" then
-				node:add(record.field, range, utf8_text(D.text(range:raw(), 1, slot.size)))
-			elseif little then
-				node:add_le(record.field, range)
-			else
-				node:add(record.field, range)
-			end
-		end
-	end
-	return node
-end
-
--- Add a value that was not read from bytes.
-local function show_value(node, record, value, visible)
-	if value ~= nil and (visible or record.on) then
-		return node:add(record.field, value):set_generated()
-	end
-	return node
-end

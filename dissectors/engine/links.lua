@@ -13,15 +13,24 @@ local function is_cfs(address)
 	return false
 end
 
+-- Tell whether a datagram is for cFS, or nil where the addresses do not tell.
+local function is_for_cfs(pinfo)
+	if #cfs == 0 then return nil end
+	local to, from = pinfo.dst, pinfo.src
+	if to == from then return nil end
+	local for_cfs = is_cfs(to)
+	if for_cfs == is_cfs(from) then return nil end
+	return for_cfs
+end
+
 -- Return "ci", "to" or "sbn", or nil for none of them.
 local function link_of(pinfo, first_byte)
 	local destination = pinfo.dst_port
 	if ports.sbn[destination] then return "sbn" end
 	local ci, to = ports.ci[destination], ports.to[destination]
-	local command = not first_byte or first_byte % 32 >= 16  -- TO never sends an empty datagram
+	local command
 	if ci and to then
-		local to_cfs, from_cfs = is_cfs(pinfo.dst), is_cfs(pinfo.src)
-		if to_cfs ~= from_cfs then command = to_cfs end
+		command = is_for_cfs(pinfo)
 	elseif ci then
 		return "ci"
 	elseif to then
@@ -31,6 +40,9 @@ local function link_of(pinfo, first_byte)
 		if ports.sbn[source] then return "sbn" end
 		if ports.ci[source] or ports.to[source] then return nil end
 		-- "Decode As": no port of ours has a say.
+	end
+	if command == nil then
+		command = not first_byte or first_byte % 32 >= 16  -- TO never sends an empty datagram
 	end
 	return command and "ci" or "to"
 end

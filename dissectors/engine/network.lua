@@ -9,12 +9,13 @@ for _, pair in ipairs(D.identities) do
 	identities[pair[2]][pair[1]] = true
 end
 
-local function begin(s, link, pinfo)
+-- `listed` tells whether anybody sees the columns.
+local function begin(s, link, pinfo, number, listed)
 	W.serial = W.serial + 1
-	W.s, W.link, W.pinfo, W.number = s, link, pinfo, pinfo.number
-	W.layers, W.findings = 0, 0
-	W.stop, W.kind, W.msg_id, W.code, W.route, W.message, W.envelope = nil, nil, nil, nil, nil, nil, nil
-	W.padding, W.entries, W.summary, W.time, W.processor, W.bare = nil, 0, nil, nil, 0, false
+	W.s, W.link, W.pinfo, W.number, W.listed = s, link, pinfo, number, listed
+	W.layers, W.findings, W.entries, W.processor, W.bare = 0, 0, 0, 0, false
+	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
+	W.route, W.message, W.envelope, W.padding, W.name = nil, nil, nil, nil, nil
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -43,7 +44,7 @@ end
 -- Note that a header is cut. Offsets count from the datagram's first byte, from 0.
 local function truncated(name, at, need)
 	note("truncated")
-	W.stop = string.format("%s at byte %d needs %d bytes, %d are there", name, at, need, math.max(0, #W.s - at))
+	W.stop = format("%s at byte %d needs %d bytes, %d are there", name, at, need, math.max(0, #W.s - at))
 end
 
 -- Take a header that must be whole; tell whether it is.
@@ -73,13 +74,16 @@ local function is_legacy(s)
 	return size == 0
 end
 
+local source, source_text  -- the last address: most datagrams come from where the one before did
+
 -- Return what is known of the endpoint that a datagram came from: a table in `places`, by address and port.
 local function sender(places)
-	local address, port = tostring(W.pinfo.src), W.pinfo.src_port
-	local place = places[address]
+	local address, port = W.pinfo.src, W.pinfo.src_port
+	if address ~= source then source, source_text = address, tostring(address) end
+	local place = places[source_text]
 	if not place then
 		place = {}
-		places[address] = place
+		places[source_text] = place
 	end
 	return place, port
 end
@@ -109,12 +113,13 @@ local function subscriptions(at)
 	local first = at + L.subscriptions.size
 	local size = L.subscription.size
 	W.entries = math.min(count, math.floor((#s - first) / size))
-	local some = {}
-	for index = 0, math.min(W.entries, 3) - 1 do
-		some[index + 1] = string.format("0x%04x", (read.subscription(s, first + index * size + 1)))
+	if W.listed then
+		local some = {}
+		for index = 0, math.min(W.entries, 3) - 1 do
+			some[index + 1] = format("0x%04x", (read.subscription(s, first + index * size + 1)))
+		end
+		W.summary = table.concat(some, ", ") .. (W.entries > 3 and format(" and %d more", W.entries - 3) or "")
 	end
-	local more = W.entries > 3 and string.format(" and %d more", W.entries - 3) or ""
-	W.summary = table.concat(some, ", ") .. more
 	if #s - first < count * size then truncated(L.subscription.name, first, count * size) end
 end
 
@@ -135,7 +140,7 @@ local function software_bus_network(s)
 		size, kind, processor, spacecraft = read.sbn(s, 1)
 	end
 	local known, payload = D.sbn.names[kind], #s - layout.size
-	W.kind, W.processor = known or string.format("0x%02x", kind), processor
+	W.kind, W.processor = known or format("0x%02x", kind), processor
 	if size ~= payload then note("sbn_size_mismatch") end
 	if not known then note("sbn_unknown_type") end
 	if kind == D.sbn.NO_MSG then note("sbn_no_message") end
@@ -145,10 +150,12 @@ local function software_bus_network(s)
 		subscriptions(layout.size)
 	elseif kind == D.sbn.PROTO and take(L.proto, layout.size) then
 		local version = read.proto(s, layout.size + 1)
-		W.summary = string.format("protocol version %d", version)
+		W.summary = format("protocol version %d", version)
 		if version ~= D.sbn.version then note("sbn_version_mismatch") end
 	end
-	local from = legacy and string.format("from ?:%d", processor) or string.format("from %d:%d", spacecraft, processor)
-	W.summary = (W.summary and W.summary ~= "") and W.summary .. " " .. from or from
+	if W.listed then
+		local from = legacy and format("from ?:%d", processor) or format("from %d:%d", spacecraft, processor)
+		W.summary = (W.summary and W.summary ~= "") and W.summary .. " " .. from or from
+	end
 	return nil
 end

@@ -1,10 +1,20 @@
 -- Space packets: the primary header, cFE's headers, what cFE itself sends, and the EDORAS envelope.
 
 local routes = D.routes
-local settings = {extended = D.extended_header, telemetry_header = D.telemetry_header}
-for _, format in ipairs(D.formats) do
-	format.read = read[string.format("envelope_%d_%s", format.width, format.little and "little" or "big")]
-	format.size = 2 * format.width
+local settings = {}
+
+-- Take what the preferences say of the headers; all the rest follows from it.
+local function settle(extended, short)
+	local layout = short and L.telemetry_short or L.telemetry
+	settings.extra = extended and L.extended.size or 0
+	settings.command_header = L.ccsds.size + L.command.size + settings.extra
+	settings.telemetry_header = L.ccsds.size + layout.size + settings.extra
+	settings.telemetry, settings.read_time = layout, read[short and "telemetry_short" or "telemetry"]
+end
+settle(D.extended_header, D.telemetry_header == L.ccsds.size + L.telemetry_short.size)
+for _, form in ipairs(D.formats) do
+	form.read = read[format("envelope_%d_%s", form.width, form.little and "little" or "big")]
+	form.size = 2 * form.width
 end
 for _, route in ipairs(routes) do
 	route.format = D.formats[route.format]  -- nil where the bytes shall tell
@@ -65,29 +75,29 @@ end
 
 -- Tell the envelope's format from the bytes: its lengths hold, and an encapsulation follows.
 local function detect(s, at)
-	for _, format in ipairs(D.formats) do
-		local start = at + format.size
+	for _, form in ipairs(D.formats) do
+		local start = at + form.size
 		if #s >= start + 4 then
-			local length, capacity = format.read(s, at + 1)
+			local length, capacity = form.read(s, at + 1)
 			if length >= 4 and length <= capacity and length <= #s - start
 				and s:find("^\0[\0\1]\0\0", start + 1) then
-				return format
+				return form
 			end
 		end
 	end
 	return nil
 end
 
-local function format_of(route, at)
+local function envelope_format(route, at)
 	return route.format or detect(W.s, at) or D.formats[1]
 end
 
 -- Tell whether the bytes hold a whole message of a route.
 local function suits(route, at)
-	local format, s = format_of(route, at), W.s
-	local start = at + format.size
+	local form, s = envelope_format(route, at), W.s
+	local start = at + form.size
 	if #s < start + 4 then return false end
-	local length = format.read(s, at + 1)
+	local length = form.read(s, at + 1)
 	local representation = length >= 4 and length <= #s - start and read.cdr(s, start + 1) or 2
 	return representation <= 1 and route.kind ~= nil
 		and is_message(route.kind, s, start + L.cdr.size + 1, start + length, representation == 0)
@@ -102,20 +112,20 @@ local function envelope(claims, at)
 			break
 		end
 	end
-	local format = format_of(route, at)
+	local form = envelope_format(route, at)
 	W.route = route
-	if #s - at < format.size then return truncated("edoras", at, format.size) end
-	local length, capacity = format.read(s, at + 1)
-	local start = at + format.size
+	if #s - at < form.size then return truncated("edoras", at, form.size) end
+	local length, capacity = form.read(s, at + 1)
+	local start = at + form.size
 	local space = #s - start
-	W.envelope, W.format = at, format
+	W.envelope, W.form = at, form
 	if length > space or capacity < length then note("envelope_overrun") end
 	if length > space then
-		W.stop = string.format("cdr at byte %d needs %.0f bytes, %d are there", start, length, space)
+		W.stop = format("cdr at byte %d needs %.0f bytes, %d are there", start, length, space)
 		return
 	elseif length < L.cdr.size then
 		note("cdr_invalid")
-		W.stop = string.format("cdr at byte %d needs %d bytes, %d are there", start, L.cdr.size, length)
+		W.stop = format("cdr at byte %d needs %d bytes, %d are there", start, L.cdr.size, length)
 		return
 	end
 	local stop = start + length
@@ -127,7 +137,7 @@ local function envelope(claims, at)
 	if representation == 0 then note("cdr_big_endian") end
 	if representation > 1 then
 		note("cdr_invalid")
-		W.stop = string.format("cdr at byte %d has representation 0x%04x; CDR is 0x0000 or 0x0001", start, representation)
+		W.stop = format("cdr at byte %d has representation 0x%04x; CDR is 0x0000 or 0x0001", start, representation)
 		return
 	end
 	local kind = route.kind
@@ -135,10 +145,10 @@ local function envelope(claims, at)
 	W.big = representation == 0
 	if proven or is_message(kind, s, W.body + 1, stop, W.big) then
 		W.message = kind
-		W.summary = short_message(kind.steps, s, W.body + 1, W.body + 1, W.big)
+		if W.listed then W.summary = short_message(kind.steps, s, W.body + 1, W.body + 1, W.big) end
 	else
 		note("cdr_invalid")
-		W.stop = string.format("cdr at byte %d does not decode as %s", start, route.type)
+		W.stop = format("cdr at byte %d does not decode as %s", start, route.type)
 	end
 end
 
@@ -153,13 +163,15 @@ local function payload(msg_id, start, header, code)
 		if code ~= 0 then note("header_only") end
 	elseif msg_id == D.msg_id.event and #s - at >= L.event.size then
 		add_layer(L.event, at)
+		if not W.listed then return end
 		local id, _, _, _, app, message = read.event(s, at + 1)
-		W.summary = string.format("%s %d: %s", utf8_text(app), id, utf8_text(message))
+		W.summary = format("%s %d: %s", utf8_text(app), id, utf8_text(message))
 	elseif msg_id == D.msg_id.software_bus and #s - at >= L.software_bus.size then
 		add_layer(L.software_bus, at)
+		if not W.listed then return end
 		local values = {read.software_bus(s, at + 1)}
 		local place = L.software_bus.place
-		W.summary = string.format(
+		W.summary = format(
 			"pipe overflow %d, message limit %d, no subscribers %d", values[place.pipe_overflow_error_counter],
 			values[place.message_limit_error_counter], values[place.no_subscribers_counter]
 		)
@@ -172,7 +184,7 @@ local function space_packet(start)
 	if not take(L.ccsds, start) then return end
 	local version, kind, secondary, apid, flags, count, data_length = read.ccsds(s, start + 1)
 	local msg_id = version * 8192 + kind * 4096 + secondary * 2048 + apid
-	local extra = settings.extended and L.extended.size or 0
+	local extra = settings.extra
 	local is_command, total = kind == 1, data_length + D.limits.length_bias
 	local after = start + L.ccsds.size
 	if extra > 0 and length >= L.ccsds.size + extra then
@@ -195,9 +207,9 @@ local function space_packet(start)
 	end
 	if (W.link == "ci" and not is_command) or (W.link == "to" and is_command) then note("wrong_direction") end
 
-	local as_command = L.ccsds.size + L.command.size + extra
+	local as_command = settings.command_header
 	local bare = not is_command and length == as_command and total == length
-	local header = (is_command or bare) and as_command or settings.telemetry_header + extra
+	local header = (is_command or bare) and as_command or settings.telemetry_header
 	W.bare = bare
 	if bare then note("header_only") end
 	if extra > 0 and length >= L.ccsds.size + extra then add_layer(L.extended, after) end
@@ -210,10 +222,8 @@ local function space_packet(start)
 		local _
 		_, code, sent = read.command(s, at + 1)
 	else
-		local short = settings.telemetry_header == L.ccsds.size + L.telemetry_short.size
-		local layout = short and L.telemetry_short or L.telemetry
-		add_layer(layout, at)
-		local seconds, subseconds = read[short and "telemetry_short" or "telemetry"](s, at + 1)
+		add_layer(settings.telemetry, at)
+		local seconds, subseconds = settings.read_time(s, at + 1)
 		W.time = seconds + subseconds / 65536
 	end
 	if is_command then

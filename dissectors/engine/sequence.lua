@@ -7,7 +7,7 @@ local FORWARD = MODULUS / 2  -- a step of half the range or more is a step back
 local MOST_STRANDS = 8
 
 local function continued(strands, count)
-	for index = 1, #strands do
+	for index = 1, #strands do  -- the first, almost always
 		if (strands[index].last + 1) % MODULUS == count then return index end
 	end
 	return nil
