@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import PATIENCE_S, until
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.middleware.local import open_graph
@@ -154,10 +155,9 @@ def test_an_agenda_does_what_is_due_and_what_it_is_asked():
         done.append("asked")
         ended.set()
 
-    while done.count("tick") < 3:
-        time.sleep(0.001)
+    until(lambda: done.count("tick") >= 3)
     agenda.ask(finish)
-    assert ended.wait(30)
+    assert ended.wait(PATIENCE_S)
     agenda.close()
     agenda.close()
     count = len(done)

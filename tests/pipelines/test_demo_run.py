@@ -16,6 +16,7 @@ from pathlib import Path
 import foxglove_client as peer
 import pytest
 from mcap.reader import make_reader
+from waiting import PATIENCE_S, free_ports, until
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.middleware import Qos
@@ -25,7 +26,6 @@ from edoras_tools.pipelines.demo_run import Demo, DemoPlan
 from edoras_tools.ros import TypeStore
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 30
 DOMAINS = count(2000)
 TYPES = TypeStore()
 TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
@@ -39,13 +39,6 @@ CONNECTING = {
 }
 """All that the emulated SBN says of a connection made and ended in order."""
 SCENARIOS = ("rover", "arm", "two-rovers", "two-arms")
-
-
-def until(condition):
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "what was waited for did not happen"
-        time.sleep(0.01)
 
 
 def plan(scenario, folder, **options):
@@ -191,9 +184,7 @@ class Router:
     """A plain Zenoh router in another process, which knows nothing of this package."""
 
     def __init__(self):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        (self.port,) = free_ports(1, socket.SOCK_STREAM)
         script = ROOT / "tests/middleware/zenoh_judge.py"
         self.process = subprocess.Popen(
             [sys.executable, script, str(self.port)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -227,12 +218,14 @@ def test_a_zenoh_node_of_another_process_drives_a_rover_and_hears_where_it_is(tm
     for name in ("ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"):
         monkeypatch.delenv(name, raising=False)
     with ExitStack() as stack:
-        while True:  # somebody else may have taken the port meanwhile
+        for _ in range(3):  # somebody else may have taken the port meanwhile
             router = Router()
             stack.callback(router.close)
             until(lambda router=router: router.seen or router.process.poll() is not None)
             if router.seen:
                 break
+        else:
+            pytest.fail("the router does not start; why is on standard error")
         options = {"router": f"tcp/127.0.0.1:{router.port}", "listen": "tcp/127.0.0.1:0"}
         made = plan(
             "two-rovers", tmp_path, ros="zenoh", domain=0, options=options, command_hz=0, state_hz=50.0
