@@ -89,9 +89,9 @@ def test_pace_and_report(call, captures, receiver):
     report = done.json()
     assert len(take()) == report["sent"] == 202
     assert report["rate_asked_hz"] == 200
-    # Never early; how late it may be is the machine's.
-    assert 0 < report["rate_achieved_hz"] < 202
-    assert report["duration_s"] > 0.995
+    # Never early; how late, the first one too, is the machine's.
+    assert report["rate_achieved_hz"] > 0
+    assert report["duration_s"] + report["lateness_us"]["max"] / 1e6 > 1.0
     assert report["lateness_us"]["p50"] <= report["lateness_us"]["p99"] <= report["lateness_us"]["max"]
 
 
@@ -222,7 +222,7 @@ def test_a_peer_that_never_answers(call, captures, receiver):
     )
     assert (done.code, len(done.err)) == (1, 1)
     for words in (
-        f"no SBN peer answered at {target} within 1.5 s",
+        f"no SBN peer answered at {target} within ",
         f"tried PROTO and SUB, once a second, as 66:7 from {HOST}:{own}",
         "usually cFS is not up",
     ):
@@ -334,4 +334,5 @@ def test_inject_at_a_rate(call, missions, receiver):
     assert [packet[2] << 8 | packet[3] for packet in sent] == [0xC000 | index for index in range(50)]
     assert {packet[4:] for packet in sent} == {sent[0][4:]}
     assert struct.unpack_from("<d", sent[0], 28) == (0.5,)
-    assert 0 < done.json()["rate_achieved_hz"] < 103
+    report = done.json()
+    assert report["duration_s"] + report["lateness_us"]["max"] / 1e6 > 0.48  # never early
