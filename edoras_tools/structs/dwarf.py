@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.structs.relocation import relocated
 from edoras_tools.structs.shapes import (
     BASIC,
     OPEN,
@@ -130,7 +131,8 @@ class DebugInfo:
                 raise ConfigError(f"{path}: {why}")
             if not elf.has_dwarf_info() or elf.get_section_by_name(".debug_info") is None:
                 self._stripped(elf)
-            dwarf = elf.get_dwarf_info()
+            patched = relocated(elf, data)
+            dwarf = ELFFile(BytesIO(patched)).get_dwarf_info(False) if patched else elf.get_dwarf_info()
             self._index(dwarf)
         except (*self._broken, NotImplementedError, RecursionError, AssertionError, OverflowError) as error:
             if isinstance(error, ConfigError):
@@ -333,7 +335,9 @@ class _Maker:
         width = _number(item, "DW_AT_bit_size")
         if width:
             size = _number(item, "DW_AT_byte_size") or self._size(member)
-            member = replace(member, **_bit_place(item, at, base, size, width, self._info.byte_order))
+            found = _bit_place(item, at, base, size, width, self._info.byte_order)
+            plain = width == 8 * self._size(member) and not found["bit"]
+            member = replace(member, **({"offset": found["offset"]} if plain else found))
         yield member
 
     def extent(self, item: Die) -> int:
