@@ -269,7 +269,7 @@ def _struct_messages(bound: Bound, rows: ColumnRows) -> Owned:
 
     def make() -> Owned:
         nothing = np.zeros(0, np.int64)
-        empty = Encoded(np.zeros(1, np.uint8), nothing, nothing)
+        empty = Encoded(np.zeros(1, np.uint8), nothing, nothing, 0)
         owner, encoded = structs_of(rows).get(bound, (nothing, empty))
         size = encoded.size.astype(np.int32)
         return owner, rows.context.structs.types.columns(bound.type, encoded.data, encoded.start, size)

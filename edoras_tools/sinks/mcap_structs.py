@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.sinks.mcap_rows import RECORD, RECORD_BYTES, Messages, fill_record
+from edoras_tools.sinks.mcap_rows import RECORD, Messages, fill_record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -42,7 +42,11 @@ def struct_messages(
         return values
 
     for bound, members, encoded in structs.messages(rows, column, batch.data):
-        heads = np.empty(len(members), dtype=np.dtype(RECORD))
+        width, length = encoded.width, encoded.size
+        heads = np.empty(len(members), dtype=[*RECORD, ("message", f"V{width}")])
+        if width:  # messages of one length are a part of their heads, and moved with them
+            heads["message"] = encoded.data.view(f"V{width}")
+            length = np.zeros_like(length)
         sequence, time_ns = columns.sequence_count[members], batch.time_ns[members]
-        fill_record(heads, channel_id(bound), encoded.size, sequence, time_ns, published[members])
-        yield Messages(members, RECORD_BYTES, heads.__getitem__, encoded.data, encoded.start, encoded.size)
+        fill_record(heads, channel_id(bound), length, sequence, time_ns, published[members])
+        yield Messages(members, heads.itemsize, heads.__getitem__, encoded.data, encoded.start, length)

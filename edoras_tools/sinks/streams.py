@@ -14,6 +14,7 @@ from edoras_tools.sinks.mcap_faults import FAULTS_TOPIC, FAULTS_TYPE
 from edoras_tools.sinks.mcap_statistics import LinkStatistics
 from edoras_tools.sinks.mcap_structs import struct_messages
 from edoras_tools.structs import Structs, shipped
+from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -88,7 +89,11 @@ class Streams:
         structs: Structs | None = None,
         add: Callable[[Topic], int] | None = None,
     ) -> None:
-        self.structs = (structs or shipped()).unclaimed(route.msg_id for route in mission.routes)
+        structs = structs or shipped()
+        claimed = {route.msg_id for route in mission.routes}
+        if not structs.layouts_given:  # what cFE itself says there is on topics of ours
+            claimed |= {EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID}
+        self.structs = structs.unclaimed(claimed)
         self._add = add
         own = OWN_TOPICS if datagrams else OWN_TOPICS[1:]
         self.topics = (

@@ -26,11 +26,13 @@ class Encoded(NamedTuple):
         data: u8, their CDR, encapsulation included.
         start: i64 (n,), where each starts.
         size: i64 (n,), its bytes.
+        width: bytes of each where all have as many and nothing is between them, else 0.
     """
 
     data: NDArray[np.uint8]
     start: NDArray[np.int64]
     size: NDArray[np.int64]
+    width: int
 
 
 class Bound:
@@ -107,17 +109,15 @@ class Bound:
             heads: (n,) of ``HEAD``.
         """
         start, size = np.zeros(len(offset), np.int64), np.zeros(len(offset), np.int64)
-        pieces, base = [], 0
+        pieces, base = [np.empty(0, np.uint8)], 0
         for one, rows in by_value(length):
-            window = np.empty((len(rows), HEAD.itemsize + one), np.uint8)
-            window[:, : HEAD.itemsize] = heads[rows].view(np.uint8).reshape(len(rows), -1)
-            if one:
-                window[:, HEAD.itemsize :] = gather(data, offset[rows], one)
-            piece, at, size[rows] = self.plan(one).encode(window)
+            piece, at, size[rows] = self.plan(one).encode(_window(data, offset[rows], one, heads[rows]))
             start[rows] = at + base
             base += len(piece)
             pieces.append(piece)
-        return Encoded(np.concatenate([*pieces, np.zeros(1, np.uint8)]), start, size)
+        whole = pieces[-1] if len(pieces) == 2 else np.concatenate(pieces)
+        width = int(size[0]) if len(size) and len(pieces) == 2 and (size == size[0]).all() else 0
+        return Encoded(whole, start, size, width)
 
     def encode_one(self, payload: bytes, origin: tuple[int, ...]) -> bytes:
         """Return the message of one packet.
@@ -184,3 +184,18 @@ class Bound:
         if member is self._open:
             return member.offset
         return member.offset + member.count * self.layout.size(member)
+
+
+def _window(
+    data: NDArray[np.uint8], offset: NDArray[np.int64], length: int, heads: NDArray[np.void]
+) -> NDArray[np.uint8]:
+    """Return each packet's head and payload side by side, u8 (n, HEAD and length)."""
+    front = HEAD.itemsize
+    if len(offset) and offset.min() >= front:  # what stands in front comes along, and is written over
+        window = gather(data, offset - front, front + length)
+    else:
+        window = np.empty((len(offset), front + length), np.uint8)
+        if length:
+            window[:, front:] = gather(data, offset, length)
+    window[:, :front] = heads.view(np.uint8).reshape(len(heads), front)
+    return window

@@ -34,6 +34,7 @@ class Structs:
 
     Attributes:
         has: bool (65536,), MsgIds that one is bound to.
+        layouts_given: whether there are others than that of cFE itself.
 
     Raises:
         ConfigError: a struct cannot become a message.
@@ -41,6 +42,7 @@ class Structs:
 
     def __init__(self, layouts: Sequence[Layout] | None = (), claimed: frozenset[int] = frozenset()) -> None:
         self._given = layouts
+        self.layouts_given = layouts is not None
         self._claimed = claimed
         bound = PACKETS if layouts is None else self._bindings.by_id
         self.has: NDArray[np.bool_] = np.zeros(_MSG_IDS, np.bool_)

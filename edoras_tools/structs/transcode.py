@@ -161,6 +161,13 @@ class Plan:
             u8, the messages one after the other; i64 (n,), where each starts; i64 (n,), how long each is.
         """
         count = len(window)
+        first = self._segments[0]
+        if len(self._segments) == 1 and isinstance(first, Block):
+            rows = np.zeros((count, len(ENCAPSULATION) + first.size), np.uint8)
+            rows[:, 1] = ENCAPSULATION[1]
+            _fill(rows[:, len(ENCAPSULATION) :], first, window)
+            width = rows.shape[1]
+            return rows.reshape(-1), np.arange(count) * width, np.full(count, width)
         cursor = np.zeros(count, np.int64)
         places = []
         texts: dict[int, tuple[NDArray[np.uint8], NDArray[np.int64]]] = {}
@@ -182,7 +189,9 @@ class Plan:
         for index, (item, place) in enumerate(zip(self._segments, places, strict=True)):
             if isinstance(item, Block):
                 if item.size:
-                    put_rows(out, body + place, _filled(item, window).view(f"V{item.size}")[:, 0])
+                    rows = np.zeros((count, item.size), np.uint8)
+                    _fill(rows, item, window)
+                    put_rows(out, body + place, rows.view(f"V{item.size}")[:, 0])
                 continue
             pool, length = texts[index]
             put_rows(out, body + place, (length + 1).astype("<u4"))
@@ -312,8 +321,8 @@ def _inner(member: Member) -> int:
     return count
 
 
-def _filled(block: Block, window: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    out = np.zeros((len(window), block.size), np.uint8)
+def _fill(out: NDArray[np.uint8], block: Block, window: NDArray[np.uint8]) -> None:
+    """Write a block of each packet into the rows of ``out``, u8 (n, size), which are zero."""
     for item in block.copies:
         source = window[:, item.source : item.source + item.size]
         if item.turn > 1:
@@ -325,7 +334,6 @@ def _filled(block: Block, window: NDArray[np.uint8]) -> NDArray[np.uint8]:
         out[:, bits.target : bits.target + bits.into] = raw[:, : bits.into]
     for place, constant in block.constants.items():
         out[:, place : place + len(constant)] = np.frombuffer(constant, np.uint8)
-    return out
 
 
 def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.uint64]:
