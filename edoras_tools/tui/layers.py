@@ -47,6 +47,7 @@ class Layers(Lines):
         self._paths: list[str] = []
         self._shut: set[str] = set()
         self._lines: list[tuple[int, str]] = []
+        self._strips: dict[int, Strip] = {}
         self._cut = 0
 
     def show(self, decoded: Decoded | None) -> None:
@@ -100,17 +101,16 @@ class Layers(Lines):
     def draw(self, row: int, width: int) -> Strip:
         """Return a line."""
         del width
-        place, line = self._lines[row]
-        text = Text.from_ansi(line)
-        return strip_of(text[self._cut :] if self._rows[place].role in _BRANCHES else text, self.app.console)
+        if row not in self._strips:
+            place, line = self._lines[row]
+            text = Text.from_ansi(line)
+            text = text[self._cut :] if self._rows[place].role in _BRANCHES else text
+            self._strips[row] = strip_of(text, self.app.console)
+        return self._strips[row]
 
     def tint(self, row: int) -> str:
         """Lay the cursor under every line of the row that is chosen."""
-        return (
-            "lines--cursor"
-            if self._lines and self._lines[row : row + 1] and self._lines[row][0] == self.chosen
-            else ""
-        )
+        return "lines--cursor" if row < len(self._lines) and self._lines[row][0] == self.chosen else ""
 
     def watch_cursor(self, before: int, after: int) -> None:
         """Draw the lines of both rows anew, and tell."""
@@ -187,7 +187,7 @@ class Layers(Lines):
             closed = self._is_branch(place) and self._paths[place] in self._shut
             hidden = row.depth if closed else None
             lines += [(place, line) for line in _drawn(row, width, self._cut, closed=closed)]
-        self._lines = lines
+        self._lines, self._strips = lines, {}
         self.recount()
         at = next((line for line, (place, _) in enumerate(lines) if place == chosen), None)
         self.go(0 if at is None else at, centre=centre)

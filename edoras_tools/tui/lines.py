@@ -28,7 +28,7 @@ class Lines(ScrollView, can_focus=True):
     ``Chosen`` at Enter or a second click on a row.
     """
 
-    COMPONENT_CLASSES: ClassVar[set[str]] = {"lines--cursor"}
+    COMPONENT_CLASSES: ClassVar[set[str]] = {"lines--cursor", "lines--plain"}
     BINDINGS: ClassVar[list[Any]] = [
         Binding("down,j", "move(1)", "Down", show=False),
         Binding("up,k", "move(-1)", "Up", show=False),
@@ -132,8 +132,8 @@ class Lines(ScrollView, can_focus=True):
         row = y + self.scroll_offset.y
         width = self.scrollable_content_region.width
         strip = self.draw(row, width) if 0 <= row < self.rows() else Strip.blank(width)
-        under = self.tint(row)
-        style = self.get_component_rich_style(under) if under else self.rich_style
+        # A component's style is kept, the widget's own is put together each time it is asked for.
+        style = self.get_component_rich_style(self.tint(row) or "lines--plain")
         return strip.adjust_cell_length(width).apply_style(style)
 
     def touched(self) -> None:

@@ -32,7 +32,7 @@ class Octets(Lines):
     Posts ``Pointed`` when the user puts the cursor on a byte.
     """
 
-    COMPONENT_CLASSES: ClassVar[set[str]] = {"lines--cursor", "octets--field", "octets--byte"}
+    COMPONENT_CLASSES: ClassVar[set[str]] = {"lines--cursor", "lines--plain", "octets--field", "octets--byte"}
     BINDINGS: ClassVar[list[Any]] = [
         Binding("right,l", "step(1)", "Right", show=False),
         Binding("left,h", "step(-1)", "Left", show=False),

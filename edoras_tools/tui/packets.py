@@ -46,6 +46,7 @@ class Packets(Lines):
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {
         "lines--cursor",
+        "lines--plain",
         "packets--error",
         "packets--warning",
         "packets--mark",
@@ -102,7 +103,7 @@ class Packets(Lines):
         if self.rows() or y != 1:
             return super().render_line(y)
         line = strip_of(Text(f"{' ' * _GUTTER}{self.empty}", "dim"), self.app.console)
-        return line.adjust_cell_length(self.room).apply_style(self.rich_style)
+        return line.adjust_cell_length(self.room).apply_style(self.get_component_rich_style("lines--plain"))
 
     def header(self) -> Text:
         """Return the names of the columns."""
