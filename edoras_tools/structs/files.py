@@ -153,7 +153,7 @@ class _Reader:
                 bindings[parse_key(key)] = str(name)
             except ConfigError as error:
                 self._mistake("bind", str(error))
-            if name not in self._structs:
+            if not isinstance(name, str) or name not in self._structs:
                 self._mistake(f"bind.{key}", f"there is no struct {name!r}")
         if self._mistakes:
             raise ConfigError(*dict.fromkeys(self._mistakes))
