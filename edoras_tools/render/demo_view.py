@@ -164,6 +164,10 @@ def lost(summary: Mapping[str, Any]) -> list[str]:
                 found.append(
                     f"{name}: {row['held']:,} of {row['said']:,} held back by the bridge's rate limit"
                 )
+            gone = sum(row["lost"].values()) + row["refused"] + row["replaced"] + row["held"]
+            missing = row["said"] - gone - row["arrived"]
+            if missing > 0 and not robot["commands"]["others_said"]:
+                found.append(f"{name}: {missing:,} on their way at the end, or from before telemetry was on")
     return found + bridge_losses(
         {"bridges": summary["bridges"], "inbox_overflowed": 0, "unrecorded": summary["unrecorded"]}
     )

@@ -40,7 +40,7 @@ def test_an_absent_library_is_told_with_what_to_install(call, tmp_path, monkeypa
 
 
 def test_it_reports_in_json_and_leaves_its_files_here(edoras, tmp_path):
-    result = edoras("demo", "arm", "--seconds", "2", "--json", cwd=tmp_path)
+    result = edoras("demo", "arm", "--seconds", "1", "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     summary = json.loads(result.stdout)
     assert (summary["demo"], summary["ros"], summary["lost"]) == ("arm", "local", 0)

@@ -153,7 +153,7 @@ def test_the_ground_station_gives_way_to_who_else_commands(tmp_path):
 
 def test_it_ends_by_itself_and_limits_and_commands_only_where_asked_to(tmp_path):
     with Demo(plan("two-rovers", tmp_path, command_hz=0, state_hz=40.0, max_rate=0.0)) as demo:
-        demo.run(duration_ns=3_000_000_000)
+        demo.run(duration_ns=1_500_000_000)
     for robot in demo.summary()["robots"]:
         assert robot["commands"]["said"] == 0
         assert robot["states"]["held"] == 0

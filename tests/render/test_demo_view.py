@@ -87,6 +87,15 @@ def test_arms_are_shown_by_their_joints(summary):
     assert "its joints turned 2.5 rad together" in shown
 
 
+def test_what_is_on_its_way_is_told_unless_others_blur_the_count(summary):
+    robot = summary["robots"][0]
+    assert not any("on their way" in line for line in view.lost(summary))
+    robot["commands"] |= {"others_said": 0, "said": 138}
+    told = [line for line in view.lost(summary) if "on their way" in line]
+    assert told[0].startswith("robot_1: commands: 3 on their way at the end")
+    assert told[1].startswith("robot_1: states: 30 on their way")
+
+
 def test_a_robot_that_nobody_heard_of_is_told(summary):
     summary["robots"][0]["place"] = []
     summary["robots"][0]["commands"]["latency_us"] = dict.fromkeys(("p50", "p99", "max"))
