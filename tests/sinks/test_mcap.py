@@ -22,7 +22,7 @@ from edoras_tools.sinks.mcap_file import McapFile
 
 OWN = {"/edoras/datagrams", "/edoras/events", "/edoras/software_bus", "/edoras/link_statistics"}
 HOUSEKEEPING = {
-    *(f"/cfs/CFE_{name}_HousekeepingTlm" for name in ("ES", "EVS", "SB", "TBL", "TIME")),
+    *(f"/cfs/CFE_{name}_HousekeepingTlm" for name in ("ES", "EVS", "TBL", "TIME")),
     *("/cfs/TO_LAB_HkTlm", "/cfs/CI_LAB_HkTlm"),
 }
 
@@ -58,7 +58,6 @@ def test_a_rover_holds_what_was_sent(tmp_path, types, capture):
     }
     assert counts.pop("/edoras/link_statistics") > 65
     assert counts == dict.fromkeys(HOUSEKEEPING, 63) | {
-        "/cfs/CFE_EVS_LongEventTlm": 15,
         "/cmd_vel": 600,
         "/telemetry_pose": 63,
         "/edoras/datagrams": 1827,
@@ -75,7 +74,7 @@ def test_rosbags_reads_every_message_of_every_schema(tmp_path, types, capture):
     with AnyReader([path]) as reader:
         for connection, _, raw in reader.messages():
             seen.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
-    assert {*seen} == OWN | HOUSEKEEPING | {"/cmd_vel", "/telemetry_pose", "/cfs/CFE_EVS_LongEventTlm"}
+    assert {*seen} == OWN | HOUSEKEEPING | {"/cmd_vel", "/telemetry_pose"}
     table = seen["/cfs/CFE_TBL_HousekeepingTlm"][-1]
     assert (table.last_updated_table, table.tables, table.header.msg_id) == ("SBN.SBN_RemapTbl", 4, 0x0804)
     assert [item.app_id & 0xFF for item in seen["/cfs/CFE_EVS_HousekeepingTlm"][-1].app_data][:3] == [1, 2, 3]
