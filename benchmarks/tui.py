@@ -54,6 +54,7 @@ async def look(capture: Path, packets: int, began: float) -> dict[str, object]:
         while len(app.store) < packets:  # noqa: ASYNC110  looked at from outside
             await asyncio.sleep(0.001)
         report["last_row_s"] = round(time.time() - began, 2)
+        report["last_row_cpu_s"] = round(time.process_time(), 2)
         await pilot.press("G")
         assert app.decoded.datagram.number == packets
         frames, lines = [], []
