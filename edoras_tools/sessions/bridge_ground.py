@@ -7,9 +7,10 @@ asking     telemetry arrives                           hearing
 hearing    none arrives for ``SILENCE_NS``             asking
 =========  ==========================================  =========
 
-Asking is the enable command, after the remove-packet and add-packet commands for what the mission wants in
+Asking is the enable command, then the remove-packet and add-packet commands for what the mission wants in
 Telemetry Output's table: every ``ASK_NS`` at first, later every ``SILENCE_NS``, so that a cFS that starts
-late, or anew, is found.
+late, or anew, is found. Command Ingest hands on what came since it last woke up, and Telemetry Output's pipe
+holds four of one MsgId: more goes in bursts, ``STEP_NS`` apart.
 """
 
 from __future__ import annotations
@@ -27,7 +28,11 @@ if TYPE_CHECKING:
 
 ASK_NS: Final = 2 * SECOND
 SILENCE_NS: Final = 10 * SECOND
+STEP_NS: Final = SECOND
+"""Twice the time between Command Ingest's wake-ups."""
 _ASKS: Final = 5
+_AT_ONCE: Final = 4
+"""Commands of one MsgId that wait in Telemetry Output's pipe."""
 _ADD: Final = struct.Struct("<IBBBx")
 """MsgId, priority, reliability, how many may wait."""
 
@@ -62,6 +67,8 @@ class GroundSession:
         self._writer, self._address, self._add = writer, address, dict(add or {})
         self._heard_ns = now
         self._told = False
+        self._again_ns = now
+        self._bursts: list[list[bytes]] = []
 
     def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:  # noqa: ARG002  any will do
         """Take a datagram; return where its space packet starts, and nothing to answer."""
@@ -69,7 +76,7 @@ class GroundSession:
         if not self.hearing:
             self.hearing, self._told = True, False
             self.notes.append("telemetry arrives")
-            if self.next_ns is not None:
+            if self.next_ns is not None and not self._bursts:
                 self.next_ns = now + SILENCE_NS
         return 0, []
 
@@ -77,19 +84,26 @@ class GroundSession:
         """Ask Telemetry Output to send, where nothing has come of it."""
         if self.next_ns is None or now < self.next_ns:
             return []
-        silent_ns = now - self._heard_ns
-        if self.hearing and silent_ns < SILENCE_NS:
-            self.next_ns = self._heard_ns + SILENCE_NS
-            return []
-        if silent_ns >= SILENCE_NS and not self._told:
-            self._told = True
-            self.notes.append(
-                f"no telemetry for {silent_ns // SECOND} s: is cFS up, does its TO send here? asking on"
-            )
-        self.hearing = False
-        self.asked += 1
-        self.next_ns = now + (ASK_NS if self.asked <= _ASKS else SILENCE_NS)
-        return self._ask()
+        if not self._bursts:
+            silent_ns = now - self._heard_ns
+            if self.hearing and silent_ns < SILENCE_NS:
+                self.next_ns = self._heard_ns + SILENCE_NS
+                return []
+            if silent_ns >= SILENCE_NS and not self._told:
+                self._told = True
+                self.notes.append(
+                    f"no telemetry for {silent_ns // SECOND} s: is cFS up, does its TO send here? asking on"
+                )
+            self.hearing = False
+            self.asked += 1
+            self._again_ns = now + (ASK_NS if self.asked <= _ASKS else SILENCE_NS)
+            self._bursts = self._ask()
+        burst = self._bursts.pop(0)
+        if self._bursts:
+            self.next_ns = now + STEP_NS
+        else:
+            self.next_ns = self._heard_ns + SILENCE_NS if self.hearing else max(self._again_ns, now + STEP_NS)
+        return burst
 
     def frame(self, packet: bytes) -> bytes:
         """Return the datagram of a packet: itself."""
@@ -106,17 +120,16 @@ class GroundSession:
         """Return its part of ``bridge --json``."""
         return {"connected": self.hearing, "asked": self.asked}
 
-    def _ask(self) -> list[bytes]:
+    def _ask(self) -> list[list[bytes]]:
         assert self._address is not None
         command, write = telemetry_output.COMMAND_MSG_ID, self._writer.write
-        added = []
+        bursts = [[write(command, self._address.encode("ascii").ljust(16, b"\0"), telemetry_output.ENABLE)]]
         for msg_id, limit in self._add.items():
+            if len(bursts[-1]) > _AT_ONCE - 2:
+                bursts.append([])
             # What is in the table already keeps its limit when it is added once more.
-            added += [
+            bursts[-1] += [
                 write(command, _ADD.pack(msg_id, 0, 0, 0)[:4], telemetry_output.REMOVE_PACKET),
                 write(command, _ADD.pack(msg_id, 0, 0, limit), telemetry_output.ADD_PACKET),
             ]
-        return [
-            *added,
-            write(command, self._address.encode("ascii").ljust(16, b"\0"), telemetry_output.ENABLE),
-        ]
+        return bursts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from edoras_tools.pipelines.gates import enable_output
-from edoras_tools.sessions.bridge_ground import ASK_NS, SILENCE_NS, GroundSession
+from edoras_tools.sessions.bridge_ground import ASK_NS, SILENCE_NS, STEP_NS, GroundSession
 from edoras_tools.sessions.bridge_packets import PacketWriter
 from edoras_tools.sessions.profile import SECOND, SimProfile
 from edoras_tools.sessions.software_bus import SoftwareBus
@@ -58,11 +58,23 @@ def test_what_the_mission_wants_in_the_table_is_added_and_real_to_takes_it():
     session = GroundSession(PacketWriter(checksum=True, sequence=True), "10.0.0.7", {0x828: 255}, now=0)
     said = [output.command(packet).event.message for packet in session.service(now=0)]
     assert said == [
+        "TO telemetry output enabled for IP 10.0.0.7",
         "L497 TO RemovePkt 0x828",
         "L473 TO AddPkt 0x828, QoS 0.0, limit 255",
-        "TO telemetry output enabled for IP 10.0.0.7",
     ]
     assert output.pipe.limits[0x828] == 255
+
+
+def test_no_more_is_asked_at_once_than_telemetry_output_takes():
+    session = GroundSession(PacketWriter(), "10.0.0.7", dict.fromkeys(range(0x828, 0x82C), 20), now=0)
+    bursts = [session.service(now=0)]
+    session.receive_datagram(b"telemetry", now=1)  # the rest is asked for all the same
+    while session.next_ns == len(bursts) * STEP_NS:
+        bursts.append(session.service(now=session.next_ns))
+    assert [len(burst) for burst in bursts] == [3, 4, 2]
+    assert bursts[0][0] == enable_output("10.0.0.7")
+    assert session.next_ns == 1 + SILENCE_NS
+    assert (session.asked, session.hearing) == (1, True)
 
 
 def test_telemetry_output_is_left_alone_where_that_is_wanted():
