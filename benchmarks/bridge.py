@@ -1,7 +1,11 @@
 """Measure the bridge: messages a second each way, its own latency, and the whole way through both bridges.
 
 The graph is inside the process of the bridge, so that its own cost is seen and not a middleware's; cFS is a
-process of its own that sends and takes datagrams. Called by run.py; alone: python benchmarks/bridge.py
+process of its own that sends and takes datagrams. The whole way is measured so, and by Zenoh from and to
+another process. Called by run.py; alone: python benchmarks/bridge.py
+
+By DDS, which binds every interface that there is, in a network of its own:
+unshare --map-root-user --net python .ci/with_raw_sockets.py --in-namespace python benchmarks/bridge.py dds
 """
 
 from __future__ import annotations
@@ -16,27 +20,34 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.middleware import Qos
-from edoras_tools.middleware.local import open_graph
+from edoras_tools.middleware import Qos, open_graph
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.bridge import Bridges
 from edoras_tools.pipelines.bridge_plan import Wishes, plan_bridges
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.profile import MILLISECOND, SimProfile
-from edoras_tools.sim import Simulation, serve
+from edoras_tools.sim import Sent, Simulation, serve
 from edoras_tools.sinks.wire import precise_timing
 from edoras_tools.sources.relay import make_arena, open_port, open_socket, stage
 from edoras_tools.sources.udp import kernel_drops
 from edoras_tools.wire import cfe, envelope
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
 
 ROOT = Path(__file__).parents[1]
 MISSIONS = ROOT / "samples/missions"
 HOST, CI, TO = "127.0.0.1", 1234, 1235
 CDR = bytes.fromhex("00010000") + bytes(48)
 RATES, SECONDS = (1_000, 20_000, 30_000), 5
+LOOPBACK = {"interface": "lo", "multicast": "false", "peers": HOST}
+AT = 16 + envelope.DEFAULT.size  # behind the telemetry header
+STATE = len(TypeStore().encode("geometry_msgs/msg/PoseStamped", {}))
 TYPES = {"order": "geometry_msgs/msg/Twist", "state": "geometry_msgs/msg/Twist"}
 
 
@@ -103,7 +114,7 @@ def both_ways(folder: Path, rate: int) -> dict[str, object]:
     bridges = Bridges(plan, wishes)
     thread = threading.Thread(target=bridges.run)
     thread.start()
-    node = open_graph(plan.types, "bench")
+    node = open_graph("local", plan.types, "bench")
     heard: list[bytes] = []
     node.subscribe("/telemetry_pose", TYPES["state"], Qos(), heard.append)
     publish = node.advertise("/cmd_vel", TYPES["order"], Qos())
@@ -134,62 +145,112 @@ def both_ways(folder: Path, rate: int) -> dict[str, object]:
     }
 
 
-def whole_way(rate: int = 10, seconds: float = 10) -> dict[str, object]:
-    """State of a robot, through the flight bridge, the emulated cFS and the ground bridge.
+def whole_way(ros: str, options: dict[str, str], other: dict[str, str]) -> dict[str, object]:
+    """State of a robot, through the flight bridge, the emulated cFS and the ground bridge, back to a process.
 
-    cFS wakes up each ms instead of each 500: what its wake-ups cost is its own, and left out this way.
+    What the emulated cFS takes, its wake-ups, is its own: each message is found where it enters and where it
+    leaves, and the time between is taken off (``beside_cfs``).
     """
     fast = MILLISECOND
     profile = replace(SimProfile(), to_wake_ns=fast, ci_wake_ns=fast, sbn_wake_ns=fast)
     simulation = Simulation(profile, "two-rovers", bridges=False)
     stop, ready = threading.Event(), threading.Event()
-    flight_software = threading.Thread(target=serve, args=(simulation, HOST, None, stop, ready.set))
+    inside: dict[bytes, int] = {}
+    feed, run = simulation.feed, simulation.run
+
+    def entering(time_ns: int, place: Endpoint, data: bytes) -> None:
+        inside.setdefault(data[-STATE:], -time.monotonic_ns())
+        feed(time_ns, place, data)
+
+    def leaving(until_ns: int) -> Iterator[Sent]:
+        for item in run(until_ns):
+            cdr = item.payload[AT : AT + STATE]
+            if item.destination.port == TO and inside.get(cdr, 0) < 0:
+                inside[cdr] += time.monotonic_ns()
+            yield item
+
+    simulation.feed, simulation.run = entering, leaving
+    flight_software = threading.Thread(
+        target=serve, args=(simulation, HOST, None, stop, ready.set), daemon=True
+    )
     flight_software.start()
     ready.wait()
-    plan = plan_bridges(
-        Settings(tuple(MISSIONS / f"two_rovers_{side}.yaml" for side in ("ground", "flight"))), Wishes()
-    )
-    bridges = Bridges(plan)
+    files = tuple(MISSIONS / f"two_rovers_{side}.yaml" for side in ("ground", "flight"))
+    bridges = Bridges(plan_bridges(Settings(files), Wishes()), ros=ros, options=options)
     thread = threading.Thread(target=bridges.run)
     thread.start()
-    node = open_graph(plan.types, "bench")
-    began: dict[bytes, int] = {}
-    took: list[int] = []
-    kind = "geometry_msgs/msg/PoseStamped"
-    node.subscribe(
-        "/robot_1/ground/pose", kind, Qos(), lambda cdr: took.append(time.monotonic_ns() - began[cdr])
-    )
-    publish = node.advertise("/robot_1/pose", kind, Qos())
-    time.sleep(2)
-    count = 0
-
-    def send(_count: int) -> None:
-        nonlocal count
-        count += 1
-        cdr = plan.types.encode(kind, {"pose": {"position": {"x": float(count)}}})
-        began[cdr] = time.monotonic_ns()
-        publish(cdr)
-
-    pace(rate, seconds, 1, send)
-    time.sleep(1)
+    if ros == "local":
+        found = robot(ros, other)
+    else:
+        words = [sys.executable, __file__, "robot", ros, json.dumps(other)]
+        found = json.loads(subprocess.run(words, stdout=subprocess.PIPE, check=True).stdout)
     bridges.stop()
     thread.join()
     bridges.close()
-    node.close()
     stop.set()
     flight_software.join()
-    p50, p99 = (np.percentile(took, (50, 99)) / 1e6).round(2).tolist()
-    return {"sent": count, "came_back_byte_equal": len(took), "p50_ms": p50, "p99_ms": p99}
+    took = found.pop("took_ns")
+    beside = [total - inside[bytes.fromhex(cdr)] for cdr, total in took.items()]
+    return {"ros": ros, **found, "whole_ms": spread(took.values()), "beside_cfs_ms": spread(beside)}
+
+
+def spread(times_ns: Iterable[int]) -> dict[str, float]:
+    """Return median and 99th percentile, ms."""
+    p50, p99 = (np.percentile(list(times_ns), (50, 99)) / 1e6).round(2).tolist()
+    return {"p50": p50, "p99": p99}
+
+
+def robot(ros: str, options: dict[str, str], rate: int = 10, seconds: float = 10) -> dict[str, object]:
+    """Say where a robot is, and hear it come back; return how long that took."""
+    types, kind = TypeStore(), "geometry_msgs/msg/PoseStamped"
+    node = open_graph(ros, types, "bench", options=options)
+    began: dict[bytes, int] = {}
+    took: dict[str, int] = {}
+
+    def heard(cdr: bytes) -> None:
+        took[cdr.hex()] = time.monotonic_ns() - began[cdr]
+
+    node.subscribe("/robot_1/ground/pose", kind, Qos(), heard)
+    publish = node.advertise("/robot_1/pose", kind, Qos())
+
+    def send(_count: int) -> None:
+        cdr = types.encode(kind, {"pose": {"position": {"x": float(len(began))}}})
+        began[cdr] = time.monotonic_ns()
+        publish(cdr)
+
+    deadline = time.monotonic() + 30
+    while not took and time.monotonic() < deadline:  # until all have found each other
+        send(1)
+        time.sleep(0.1)
+    time.sleep(1)
+    before = len(began)
+    took.clear()
+    pace(rate, seconds, 1, send)
+    time.sleep(1)
+    node.close()
+    return {"sent": len(began) - before, "byte_equal": len(took), "took_ns": took}
 
 
 def measure(folder: Path) -> dict[str, object]:
     """Run all."""
-    return {"both_ways": [both_ways(folder, rate) for rate in RATES], "whole_way": whole_way()}
+    with socket.create_server((HOST, 0)) as free:
+        place = f"tcp/{HOST}:{free.getsockname()[1]}"
+    return {
+        "both_ways": [both_ways(folder, rate) for rate in RATES],
+        "whole_way": [
+            whole_way("local", {}, {}),
+            whole_way("zenoh", {"router": place}, {"listen": place, "router": ""}),
+        ],
+    }
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["cfs"]:
         cfs(int(sys.argv[2]), float(sys.argv[3]))
+    elif sys.argv[1:2] == ["robot"]:
+        print(json.dumps(robot(sys.argv[2], json.loads(sys.argv[3]))))
+    elif sys.argv[1:2] == ["dds"]:
+        print(json.dumps(whole_way("dds", LOOPBACK, LOOPBACK), indent=2))
     else:
         with tempfile.TemporaryDirectory() as name:
             print(json.dumps(measure(Path(name)), indent=2))
