@@ -11,7 +11,7 @@ import typer
 
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import LOST
-from edoras_tools.cli.live import Shown, showing
+from edoras_tools.cli.live import Origins, Shown, showing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -86,6 +86,7 @@ def bridge(
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Record to .mcap, .pcapng or .pcap.")
     ] = None,
     live: Shown = None,
+    allow_origin: Origins = None,
     duration: options.Duration = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what would be bridged; open nothing.")
@@ -132,8 +133,8 @@ def bridge(
         wishes,
         ros=way,
         domain=usual_domain() if domain is None else domain,
-        options=dict(item.split("=", 1) for item in ros_options or ()),
-        recorder=_recorder(plan, output, live),
+        options=_options(way, ros_options, allow_origin),
+        recorder=_recorder(plan, output, live, allow_origin),
         say=None if shows else _say,
     )
     failure = _run(bridges, output, duration or 0, shows=shows)
@@ -158,7 +159,15 @@ def bridge(
         raise typer.Exit(LOST)
 
 
-def _recorder(plan: BridgePlan, output: Path | None, live: Endpoint | None) -> Callable[[], Recorder] | None:
+def _options(way: str, given: list[str] | None, origins: list[str] | None) -> dict[str, str]:
+    """Return the middleware's options; where that is Foxglove itself, it has the origins too."""
+    pairs = dict(item.split("=", 1) for item in given or ())
+    return {**pairs, "origins": ",".join(origins)} if origins and way == Ros.FOXGLOVE else pairs
+
+
+def _recorder(
+    plan: BridgePlan, output: Path | None, live: Endpoint | None, origins: list[str] | None
+) -> Callable[[], Recorder] | None:
     """Return what records and shows it, checked before anything is opened; None where nobody wants it."""
     if output is None and live is None:
         return None
@@ -170,7 +179,8 @@ def _recorder(plan: BridgePlan, output: Path | None, live: Endpoint | None) -> C
         check_target(goal, ())
     bench = plan.workbench()
     name = ", ".join(f"{item.kind} bridge {item.listen} to {item.target}" for item in plan.stations)
-    return lambda: Recorder(goal, bench, name, "bridge", show=showing(bench, live))
+    show = showing(bench, live, origins)
+    return lambda: Recorder(goal, bench, name, "bridge", show=show)
 
 
 def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool) -> EdorasError | None:

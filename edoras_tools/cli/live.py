@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from edoras_tools.cli import options, sending
 from edoras_tools.cli.sim import Scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from edoras_tools.errors import EdorasError
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
@@ -26,7 +27,11 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.sinks.foxglove import FoxgloveSink
     from edoras_tools.sources.device import DeviceSource
+    from edoras_tools.websocket import Guard
     from edoras_tools.wire.sbn import Peer
+
+Show = Callable[["SourceInfo", "SourceStatistics"], "FoxgloveSink"]
+"""Attaches Foxglove to what is about to run."""
 
 _publishing = partial(typer.Option, rich_help_panel="Publishing")
 _playback = partial(typer.Option, rich_help_panel="Playback")
@@ -47,19 +52,26 @@ Shown = Annotated[
     ),
 ]
 """An option of whatever can be looked at while it runs; ``showing`` makes of it what a recorder takes."""
+Origins = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--allow-origin",
+        metavar="ORIGIN",
+        help="Foxglove: let in web pages from there too, as https://viz.example.org; repeatable.",
+    ),
+]
 
 
-def showing(
-    bench: Workbench, where: Endpoint | None
-) -> Callable[[SourceInfo, SourceStatistics], FoxgloveSink] | None:
+def showing(bench: Workbench, where: Endpoint | None, origins: Sequence[str] | None) -> Show | None:
     """Return what attaches Foxglove, and says where to look; None where nobody wants it."""
     if where is None:
         return None
+    guard = _guard(origins)
 
     def show(info: SourceInfo, statistics: SourceStatistics) -> FoxgloveSink:
         from edoras_tools.pipelines.live import attach
 
-        sink = attach(bench, info, listen=where, statistics=statistics)
+        sink = attach(bench, info, listen=where, statistics=statistics, guard=guard)
         _say(info.name, sink)
         return sink
 
@@ -89,6 +101,7 @@ def live(
             "--ws-port", metavar="PORT", min=0, max=65535, help="And at which port; 0 for any that is free."
         ),
     ] = 8765,
+    allow_origin: Origins = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="Record at the same time, as record does."),
@@ -130,6 +143,7 @@ def live(
     from edoras_tools.cli.output import print_json
     from edoras_tools.errors import ConfigError
     from edoras_tools.model import Endpoint
+    from edoras_tools.pipelines.live import attach
     from edoras_tools.render.foxglove import served
 
     if sum(map(bool, (files, interface, listen, sim))) != 1:
@@ -138,10 +152,12 @@ def live(
         raise ConfigError("a recording is played back: --allow-publish, -o, -a and -n go with live traffic")
     if not files and (paused or speed):
         raise ConfigError("live traffic has its own speed: --speed and --paused go with a recording")
-    where = Endpoint(host, ws_port)
+    serve = partial(attach, listen=Endpoint(host, ws_port), guard=_guard(allow_origin))
     report = None
     if files:
-        summary, failure = _play(files, settings, selection, where, speed or 1.0, duration, paused=paused)
+        summary, failure = _play(
+            files, settings, selection, serve, speed or 1.0, duration, paused=paused, quiet=quiet or json
+        )
     else:
         failure = None
         with ExitStack() as stack:
@@ -149,10 +165,10 @@ def live(
             stack.callback(source.close)
             commands = _commands(bench, allow_publish, target, sender, outlets, yes=yes)
             if commands:
-                commands.open()
                 stack.callback(commands.close)
+                commands.open()
             summary, report = _show(
-                source, bench, selection, where, commands, output, duration, count, quiet=quiet or json
+                source, bench, selection, serve, commands, output, duration, count, quiet=quiet or json
             )
     if json:
         print_json(summary)
@@ -170,28 +186,32 @@ def _play(
     files: Sequence[Path],
     settings: Settings,
     selection: Selection,
-    where: Endpoint,
+    serve: Callable[..., FoxgloveSink],
     speed: float,
     duration: int | None,
     *,
     paused: bool,
+    quiet: bool,
 ) -> tuple[dict[str, Any], EdorasError | None]:
     """Play a recording back; return what became of it, and what was wrong with it."""
     from time import monotonic_ns
 
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.pipelines.live import attach
     from edoras_tools.pipelines.live_player import RecordingPlayer, look_into
+    from edoras_tools.render import units
 
     info, bench, reopen = look_into(files, settings)
     player = RecordingPlayer(
         reopen, bench, clock=monotonic_ns, selection=selection, speed=speed, paused=paused
     )
-    sink = attach(bench, info, listen=where, player=player)
+    start_ns, end_ns = player.range_ns
+    sink = serve(bench, info, player=player)
     with on_interrupt(player.stop):
         _say(info.name, sink)
+        if not quiet:
+            begins = "Play is pressed there" if paused else "somebody looks"
+            _write(f"plays {units.duration((end_ns - start_ns) / 1e9)} once {begins}; Ctrl-C ends")
         player.run(sink, duration_ns=duration or 0)
-    start_ns, end_ns = player.range_ns
     summary = {"source": info.name, "kind": info.kind, "start_ns": start_ns, "end_ns": end_ns}
     return {**summary, "foxglove": sink.summary()}, player.failure
 
@@ -200,7 +220,7 @@ def _show(
     source: DeviceSource | RunningSimulation,
     bench: Workbench,
     selection: Selection,
-    where: Endpoint,
+    serve: Callable[..., FoxgloveSink],
     commands: Commands | None,
     output: Path | None,
     duration: int | None,
@@ -212,7 +232,6 @@ def _show(
     from time import monotonic_ns
 
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.pipelines.live import attach
     from edoras_tools.pipelines.live import live as run
     from edoras_tools.pipelines.record import Target, check_target
     from edoras_tools.render.watch import watcher
@@ -220,7 +239,7 @@ def _show(
     goal = Target(output) if output else None
     if goal:
         check_target(goal, ())
-    sink = attach(bench, source.info, listen=where, statistics=source.statistics, publisher=commands)
+    sink = serve(bench, source.info, statistics=source.statistics, publisher=commands)
     with on_interrupt(source.stop), watcher(source, output, quiet=quiet, live=True) as watch:
         _say(source.info.name, sink)
         report = run(
@@ -286,7 +305,17 @@ def _commands(
     return commands
 
 
+def _guard(origins: Sequence[str] | None) -> Guard:
+    from edoras_tools.websocket import Guard
+
+    return Guard(tuple(origins or ()), lambda text: _write(f"edoras: {text}"))
+
+
+def _write(line: str) -> None:
+    sys.stderr.write(f"{line}\n")
+    sys.stderr.flush()
+
+
 def _say(name: str, sink: FoxgloveSink) -> None:
     """Say where to look, before anything else: scripts wait for it."""
-    sys.stderr.write(f"{name} in Foxglove: {sink.server.app_url}\n")
-    sys.stderr.flush()
+    _write(f"{name} in Foxglove: {sink.server.app_url}")

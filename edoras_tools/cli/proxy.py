@@ -11,12 +11,11 @@ import typer
 
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import LOST
-from edoras_tools.cli.live import Shown, showing
+from edoras_tools.cli.live import Origins, Show, Shown, showing
 from edoras_tools.cli.sending import DryRun, Yes, endpoint
 
 if TYPE_CHECKING:
     from edoras_tools.errors import EdorasError
-    from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.proxy import Proxy
     from edoras_tools.pipelines.proxy_plan import ProxyPlan
     from edoras_tools.pipelines.workbench import Settings, Workbench
@@ -89,6 +88,7 @@ def proxy(
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Record to .mcap, .pcapng or .pcap.")
     ] = None,
     live: Shown = None,
+    allow_origin: Origins = None,
     idle: Annotated[
         int | None,
         typer.Option(metavar="TIME", parser=options.duration, help="Forget clients silent for so long; 60s."),
@@ -134,7 +134,7 @@ def proxy(
     asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     for item in plan.targets:
         check_target(item, yes=yes, confirm=_confirm if asks else None)
-    relay = _opened(plan, bench, output, live)
+    relay = _opened(plan, bench, output, showing(bench, live, allow_origin))
     failure = _run(relay, output, duration or 0, keyboard=asks, quiet=quiet or json)
     summary = relay.summary()
     shown = relay.recorder.shown.summary() if relay.recorder and relay.recorder.shown else None
@@ -154,12 +154,12 @@ def proxy(
         raise typer.Exit(LOST)
 
 
-def _opened(plan: ProxyPlan, bench: Workbench, output: Path | None, live: Endpoint | None) -> Proxy:
+def _opened(plan: ProxyPlan, bench: Workbench, output: Path | None, show: Show | None) -> Proxy:
     """Bind the ports, then begin the recording, and to show it."""
     from edoras_tools.pipelines.fault_where import compiler
     from edoras_tools.pipelines.proxy import Proxy
 
-    if output is None and live is None:
+    if output is None and show is None:
         return Proxy(plan, where=compiler(bench))
     from edoras_tools.pipelines.proxy_recorder import Recorder
     from edoras_tools.pipelines.record import Target, check_target
@@ -168,7 +168,6 @@ def _opened(plan: ProxyPlan, bench: Workbench, output: Path | None, live: Endpoi
     if goal:
         check_target(goal, ())
     name = f"{plan.link.label} {plan.listen} to {plan.targets[0]}"
-    show = showing(bench, live)
     return Proxy(plan, recorder=lambda: Recorder(goal, bench, name, show=show), where=compiler(bench))
 
 

@@ -1,6 +1,7 @@
 """Foxglove in the place of a ROS 2 graph: what a bridge publishes is shown, what clients publish is heard.
 
-Options: ``host`` and ``port`` of the server; port 0 is any that is free, ``FoxgloveGraph.url`` says which.
+Options: ``host`` and ``port`` of the server; port 0 is any that is free, ``FoxgloveGraph.url`` says which;
+``origins`` of web pages that may connect beside Foxglove's and this machine's.
 A client that does not keep up loses messages, and holds up nobody; ``edoras live`` also counts them.
 """
 
@@ -14,16 +15,19 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.middleware.names import unknown_options
+from edoras_tools.model import Endpoint
+from edoras_tools.websocket import MOST, Door, Guard, Relay, secluded
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    import socket
+    from collections.abc import Callable, Mapping, Sequence
 
     from edoras_tools.middleware.graph import Qos
     from edoras_tools.ros import TypeStore
 
 ENCODINGS: Final = ("cdr", "json")
 """What clients may publish."""
-_OPTIONS: Final = {"host": "127.0.0.1", "port": "8765"}
+_OPTIONS: Final = {"host": "127.0.0.1", "port": "8765", "origins": ""}
 
 
 def open_graph(
@@ -39,7 +43,7 @@ def open_graph(
         store: the types that are known.
         node: name of the server.
         domain: not looked at.
-        options: ``host`` and ``port``.
+        options: ``host``, ``port``, and ``origins`` with commas between.
 
     Raises:
         ConfigError: an option is not known, or the address cannot be listened on.
@@ -50,7 +54,8 @@ def open_graph(
     given = {**_OPTIONS, **options}
     if not given["port"].isdecimal() or int(given["port"]) > 0xFFFF:
         raise ConfigError(f"--ros foxglove: port {given['port']!r} is no TCP port: 0 to 65535")
-    return FoxgloveGraph(store, node, given["host"], int(given["port"]))
+    origins = [item for item in given["origins"].split(",") if item]
+    return FoxgloveGraph(store, node, Endpoint(given["host"], int(given["port"])), origins)
 
 
 class FoxgloveGraph:
@@ -59,15 +64,19 @@ class FoxgloveGraph:
     Args:
         store: the types that are known.
         node: name of the server.
-        host: where to listen.
-        port: and at which port; 0 is the system's choice.
+        listen: address and port; port 0 is the system's choice.
+        origins: of further web pages that may connect; see ``Guard``.
 
     Attributes:
         url: where clients connect to.
         refused: messages that were not what their topic takes.
+
+    Raises:
+        ConfigError: the address cannot be listened on, or an origin is none.
+        ImportError: the SDK is not installed.
     """
 
-    def __init__(self, store: TypeStore, node: str, host: str, port: int) -> None:
+    def __init__(self, store: TypeStore, node: str, listen: Endpoint, origins: Sequence[str] = ()) -> None:
         import foxglove
         from foxglove.websocket import Capability
 
@@ -79,25 +88,28 @@ class FoxgloveGraph:
         self._heard: defaultdict[str, list[Callable[[bytes], None]]] = defaultdict(list)
         self._advertised: dict[tuple[int, int], Any] = {}
         self._lock = threading.Lock()
-        self._closed = self._told = False
+        self._closed = False
         self.refused = 0
+        address = secluded()
+        self._server = foxglove.start_server(
+            name=node,
+            host=address,
+            port=0,
+            capabilities=[Capability.ClientPublish],
+            server_listener=cast("Any", self),
+            supported_encodings=list(ENCODINGS),
+            context=self._context,
+        )
+        self._inner = Endpoint(address, self._server.port)
+        self._relays: set[Relay] = set()
+        self._notes: list[str] = []
         try:
-            self._server = foxglove.start_server(
-                name=node,
-                host=host,
-                port=port,
-                capabilities=[Capability.ClientPublish],
-                server_listener=cast("Any", self),
-                supported_encodings=list(ENCODINGS),
-                context=self._context,
-            )
-        except RuntimeError as error:
-            why = str(error).rpartition("Failed to bind port: ")[2]
-            raise ConfigError(
-                f"--ros foxglove: {host}:{port} cannot be listened on: {why}; --ros-option port=0 takes a "
-                "free port"
-            ) from None
-        self.url = f"ws://{host}:{self._server.port}"
+            self._door = Door(listen, Guard(tuple(origins), self._notes.append), self._welcome)
+        except EdorasError as error:
+            self._server.stop()
+            raise ConfigError(f"--ros-option port: {error}") from None
+        self.url = self._door.url
+        self._notes.append(f"Foxglove connects to {self.url}")
 
     def subscribe(
         self,
@@ -133,9 +145,8 @@ class FoxgloveGraph:
         return publish
 
     def notes(self) -> list[str]:
-        """Say once where clients connect to; see ``Graph``."""
-        told, self._told = self._told, True
-        return [] if told else [f"Foxglove connects to {self.url}"]
+        """Say once where clients connect to, and which web pages were kept out; see ``Graph``."""
+        return [self._notes.pop(0) for _ in range(len(self._notes))]
 
     def close(self) -> None:
         """See ``Graph``."""
@@ -144,9 +155,20 @@ class FoxgloveGraph:
                 return
             self._closed = True
             self._heard.clear()
+        self._door.close()
         self._server.stop()
+        for relay in tuple(self._relays):
+            relay.close()
         for channel in self._channels.values():
             channel.close()
+
+    def _welcome(self, client: socket.socket, head: bytes) -> None:
+        with self._lock:
+            if self._closed or len(self._relays) >= MOST:
+                raise ConnectionRefusedError
+            relay = Relay(client, head, self._inner, lambda: self._relays.discard(relay))
+            self._relays.add(relay)
+            relay.start()
 
     def _know(self, topic: str, type_name: str) -> None:
         wrong = self._store.check(type_name)

@@ -17,6 +17,7 @@ from edoras_tools.pipelines.record import Report, pour, record
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.render.severity import EXPLANATIONS, Severity
 from edoras_tools.sinks.foxglove import PORT, FoxgloveSink
+from edoras_tools.websocket import Guard
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,6 +42,7 @@ def attach(
     statistics: SourceStatistics | None = None,
     publisher: Publisher | None = None,
     player: Player | None = None,
+    guard: Guard = Guard(),  # noqa: B008  frozen
 ) -> FoxgloveSink:
     """Begin to serve; every batch that is given to ``write`` of what is returned is shown.
 
@@ -51,6 +53,7 @@ def attach(
         statistics: of the source, for what the capture itself loses.
         publisher: takes what clients publish; None: they may not.
         player: plays a recording back; None: the traffic is live.
+        guard: who may connect; programs, Foxglove and this machine's own pages by default.
 
     Raises:
         CaptureError: the address cannot be listened on.
@@ -66,6 +69,7 @@ def attach(
         publisher=publisher,
         player=player,
         structs=bench.columns.context.structs,
+        guard=guard,
     )
 
 

@@ -59,7 +59,7 @@ def look_into(
         ConfigError: the mission has mistakes.
     """
     for path in paths:
-        if str(path) == "-" or (path.exists() and not path.is_file()):
+        if str(path) == "-" or path.is_fifo() or path.is_char_device():
             raise CaptureError(f"{path}: cannot be read twice, as playback does; save it to a file first")
     source = open_files(paths)
     try:

@@ -18,7 +18,7 @@ def served(summary: Mapping[str, Any]) -> Iterator[str]:
     """
     clients = summary["clients"]
     words = [
-        f"Foxglove: {units.plural(len(clients), 'client')}",
+        f"Foxglove: {units.plural(summary['connections'], 'client')}",
         f"{units.plural(summary['sent'], 'message')} sent",
     ]
     if summary["published"] or summary["refused"]:

@@ -12,6 +12,7 @@ from edoras_tools.sinks.foxglove_server import FoxgloveServer
 from edoras_tools.sinks.mcap_faults import fault_messages
 from edoras_tools.sinks.mcap_rows import lay_out
 from edoras_tools.sinks.streams import FAULTS, Streams, Topic
+from edoras_tools.websocket import Guard
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -42,6 +43,8 @@ class FoxgloveSink:
         statistics: the source's, for what the capture itself loses.
         publisher: takes what clients publish; None: they may not.
         player: plays a recording back; None: the traffic is live.
+        structs: C structs that packets hold; None for those of cFE itself.
+        guard: who may connect.
 
     Attributes:
         server: the server, listening from construction on.
@@ -64,6 +67,7 @@ class FoxgloveSink:
         publisher: Publisher | None = None,
         player: Player | None = None,
         structs: Structs | None = None,
+        guard: Guard = Guard(),  # noqa: B008  frozen
     ) -> None:
         self._mission, self._types, self._info = mission, types, info
         self._levels, self._counted = levels or {}, statistics
@@ -80,7 +84,7 @@ class FoxgloveSink:
             },
         }
         self._diagnostics_id = len(topics) - 1
-        offer = Offer(f"edoras: {info.name}", definitions, publisher, player, session=token_hex(8))
+        offer = Offer(f"edoras: {info.name}", definitions, publisher, player, token_hex(8), guard)
         self.server = FoxgloveServer(offer, topics, listen)
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
+
+from edoras_tools.websocket import Guard
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -79,6 +81,7 @@ class Offer:
         publisher: takes what clients publish; None: they may not.
         player: plays a recording back; None: the traffic is live.
         session: clients that come again keep what they have, if it is the same still.
+        guard: who may come at all.
     """
 
     name: str
@@ -86,3 +89,4 @@ class Offer:
     publisher: Publisher | None = None
     player: Player | None = None
     session: str = ""
+    guard: Guard = field(default_factory=Guard)

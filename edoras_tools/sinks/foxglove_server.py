@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import os
-import socket
 import threading
-import time
+from collections import Counter, deque
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlencode
 
-from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.model import Endpoint
+from edoras_tools.errors import ConfigError
 from edoras_tools.sinks.foxglove_visitor import Visitor
+from edoras_tools.websocket import MOST, Door
 
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Sequence
 
+    from edoras_tools.model import Endpoint
     from edoras_tools.sinks.foxglove_offer import Offer, PlaybackState
     from edoras_tools.sinks.mcap_rows import Records
     from edoras_tools.sinks.streams import Topic
 
-_MOST: Final = 64
-"""Clients at a time; each has threads and buffers of its own."""
-_PAUSE_S: Final = 0.05
+_LISTED: Final = 256
+"""Clients that have left and are told of one by one; those before are added up."""
+_SUMS: Final = ("sent", "dropped", "published", "refused")
 
 
 class FoxgloveServer:
@@ -37,7 +36,6 @@ class FoxgloveServer:
 
     Attributes:
         endpoint: what is listened on.
-        departed: summaries of clients that have left.
 
     Raises:
         CaptureError: the address cannot be listened on.
@@ -46,22 +44,20 @@ class FoxgloveServer:
 
     def __init__(self, offer: Offer, topics: Sequence[Topic], listen: Endpoint) -> None:
         sdk()
-        self.departed: list[dict[str, Any]] = []
+        self._departed: deque[dict[str, Any]] = deque()
+        self._before: Counter[str] = Counter()
         self._offer = offer
         self._topics = list(topics)
         self._visitors: tuple[Visitor, ...] = ()
         self._lock = threading.Lock()
         self._closed = False
-        self._door = _listen(listen)
-        self.endpoint = Endpoint(*self._door.getsockname()[:2])
-        self._thread = threading.Thread(target=self._receive, name="foxglove door", daemon=True)
-        self._thread.start()
+        self._door = Door(listen, offer.guard, self._welcome)
+        self.endpoint = self._door.endpoint
 
     @property
     def url(self) -> str:
         """Where clients connect to."""
-        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.endpoint.address, self.endpoint.address)  # noqa: S104
-        return f"ws://{Endpoint(host, self.endpoint.port)}"
+        return self._door.url
 
     @property
     def app_url(self) -> str:
@@ -104,15 +100,14 @@ class FoxgloveServer:
                 visitor.tell_state(state)
 
     def summary(self) -> dict[str, Any]:
-        """Return what became of it, a row a client: those that left, then those that are there."""
-        clients = [*self.departed, *(visitor.summary() for visitor in self._visitors)]
+        """Return what became of it, a row a client: the latest that left, then those that are there."""
+        clients = [*self._departed, *(visitor.summary() for visitor in self._visitors)]
+        sums = {key: self._before[key] + sum(item[key] for item in clients) for key in _SUMS}
         return {
             "url": self.url,
+            "connections": self._before["clients"] + len(clients),
             "clients": clients,
-            "sent": sum(item["sent"] for item in clients),
-            "dropped": sum(item["dropped"] for item in clients),
-            "published": sum(item["published"] for item in clients),
-            "refused": sum(item["refused"] for item in clients),
+            **sums,
         }
 
     def close(self) -> None:
@@ -121,9 +116,6 @@ class FoxgloveServer:
             if self._closed:
                 return
             self._closed = True
-        with contextlib.suppress(OSError):
-            self._door.shutdown(socket.SHUT_RDWR)  # wakes the thread
-        self._thread.join()
         self._door.close()
         visitors = self._visitors
         for visitor in visitors:
@@ -131,31 +123,13 @@ class FoxgloveServer:
         for visitor in visitors:
             visitor.close()
 
-    def _receive(self) -> None:
-        while True:
-            try:
-                client, _ = self._door.accept()
-            except OSError:
-                if self._closed:
-                    return
-                time.sleep(_PAUSE_S)  # whoever came has gone, or there are no descriptors for more
-                continue
-            if len(self._visitors) >= _MOST:
-                client.close()
-                continue
-            try:
-                self._welcome(client)
-            except (OSError, RuntimeError):  # it is gone already, or the system has no more of something
-                client.close()
-
-    def _welcome(self, client: socket.socket) -> None:
+    def _welcome(self, client: socket.socket, head: bytes) -> None:
         with self._lock:
-            if self._closed:
-                client.close()
-                return
-            visitor = Visitor(client, self._offer, self._topics, self._left, self._steered)
-            self._visitors = (*self._visitors, visitor)
+            if self._closed or len(self._visitors) >= MOST:
+                raise ConnectionRefusedError
+            visitor = Visitor(client, head, self._offer, self._topics, self._left, self._steered)
             visitor.start()
+            self._visitors = (*self._visitors, visitor)
 
     def _steered(self, by: Visitor, state: PlaybackState) -> None:
         for visitor in self._visitors:
@@ -166,7 +140,10 @@ class FoxgloveServer:
         with self._lock:
             self._visitors = tuple(item for item in self._visitors if item is not visitor)
             if visitor.connected:
-                self.departed.append(visitor.summary())
+                self._departed.append(visitor.summary())
+            if len(self._departed) > _LISTED:
+                first = self._departed.popleft()
+                self._before.update({"clients": 1, **{key: first[key] for key in _SUMS}})
 
 
 def sdk() -> Any:
@@ -186,15 +163,3 @@ def sdk() -> Any:
         # Python prints the warnings of those who have no handler; a broken handshake is nobody's business.
         logger.addHandler(logging.NullHandler())
     return foxglove
-
-
-def _listen(endpoint: Endpoint) -> socket.socket:
-    try:
-        family, *_, address = socket.getaddrinfo(endpoint.address, endpoint.port, type=socket.SOCK_STREAM)[0]
-        return socket.create_server(address[:2], family=family)
-    except (OSError, UnicodeError, OverflowError) as error:
-        number = getattr(error, "errno", None) or 0
-        why = os.strerror(number) if number > 0 else getattr(error, "strerror", None) or str(error)
-        raise CaptureError(
-            f"{endpoint}: cannot be listened on: {why}; name another port (0: any that is free) or address"
-        ) from None

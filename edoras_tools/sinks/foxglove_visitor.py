@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 
+from edoras_tools.model import Endpoint
 from edoras_tools.sinks.foxglove_offer import PlaybackRequest
-from edoras_tools.sinks.foxglove_relay import Relay
+from edoras_tools.websocket import Relay, secluded
 
 if TYPE_CHECKING:
     import socket
@@ -39,6 +40,7 @@ class Visitor:
 
     Args:
         client: an accepted connection.
+        head: what it has sent already.
         offer: what all clients are offered.
         topics: what it may subscribe to.
         left: told when it has gone.
@@ -57,6 +59,7 @@ class Visitor:
     def __init__(
         self,
         client: socket.socket,
+        head: bytes,
         offer: Offer,
         topics: Sequence[Topic],
         left: Callable[[Visitor], None],
@@ -81,9 +84,10 @@ class Visitor:
         capabilities = [Capability.Time]
         if offer.publisher is not None:
             capabilities.append(Capability.ClientPublish)
+        address = secluded()
         self._server = foxglove.start_server(
             name=offer.name,
-            host="127.0.0.1",
+            host=address,
             port=0,
             capabilities=capabilities,
             server_listener=cast("Any", self),
@@ -95,7 +99,7 @@ class Visitor:
             message_backlog_size=2 * ROOM,
         )
         try:
-            self._relay = Relay(client, self._server.port, self._gone)
+            self._relay = Relay(client, head, Endpoint(address, self._server.port), self._gone)
         except OSError:
             self._server.stop()
             raise

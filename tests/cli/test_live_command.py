@@ -11,6 +11,7 @@ from pathlib import Path
 
 import foxglove_client as peer
 import pytest
+from websockets.exceptions import InvalidStatus
 
 ROOT = Path(__file__).parents[2]
 TWIST = "geometry_msgs/msg/Twist"
@@ -63,7 +64,22 @@ def test_a_recording_is_played_back_and_steered(started, captures, missions):
         client.until(lambda: client.messages and client.messages[-1].time_ns > seek + 10**10)
         _, err = interrupt(process)
     assert process.returncode == 0
-    assert re.fullmatch(r"Foxglove: 1 client, \d+ messages sent\n", err)
+    assert re.search(r"^Foxglove: 1 client, \d+ messages sent$", err, re.MULTILINE)
+
+
+def test_web_pages_of_strangers_are_kept_out_and_told(started, captures):
+    process, url = started(captures("a_rover"), "--allow-origin", "https://viz.example.org", "-q")
+    with pytest.raises(InvalidStatus, match="HTTP 403"):
+        peer.Client(url, origin="https://evil.example")
+    assert process.stderr.readline() == (
+        "edoras: a web page of https://evil.example was kept out of Foxglove; "
+        "--allow-origin https://evil.example lets it in\n"
+    )
+    for origin in ("https://viz.example.org", "https://app.foxglove.dev"):
+        with peer.Client(url, 5, origin=origin) as client:
+            assert client.channels
+    interrupt(process)
+    assert process.returncode == 0
 
 
 def test_a_cut_off_recording_is_played_and_said_to_be_one(started, captures, missions, tmp_path):
@@ -183,6 +199,7 @@ def test_a_proxy_is_looked_at_while_it_relays(command, missions):
         (("--sim", "rover", "--topic", "/nowhere"), "no configured topic fits '/nowhere'"),
         (("--sim", "rover", "--host", "192.0.2.1"), "192.0.2.1:0: cannot be listened on"),
         (("--sim", "rover", "-o", "a.txt"), "a.txt: its suffix names no kind of recording"),
+        (["--sim", "rover", "--allow-origin", "viz.lab"], "edoras: 'viz.lab' is no origin; name it as"),
     ],
 )
 def test_bad_input_is_one_line(call, arguments, line):

@@ -8,6 +8,7 @@ import foxglove_client as peer
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from websockets.exceptions import InvalidStatus
 
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.middleware import Qos
@@ -104,13 +105,32 @@ def test_types_must_be_known_and_one_a_topic(graph):
 
 def test_options_and_addresses_that_cannot_be_are_one_line(graph):
     port = graph.url.rpartition(":")[2]
-    with pytest.raises(ConfigError, match=rf"127\.0\.0\.1:{port} cannot be listened on: .*in use"):
+    with pytest.raises(
+        ConfigError, match=rf"--ros-option port: 127\.0\.0\.1:{port}: cannot be listened on: .*in use"
+    ):
         open_graph(STORE, "other", options={"port": port})
     with pytest.raises(ConfigError, match="no option 'prot'; there are host, port"):
         open_graph(STORE, "other", options={"prot": "1"})
     for port in ("70000", "x", ""):
         with pytest.raises(ConfigError, match="is no TCP port"):
             open_graph(STORE, "other", options={"port": port})
+
+
+def test_pages_of_strangers_are_kept_out_and_told(graph):
+    assert graph.notes() == [f"Foxglove connects to {graph.url}"]
+    with pytest.raises(InvalidStatus, match="HTTP 403"):
+        peer.Client(graph.url, origin="https://evil.example")
+    (note,) = graph.notes()
+    assert "https://evil.example was kept out" in note
+    graph.advertise("/shown", TWIST, QOS)
+    for origin in (None, "https://app.foxglove.dev"):
+        with peer.Client(graph.url, origin=origin):
+            pass
+    other = open_graph(STORE, "other", options={"port": "0", "origins": "https://evil.example,http://b.lab"})
+    other.advertise("/shown", TWIST, QOS)
+    with peer.Client(other.url, origin="https://evil.example"):
+        pass
+    other.close()
 
 
 def test_without_the_sdk_it_is_said_what_to_install(monkeypatch):

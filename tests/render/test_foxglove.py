@@ -7,7 +7,14 @@ def client(**values):
 
 def summary(*clients, published=0, refused=0):
     total = {name: sum(item[name] for item in clients) for name in ("sent", "dropped")}
-    return {"url": "", "clients": clients, "published": published, "refused": refused, **total}
+    return {
+        "url": "",
+        "connections": len(clients),
+        "clients": clients,
+        "published": published,
+        "refused": refused,
+        **total,
+    }
 
 
 def test_one_line_tells_it():

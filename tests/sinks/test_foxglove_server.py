@@ -6,14 +6,16 @@ import sys
 import foxglove_client as peer
 import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.model import Endpoint
-from edoras_tools.sinks import foxglove_visitor
+from edoras_tools.sinks import foxglove_server, foxglove_visitor
 from edoras_tools.sinks.foxglove_offer import Offer, PlaybackRequest, PlaybackState
 from edoras_tools.sinks.foxglove_server import FoxgloveServer
 from edoras_tools.sinks.mcap_rows import Records
 from edoras_tools.sinks.streams import Topic
+from edoras_tools.websocket import Guard
 
 STRING = "std_msgs/msg/String"
 TOPICS = [Topic("/a", STRING, {"link": "ci"}), Topic("/b", STRING)]
@@ -237,6 +239,34 @@ def test_strangers_are_sent_away(serve):
         assert server.summary()["clients"][-1]["sent"] == 0
     peer.wait(lambda: not server.visitors)
     assert len(server.summary()["clients"]) == 1
+
+
+def test_pages_of_strangers_are_kept_out(serve):
+    told = []
+    server = serve(guard=Guard(("https://viz.example.org",), told.append))
+    for origin in ("https://evil.example", "null"):
+        with pytest.raises(InvalidStatus, match="HTTP 403"):
+            peer.Client(server.url, 2, origin=origin)
+    assert [line.split()[4] for line in told] == ["https://evil.example", "null"]
+    for origin in (None, "https://app.foxglove.dev", "http://localhost:8080", "https://viz.example.org"):
+        with peer.Client(server.url, 2, origin=origin) as client:
+            assert client.info["name"] == "test"
+    peer.wait(lambda: not server.visitors)
+    assert server.summary()["connections"] == 4
+
+
+def test_who_left_long_ago_is_added_up(serve, monkeypatch):
+    monkeypatch.setattr(foxglove_server, "_LISTED", 1)
+    server = serve()
+    for number in range(3):
+        with peer.Client(server.url, 2) as client:
+            client.subscribe("/a")
+            peer.wait(lambda: server.wanted(0))
+            server.publish(records([0], number, 8))
+            client.until(lambda: client.messages)
+        peer.wait(lambda: not server.visitors)
+    told = server.summary()
+    assert (told["connections"], len(told["clients"]), told["sent"]) == (3, 1, 3)
 
 
 def test_the_end_is_said_to_all(serve):

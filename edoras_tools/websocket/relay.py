@@ -7,7 +7,9 @@ its own, and what comes out of that is counted: what went in and has not come ou
 from __future__ import annotations
 
 import contextlib
+import secrets
 import socket
+import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -103,7 +105,8 @@ class Relay:
 
     Args:
         client: an accepted connection.
-        port: of the server, on this machine.
+        head: what it has sent already.
+        server: where its server listens.
         ended: called once when all is over.
 
     Attributes:
@@ -115,13 +118,15 @@ class Relay:
         OSError: the server is gone.
     """
 
-    def __init__(self, client: socket.socket, port: int, ended: Callable[[], None]) -> None:
+    def __init__(
+        self, client: socket.socket, head: bytes, server: Endpoint, ended: Callable[[], None]
+    ) -> None:
         self.client = Endpoint(*client.getpeername()[:2])
         self._meter = Meter()
         self.passed = self._meter.passed
         self.idle_s = 0.0
-        self._outer, self._ended = client, ended
-        self._inner = socket.create_connection(("127.0.0.1", port))
+        self._outer, self._head, self._ended = client, head, ended
+        self._inner = socket.create_connection((server.address, server.port))
         for opened in (self._outer, self._inner):
             opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._outer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _ROOM_BYTES)
@@ -148,6 +153,7 @@ class Relay:
 
     def _carry_up(self) -> None:
         with contextlib.suppress(OSError):
+            self._inner.sendall(self._head)
             while data := self._outer.recv(_PIECE):
                 self._inner.sendall(data)
         self._hang_up()
@@ -172,3 +178,13 @@ class Relay:
         for opened in (self._outer, self._inner):
             with contextlib.suppress(OSError):
                 opened.shutdown(socket.SHUT_RDWR)
+
+
+def secluded() -> str:
+    """Return an address of this machine's that nobody guesses.
+
+    A web page could try all ports of 127.0.0.1, and come to a server without passing its door.
+    """
+    if sys.platform != "linux":  # elsewhere the loopback has one address
+        return "127.0.0.1"
+    return ".".join(map(str, (127, *(1 + secrets.randbelow(254) for _ in range(3)))))

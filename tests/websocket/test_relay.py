@@ -5,7 +5,7 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.sinks.foxglove_relay import Meter
+from edoras_tools.websocket.relay import Meter
 
 ANSWER = b"HTTP/1.1 101 Switching Protocols\r\nupgrade: websocket\r\n\r\n"
 
