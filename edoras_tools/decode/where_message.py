@@ -13,8 +13,8 @@ from edoras_tools.decode.where_field import MESSAGE, Field
 from edoras_tools.decode.where_series import INDEX, Kind, Series
 from edoras_tools.ros import grammar, schema
 from edoras_tools.ros.columns import Ragged
-from edoras_tools.structs import cfe
 from edoras_tools.structs.bound import Encoded
+from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -212,7 +212,7 @@ class Messages:
 
 def _is_layer(bound: Bound) -> bool:
     """Tell whether a struct's fields are those of a layer, and found there."""
-    return bound.layout.origin == cfe.NAME and bound.key.msg_id in cfe.HEADERS
+    return bound.shipped and bound.key.msg_id in (cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID)
 
 
 def _wanted(path: str) -> list[tuple[str, int | None]]:

@@ -119,6 +119,7 @@ class Names:
         prefix = "ros." if name.startswith("ros.") else ""
         known = {item.lower(): prefix + item for item in self.all() if "." in item or "." not in name}
         near = get_close_matches(name.removeprefix(prefix).lower(), known, 3, _CLOSE)
+        near = near or [item for item in known if item.endswith(f".{name.lower()}")][:3]
         shown = name if len(name) <= 60 else f"{name[:60]}..."
         why = f"{shown!r} is no field; "
         if near:

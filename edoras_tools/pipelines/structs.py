@@ -165,8 +165,9 @@ def write(taken: Taken, folder: Path, *, force: bool = False) -> list[Path]:
     others = [path for path, text in contents.items() if not _same(path, text)]
     there = [path for path in others if path.exists()]
     if there and not force:
-        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
-        raise ConfigError(f"{there[0]}{more}: is there already and differs; --force writes over it")
+        raise ConfigError(
+            f"{there[0]}: is there already and differs, the first of {len(there)}; --force writes over such"
+        )
     for path in others:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)

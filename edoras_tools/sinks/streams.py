@@ -91,8 +91,10 @@ class Streams:
     ) -> None:
         structs = structs or shipped()
         claimed = {route.msg_id for route in mission.routes}
-        if not structs.layouts_given:  # what cFE itself says there is on topics of ours
-            claimed |= {EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID}
+        # What cFE itself says there is on topics of ours.
+        claimed |= {
+            item for item in (EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) if structs.is_shipped(item)
+        }
         self.structs = structs.unclaimed(claimed)
         self._add = add
         own = OWN_TOPICS if datagrams else OWN_TOPICS[1:]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from edoras_tools.structs.messages import parts
+from edoras_tools.structs.packets import SHIPPED
 from edoras_tools.structs.transcode import HEAD, Plan
 from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import gather
@@ -70,6 +71,11 @@ class Bound:
     def name(self) -> str:
         """The struct's name without ``_t``."""
         return self.struct.name.removesuffix("_t")
+
+    @property
+    def shipped(self) -> bool:
+        """Whether it is of cFE itself, and not what somebody named."""
+        return self.layout.origin == SHIPPED
 
     def fits(self, length: NDArray[np.integer[Any]] | int) -> NDArray[np.bool_]:
         """Tell which payload lengths hold this struct: exactly, or but for padding at its end."""

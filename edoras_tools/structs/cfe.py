@@ -11,14 +11,14 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.structs.files import layout_of
-from edoras_tools.structs.packets import PACKETS
+from edoras_tools.structs.packets import PACKETS, SHIPPED
 from edoras_tools.structs.shapes import BASIC, Enumeration, Key, Layout, Member, Struct
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from edoras_tools.wire import layout as wire
 
-NAME: Final = "cfe"
+NAME: Final = SHIPPED
 """What the command line calls these layouts."""
 _COUNTERS: Final = {
     "command_counter": ("uint8", "ground commands accepted"),

@@ -169,7 +169,9 @@ class DebugInfo:
                 name = _name(die)
                 if die.tag == "DW_TAG_typedef":
                     made = self._strip(_type(die))
-                    if name and made is not None and made.tag in _STRUCTS:
+                    if name and made is not None and made.tag == "DW_TAG_enumeration_type":
+                        self._named.setdefault(made.offset, name)
+                    elif name and made is not None and made.tag in _STRUCTS:
                         self._named.setdefault(made.offset, name)
                         self._found.setdefault(name, made)
                 elif die.tag in _STRUCTS and name and "DW_AT_declaration" not in die.attributes:
@@ -191,6 +193,7 @@ class DebugInfo:
         return [
             Listed(name, _number(die, "DW_AT_byte_size"), self._header(die), len(_members(die)))
             for name, die in sorted(self._found.items())
+            if not name.startswith("__")  # the C library's own
         ]
 
     def __contains__(self, name: str) -> bool:
@@ -241,7 +244,7 @@ class DebugInfo:
         raise ConfigError(f"{self.path}: no struct {name!r}; {hint}")
 
     def called(self, die: Die) -> str:
-        """Return the name of a struct; nothing where it has none."""
+        """Return the name of a struct or an enumeration; nothing where it has none."""
         return self._named.get(die.offset) or _name(die)
 
     def _header(self, die: Die) -> int:
@@ -404,7 +407,7 @@ class _Maker:
         if not signed:
             names = {value & ((1 << bits) - 1): name for value, name in names.items()}
         basic = BASIC[f"{'' if signed else 'u'}int{bits}"]
-        made = Enumeration(_name(die) or wish or "Enumeration", basic, names)
+        made = Enumeration(self._info.called(die) or wish or "Enumeration", basic, names)
         name, number = made.name, 2
         while (name in self.enums and self.enums[name] != replace(made, name=name)) or name in self.structs:
             name, number = f"{made.name}_{number}", number + 1

@@ -106,6 +106,8 @@ def _parsed(data: bytes, name: str) -> Any:
     except MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise ConfigError(f"{name}:{line}: is no YAML: {error.problem or error.context}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{name}: no layout file: it is no text") from error
     except (YAMLError, ValueError, RecursionError) as error:
         what = str(error).partition("\n")[0]
         raise ConfigError(f"{name}: is no YAML: {what or type(error).__name__}") from error

@@ -176,7 +176,7 @@ def text(struct: Struct, fields: Iterable[Described]) -> str:
 def place(member: Member) -> str:
     """Return where a member lies and what it is called in C."""
     dims = "".join(f"[{size or ''}]" for size in member.dims)
-    bits = f".{member.bit}, {member.bits} bits" if member.bits else ""
+    bits = f".{member.bit}, {member.bits} bit{'s' * (member.bits > 1)}" if member.bits else ""
     return f"byte {member.offset}{bits} {member.name}{dims}"
 
 

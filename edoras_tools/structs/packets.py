@@ -4,6 +4,8 @@ from typing import Final
 
 from edoras_tools.wire import cfe
 
+SHIPPED: Final = "cfe"
+"""What their layout is called."""
 PACKETS: Final = {
     0x0800: "CFE_ES_HousekeepingTlm",
     0x0801: "CFE_EVS_HousekeepingTlm",

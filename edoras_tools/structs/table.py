@@ -34,7 +34,6 @@ class Structs:
 
     Attributes:
         has: bool (65536,), MsgIds that one is bound to.
-        layouts_given: whether there are others than that of cFE itself.
 
     Raises:
         ConfigError: a struct cannot become a message.
@@ -42,7 +41,6 @@ class Structs:
 
     def __init__(self, layouts: Sequence[Layout] | None = (), claimed: frozenset[int] = frozenset()) -> None:
         self._given = layouts
-        self.layouts_given = layouts is not None
         self._claimed = claimed
         bound = PACKETS if layouts is None else self._bindings.by_id
         self.has: NDArray[np.bool_] = np.zeros(_MSG_IDS, np.bool_)
@@ -102,6 +100,10 @@ class Structs:
     def name(self, msg_id: int) -> str:
         """Return what packets of a MsgId hold, in short; nothing where that is not known."""
         return " or ".join(item.name for item in self._of(msg_id))
+
+    def is_shipped(self, msg_id: int) -> bool:
+        """Tell whether packets of a MsgId hold what cFE itself sends, and not what somebody named."""
+        return self._given is None or all(item.shipped for item in self._of(msg_id))
 
     def unclaimed(self, msg_ids: Iterable[int]) -> Structs:
         """Return these but for the MsgIds that something else claims."""

@@ -154,7 +154,7 @@ def test_nothing_is_written_over_without_being_told(call, library, tmp_path):
         "structs", library, "-o", out_dir, "--bind", "0x890=ROVER_HkTlm", "--bind", "0x891=Other"
     )
     assert (code, out) == (2, "")
-    assert "structs.yaml: is there already and differs; --force writes over it" in err
+    assert "structs.yaml: is there already and differs, the first of 1; --force writes over such" in err
     assert {path: path.read_text() for path in out_dir.rglob("*.*")} == before
     assert call("structs", library, "-o", out_dir, "--bind", "0x890=Other", "--force")[0] == 0
 

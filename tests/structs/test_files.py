@@ -77,7 +77,7 @@ def test_names_that_yaml_would_take_for_something_else():
         ("", "f: no layout file: it has no 'structs'"),
         ("structs: [", "f:1: is no YAML: "),
         ('{"structs": ', "f:1: is no JSON: "),
-        ("\xff", "f: is no YAML: "),
+        ("\xff", "f: no layout file: it is no text"),
         ("edoras_structs: 2\nstructs: {}", "f: edoras_structs 2 is not known; this version reads 1"),
         ("structs: {}\nbyte_order: middle", "f: byte_order: 'middle' is neither little nor big"),
         ("structs: {}\npackage: X-1", "f: package: 'X-1' is no name of a ROS package"),
