@@ -11,6 +11,7 @@ import json
 import logging
 import threading
 from collections import defaultdict
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from edoras_tools.errors import ConfigError, EdorasError
@@ -181,7 +182,8 @@ class FoxgloveGraph:
     def _say(self, text: str, about: str) -> None:
         from foxglove import StatusLevel
 
-        self._server.publish_status(text, StatusLevel.Error, about)
+        with suppress(RuntimeError):  # it is being stopped
+            self._server.publish_status(text, StatusLevel.Error, about)
 
     def _refusal(self, channel: Any) -> str:
         wanted = self._types.get(channel.topic)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -171,7 +172,7 @@ class Visitor:
         self._settle()
         recent = 0 <= time_ns - self._shown_ns < _CLOCK_NS
         if self.connected and not recent and self._times - self._relay.passed.times < _TIMES:
-            self._server.broadcast_time(time_ns)
+            self._tell(self._server.broadcast_time, time_ns)
             self._shown_ns = time_ns
             self._times += 1
             self._last_s = time.monotonic()
@@ -180,7 +181,7 @@ class Visitor:
         """Tell it where playback is."""
         if self.connected:
             self.greeted = True
-            self._server.broadcast_playback_state(_state(state))
+            self._tell(self._server.broadcast_playback_state, _state(state))
 
     def summary(self) -> dict[str, Any]:
         """Return what became of the messages that it wanted: sent, dropped, or waiting still."""
@@ -223,7 +224,13 @@ class Visitor:
         """Have the client show a problem."""
         from foxglove import StatusLevel
 
-        self._server.publish_status(text, StatusLevel.Error, about)
+        self._tell(self._server.publish_status, text, StatusLevel.Error, about)
+
+    @staticmethod
+    def _tell(say: Callable[..., None], *words: Any) -> None:
+        # The SDK's server lets nobody in while it is being stopped; that is when the client has gone.
+        with contextlib.suppress(RuntimeError):
+            say(*words)
 
     # What the SDK calls, on threads of its own: these are the names of its ServerListener.
 

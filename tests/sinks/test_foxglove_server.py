@@ -255,6 +255,25 @@ def test_pages_of_strangers_are_kept_out(serve):
     assert server.summary()["connections"] == 4
 
 
+def test_who_is_just_leaving_ends_nothing(serve, monkeypatch):
+    class Stopping:
+        def __getattr__(self, name):
+            def refuse(*_):
+                raise RuntimeError("Already mutably borrowed")
+
+            return refuse
+
+    server = serve()
+    with peer.Client(server.url, 2):
+        peer.wait(lambda: server.visitors)
+        (visitor,) = server.visitors
+        with monkeypatch.context() as patch:
+            patch.setattr(visitor, "_server", Stopping())
+            server.tell_time(1)
+            server.tell_state(PlaybackState("Playing", 1, 1.0))
+            visitor._say("why", "/a")
+
+
 def test_who_left_long_ago_is_added_up(serve, monkeypatch):
     monkeypatch.setattr(foxglove_server, "_LISTED", 1)
     server = serve()
