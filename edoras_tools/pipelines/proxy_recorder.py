@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.accounts import Ledger
 from edoras_tools.pipelines.record import open_sink
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.errors import EdorasError
     from edoras_tools.model import Columns, Endpoint, PacketBatch
     from edoras_tools.pipelines.record import Target
     from edoras_tools.pipelines.workbench import Workbench
@@ -219,8 +218,10 @@ class Recorder:
     def _run(self) -> None:
         try:
             self._write_all()
-        except CaptureError as error:
+        except EdorasError as error:
             self.failure = error
+        except Exception as error:  # noqa: BLE001  what ends this thread must not look like a whole recording
+            self.failure = CaptureError(f"{self.path}: the recording ended in a mistake of ours: {error!r}")
         try:
             self._sink.close(self._source.statistics)
         except CaptureError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 import time
 
+import pytest
 from mcap.reader import make_reader
 from waiting import HOST, until
 
@@ -107,12 +108,19 @@ def test_what_could_not_be_recorded_is_counted_and_relayed_all_the_same(ends, tm
     assert proxy.summary()["unrecorded"] == proxy.lost == 10
 
 
-def test_a_recording_that_fails_is_told_and_the_relay_goes_on(ends, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("failure", "told"),
+    [
+        (CaptureError("a.mcap: no space left"), "a.mcap: no space left"),
+        (KeyError("x"), "{path}: the recording ended in a mistake of ours: KeyError('x')"),
+    ],
+)
+def test_a_recording_that_fails_is_told_and_the_relay_goes_on(ends, tmp_path, monkeypatch, failure, told):
     target = ends.port()
     proxy = ends.proxy(target, recorder=recorder(tmp_path / "a.mcap", [target]))
 
     def fail(*_):
-        raise CaptureError("a.mcap: no space left")
+        raise failure
 
     monkeypatch.setattr(proxy.recorder._sink, "write", fail)
     client = ends.client(proxy)
@@ -121,4 +129,4 @@ def test_a_recording_that_fails_is_told_and_the_relay_goes_on(ends, tmp_path, mo
         assert target.recv(99) == b"x" * 8
         until(lambda: proxy.recorder.failure is not None)
     proxy.end()
-    assert str(proxy.recorder.failure) == "a.mcap: no space left"
+    assert str(proxy.recorder.failure) == told.format(path=tmp_path / "a.mcap")
