@@ -316,8 +316,9 @@ def test_keys_switch_faults_and_end_the_run(ends, monkeypatch):
     for expected in (1, 0, 1):
         client.send(b"x")
         assert len(eventually(target, expected)) == expected
+        before = proxy.machine.enabled[0]
         os.write(writer, b"1x9")
-        until(lambda on=proxy.machine.enabled[0]: proxy.machine.enabled[0] is not on)
+        until(lambda before=before: proxy.machine.enabled[0] is not before)
     os.write(writer, b"Q")
     until(lambda: proxy._stopping)
     os.close(writer)
