@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -104,3 +105,9 @@ except SystemExit:
 )
 def test_what_libraries_a_room_brings_along(module, absent):
     assert loaded_by(f"import edoras_tools.{module}") & absent == set()
+
+
+def test_every_package_is_installed():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    there = {file.parent.relative_to(ROOT) for file in (ROOT / "edoras_tools").rglob("*.py")}
+    assert {".".join(folder.parts) for folder in there} <= {*settings["packages"]}
