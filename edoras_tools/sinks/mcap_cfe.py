@@ -2,62 +2,49 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from edoras_tools.model import Link
 from edoras_tools.sinks.mcap_rows import ENCAPSULATION, RECORD, Messages, fill_record
+from edoras_tools.wire import cfe
 from edoras_tools.wire.window import copy_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.wire.layout import Layout
 
-_EVENT_MSG_ID = 0x0808
-_SOFTWARE_BUS_MSG_ID = 0x0803
 
-_EVENT = np.dtype(
-    [
-        ("app_name", "u1", 20),
-        ("event_id", "<u2"),
-        ("event_type", "<u2"),
-        ("spacecraft_id", "<u4"),
-        ("processor_id", "<u4"),
-        ("message", "u1", 120),
-    ]
-)
-"""CFE_EVS_LongEventTlm_Payload, without the last 2 of 122 bytes of text, which some builds lack."""
+def _payload(layout: Layout, **cut: int) -> np.dtype[np.void]:
+    """Return a header as a record type, texts as bytes; it ends with a text that is to be cut to a size."""
+    order = "<" if layout.byte_order == "little" else ">"
+    fields: list[Any] = []
+    for slot in layout.slots:
+        name, size = slot.field.name, slot.end - slot.start
+        if slot.field.kind == "uint":
+            fields.append((name, f"{order}u{size}"))
+        else:
+            fields.append((name, "u1", cut.get(name, size)))
+        if name in cut:
+            break
+    return np.dtype(fields)
+
+
+_EVENT = _payload(cfe.EVENT, message=120)
+"""An event, without the last 2 of 122 bytes of text, which some builds lack."""
+_HOUSEKEEPING = _payload(cfe.SOFTWARE_BUS_HOUSEKEEPING)
+_COUNTERS = [
+    slot.field.name
+    for slot in cfe.SOFTWARE_BUS_HOUSEKEEPING.slots
+    if slot.field.bits == 8 and slot.field.name != "spare"
+]
 
 _LEVELS = np.array([30, 10, 20, 40, 50], dtype=np.uint8)
 """rcl_interfaces/msg/Log level by EventType: unknown (as WARN), debug, info, error, critical."""
 
-_COUNTERS = [
-    "command_counter",
-    "command_error_counter",
-    "no_subscribers_counter",
-    "message_send_error_counter",
-    "message_receive_error_counter",
-    "internal_error_counter",
-    "create_pipe_error_counter",
-    "subscribe_error_counter",
-    "pipe_options_error_counter",
-    "duplicate_subscriptions_counter",
-    "get_pipe_id_by_name_error_counter",
-]
-_HOUSEKEEPING = np.dtype(
-    [
-        *((name, "u1") for name in _COUNTERS),
-        ("spare", "u1"),
-        ("pipe_overflow_error_counter", "<u2"),
-        ("message_limit_error_counter", "<u2"),
-        ("memory_pool_handle", "<u4"),
-        ("memory_in_use", "<u4"),
-        ("unmarked_memory", "<u4"),
-    ]
-)
-"""CFE_SB_HousekeepingTlm_Payload."""
 _SOFTWARE_BUS = np.dtype(
     [
         *RECORD,
@@ -93,7 +80,7 @@ def software_bus_messages(
         channel_id: MCAP channel.
         published: i64, publish time, ns since 1970.
     """
-    rows, payload = _telemetry(batch, columns, _SOFTWARE_BUS_MSG_ID, _HOUSEKEEPING)
+    rows, payload = _telemetry(batch, columns, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, _HOUSEKEEPING)
     heads = np.zeros(len(rows), dtype=_SOFTWARE_BUS)
     fill_record(heads, channel_id, 0, columns.sequence_count[rows], batch.time_ns[rows], published[rows])
     heads["encapsulation"] = ENCAPSULATION
@@ -121,7 +108,7 @@ def event_messages(
         channel_id: MCAP channel.
         published: i64, publish time, ns since 1970.
     """
-    rows, payload = _telemetry(batch, columns, _EVENT_MSG_ID, _EVENT)
+    rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, _EVENT)
     heads = np.zeros(len(rows), dtype=_LOG)
     data, offset, length = _log_strings(payload, heads.itemsize)
     fill_record(heads, channel_id, length, columns.sequence_count[rows], batch.time_ns[rows], published[rows])
