@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 humble.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "06af5132141ed2b3"
+local DIGEST = "7941dde8b40cf2ee"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1623,9 +1623,9 @@ local F = {
 local SEVERITY = {note = expert.severity.NOTE, warning = expert.severity.WARN, error = expert.severity.ERROR}
 local RANK = {note = 1, warning = 2, error = 3}
 local MARK = {warning = "! ", error = "\226\156\151 "}
-local FINDING = {}  -- label to index
+local FINDINGS, FINDING = D.findings, {}  -- label to index
 local experts = {}
-for index, finding in ipairs(D.findings) do
+for index, finding in ipairs(FINDINGS) do
 	FINDING[finding.label] = index
 	finding.rank = RANK[finding.severity]
 	finding.badge = (MARK[finding.severity] or "") .. finding.short
@@ -2073,7 +2073,7 @@ local function begin(s, link, pinfo, number, listed)
 	W.s, W.link, W.pinfo, W.number, W.listed = s, link, pinfo, number, listed
 	W.layers, W.findings, W.entries, W.processor, W.bare = 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
-	W.route, W.message, W.envelope, W.padding, W.name = nil, nil, nil, nil, nil
+	W.route, W.message, W.envelope, W.padding, W.known = nil, nil, nil, nil, nil
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -2095,8 +2095,9 @@ local function has(label)
 end
 
 local function add_layer(layout, at)
-	local count = W.layers + 1
-	W.layers, W.layer[count], W.at[count] = count, layout, at
+	local work = W
+	local count = work.layers + 1
+	work.layers, work.layer[count], work.at[count] = count, layout, at
 end
 
 -- Note that a header is cut. Offsets count from the datagram's first byte, from 0.
@@ -2241,18 +2242,35 @@ for _, route in ipairs(routes) do
 	route.kind = D.types[route.type]
 end
 
-local function claims_of(msg_id)
-	local exact = D.exact[W.link]
-	return exact and exact[msg_id] or D.any_link[msg_id]
+-- What is known of a MsgId on a link: its name, the routes that may claim it, its commands.
+local function look_up(link, msg_id)
+	local exact, any_link = D.exact[link], D.any_link[msg_id]
+	local commands = D.commands[msg_id]
+	if not commands and any_link and msg_id % 8192 >= 4096 then commands = D.route_commands end
+	return {
+		claims = exact and exact[msg_id] or any_link, commands = commands,
+		name = D.msg_id_names[msg_id], topic = any_link and routes[any_link[1]].topic or "",
+		unknown = not D.msg_id_names[msg_id] and not any_link, heads = {},
+	}
 end
 
-local function name_of(msg_id)
-	local known = D.msg_id_names[msg_id]
-	if known then return known end
-	local claims = D.any_link[msg_id]
-	return W.route and W.route.topic or claims and routes[claims[1]].topic or ""
+local known_of = {ci = {}, to = {}, sbn = {}}
+
+local function about(link, msg_id)
+	local known = known_of[link][msg_id]
+	if not known then
+		known = look_up(link, msg_id)
+		if not known.unknown then known_of[link][msg_id] = known end  -- all others may be too many to keep
+	end
+	return known
 end
 
+local function name_of(known)
+	return known.name or (W.route and W.route.topic) or known.topic
+end
+
+local LENGTH_BIAS, LONGEST, HIGHEST_MSG_ID = D.limits.length_bias, D.limits.software_bus, D.limits.highest_msg_id
+local HEADER = L.ccsds.size
 local LINK_NUMBER = {ci = 1, to = 2, sbn = 3}
 
 -- Follow the sequence count of a stream: one MsgId of one processor on one link, each endpoint by itself.
@@ -2274,12 +2292,11 @@ local function follow(msg_id, count)
 end
 
 -- Judge a command's checksum and function code.
-local function command(msg_id, code, sent, start, length, extra)
+local function command(code, sent, start, length, extra)
 	if checksum(W.s, start + 1, start + length) ~= 0 then
 		note(sent == 0 and "checksum_absent" or "checksum_bad")
 	end
-	local commands = D.commands[msg_id]
-	if not commands and D.any_link[msg_id] and msg_id % 8192 >= 4096 then commands = D.route_commands end
+	local commands = W.known.commands
 	if not commands then return end
 	local known = commands[code]
 	if not known then
@@ -2375,7 +2392,7 @@ end
 -- Read what lies behind the cFE header: an event, housekeeping, or a route's envelope.
 local function payload(msg_id, start, header, code)
 	local at, s = start + header, W.s
-	local claims = claims_of(msg_id)
+	local claims = W.known.claims
 	if claims then
 		if #s - start > header then return envelope(claims, at) end
 		W.route = routes[claims[1]]
@@ -2400,41 +2417,43 @@ end
 
 -- Read a packet that starts at an offset, and all that lies behind its primary header.
 local function space_packet(start)
-	local s, length = W.s, #W.s - start
+	local work = W
+	local s, length = work.s, #work.s - start
 	if not take(L.ccsds, start) then return end
 	local version, kind, secondary, apid, flags, count, data_length = read.ccsds(s, start + 1)
 	local msg_id = version * 8192 + kind * 4096 + secondary * 2048 + apid
 	local extra = settings.extra
-	local is_command, total = kind == 1, data_length + D.limits.length_bias
-	local after = start + L.ccsds.size
-	if extra > 0 and length >= L.ccsds.size + extra then
+	local is_command, total = kind == 1, data_length + LENGTH_BIAS
+	local after, link = start + HEADER, work.link
+	if extra > 0 and length >= HEADER + extra then
 		local _, _, _, subsystem = read.extended(s, after + 1)
 		msg_id = apid % 128 + kind * 128 + subsystem % 256 * 256
 	end
-	W.msg_id = msg_id
-	W.kind = W.kind or (is_command and "cmd" or "tlm")
+	local known = about(link, msg_id)
+	work.msg_id, work.known = msg_id, known
+	work.kind = work.kind or (is_command and "cmd" or "tlm")
 	if total ~= length then note("length_mismatch") end
 	if flags == 0 and count == 0 then
 		note("sequence_unset")
 	else
 		follow(msg_id, count)
 	end
-	if total > D.limits.software_bus then note("over_software_bus") end
-	if msg_id < 1 or msg_id > D.limits.highest_msg_id then
+	if total > LONGEST then note("over_software_bus") end
+	if msg_id < 1 or msg_id > HIGHEST_MSG_ID then
 		note("invalid_msg_id")
-	elseif not D.msg_id_names[msg_id] and not D.any_link[msg_id] then
+	elseif known.unknown then
 		note("unknown_msg_id")
 	end
-	if (W.link == "ci" and not is_command) or (W.link == "to" and is_command) then note("wrong_direction") end
+	if (link == "ci" and not is_command) or (link == "to" and is_command) then note("wrong_direction") end
 
 	local as_command = settings.command_header
 	local bare = not is_command and length == as_command and total == length
 	local header = (is_command or bare) and as_command or settings.telemetry_header
-	W.bare = bare
+	work.bare = bare
 	if bare then note("header_only") end
-	if extra > 0 and length >= L.ccsds.size + extra then add_layer(L.extended, after) end
+	if extra > 0 and length >= HEADER + extra then add_layer(L.extended, after) end
 	if length < header then
-		return truncated(is_command and L.command.name or L.telemetry.name, after, header - L.ccsds.size)
+		return truncated(is_command and L.command.name or L.telemetry.name, after, header - HEADER)
 	end
 	local at, code, sent = after + extra, nil, nil
 	if is_command or bare then
@@ -2444,11 +2463,11 @@ local function space_packet(start)
 	else
 		add_layer(settings.telemetry, at)
 		local seconds, subseconds = settings.read_time(s, at + 1)
-		W.time = seconds + subseconds / 65536
+		work.time = seconds + subseconds / 65536
 	end
 	if is_command then
-		W.code = code
-		command(msg_id, code, sent, start, math.min(length, total), extra)
+		work.code = code
+		command(code, sent, start, math.min(length, total), extra)
 	end
 	if not bare then payload(msg_id, start, header, code) end
 end
@@ -2510,9 +2529,8 @@ local function has_columns(pinfo, visible, number)
 	return pass.columns
 end
 
--- Add a header that starts at an offset; return its tree.
+-- Add a header that starts at an offset and that somebody asks for; return its tree.
 local function show_layout(tree, layout, tvb, at, visible)
-	if not (visible or layout.on) then return tree end
 	local bytes = cut(tvb, at, layout.size)
 	local node = layout.title and add(tree, layout.proto, bytes, layout.title) or add(tree, layout.proto, bytes)
 	local add_slots = visible and layout.add_all or layout.add_asked
@@ -2524,7 +2542,7 @@ end
 local function show_value(node, record, value, visible)
 	if not (visible or record.on) then return node end
 	local item = add(node, record.field, value)
-	set_generated(item)
+	if visible then set_generated(item) end
 	return item
 end
 
@@ -2652,7 +2670,7 @@ local function forgive()
 	local kept = 0
 	for index = 1, W.findings do
 		local finding = W.found[index]
-		if not D.findings[finding].unknowable then
+		if not FINDINGS[finding].unknowable then
 			kept = kept + 1
 			W.found[kept] = finding
 		end
@@ -2661,13 +2679,13 @@ local function forgive()
 end
 
 -- What people would say of a packet of which nothing more is known.
-local function said_of(msg_id)
-	if not msg_id then return W.stop or format("%d bytes", #W.s) end
+local function said_of(known)
+	if not known then return W.stop or format("%d bytes", #W.s) end
 	if W.code then
-		local known = (D.commands[msg_id] or {})[W.code]
-		return format("function code %d", W.code) .. (known and " " .. known.name or "")
+		local command = D.commands[W.msg_id] and known.commands[W.code]
+		return format("function code %d", W.code) .. (command and " " .. command.name or "")
 	end
-	return W.bare and "header only" or D.msg_id_names[msg_id] or ""
+	return W.bare and "header only" or known.name or ""
 end
 
 -- The findings that are more than a note, the gravest first.
@@ -2675,7 +2693,7 @@ local function badges()
 	local text = ""
 	for rank = 3, 2, -1 do
 		for index = 1, W.findings do
-			local finding = D.findings[W.found[index]]
+			local finding = FINDINGS[W.found[index]]
 			if finding.rank == rank then text = text .. finding.badge .. "  " end
 		end
 	end
@@ -2688,16 +2706,19 @@ local function printable(text)
 end
 
 local function info()
-	local msg_id, head = W.msg_id, W.kind
-	local told = W.summary and printable(W.summary) or said_of(msg_id)
-	if msg_id then
-		W.name = name_of(msg_id)
-		local name = W.message and W.route.topic or W.name
-		if told == name then told = "" end
-		head = format(name == "" and "%s 0x%04x" or "%s 0x%04x %s", head, msg_id, name)
+	local known, head = W.known, W.kind
+	local text = W.summary and printable(W.summary) or said_of(known)
+	if known then
+		local name = W.message and W.route.topic or name_of(known)
+		if text == name then text = "" end
+		head = known.heads[name]
+		if not head then
+			head = format(name == "" and "%s 0x%04x" or "%s 0x%04x %s", W.kind, W.msg_id, name)
+			known.heads[name] = head
+		end
 	end
-	if W.findings > 0 then told = badges() .. told end
-	local text = (not head and told) or (told == "" and head) or head .. "  " .. told
+	if W.findings > 0 then text = badges() .. text end
+	if head then text = text == "" and head or head .. "  " .. text end
 	local missing = analysis[W.number]
 	if missing then
 		text = text .. (type(missing) == "number" and format("  [gap of %d]", missing) or "  [" .. missing .. "]")
@@ -2705,21 +2726,31 @@ local function info()
 	return text
 end
 
-local LENGTHS = {F.buffer_length, F.buffer_capacity}
+local function show_length(node, record, tvb, at)
+	local size, little = W.form.width, W.form.little
+	local range = cut(tvb, at, size)
+	if size == 8 then
+		(little and add_le or add)(node, record.field, range)
+	else  -- Wireshark would take 8 bytes
+		add(node, record.field, range, little and range:le_uint64() or range:uint64())
+	end
+end
 
-local function show_envelope(tree, tvb, visible)
-	local at, size, form = W.envelope, W.form.width, W.form
-	local node = add(tree, edoras, cut(tvb, at, 2 * size), "EDORAS Envelope")
-	for index = 1, 2 do
-		local record = LENGTHS[index]
-		if visible or record.on then
-			local range = cut(tvb, at + (index - 1) * size, size)
-			if size == 8 then
-				(form.little and add_le or add)(node, record.field, range)
-			else
-				add(node, record.field, range, form.little and range:le_uint64() or range:uint64())
-			end
-		end
+-- Add our own layer: the envelope, or a place for what we say of a packet without one.
+local function show_own(tree, tvb, visible)
+	local at = W.envelope
+	local node
+	if not visible then
+		node = add(tree, edoras)
+	elseif at then
+		node = add(tree, edoras, cut(tvb, at, 2 * W.form.width), "EDORAS Envelope")
+	else
+		node = add(tree, edoras)
+		set_generated(node)
+	end
+	if at and (visible or F.buffer_length.on) then show_length(node, F.buffer_length, tvb, at) end
+	if at and (visible or F.buffer_capacity.on) then
+		show_length(node, F.buffer_capacity, tvb, at + W.form.width)
 	end
 	return node
 end
@@ -2734,7 +2765,7 @@ end
 
 local function show_findings(node, visible)
 	for index = 1, W.findings do
-		local finding = D.findings[W.found[index]]
+		local finding = FINDINGS[W.found[index]]
 		add_expert(show_value(node, F.finding, finding.label, visible), finding.expert)
 	end
 	local missing = analysis[W.number]
@@ -2746,16 +2777,13 @@ end
 
 local function show_facts(node, visible)
 	show_value(node, F.link, W.link, visible)
-	local msg_id = W.msg_id
-	if msg_id then
-		show_value(node, F.msg_id, msg_id, visible)
-		local name = W.name or name_of(msg_id)
+	local known = W.known
+	if known then
+		show_value(node, F.msg_id, W.msg_id, visible)
+		local name = name_of(known)
 		if name ~= "" then show_value(node, F.name, name, visible) end
-		local code = W.code
-		if code then
-			local known = (D.commands[msg_id] or (D.any_link[msg_id] and D.route_commands) or {})[code]
-			if known then show_value(node, F.command, known.name, visible) end
-		end
+		local command = W.code and known.commands and known.commands[W.code]
+		if command then show_value(node, F.command, command.name, visible) end
 	end
 	local route = W.route
 	if route then
@@ -2766,30 +2794,28 @@ local function show_facts(node, visible)
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
 end
 
+local CDR, SUBSCRIPTIONS = L.cdr, L.subscriptions
+
 -- Add every layer, outermost first; return where findings belong.
 local function show(tree, tvb, visible)
-	local ours, node = visible or asked.protocols.edoras, tree
+	local ours, node = visible or asked.protocols.edoras, nil
+	local layers, places = W.layer, W.at
 	for index = 1, W.layers do
-		local layout, at = W.layer[index], W.at[index]
-		if layout == L.cdr and ours then node = show_envelope(tree, tvb, visible) end
-		local header = show_layout(tree, layout, tvb, at, visible)
-		if layout == L.subscriptions then
-			for entry = 0, W.entries - 1 do
-				show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
+		local layout, at = layers[index], places[index]
+		if layout == CDR and ours then node = show_own(tree, tvb, visible) end
+		if visible or layout.on then
+			local header = show_layout(tree, layout, tvb, at, visible)
+			if layout == CDR then
+				show_message(header, tvb, visible)
+			elseif layout == SUBSCRIPTIONS then
+				for entry = 0, W.entries - 1 do
+					show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
+				end
 			end
-		elseif layout == L.cdr then
-			if visible or layout.on then show_message(header, tvb, visible) end
 		end
 	end
 	if not ours then return tree end
-	if node == tree then
-		if W.envelope then
-			node = show_envelope(tree, tvb, visible)
-		else
-			node = add(tree, edoras, cut(tvb, 0, 0))
-			set_generated(node)
-		end
-	end
+	node = node or show_own(tree, tvb, visible)
 	if W.padding and (visible or F.padding.on) then
 		add(node, F.padding.field, cut(tvb, W.padding, #W.s - W.padding))
 	end
@@ -2797,6 +2823,7 @@ local function show(tree, tvb, visible)
 	return node
 end
 
+local CI_BUFFER, BRIDGE_BUFFER = D.limits.ci_buffer, D.limits.bridge_buffer
 local reported_len, captured_len, raw = Tvb.reported_len, Tvb.captured_len, Tvb.raw
 
 local function dissect(tvb, pinfo, tree)
@@ -2808,8 +2835,8 @@ local function dissect(tvb, pinfo, tree)
 	local wanted = look_who_asks(tree, number)
 	local visible = wanted == "all"
 	begin(s, link, pinfo, number, has_columns(pinfo, visible, number))
-	if link == "ci" and #s > D.limits.ci_buffer then note("over_ci_buffer") end
-	if link == "to" and #s > D.limits.bridge_buffer then note("over_bridge_buffer") end
+	if link == "ci" and #s > CI_BUFFER then note("over_ci_buffer") end
+	if link == "to" and #s > BRIDGE_BUFFER then note("over_bridge_buffer") end
 	local start = 0
 	if link == "sbn" then start = software_bus_network(s) end
 	if start then space_packet(start) end

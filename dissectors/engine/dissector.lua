@@ -42,7 +42,7 @@ local function forgive()
 	local kept = 0
 	for index = 1, W.findings do
 		local finding = W.found[index]
-		if not D.findings[finding].unknowable then
+		if not FINDINGS[finding].unknowable then
 			kept = kept + 1
 			W.found[kept] = finding
 		end
@@ -51,13 +51,13 @@ local function forgive()
 end
 
 -- What people would say of a packet of which nothing more is known.
-local function said_of(msg_id)
-	if not msg_id then return W.stop or format("%d bytes", #W.s) end
+local function said_of(known)
+	if not known then return W.stop or format("%d bytes", #W.s) end
 	if W.code then
-		local known = (D.commands[msg_id] or {})[W.code]
-		return format("function code %d", W.code) .. (known and " " .. known.name or "")
+		local command = D.commands[W.msg_id] and known.commands[W.code]
+		return format("function code %d", W.code) .. (command and " " .. command.name or "")
 	end
-	return W.bare and "header only" or D.msg_id_names[msg_id] or ""
+	return W.bare and "header only" or known.name or ""
 end
 
 -- The findings that are more than a note, the gravest first.
@@ -65,7 +65,7 @@ local function badges()
 	local text = ""
 	for rank = 3, 2, -1 do
 		for index = 1, W.findings do
-			local finding = D.findings[W.found[index]]
+			local finding = FINDINGS[W.found[index]]
 			if finding.rank == rank then text = text .. finding.badge .. "  " end
 		end
 	end
@@ -78,16 +78,19 @@ local function printable(text)
 end
 
 local function info()
-	local msg_id, head = W.msg_id, W.kind
-	local told = W.summary and printable(W.summary) or said_of(msg_id)
-	if msg_id then
-		W.name = name_of(msg_id)
-		local name = W.message and W.route.topic or W.name
-		if told == name then told = "" end
-		head = format(name == "" and "%s 0x%04x" or "%s 0x%04x %s", head, msg_id, name)
+	local known, head = W.known, W.kind
+	local text = W.summary and printable(W.summary) or said_of(known)
+	if known then
+		local name = W.message and W.route.topic or name_of(known)
+		if text == name then text = "" end
+		head = known.heads[name]
+		if not head then
+			head = format(name == "" and "%s 0x%04x" or "%s 0x%04x %s", W.kind, W.msg_id, name)
+			known.heads[name] = head
+		end
 	end
-	if W.findings > 0 then told = badges() .. told end
-	local text = (not head and told) or (told == "" and head) or head .. "  " .. told
+	if W.findings > 0 then text = badges() .. text end
+	if head then text = text == "" and head or head .. "  " .. text end
 	local missing = analysis[W.number]
 	if missing then
 		text = text .. (type(missing) == "number" and format("  [gap of %d]", missing) or "  [" .. missing .. "]")
@@ -95,21 +98,31 @@ local function info()
 	return text
 end
 
-local LENGTHS = {F.buffer_length, F.buffer_capacity}
+local function show_length(node, record, tvb, at)
+	local size, little = W.form.width, W.form.little
+	local range = cut(tvb, at, size)
+	if size == 8 then
+		(little and add_le or add)(node, record.field, range)
+	else  -- Wireshark would take 8 bytes
+		add(node, record.field, range, little and range:le_uint64() or range:uint64())
+	end
+end
 
-local function show_envelope(tree, tvb, visible)
-	local at, size, form = W.envelope, W.form.width, W.form
-	local node = add(tree, edoras, cut(tvb, at, 2 * size), "EDORAS Envelope")
-	for index = 1, 2 do
-		local record = LENGTHS[index]
-		if visible or record.on then
-			local range = cut(tvb, at + (index - 1) * size, size)
-			if size == 8 then
-				(form.little and add_le or add)(node, record.field, range)
-			else
-				add(node, record.field, range, form.little and range:le_uint64() or range:uint64())
-			end
-		end
+-- Add our own layer: the envelope, or a place for what we say of a packet without one.
+local function show_own(tree, tvb, visible)
+	local at = W.envelope
+	local node
+	if not visible then
+		node = add(tree, edoras)
+	elseif at then
+		node = add(tree, edoras, cut(tvb, at, 2 * W.form.width), "EDORAS Envelope")
+	else
+		node = add(tree, edoras)
+		set_generated(node)
+	end
+	if at and (visible or F.buffer_length.on) then show_length(node, F.buffer_length, tvb, at) end
+	if at and (visible or F.buffer_capacity.on) then
+		show_length(node, F.buffer_capacity, tvb, at + W.form.width)
 	end
 	return node
 end
@@ -124,7 +137,7 @@ end
 
 local function show_findings(node, visible)
 	for index = 1, W.findings do
-		local finding = D.findings[W.found[index]]
+		local finding = FINDINGS[W.found[index]]
 		add_expert(show_value(node, F.finding, finding.label, visible), finding.expert)
 	end
 	local missing = analysis[W.number]
@@ -136,16 +149,13 @@ end
 
 local function show_facts(node, visible)
 	show_value(node, F.link, W.link, visible)
-	local msg_id = W.msg_id
-	if msg_id then
-		show_value(node, F.msg_id, msg_id, visible)
-		local name = W.name or name_of(msg_id)
+	local known = W.known
+	if known then
+		show_value(node, F.msg_id, W.msg_id, visible)
+		local name = name_of(known)
 		if name ~= "" then show_value(node, F.name, name, visible) end
-		local code = W.code
-		if code then
-			local known = (D.commands[msg_id] or (D.any_link[msg_id] and D.route_commands) or {})[code]
-			if known then show_value(node, F.command, known.name, visible) end
-		end
+		local command = W.code and known.commands and known.commands[W.code]
+		if command then show_value(node, F.command, command.name, visible) end
 	end
 	local route = W.route
 	if route then
@@ -156,30 +166,28 @@ local function show_facts(node, visible)
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
 end
 
+local CDR, SUBSCRIPTIONS = L.cdr, L.subscriptions
+
 -- Add every layer, outermost first; return where findings belong.
 local function show(tree, tvb, visible)
-	local ours, node = visible or asked.protocols.edoras, tree
+	local ours, node = visible or asked.protocols.edoras, nil
+	local layers, places = W.layer, W.at
 	for index = 1, W.layers do
-		local layout, at = W.layer[index], W.at[index]
-		if layout == L.cdr and ours then node = show_envelope(tree, tvb, visible) end
-		local header = show_layout(tree, layout, tvb, at, visible)
-		if layout == L.subscriptions then
-			for entry = 0, W.entries - 1 do
-				show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
+		local layout, at = layers[index], places[index]
+		if layout == CDR and ours then node = show_own(tree, tvb, visible) end
+		if visible or layout.on then
+			local header = show_layout(tree, layout, tvb, at, visible)
+			if layout == CDR then
+				show_message(header, tvb, visible)
+			elseif layout == SUBSCRIPTIONS then
+				for entry = 0, W.entries - 1 do
+					show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
+				end
 			end
-		elseif layout == L.cdr then
-			if visible or layout.on then show_message(header, tvb, visible) end
 		end
 	end
 	if not ours then return tree end
-	if node == tree then
-		if W.envelope then
-			node = show_envelope(tree, tvb, visible)
-		else
-			node = add(tree, edoras, cut(tvb, 0, 0))
-			set_generated(node)
-		end
-	end
+	node = node or show_own(tree, tvb, visible)
 	if W.padding and (visible or F.padding.on) then
 		add(node, F.padding.field, cut(tvb, W.padding, #W.s - W.padding))
 	end
@@ -187,6 +195,7 @@ local function show(tree, tvb, visible)
 	return node
 end
 
+local CI_BUFFER, BRIDGE_BUFFER = D.limits.ci_buffer, D.limits.bridge_buffer
 local reported_len, captured_len, raw = Tvb.reported_len, Tvb.captured_len, Tvb.raw
 
 local function dissect(tvb, pinfo, tree)
@@ -198,8 +207,8 @@ local function dissect(tvb, pinfo, tree)
 	local wanted = look_who_asks(tree, number)
 	local visible = wanted == "all"
 	begin(s, link, pinfo, number, has_columns(pinfo, visible, number))
-	if link == "ci" and #s > D.limits.ci_buffer then note("over_ci_buffer") end
-	if link == "to" and #s > D.limits.bridge_buffer then note("over_bridge_buffer") end
+	if link == "ci" and #s > CI_BUFFER then note("over_ci_buffer") end
+	if link == "to" and #s > BRIDGE_BUFFER then note("over_bridge_buffer") end
 	local start = 0
 	if link == "sbn" then start = software_bus_network(s) end
 	if start then space_packet(start) end

@@ -88,9 +88,9 @@ local F = {
 local SEVERITY = {note = expert.severity.NOTE, warning = expert.severity.WARN, error = expert.severity.ERROR}
 local RANK = {note = 1, warning = 2, error = 3}
 local MARK = {warning = "! ", error = "\226\156\151 "}
-local FINDING = {}  -- label to index
+local FINDINGS, FINDING = D.findings, {}  -- label to index
 local experts = {}
-for index, finding in ipairs(D.findings) do
+for index, finding in ipairs(FINDINGS) do
 	FINDING[finding.label] = index
 	finding.rank = RANK[finding.severity]
 	finding.badge = (MARK[finding.severity] or "") .. finding.short

@@ -15,7 +15,7 @@ local function begin(s, link, pinfo, number, listed)
 	W.s, W.link, W.pinfo, W.number, W.listed = s, link, pinfo, number, listed
 	W.layers, W.findings, W.entries, W.processor, W.bare = 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
-	W.route, W.message, W.envelope, W.padding, W.name = nil, nil, nil, nil, nil
+	W.route, W.message, W.envelope, W.padding, W.known = nil, nil, nil, nil, nil
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -37,8 +37,9 @@ local function has(label)
 end
 
 local function add_layer(layout, at)
-	local count = W.layers + 1
-	W.layers, W.layer[count], W.at[count] = count, layout, at
+	local work = W
+	local count = work.layers + 1
+	work.layers, work.layer[count], work.at[count] = count, layout, at
 end
 
 -- Note that a header is cut. Offsets count from the datagram's first byte, from 0.

@@ -21,18 +21,35 @@ for _, route in ipairs(routes) do
 	route.kind = D.types[route.type]
 end
 
-local function claims_of(msg_id)
-	local exact = D.exact[W.link]
-	return exact and exact[msg_id] or D.any_link[msg_id]
+-- What is known of a MsgId on a link: its name, the routes that may claim it, its commands.
+local function look_up(link, msg_id)
+	local exact, any_link = D.exact[link], D.any_link[msg_id]
+	local commands = D.commands[msg_id]
+	if not commands and any_link and msg_id % 8192 >= 4096 then commands = D.route_commands end
+	return {
+		claims = exact and exact[msg_id] or any_link, commands = commands,
+		name = D.msg_id_names[msg_id], topic = any_link and routes[any_link[1]].topic or "",
+		unknown = not D.msg_id_names[msg_id] and not any_link, heads = {},
+	}
 end
 
-local function name_of(msg_id)
-	local known = D.msg_id_names[msg_id]
-	if known then return known end
-	local claims = D.any_link[msg_id]
-	return W.route and W.route.topic or claims and routes[claims[1]].topic or ""
+local known_of = {ci = {}, to = {}, sbn = {}}
+
+local function about(link, msg_id)
+	local known = known_of[link][msg_id]
+	if not known then
+		known = look_up(link, msg_id)
+		if not known.unknown then known_of[link][msg_id] = known end  -- all others may be too many to keep
+	end
+	return known
 end
 
+local function name_of(known)
+	return known.name or (W.route and W.route.topic) or known.topic
+end
+
+local LENGTH_BIAS, LONGEST, HIGHEST_MSG_ID = D.limits.length_bias, D.limits.software_bus, D.limits.highest_msg_id
+local HEADER = L.ccsds.size
 local LINK_NUMBER = {ci = 1, to = 2, sbn = 3}
 
 -- Follow the sequence count of a stream: one MsgId of one processor on one link, each endpoint by itself.
@@ -54,12 +71,11 @@ local function follow(msg_id, count)
 end
 
 -- Judge a command's checksum and function code.
-local function command(msg_id, code, sent, start, length, extra)
+local function command(code, sent, start, length, extra)
 	if checksum(W.s, start + 1, start + length) ~= 0 then
 		note(sent == 0 and "checksum_absent" or "checksum_bad")
 	end
-	local commands = D.commands[msg_id]
-	if not commands and D.any_link[msg_id] and msg_id % 8192 >= 4096 then commands = D.route_commands end
+	local commands = W.known.commands
 	if not commands then return end
 	local known = commands[code]
 	if not known then
@@ -155,7 +171,7 @@ end
 -- Read what lies behind the cFE header: an event, housekeeping, or a route's envelope.
 local function payload(msg_id, start, header, code)
 	local at, s = start + header, W.s
-	local claims = claims_of(msg_id)
+	local claims = W.known.claims
 	if claims then
 		if #s - start > header then return envelope(claims, at) end
 		W.route = routes[claims[1]]
@@ -180,41 +196,43 @@ end
 
 -- Read a packet that starts at an offset, and all that lies behind its primary header.
 local function space_packet(start)
-	local s, length = W.s, #W.s - start
+	local work = W
+	local s, length = work.s, #work.s - start
 	if not take(L.ccsds, start) then return end
 	local version, kind, secondary, apid, flags, count, data_length = read.ccsds(s, start + 1)
 	local msg_id = version * 8192 + kind * 4096 + secondary * 2048 + apid
 	local extra = settings.extra
-	local is_command, total = kind == 1, data_length + D.limits.length_bias
-	local after = start + L.ccsds.size
-	if extra > 0 and length >= L.ccsds.size + extra then
+	local is_command, total = kind == 1, data_length + LENGTH_BIAS
+	local after, link = start + HEADER, work.link
+	if extra > 0 and length >= HEADER + extra then
 		local _, _, _, subsystem = read.extended(s, after + 1)
 		msg_id = apid % 128 + kind * 128 + subsystem % 256 * 256
 	end
-	W.msg_id = msg_id
-	W.kind = W.kind or (is_command and "cmd" or "tlm")
+	local known = about(link, msg_id)
+	work.msg_id, work.known = msg_id, known
+	work.kind = work.kind or (is_command and "cmd" or "tlm")
 	if total ~= length then note("length_mismatch") end
 	if flags == 0 and count == 0 then
 		note("sequence_unset")
 	else
 		follow(msg_id, count)
 	end
-	if total > D.limits.software_bus then note("over_software_bus") end
-	if msg_id < 1 or msg_id > D.limits.highest_msg_id then
+	if total > LONGEST then note("over_software_bus") end
+	if msg_id < 1 or msg_id > HIGHEST_MSG_ID then
 		note("invalid_msg_id")
-	elseif not D.msg_id_names[msg_id] and not D.any_link[msg_id] then
+	elseif known.unknown then
 		note("unknown_msg_id")
 	end
-	if (W.link == "ci" and not is_command) or (W.link == "to" and is_command) then note("wrong_direction") end
+	if (link == "ci" and not is_command) or (link == "to" and is_command) then note("wrong_direction") end
 
 	local as_command = settings.command_header
 	local bare = not is_command and length == as_command and total == length
 	local header = (is_command or bare) and as_command or settings.telemetry_header
-	W.bare = bare
+	work.bare = bare
 	if bare then note("header_only") end
-	if extra > 0 and length >= L.ccsds.size + extra then add_layer(L.extended, after) end
+	if extra > 0 and length >= HEADER + extra then add_layer(L.extended, after) end
 	if length < header then
-		return truncated(is_command and L.command.name or L.telemetry.name, after, header - L.ccsds.size)
+		return truncated(is_command and L.command.name or L.telemetry.name, after, header - HEADER)
 	end
 	local at, code, sent = after + extra, nil, nil
 	if is_command or bare then
@@ -224,11 +242,11 @@ local function space_packet(start)
 	else
 		add_layer(settings.telemetry, at)
 		local seconds, subseconds = settings.read_time(s, at + 1)
-		W.time = seconds + subseconds / 65536
+		work.time = seconds + subseconds / 65536
 	end
 	if is_command then
-		W.code = code
-		command(msg_id, code, sent, start, math.min(length, total), extra)
+		work.code = code
+		command(code, sent, start, math.min(length, total), extra)
 	end
 	if not bare then payload(msg_id, start, header, code) end
 end

@@ -55,9 +55,8 @@ local function has_columns(pinfo, visible, number)
 	return pass.columns
 end
 
--- Add a header that starts at an offset; return its tree.
+-- Add a header that starts at an offset and that somebody asks for; return its tree.
 local function show_layout(tree, layout, tvb, at, visible)
-	if not (visible or layout.on) then return tree end
 	local bytes = cut(tvb, at, layout.size)
 	local node = layout.title and add(tree, layout.proto, bytes, layout.title) or add(tree, layout.proto, bytes)
 	local add_slots = visible and layout.add_all or layout.add_asked
@@ -69,6 +68,6 @@ end
 local function show_value(node, record, value, visible)
 	if not (visible or record.on) then return node end
 	local item = add(node, record.field, value)
-	set_generated(item)
+	if visible then set_generated(item) end
 	return item
 end

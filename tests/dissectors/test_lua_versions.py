@@ -1,0 +1,42 @@
+"""Wireshark brings Lua 5.2 up to 4.2 and may bring 5.4 from 4.4 on: the script says the same under both."""
+
+import random
+import shutil
+import subprocess
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from edoras_tools.sources import open_file
+
+ROOT = Path(__file__).parents[2]
+LUAS = ["lua5.2", "lua5.4"]
+
+
+def rows():
+    """Yield the datagrams of the captures, and some with bytes changed or cut."""
+    chance = random.Random(9)
+    for name in ("a_rover", "e_ci_errors", "f_sbn_disconnect"):
+        with closing(open_file(ROOT / f"samples/captures/{name}.pcap")) as source:
+            for batch in source.batches():
+                for row in range(len(batch)):
+                    datagram = batch[row]
+                    ports = datagram.source.port, datagram.destination.port
+                    yield (*ports, datagram.payload)
+                    changed = bytearray(datagram.payload[: chance.randrange(len(datagram.payload) + 1)])
+                    for _ in range(min(len(changed), 2)):
+                        changed[chance.randrange(min(len(changed), 40))] = chance.choice((0, 1, 4, 128, 255))
+                    yield (*ports, bytes(changed))
+
+
+@pytest.mark.skipif(not all(map(shutil.which, LUAS)), reason="needs lua5.2 and lua5.4: make judges")
+def test_both_luas_say_the_same(tmp_path):
+    table = tmp_path / "datagrams.txt"
+    lines = [f"{number} {source} {to} {data.hex()}" for number, (source, to, data) in enumerate(rows(), 1)]
+    table.write_text("\n".join(lines) + "\n")
+    command = [Path(__file__).with_name("wslua.lua"), ROOT / "dissectors/edoras.lua", table]
+    old, new = (subprocess.run([lua, *command], capture_output=True, text=True, check=False) for lua in LUAS)
+    assert (old.stderr, old.returncode) == (new.stderr, new.returncode) == ("", 0)
+    assert old.stdout == new.stdout
+    assert old.stdout.count("ros2.geometry_msgs.Twist.linear.x") > 600
