@@ -112,7 +112,7 @@ def made_up():
             spacecraft_id=np.full(count, 66, dtype=np.uint32),
             packet_offset=offset + head,
             packet_length=length - head,
-            msg_id=random.choice(np.array([-1, 0x1827, 0x0827, 0x0880], dtype=np.int32), count),
+            msg_id=random.choice(np.array([-1, 0x1827, 0x0827, 0x08F0], dtype=np.int32), count),
             sequence_flags=np.full(count, 3, dtype=np.uint8),
             sequence_count=random.integers(0, 1 << 14, count).astype(np.uint16),
             function_code=np.full(count, -1, dtype=np.int16),

@@ -1,0 +1,221 @@
+"""Entries of debug information to structs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, Protocol
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.structs.entries import (
+    DEEPEST,
+    ENCODINGS,
+    POINTERS,
+    STRUCTS,
+    bit_place,
+    dimensions,
+    name_of,
+    number,
+    offset_of,
+    plain,
+    type_of,
+)
+from edoras_tools.structs.shapes import BASIC, OPEN, Basic, Enumeration, Kind, Member, Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from edoras_tools.structs.entries import Die
+    from edoras_tools.structs.shapes import ByteOrder
+
+LARGEST: Final = 1 << 24
+"""Bytes that a struct is smaller than."""
+
+
+class File(Protocol):
+    """What the file that the entries are of knows of all of them.
+
+    Attributes:
+        path: for messages.
+        byte_order: of the machine.
+        pointer: bytes of an address.
+    """
+
+    path: Path
+    byte_order: ByteOrder
+    pointer: int
+
+    def called(self, die: Die) -> str:
+        """Return the name of a type; nothing where it has none."""
+
+    def header(self, die: Die) -> int:
+        """Return the size of the cFE header that a struct begins with."""
+
+
+class Maker:
+    """Turns entries into structs, and those that they use.
+
+    Args:
+        info: the file that they are of.
+
+    Attributes:
+        structs: what was made, by name.
+        enums: the enumerations that they use, by name.
+        warnings: one line each, of what is declared in more than one way.
+    """
+
+    def __init__(self, info: File) -> None:
+        self._info = info
+        self.structs: dict[str, Struct] = {}
+        self.enums: dict[str, Enumeration] = {}
+        self.warnings: list[str] = []
+        self._names: dict[int, str] = {}
+        self._open: set[int] = set()
+
+    def struct(self, die: Die, wish: str = "") -> str:
+        """Make a struct and return its name."""
+        if die.offset in self._names:
+            return self._names[die.offset]
+        if die.offset in self._open or len(self._open) > DEEPEST:
+            raise ConfigError(f"{self._info.path}: {self._info.called(die) or 'a struct'} contains itself")
+        self._open.add(die.offset)
+        name = self._info.called(die) or wish or "Anonymous"
+        members = list(self._members(die, 0))
+        made = Struct(
+            name,
+            number(die, "DW_AT_byte_size"),
+            tuple(members),
+            union=STRUCTS[die.tag],
+            header=self._info.header(die),
+        )
+        self._open.discard(die.offset)
+        name = self._kept(made)
+        self._names[die.offset] = name
+        return name
+
+    def check(self) -> None:
+        """Hold every member to the size of its struct.
+
+        Raises:
+            ConfigError: one lies outside: the debug information is damaged.
+        """
+        for item in self.structs.values():
+            for member in item.members:
+                width = (member.bit + member.bits + 7) // 8 or self._size(member) * count_of(member)
+                if not 0 <= member.offset <= member.offset + width <= item.size < LARGEST:
+                    raise ConfigError(f"{self._info.path}: {item.name}.{member.name} lies outside its struct")
+
+    def _kept(self, made: Struct) -> str:
+        """Keep a struct; one of the same name that is not alike is given a number."""
+        name, copy = made.name, 2
+        while name in self.structs and self.structs[name] != replace(made, name=name):
+            name, copy = f"{made.name}_{copy}", copy + 1
+        if name != made.name:
+            self.warnings.append(f"{made.name} is declared in more than one way; the other is called {name}")
+        self.structs[name] = replace(made, name=name)
+        return name
+
+    def _members(self, die: Die, base: int) -> Iterator[Member]:
+        taken: set[str] = set()
+        for item in die.iter_children():
+            if item.tag == "DW_TAG_inheritance":
+                parent = plain(type_of(item))
+                inner = self._members(parent, base + offset_of(item)) if parent is not None else iter(())
+            elif item.tag == "DW_TAG_member" and "DW_AT_external" not in item.attributes:
+                inner = self._member(item, base, self._info.called(die))
+            else:
+                continue
+            for member in inner:
+                if member.name not in taken:
+                    taken.add(member.name)
+                    yield member
+
+    def _member(self, item: Die, base: int, owner: str) -> Iterator[Member]:
+        name, at = name_of(item), base + offset_of(item)
+        kind = plain(type_of(item))
+        if not name and kind is not None and kind.tag in STRUCTS:
+            yield from self._members(kind, at)  # C11: its members are those of the struct around it
+            return
+        if not name:
+            return
+        member = self._typed(kind, Member(name, BASIC["byte"], at), f"{owner.removesuffix('_t')}_{name}")
+        width = number(item, "DW_AT_bit_size")
+        if width:
+            size = number(item, "DW_AT_byte_size") or self._size(member)
+            found = bit_place(item, at, base, size, width, self._info.byte_order)
+            whole = width == 8 * self._size(member) and not found["bit"]
+            member = replace(member, **({"offset": found["offset"]} if whole else found))
+        yield member
+
+    def extent(self, item: Die) -> int:
+        """Return the bytes of a member."""
+        found = list(self._member(item, 0, ""))
+        return max((self._size(member) * count_of(member) for member in found), default=0)
+
+    def _size(self, member: Member) -> int:
+        if isinstance(member.type, Basic):
+            return member.type.size
+        if member.type in self.enums:
+            return self.enums[member.type].basic.size
+        return self.structs[member.type].size
+
+    def _typed(self, die: Die | None, member: Member, wish: str) -> Member:
+        """Return a member with what its type says."""
+        if die is None:
+            return replace(member, dims=(OPEN,))
+        if die.tag in STRUCTS:
+            return replace(member, type=self.struct(die, wish))
+        if die.tag == "DW_TAG_array_type":
+            inner = self._typed(plain(type_of(die)), member, wish)
+            return replace(inner, dims=(*dimensions(die), *inner.dims))
+        if die.tag == "DW_TAG_enumeration_type":
+            return replace(member, type=self._enumeration(die, wish))
+        if die.tag in POINTERS:
+            size = number(die, "DW_AT_byte_size") or self._info.pointer
+            return replace(member, type=BASIC[f"uint{8 * size}"], base=16)
+        if die.tag == "DW_TAG_base_type":
+            return self._basic(die, member)
+        size = number(die, "DW_AT_byte_size")
+        return replace(member, dims=(size,))
+
+    @staticmethod
+    def _basic(die: Die, member: Member) -> Member:
+        size, encoding = number(die, "DW_AT_byte_size"), number(die, "DW_AT_encoding")
+        if name_of(die) == "char" and size == 1:
+            return replace(member, type=BASIC["char"])
+        if encoding == 0x03 and size in {8, 16}:  # a complex number: real, then imaginary
+            return replace(member, type=BASIC[f"float{4 * size}"], dims=(2,))
+        kind = ENCODINGS.get(encoding)
+        found = BASIC.get(str(Basic(kind, size))) if kind else None
+        if found is None:  # as a long double: no ROS type holds it
+            return replace(member, type=BASIC["byte"], dims=(size,))
+        return replace(member, type=found)
+
+    def _enumeration(self, die: Die, wish: str) -> str:
+        size = number(die, "DW_AT_byte_size") or 4
+        names: dict[int, str] = {}
+        for item in die.iter_children():
+            if item.tag == "DW_TAG_enumerator":
+                names.setdefault(int(item.attributes["DW_AT_const_value"].value), name_of(item))
+        under = plain(type_of(die))
+        signed = min(names, default=0) < 0
+        if under is not None and "DW_AT_encoding" in under.attributes:
+            signed = ENCODINGS.get(number(under, "DW_AT_encoding")) is Kind.INT
+        bits = 8 * size
+        if not signed:
+            names = {value & ((1 << bits) - 1): name for value, name in names.items()}
+        basic = BASIC[f"{'' if signed else 'u'}int{bits}"]
+        made = Enumeration(self._info.called(die) or wish or "Enumeration", basic, names)
+        name, copy = made.name, 2
+        while (name in self.enums and self.enums[name] != replace(made, name=name)) or name in self.structs:
+            name, copy = f"{made.name}_{copy}", copy + 1
+        self.enums[name] = replace(made, name=name)
+        return name
+
+
+def count_of(member: Member) -> int:
+    """Return the elements of a member in all."""
+    count = 1
+    for size in member.dims:
+        count *= size
+    return count
