@@ -22,7 +22,7 @@ PAGES = sorted(
 REFRESHED = [page for page in PAGES if page.stem not in {"missions", "sim", "bench", "CHANGELOG"}]
 COMMANDS = (
     *("sniff", "record", "info", "decode", "recover", "sim", "demo", "doctor", "report"),
-    *("replay", "inject", "sweep", "proxy", "wireshark", "live", "bridge", "codegen"),
+    *("replay", "inject", "sweep", "proxy", "wireshark", "live", "bridge", "codegen", "structs"),
 )
 
 
