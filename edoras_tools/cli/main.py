@@ -20,6 +20,8 @@ _SETTINGS = {"help_option_names": ["-h", "--help"]}
 _USAGE: Final[Any] = typer.BadParameter.__mro__[1]
 """Click's root of all that a command line can be wrong in; typer brings its own click or not, by version."""
 
+_TURN_S: Final = 50e-6
+
 COMMANDS: Final = (
     *("demo", "sniff", "record", "live", "info", "decode", "recover"),
     *("replay", "inject", "sweep", "proxy", "bridge", "doctor", "report", "sim", "wireshark", "codegen"),
@@ -141,10 +143,12 @@ def _start(made: typer.Typer) -> NoReturn:
     """Run a program as a process of its own, quick to start and quick to leave.
 
     Hardly anything made while starting up is garbage, nothing is left to tear down at the end, and numpy's
-    linear algebra, which nobody uses here, need not start threads.
+    linear algebra, which nobody uses here, need not start threads. A thread that numpy let go of Python for
+    gets it back at once, not after Python's 5 ms: they take turns, each of some microseconds.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(50_000)
+    sys.setswitchinterval(_TURN_S)
     try:
         run(made)
     except SystemExit as end:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _KINDS = (".mcap", ".pcapng", ".pcap")
 _FLUSH_NS = 500_000_000
 """A killed recorder loses at most a second; flushed twice as often, it has time to write."""
+_SWIFT = 16 << 20
+"""Bytes in that time from where on flushing is left out: it waits, and chunks fill by themselves."""
 
 
 class Watcher(Protocol):
@@ -232,6 +234,7 @@ def pour(
         CaptureError: the sink cannot be written.
     """
     began = flushed = clock()
+    unflushed = 0
     try:
         with interruptible(source) as (batches, asked):
             for batch in _until_failure(batches, report):
@@ -242,6 +245,7 @@ def pour(
                         keep = slice(0, count - report.ledger.datagrams)
                         chosen, columns = chosen.take(keep), columns.take(keep)
                     sink.write(chosen, columns)
+                    unflushed += int(chosen.frame_length.sum())
                     if by_route:
                         report.ledger.add(chosen, columns)
                     else:
@@ -250,8 +254,9 @@ def pour(
                         tap(chosen, columns)
                 now = clock()
                 if now - flushed >= _FLUSH_NS:
-                    sink.flush()
-                    flushed = now
+                    if unflushed < _SWIFT:
+                        sink.flush()
+                    flushed, unflushed = now, 0
                 if watcher is not None:
                     watcher.update(report)
                 full = bool(count) and report.ledger.datagrams >= count

@@ -142,7 +142,7 @@ def take(
         layout = source.layout(names, bindings, package or Layout({}).package)
     else:
         layout = source.layout(names, bindings, package)
-    messages = Bindings([layout], frozenset())
+    messages = Bindings([layout])
     types = {item.struct.name: item.type for item in messages.all}
     for name in names:
         found = next(item for item in (name, f"{name}_t", name.removesuffix("_t")) if item in layout.structs)

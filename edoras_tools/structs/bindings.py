@@ -29,7 +29,6 @@ class Bindings:
 
     Args:
         layouts: of those that name the same packets the first holds.
-        claimed: MsgIds that something else is on.
 
     Attributes:
         all: every struct that is bound, by MsgId and function code.
@@ -41,11 +40,11 @@ class Bindings:
         ConfigError: a struct cannot become a message.
     """
 
-    def __init__(self, layouts: Sequence[Layout], claimed: frozenset[int]) -> None:
+    def __init__(self, layouts: Sequence[Layout]) -> None:
         taken: dict[Key, Layout] = {}
         for layout in layouts:
             for key in layout.bindings:
-                if key.msg_id not in claimed and not any(
+                if not any(
                     key.msg_id == other.msg_id and owner is not layout for other, owner in taken.items()
                 ):
                     taken[key] = layout

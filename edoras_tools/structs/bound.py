@@ -114,6 +114,10 @@ class Bound:
             length: (n,) their bytes; all fit.
             heads: (n,) of ``HEAD``.
         """
+        if len(offset) and length.min() == length.max():
+            one = int(length[0])
+            whole, start, size = self.plan(one).encode(_window(data, offset, one, heads))
+            return Encoded(whole, start, size, int(size[0]) if (size == size[0]).all() else 0)
         start, size = np.zeros(len(offset), np.int64), np.zeros(len(offset), np.int64)
         pieces, base = [np.empty(0, np.uint8)], 0
         for one, rows in by_value(length):
@@ -121,9 +125,7 @@ class Bound:
             start[rows] = at + base
             base += len(piece)
             pieces.append(piece)
-        whole = pieces[-1] if len(pieces) == 2 else np.concatenate(pieces)
-        width = int(size[0]) if len(size) and len(pieces) == 2 and (size == size[0]).all() else 0
-        return Encoded(whole, start, size, width)
+        return Encoded(np.concatenate(pieces), start, size, 0)
 
     def encode_one(self, payload: bytes, origin: tuple[int, ...]) -> bytes:
         """Return the message of one packet.

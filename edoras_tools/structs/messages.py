@@ -100,7 +100,7 @@ def parts(layout: Layout, struct: Struct, *, whole: bool) -> list[Part]:
         if layout.size(item) * item.count == 0 and not is_open and not _empty(layout, item):
             continue
         name = unique(field_name(item.name), taken)
-        found.append(Part(name, replace(item, offset=item.offset - shift), is_open))
+        found.append(Part(name, replace(item, offset=item.offset - shift) if shift else item, is_open))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Final
 
@@ -30,7 +31,6 @@ class Structs:
 
     Args:
         layouts: in that order; None for that of what cFE itself sends, which is read once a packet needs it.
-        claimed: MsgIds that something else is on.
 
     Attributes:
         has: bool (65536,), MsgIds that one is bound to.
@@ -39,12 +39,11 @@ class Structs:
         ConfigError: a struct cannot become a message.
     """
 
-    def __init__(self, layouts: Sequence[Layout] | None = (), claimed: frozenset[int] = frozenset()) -> None:
+    def __init__(self, layouts: Sequence[Layout] | None = ()) -> None:
         self._given = layouts
-        self._claimed = claimed
-        bound = PACKETS if layouts is None else self._bindings.by_id
+        self._whole = self
         self.has: NDArray[np.bool_] = np.zeros(_MSG_IDS, np.bool_)
-        self.has[list(bound.keys() - claimed)] = True
+        self.has[list(PACKETS if layouts is None else self._bindings.by_id)] = True
 
     @cached_property
     def layouts(self) -> tuple[Layout, ...]:
@@ -55,16 +54,20 @@ class Structs:
             return (cfe.shipped(),)
         return tuple(self._given)
 
-    @cached_property
+    @property
     def _bindings(self) -> Bindings:
+        return self._whole._made  # noqa: SLF001  of its own kind
+
+    @cached_property
+    def _made(self) -> Bindings:
         from edoras_tools.structs.bindings import Bindings
 
-        return Bindings(self.layouts, self._claimed)
+        return Bindings(self.layouts)
 
     @property
     def all(self) -> tuple[Bound, ...]:
         """Every struct that is bound, by MsgId and function code."""
-        return self._bindings.all
+        return tuple(item for item in self._bindings.all if self.has[item.key.msg_id])
 
     @property
     def definitions(self) -> Mapping[str, Definition]:
@@ -107,8 +110,13 @@ class Structs:
 
     def unclaimed(self, msg_ids: Iterable[int]) -> Structs:
         """Return these but for the MsgIds that something else claims."""
-        claimed = frozenset(msg_id for msg_id in msg_ids if self.has[msg_id])
-        return Structs(self._given, self._claimed | claimed) if claimed else self
+        claimed = [msg_id for msg_id in msg_ids if self.has[msg_id]]
+        if not claimed:
+            return self
+        left = copy(self)
+        left.has = self.has.copy()
+        left.has[claimed] = False
+        return left
 
     def split(
         self, rows: NDArray[np.intp], columns: Callable[[str], NDArray[Any]]
@@ -123,15 +131,16 @@ class Structs:
             the struct; which of ``rows`` should hold it; bool, which of those are as long as it is.
         """
         header = columns("header_length")[rows]
-        rows = rows[header > ccsds.PRIMARY.size]
+        length = columns("packet_length")[rows] - header
+        with_header = header > ccsds.PRIMARY.size
         for value, members in by_value(columns("msg_id")[rows]):
-            left = rows[members]
+            left = members[with_header[members]]
             for item in self._of(value):
                 code = item.key.function_code
-                length = columns("packet_length")[left] - columns("header_length")[left]
-                chosen = length > 0 if code is None else columns("function_code")[left] == code
-                if chosen.any():
-                    yield item, left[chosen], item.fits(length[chosen])
+                chosen = length[left] > 0 if code is None else columns("function_code")[rows[left]] == code
+                found = left[chosen]
+                if len(found):
+                    yield item, rows[found], item.fits(length[found])
                 left = left[~chosen]
 
     def messages(

@@ -361,11 +361,13 @@ def _texts(field: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int6
 
     Bytes that are no UTF-8 become ``?``.
     """
-    count = len(field)
+    count, size = field.shape
     pool = field.copy()
-    ended = np.concatenate((pool == 0, np.ones((count, 1), np.bool_)), axis=1)
+    ended = np.ones((count, size + 1), np.bool_)
+    np.equal(pool, 0, out=ended[:, :size])
     length = ended.argmax(axis=1)
-    for row in np.flatnonzero((pool >= 0x80).any(axis=1)).tolist():
+    beyond = pool >= 0x80  # ASCII: no matter how it is cut, it is UTF-8
+    for row in np.flatnonzero(beyond.any(axis=1)).tolist() if beyond.any() else ():
         text = pool[row, : length[row]]
         try:
             text.tobytes().decode()

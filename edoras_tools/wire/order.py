@@ -35,9 +35,14 @@ def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
 
 def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     """Yield each distinct value with the indices that hold it, so that rows of one length go together."""
+    least, most = (int(values.min()), int(values.max())) if len(values) else (0, 0)
+    if least == most:
+        if len(values):
+            yield least, np.arange(len(values))
+        return
     # 16 bits sort by radix, several times as fast.
-    narrow = values.dtype.itemsize <= 2 or not len(values) or (values.min() >= 0 and values.max() <= 0xFFFF)
+    narrow = values.dtype.itemsize <= 2 or (least >= 0 and most <= 0xFFFF)
     order = np.argsort(values.astype(np.uint16) if narrow else values, kind="stable")
     ends = np.flatnonzero(np.diff(values[order])) + 1
-    for rows in np.split(order, ends) if len(order) else ():
+    for rows in np.split(order, ends):
         yield int(values[rows[0]]), rows

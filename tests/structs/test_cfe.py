@@ -145,6 +145,6 @@ def test_names_are_such_as_ros_takes():
 def test_msg_files_say_what_the_definitions_say():
     from edoras_tools.structs.bindings import Bindings
 
-    made = Bindings([layout()], frozenset())
+    made = Bindings([layout()])
     for name, text in made.texts.items():
         assert parse(name, text, name) == made.definitions[name]
