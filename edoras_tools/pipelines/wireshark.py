@@ -129,7 +129,7 @@ def _finding(item: Finding) -> FindingText:
 
 
 def _type(types: TypeStore, name: str) -> Mapping[str, Any]:
-    _, plan = types._plan(name)  # noqa: SLF001  a plan is what both readers are made from
+    _, plan = types.plan(name)
     return {"fixed": plan.fixed_size, "steps": _steps(plan)}
 
 

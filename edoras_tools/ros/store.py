@@ -68,7 +68,7 @@ class TypeStore:
     def check(self, type_name: str) -> str | None:
         """Return why a type cannot be used, in one sentence; None where it can."""
         try:
-            self._plan(type_name)
+            self.plan(type_name)
         except (ConfigError, RouteError) as error:
             return str(error).partition("\n")[0]
         return None
@@ -97,14 +97,14 @@ class TypeStore:
 
     def definitions(self, type_name: str) -> tuple[Definition, ...]:
         """Return a type's definition, then that of every type that it uses, each once."""
-        self._plan(type_name)
+        self.plan(type_name)
         found: dict[str, Definition] = {}
         self._collect(full_name(type_name), found)
         return tuple(found.values())
 
     def fields(self, type_name: str) -> tuple[Field, ...]:
         """Return a type's fields, in wire order; those of a type that it uses are asked for by its name."""
-        self._plan(type_name)
+        self.plan(type_name)
         return self._definition(full_name(type_name)).fields
 
     def decode(self, type_name: str, cdr: bytes) -> dict[str, Any]:
@@ -117,7 +117,7 @@ class TypeStore:
         Raises:
             WireError: the message is not valid; says which field, where, and what it needs.
         """
-        name, plan = self._plan(type_name)
+        name, plan = self.plan(type_name)
         value: dict[str, Any] = reader.decode(name, plan, bytes(cdr))
         return value
 
@@ -129,7 +129,7 @@ class TypeStore:
         Raises:
             WireError: as ``decode``.
         """
-        return reader.spans(*self._plan(type_name), bytes(cdr))
+        return reader.spans(*self.plan(type_name), bytes(cdr))
 
     def encode(self, type_name: str, values: Mapping[str, Any], *, big_endian: bool = False) -> bytes:
         """Return a message from plain values, encapsulation included.
@@ -139,12 +139,12 @@ class TypeStore:
         Raises:
             FieldError: a value does not fit or a field does not exist; names the path and what it takes.
         """
-        name, _ = self._plan(type_name)
+        name, _ = self.plan(type_name)
         return self._writers[big_endian].encode(name, values)
 
     def fixed_size(self, type_name: str) -> int | None:
         """Return the bytes of every message of a type, encapsulation included; None where they vary."""
-        size = self._plan(type_name)[1].fixed_size
+        size = self.plan(type_name)[1].fixed_size
         return None if size is None else reader.ENCAPSULATION + size
 
     def extent(self, type_name: str, cdr: bytes) -> int:
@@ -155,7 +155,7 @@ class TypeStore:
         Raises:
             WireError: the message ends before its last field does, or is no CDR.
         """
-        return extent(*self._plan(type_name), cdr)
+        return extent(*self.plan(type_name), cdr)
 
     def valid(
         self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
@@ -168,15 +168,21 @@ class TypeStore:
             offset: i64, first byte of each message, encapsulation included; any value is safe.
             length: i32, bytes of each message; any value is safe.
         """
-        return validity.valid(self._plan(type_name)[1], data, offset, length)
+        return validity.valid(self.plan(type_name)[1], data, offset, length)
 
     def columns(
         self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
     ) -> MessageColumns:
         """Return many messages as columns, one a field; arguments as ``valid``."""
-        return columns.columns(*self._plan(type_name), data, offset, length)
+        return columns.columns(*self.plan(type_name), data, offset, length)
 
-    def _plan(self, type_name: str) -> tuple[str, Plan]:
+    def plan(self, type_name: str) -> tuple[str, Plan]:
+        """Return a type's name in full, and what all of its readers are made from.
+
+        Raises:
+            ConfigError: a definition has a mistake.
+            RouteError: the type, or one that it uses, is not known.
+        """
         found = self._plans.get(type_name)
         if found is None:
             name = full_name(type_name)
