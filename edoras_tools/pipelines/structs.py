@@ -10,8 +10,9 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.structs import cfe
 from edoras_tools.structs.bindings import Bindings
 from edoras_tools.structs.dwarf import DebugInfo, Listed
-from edoras_tools.structs.files import NAME, dumps, load
+from edoras_tools.structs.files import NAME, load
 from edoras_tools.structs.shapes import Layout
+from edoras_tools.structs.writing import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -50,12 +51,14 @@ class LayoutFile:
             found.setdefault(name, []).append(str(key))
         return {name: ", ".join(keys) for name, keys in found.items()}
 
-    def layout(self, names: Iterable[str], bindings: Mapping[Key, str], package: str | None) -> Layout:
+    def layout(
+        self, names: Iterable[str], bindings: Mapping[Key, str], package: str | None
+    ) -> tuple[Layout, dict[str, str]]:
         """Return some structs, all that they use, and the packets they lie in; as ``DebugInfo.layout``."""
         found = self._layout
         bound = {**found.bindings, **{key: self._find(name) for key, name in bindings.items()}}
-        wanted = [self._find(name) for name in names]
-        wanted += [self._find(name) for name in bindings.values()]
+        called = {name: self._find(name) for name in [*names, *bindings.values()]}
+        wanted = list(called.values())
         kept: dict[str, None] = {}
         while wanted:
             name = wanted.pop()
@@ -64,13 +67,14 @@ class LayoutFile:
                 wanted += [str(member.type) for member in found.structs[name].members]
         structs = {name: item for name, item in found.structs.items() if name in kept}
         used = {str(member.type) for item in structs.values() for member in item.members}
-        return replace(
+        made = replace(
             found,
             structs=structs,
             enums={name: item for name, item in found.enums.items() if name in used},
             bindings={key: name for key, name in bound.items() if name in kept},
             package=package or found.package,
         )
+        return made, called
 
     def _find(self, name: str) -> str:
         for known in (name, f"{name}_t", name.removesuffix("_t")):
@@ -139,13 +143,13 @@ def take(
         listed = source.list()
         names = [item.name for item in listed if item.header] or [item.name for item in listed]
     if isinstance(source, DebugInfo):
-        layout = source.layout(names, bindings, package or Layout({}).package)
+        layout, called = source.layout(names, bindings, package or Layout({}).package)
     else:
-        layout = source.layout(names, bindings, package)
+        layout, called = source.layout(names, bindings, package)
     messages = Bindings([layout])
     types = {item.struct.name: item.type for item in messages.all}
     for name in names:
-        found = next(item for item in (name, f"{name}_t", name.removesuffix("_t")) if item in layout.structs)
+        found = called[name]
         if found not in types:
             struct = layout.structs[found]
             types[found] = messages.define(layout, struct, whole=bool(struct.header))

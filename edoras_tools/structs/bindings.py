@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
@@ -48,9 +49,7 @@ class Bindings:
                     key.msg_id == other.msg_id and owner is not layout for other, owner in taken.items()
                 ):
                     taken[key] = layout
-        often: dict[str, int] = {}
-        for key, layout in taken.items():
-            often[layout.bindings[key]] = often.get(layout.bindings[key], 0) + 1
+        often = Counter(layout.bindings[key].removesuffix("_t") for key, layout in taken.items())
         self.definitions: dict[str, Definition] = {}
         self.texts: dict[str, str] = {}
         self._names: dict[tuple[int, str, bool], str] = {}
@@ -61,7 +60,7 @@ class Bindings:
         ):
             struct = layout.structs[layout.bindings[key]]
             name = struct.name.removesuffix("_t")
-            topic = f"/cfs/{name}" + (f"/{key}".replace("/0x", "/x", 0) if often[struct.name] > 1 else "")
+            topic = f"/cfs/{name}/{key}" if often[name] > 1 else f"/cfs/{name}"
             bound.append(Bound(key, layout, struct, topic, self.define(layout, struct, whole=True)))
         self.all: tuple[Bound, ...] = tuple(bound)
         self.by_id: dict[int, list[Bound]] = {}

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from edoras_tools.structs.messages import parts
+from edoras_tools.errors import ConfigError
+from edoras_tools.structs.counting import MOST_VALUES, Counter
+from edoras_tools.structs.messages import HEADER_FIELDS, parts
 from edoras_tools.structs.packets import SHIPPED
 from edoras_tools.structs.transcode import HEAD, Plan
 from edoras_tools.wire.order import by_value
@@ -52,6 +54,9 @@ class Bound:
         topic: where its messages go.
         type: their type, in full.
         size: bytes of the payload, where it is not open to the end.
+
+    Raises:
+        ConfigError: the struct spells out too many values.
     """
 
     def __init__(self, key: Key, layout: Layout, struct: Struct, topic: str, type: str) -> None:  # noqa: A002
@@ -66,6 +71,7 @@ class Bound:
         self.size = struct.size - struct.header
         self._least = max((self._end(part.member) for part in members), default=0)
         self._step = self._row(self._open) if self._open is not None else 0
+        self._most = self._limit()
 
     @property
     def name(self) -> str:
@@ -82,6 +88,8 @@ class Bound:
         length = np.asarray(length)
         fits: NDArray[np.bool_] = length >= self._least
         fits &= (length - self._least) % self._step == 0 if self._step else length <= self.size
+        if self._most is not None:
+            fits &= length <= self._most
         return fits
 
     @property
@@ -90,11 +98,7 @@ class Bound:
         return f"{self._least} + n x {self._step}" if self._step else str(self.size)
 
     def plan(self, length: int) -> Plan:
-        """Return how payloads of one length are read; the length fits.
-
-        Raises:
-            ConfigError: the struct spells out too many values.
-        """
+        """Return how payloads of one length are read; the length fits."""
         if length not in self._plans:
             self._plans[length] = Plan(self.layout, self.struct, length)
         return self._plans[length]
@@ -181,10 +185,17 @@ class Bound:
         return f"{name} ({number})" if name else number
 
     def _row(self, member: Member) -> int:
-        size = self.layout.size(member) if member.array or not member.text else 1
-        for count in member.array[1:]:
-            size *= count
-        return size
+        return (self.layout.size(member) if member.array or not member.text else 1) * member.row
+
+    def _limit(self) -> int | None:
+        """Return the payload length above which there are too many values; None where there never are."""
+        counter = Counter(self.layout)
+        left = MOST_VALUES - counter.fixed(self.struct) - len(HEADER_FIELDS) - 1
+        if left < 0:
+            name = f"{self.layout.origin}: {self.struct.name}"
+            raise ConfigError(f"{name} holds more than {MOST_VALUES} values; bind a smaller one")
+        each = counter.each(self._open) if self._open is not None else 0
+        return self._least + left // each * self._step if each else None
 
     def _end(self, member: Member) -> int:
         if member.bits:

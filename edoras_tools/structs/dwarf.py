@@ -5,12 +5,14 @@ Needs pyelftools (``pip install 'edoras-tools[elf]'``).
 
 from __future__ import annotations
 
+import zlib
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.entries import (
+    DEEPEST,
     PLAIN,
     STRUCTS,
     members_of,
@@ -18,6 +20,7 @@ from edoras_tools.structs.entries import (
     number,
     offset_of,
     plain,
+    spelled,
     type_of,
     types_in,
 )
@@ -54,6 +57,11 @@ class Listed:
         self.members = members
 
 
+def _shape(die: Die) -> tuple[object, ...]:
+    """Return what tells structs of one name apart."""
+    return number(die, "DW_AT_byte_size"), *((name_of(item), offset_of(item)) for item in members_of(die))
+
+
 class DebugInfo:
     """The types that a file's debug information describes.
 
@@ -79,7 +87,7 @@ class DebugInfo:
             ) from None
         self.path = Path(path)
         self.warnings: list[str] = []
-        self._broken = (ELFError, DWARFError, ValueError, LookupError, AttributeError, TypeError)
+        self._broken = (ELFError, DWARFError, ValueError, LookupError, AttributeError, TypeError, zlib.error)
         try:
             # Held in memory: what is asked for later is looked up there, and nothing stays open.
             data = self.path.read_bytes()
@@ -96,7 +104,7 @@ class DebugInfo:
             if sum(item.name == ".debug_info" for item in elf.iter_sections()) > 1:
                 why = "its types are in sections of their own; compile it without -fdebug-types-section"
                 raise ConfigError(f"{path}: {why}")
-            if not elf.has_dwarf_info() or elf.get_section_by_name(".debug_info") is None:
+            if elf.get_section_by_name(".debug_info") is None:
                 self._stripped(elf)
             patched = relocated(elf, data)
             if patched is not None:
@@ -110,13 +118,19 @@ class DebugInfo:
         """Tell whatever is met in damaged information in one line."""
         try:
             yield
-        except (*self._broken, NotImplementedError, RecursionError, AssertionError, OverflowError) as error:
+        except (*self._broken, RuntimeError, AssertionError, OverflowError, MemoryError) as error:
             what = str(error).partition("\n")[0] or type(error).__name__
             raise ConfigError(f"{self.path}: its debug information cannot be read: {what}") from error
 
     def _stripped(self, elf: Any) -> None:
         if elf.get_section_by_name(".gnu_debuglink") is not None:
             why = "its debug information was split off into another file; give that one"
+        elif elf.get_section_by_name(".zdebug_info") is not None:
+            why = "its debug information is compressed in an old way; compile it with -gz=zlib or no -gz"
+        elif elf.get_section_by_name(".debug_info.dwo") is not None:
+            why = "it is one half of split debug information; compile it without -gsplit-dwarf"
+        elif any(item.name.startswith(".gnu.debuglto_") for item in elf.iter_sections()):
+            why = "its debug information is yet to be linked; compile it without -flto, or give the program"
         else:
             why = "it has no debug information, was stripped or compiled without -g; compile it with -g"
         raise ConfigError(f"{self.path}: {why}")
@@ -125,6 +139,7 @@ class DebugInfo:
         """List the names of types; what they are made of is read when it is asked for."""
         self._found: dict[str, Die] = {}
         self._named: dict[int, str] = {}
+        self._others: dict[str, list[Die]] = {}  # of a name that is taken
         tags: dict[str, Die] = {}
         for unit in dwarf.iter_CUs():
             if unit.header.get("unit_type") == "DW_UT_type" or dwarf.debug_types_sec is not None:
@@ -147,11 +162,17 @@ class DebugInfo:
                         self._named.setdefault(made.offset, name)
                     elif name and made is not None and made.tag in STRUCTS:
                         self._named.setdefault(made.offset, name)
-                        self._found.setdefault(name, made)
+                        self._found_as(name, made, self._found)
                 elif die.tag in STRUCTS and name and "DW_AT_declaration" not in die.attributes:
-                    tags.setdefault(name, die)
+                    self._found_as(name, die, tags)
         for name, die in tags.items():
             self._found.setdefault(self._named.setdefault(die.offset, name), die)
+
+    def _found_as(self, name: str, die: Die, among: dict[str, Die]) -> None:
+        if name not in among:
+            among[name] = die
+        elif among[name].offset != die.offset:
+            self._others.setdefault(name, []).append(die)
 
     def list(self) -> list[Listed]:
         """Return every struct and union that has a name, in the order of their names.
@@ -166,15 +187,10 @@ class DebugInfo:
                 if not name.startswith("__")  # the C library's own
             ]
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._found
-
-    def names(self) -> Iterable[str]:
-        """Return the names that there are."""
-        return self._found
-
-    def layout(self, names: Iterable[str], bindings: Mapping[Key, str], package: str) -> Layout:
-        """Return some structs and all that they use.
+    def layout(
+        self, names: Iterable[str], bindings: Mapping[Key, str], package: str
+    ) -> tuple[Layout, dict[str, str]]:
+        """Return some structs and all that they use, and what those that were named are called there.
 
         Args:
             names: of structs; a tag does for a typedef, and a name without ``_t``.
@@ -186,11 +202,24 @@ class DebugInfo:
         """
         made = Maker(self)
         with self._reading():
-            called = {name: made.struct(self.find(name)) for name in [*names, *bindings.values()]}
+            named = {name: self.find(name) for name in [*names, *bindings.values()]}
+            called = {name: made.struct(die) for name, die in named.items()}
             made.check()
+            for die in dict.fromkeys(named.values()):
+                self._told_apart(die)
         self.warnings += made.warnings
         bound = {key: called[name] for key, name in bindings.items()}
-        return Layout(made.structs, made.enums, bound, self.byte_order, package, str(self.path))
+        return Layout(made.structs, made.enums, bound, self.byte_order, package, str(self.path)), called
+
+    def _told_apart(self, die: Die) -> None:
+        """Warn where a struct that was named is another in another unit."""
+        name, shape = self.called(die), _shape(die)
+        if any(_shape(other) != shape for other in self._others.get(name, ())):
+            size = number(die, "DW_AT_byte_size")
+            self.warnings.append(
+                f"{name} is declared in more than one way; the first is taken, of {size} bytes: check it, or "
+                "give the object file that has the right one"
+            )
 
     def find(self, name: str) -> Die:
         """Return the entry of a struct.
@@ -198,7 +227,7 @@ class DebugInfo:
         Raises:
             ConfigError: there is none of that name; says which are like it.
         """
-        for known in (name, f"{name}_t", name.removesuffix("_t")):
+        for known in (name, f"{name}_t", name.removesuffix("_t"), spelled(name)):
             if known in self._found:
                 return self._found[known]
         from difflib import get_close_matches
@@ -220,7 +249,9 @@ class DebugInfo:
         first = members[0]
         kind = type_of(first)
         words = [name_of(first)]
-        while kind is not None and kind.tag in {*PLAIN, *STRUCTS, "DW_TAG_array_type"}:
+        for _ in range(DEEPEST):
+            if kind is None or kind.tag not in {*PLAIN, *STRUCTS, "DW_TAG_array_type"}:
+                break
             words.append(name_of(kind))
             kind = type_of(kind) if kind.tag in PLAIN else None
         if not any(word.replace("_", "").lower().removesuffix("t").endswith(_HEADERS) for word in words):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.errors import ConfigError
 from edoras_tools.structs.shapes import OPEN, Kind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from edoras_tools.structs.shapes import ByteOrder
 
@@ -43,9 +43,12 @@ ENCODINGS: Final = {
     0x10: Kind.UINT,
 }
 """DW_ATE_boolean, float, signed, signed_char, unsigned, unsigned_char, UTF."""
+BYTE_ORDERS: Final[Mapping[int, ByteOrder]] = {1: "big", 2: "little"}
+"""DW_END_big, little: of numbers that say theirs."""
 _ADD: Final = 0x23
 """DW_OP_plus_uconst: how DWARF 2 writes a member's place."""
 DEEPEST: Final = 64
+_NO_NAME: Final = re.compile(r"\W|^(?=\d)", re.ASCII)
 
 Die = Any
 """An entry of the debug information; pyelftools has no types."""
@@ -74,9 +77,27 @@ def bit_place(item: Die, at: int, base: int, size: int, width: int, order: ByteO
     return {"offset": bit // 8, "bit": bit % 8, "bits": width}
 
 
+def children(die: Die) -> Iterator[Die]:
+    """Yield the entries inside an entry.
+
+    Raises:
+        ValueError: they go in a circle, as in damaged files, where pyelftools would never come to an end.
+    """
+    for item in die.iter_children():
+        sibling = item.attributes.get("DW_AT_sibling")
+        yield item
+        if sibling is not None:
+            base = 0 if sibling.form == "DW_FORM_ref_addr" else item.cu.cu_offset
+            if base + sibling.value <= item.offset:
+                raise ValueError("its entries go in a circle")
+        elif item.has_children:
+            for _ in children(item):  # to its end, which pyelftools would look for unguarded
+                pass
+
+
 def types_in(die: Die, depth: int) -> Iterator[Die]:
     """Yield the types inside an entry, those in name spaces too."""
-    for item in die.iter_children():
+    for item in children(die):
         if item.tag == "DW_TAG_typedef" or item.tag in STRUCTS:
             yield item
         if item.tag in _SCOPES and depth < DEEPEST:
@@ -85,13 +106,18 @@ def types_in(die: Die, depth: int) -> Iterator[Die]:
 
 def members_of(die: Die) -> list[Die]:
     """Return the members of a struct."""
-    return [item for item in die.iter_children() if item.tag == "DW_TAG_member"]
+    return [item for item in children(die) if item.tag == "DW_TAG_member"]
 
 
 def name_of(die: Die) -> str:
-    """Return an entry's name; nothing where it has none."""
+    """Return an entry's name as C spells names; nothing where it has none."""
     found = die.attributes.get("DW_AT_name")
-    return found.value.decode(errors="replace") if found else ""
+    return spelled(found.value.decode(errors="replace")) if found else ""
+
+
+def spelled(name: str) -> str:
+    """Return a name as C spells names: ``Tp<int>`` is ``Tp_int_``."""
+    return _NO_NAME.sub("_", name)
 
 
 def type_of(die: Die) -> Die | None:
@@ -109,7 +135,7 @@ def offset_of(item: Die) -> int:
     """Return a member's offset: a number, or the one expression that DWARF 2 uses.
 
     Raises:
-        ConfigError: it is another expression.
+        ValueError: it is another expression.
     """
     found = item.attributes.get("DW_AT_data_member_location")
     if found is None:
@@ -118,7 +144,7 @@ def offset_of(item: Die) -> int:
         return found.value
     operation, *operand = found.value
     if operation != _ADD:
-        raise ConfigError(f"{name_of(item)}: its place is computed at run time")
+        raise ValueError(f"the place of {name_of(item) or 'a virtual base class'} is computed at run time")
     value = 0
     for index, octet in enumerate(operand):
         value |= (octet & 0x7F) << (7 * index)
@@ -127,7 +153,7 @@ def offset_of(item: Die) -> int:
 
 def dimensions(die: Die) -> Iterator[int]:
     """Yield the dimensions of an array, outermost first."""
-    for item in die.iter_children():
+    for item in children(die):
         if item.tag != "DW_TAG_subrange_type":
             continue
         if "DW_AT_count" in item.attributes:

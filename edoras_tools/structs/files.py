@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import reprlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
@@ -38,8 +39,9 @@ _TYPE: Final = re.compile(
 _DIMENSION: Final = re.compile(r"\[(\w*)\]")
 _TOP: Final = {"edoras_structs", "byte_order", "package", "bind", "enums", "structs"}
 _STRUCT: Final = {"size", "header", "union", "packed", "members", "doc"}
-_WORDS: Final = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
-_PACKAGE: Final = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
+_PACKAGE: Final = re.compile(r"[a-z](?:_?[a-z0-9])*", re.ASCII)
+_IN_C: Final = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_COMMAND: Final = 0x1000
 
 
 def load(path: str | os.PathLike[str]) -> Layout:
@@ -99,7 +101,7 @@ def _parsed(data: bytes, name: str) -> Any:
     try:
         text = data.decode()
         if text.lstrip().startswith("{"):
-            return json.loads(text)
+            return json.loads(text, object_pairs_hook=_once)
         return YAML(typ="safe", pure=True).load(text)
     except json.JSONDecodeError as error:
         raise ConfigError(f"{name}:{error.lineno}: is no JSON: {error.msg}") from error
@@ -111,6 +113,21 @@ def _parsed(data: bytes, name: str) -> Any:
     except (YAMLError, ValueError, RecursionError) as error:
         what = str(error).partition("\n")[0]
         raise ConfigError(f"{name}: is no YAML: {what or type(error).__name__}") from error
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object, of which no key may be there twice."""
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"{_shown(key)} is there twice")
+        found[key] = value
+    return found
+
+
+def _shown(raw: Any) -> str:
+    """Return a value as messages show it: in short, however large it is."""
+    return _SHORT.repr(raw)
 
 
 class _Reader:
@@ -127,21 +144,23 @@ class _Reader:
 
     def layout(self, raw: Any) -> Layout:
         if not isinstance(raw, dict) or "structs" not in raw:
-            raise ConfigError(f"{self._name}: no layout file: it has no 'structs'")
+            raise ConfigError(
+                f"{self._name}: no layout file: it has no 'structs'; 'edoras structs -o DIR' writes one"
+            )
         self._known("", raw, _TOP)
         if raw.get("edoras_structs", VERSION) != VERSION:
-            what = raw["edoras_structs"]
+            what = _shown(raw["edoras_structs"])
             raise ConfigError(
                 f"{self._name}: edoras_structs {what} is not known; this version reads {VERSION}"
             )
         order: ByteOrder = "little"
-        if raw.get("byte_order", "little") not in {"little", "big"}:
-            self._mistake("byte_order", f"{raw['byte_order']!r} is neither little nor big")
+        if raw.get("byte_order", "little") not in ("little", "big"):
+            self._mistake("byte_order", f"{_shown(raw['byte_order'])} is neither little nor big")
         elif "byte_order" in raw:
             order = raw["byte_order"]
         package = raw.get("package", "cfs_msgs")
-        if not isinstance(package, str) or not _PACKAGE.fullmatch(package):
-            self._mistake("package", f"{package!r} is no name of a ROS package")
+        if not isinstance(package, str) or not is_package(package):
+            self._mistake("package", f"{_shown(package)} is no name of a ROS package, as rover_msgs")
         for name, item in self._mapping("enums", raw.get("enums", {})):
             self._enum(name, item)
         self._raw = dict(self._mapping("structs", raw["structs"]))
@@ -149,14 +168,18 @@ class _Reader:
             if name in BASIC or name in self._enums:
                 self._mistake(f"structs.{name}", "another type has this name")
             self._struct(name, f"structs.{name}")
-        bindings = {}
-        for key, name in self._mapping("bind", raw.get("bind", {})):
+        bindings: dict[Key, str] = {}
+        for text, name in self._mapping("bind", raw.get("bind", {})):
             try:
-                bindings[parse_key(key)] = str(name)
+                key = parse_key(text)
             except ConfigError as error:
                 self._mistake("bind", str(error))
+                continue
+            if key in bindings:
+                self._mistake(f"bind.{key}", "it is bound twice")
             if not isinstance(name, str) or name not in self._structs:
-                self._mistake(f"bind.{key}", f"there is no struct {name!r}")
+                self._mistake(f"bind.{key}", f"there is no struct {_shown(name)}")
+            bindings[key] = str(name) if isinstance(name, str) else ""
         if self._mistakes:
             raise ConfigError(*dict.fromkeys(self._mistakes))
         return Layout(self._structs, self._enums, bindings, order, package, self._name)
@@ -165,24 +188,38 @@ class _Reader:
         self._mistakes.append(f"{self._name}: {where + ': ' if where else ''}{what}")
 
     def _known(self, where: str, raw: Mapping[Any, Any], keys: set[str]) -> None:
-        for key in raw.keys() - keys:
-            self._mistake(where, f"{key!r} means nothing here; there are {', '.join(sorted(keys))}")
+        for key in raw:
+            if key not in keys:
+                known = ", ".join(sorted(keys))
+                self._mistake(where, f"{_shown(key)} means nothing here; there are {known}")
 
     def _mapping(self, where: str, raw: Any) -> Iterator[tuple[Any, Any]]:
         if not isinstance(raw, dict):
             self._mistake(where, "expected NAME: VALUE")
             return
         for key, value in raw.items():
-            if where != "bind" and (not isinstance(key, str) or not key.isidentifier()):
-                self._mistake(where, f"{key!r} is no name in C")
+            if where != "bind" and (not isinstance(key, str) or not _IN_C.fullmatch(key)):
+                self._mistake(where, f"{_shown(key)} is no name in C")
             else:
                 yield key, value
 
-    def _number(self, where: str, raw: Any, most: int = _LARGEST) -> int:
+    def _number(self, where: str, raw: Any, most: int = _LARGEST) -> int | None:
         if isinstance(raw, bool) or not isinstance(raw, int) or not 0 <= raw <= most:
-            self._mistake(where, f"{raw!r} is no number of 0 to {most}")
-            return 0
+            self._mistake(where, f"{_shown(raw)} is no number of 0 to {most}")
+            return None
         return raw
+
+    def _flag(self, where: str, raw: Mapping[str, Any], name: str) -> bool:
+        if raw.get(name, False) not in (False, True):
+            self._mistake(where, f"{name}: {_shown(raw[name])} is neither true nor false")
+        return raw.get(name) is True
+
+    def _doc(self, where: str, raw: Mapping[str, Any]) -> str:
+        """Return what is said of something, on one line: it becomes a comment."""
+        if not isinstance(raw.get("doc", ""), str):
+            self._mistake(where, f"doc: {_shown(raw['doc'])} is no text")
+            return ""
+        return " ".join(raw.get("doc", "").split())
 
     def _enum(self, name: str, raw: Any) -> None:
         where = f"enums.{name}"
@@ -190,14 +227,18 @@ class _Reader:
             self._mistake(where, "expected {type: ..., values: {NAME: NUMBER}}")
             return
         self._known(where, raw, {"type", "values"})
-        basic = BASIC.get(str(raw.get("type", "int32")))
+        basic = BASIC.get(kind) if isinstance(kind := raw.get("type", "int32"), str) else None
         if basic is None or basic.kind not in {Kind.INT, Kind.UINT}:
-            self._mistake(where, f"{raw.get('type')!r} is no integer")
+            self._mistake(where, f"{_shown(raw.get('type'))} is no integer, as int32 or uint8")
             basic = BASIC["int32"]
+        if name in BASIC:
+            self._mistake(where, "another type has this name")
         names: dict[int, str] = {}
         for label, value in self._mapping(f"{where}.values", raw.get("values", {})):
             if isinstance(value, bool) or not isinstance(value, int):
-                self._mistake(where, f"{label}: {value!r} is no number")
+                self._mistake(where, f"{label}: {_shown(value)} is no number")
+            elif not basic.holds(value):
+                self._mistake(where, f"{label}: {_shown(value)} does not fit {basic}")
             else:
                 names.setdefault(value, label)
         self._enums[name] = Enumeration(name, basic, names)
@@ -221,11 +262,12 @@ class _Reader:
             if (item := self._member(label, text, f"{where}.{label}")) is not None
         ]
         self._open.pop()
-        union, packed = bool(raw.get("union")), bool(raw.get("packed"))
+        union, packed = self._flag(where, raw, "union"), self._flag(where, raw, "packed")
         members, size, alignment = arrange(wanted, union=union, packed=packed)
         least = max((item.offset + self._extent(item) for item in members), default=0)
         if "size" in raw:
-            size = self._number(where, raw["size"])
+            stated = self._number(f"{where}.size", raw["size"])
+            size = max(size, least) if stated is None else stated
             if size < least:
                 self._mistake(where, f"its members take {least} bytes, more than its size {size}")
         if size > _LARGEST:
@@ -233,9 +275,12 @@ class _Reader:
         for member in members[:-1]:
             if OPEN in member.dims:
                 self._mistake(f"{where}.{member.name}", "only the last member is open to the end, as in x[]")
-        header = self._number(where, raw.get("header", 0), max(size, least))
+        header = self._number(f"{where}.header", raw.get("header", 0), max(size, least)) or 0
+        for member in members:
+            if member.offset < header < member.offset + self._extent(member):
+                self._mistake(f"{where}.{member.name}", f"the header of {header} bytes ends within it")
         self._alignments[name] = alignment
-        self._structs[name] = Struct(name, size, tuple(members), union, header, str(raw.get("doc", "")))
+        self._structs[name] = Struct(name, size, tuple(members), union, header, self._doc(where, raw))
 
     def _extent(self, member: Member) -> int:
         basic = member.type if isinstance(member.type, Basic) else None
@@ -251,10 +296,10 @@ class _Reader:
         doc = ""
         if isinstance(raw, dict):
             self._known(where, raw, {"type", "doc"})
-            raw, doc = raw.get("type"), str(raw.get("doc", ""))
+            raw, doc = raw.get("type"), self._doc(where, raw)
         match = _TYPE.fullmatch(raw.strip()) if isinstance(raw, str) else None
         if match is None:
-            self._mistake(where, f"{raw!r} is no TYPE, TYPE[N], TYPE:BITS or TYPE @OFFSET")
+            self._mistake(where, f"{_shown(raw)} is no TYPE, TYPE[N], TYPE:BITS or TYPE @OFFSET")
             return None
         kind: Basic | str | None = BASIC.get(match["name"])
         if kind is None and match["name"] in self._raw and match["name"] not in self._enums:
@@ -300,6 +345,8 @@ class _Reader:
         return self._structs[kind].size, self._alignments[kind]
 
 
+_SHORT: Final = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 80
 _BITS: Final = {Kind.INT, Kind.UINT, Kind.BOOL}
 
 
@@ -316,6 +363,8 @@ def parse_key(raw: Any) -> Key:
         _refuse(raw)
     if not 0 <= key.msg_id <= 0xFFFF or not 0 <= (key.function_code or 0) <= 0x7F:
         _refuse(raw)
+    if slash and not key.msg_id & _COMMAND:
+        raise ConfigError(f"{_shown(raw)}: telemetry has no function code; commands are 0x1000 to 0x1fff")
     return key
 
 
@@ -325,48 +374,4 @@ def is_package(name: str) -> bool:
 
 
 def _refuse(raw: Any) -> NoReturn:
-    raise ConfigError(f"{raw!r} is no MsgId as 0x0801, nor one with a function code as 0x1880/6")
-
-
-def dumps(layout: Layout) -> str:
-    """Return a layout file, every offset written out."""
-    lines = [f"edoras_structs: {VERSION}", f"byte_order: {layout.byte_order}", f"package: {layout.package}"]
-    if layout.bindings:
-        lines.append("bind:")
-        lines += [f"  {key}: {name}" for key, name in sorted(layout.bindings.items(), key=_order)]
-    if layout.enums:
-        lines.append("enums:")
-        for item in layout.enums.values():
-            lines += [f"  {item.name}:", f"    type: {item.basic}", "    values:"]
-            lines += [f"      {_name(label)}: {value}" for value, label in item.names.items()]
-            if not item.names:
-                lines[-1] += " {}"
-    lines.append("structs:" + ("" if layout.structs else " {}"))
-    for struct in layout.structs.values():
-        lines += [f"  {struct.name}:", f"    size: {struct.size}"]
-        lines += [f"    header: {struct.header}"] * bool(struct.header)
-        lines += ["    union: true"] * struct.union
-        lines += [f"    doc: {json.dumps(struct.doc)}"] * bool(struct.doc)
-        lines.append("    members:" + ("" if struct.members else " {}"))
-        lines += [f"      {_name(item.name)}: {_member_text(item)}" for item in struct.members]
-    return "\n".join(lines) + "\n"
-
-
-def _name(name: str) -> str:
-    """Return a name as YAML key: some words would not be text."""
-    return f"'{name}'" if name.lower() in _WORDS else name
-
-
-def _order(item: tuple[Key, str]) -> tuple[int, int]:
-    return item[0].msg_id, -1 if item[0].function_code is None else item[0].function_code
-
-
-def _member_text(member: Member) -> str:
-    text = type_text(member) + f" @{member.offset}" + (f".{member.bit}" if member.bits else "")
-    return f"{{type: '{text}', doc: {json.dumps(member.doc)}}}" if member.doc else text
-
-
-def type_text(member: Member) -> str:
-    """Return a member's type as a layout file spells it, without its offset."""
-    dims = "".join(f"[{size or ''}]" for size in member.dims)
-    return f"{member.type}{dims}" + f":{member.bits}" * bool(member.bits) + " hex" * (member.base == 16)
+    raise ConfigError(f"{_shown(raw)} is no MsgId as 0x0801, nor one with a function code as 0x1880/6")

@@ -97,6 +97,7 @@ def parts(layout: Layout, struct: Struct, *, whole: bool) -> list[Part]:
     found = []
     for item in members:
         is_open = whole and not struct.union and item is struct.members[-1] and OPEN in item.dims
+        is_open = is_open and bool(item.text or layout.size(item))  # of empty structs there is no end
         if layout.size(item) * item.count == 0 and not is_open and not _empty(layout, item):
             continue
         name = unique(field_name(item.name), taken)
@@ -144,7 +145,7 @@ def described(layout: Layout, struct: Struct, names: Mapping[str, str], *, whole
         constants = tuple(
             Constant(unique(f"{part.name}_{field_name(label)}".upper(), taken), kind, value)
             for value, label in (enum.names.items() if enum else ())
-            if enum is not None and _fits(value, enum.basic)
+            if enum is not None and enum.basic.holds(value)
         )
         found.append(Described(Field(part.name, kind, 0, shape, size), part, constants))
     return found
@@ -184,12 +185,6 @@ def header_definition(name: str) -> Definition:
     """Return the definition of the header."""
     links = tuple(Constant(f"LINK_{text}", "uint8", value) for value, text in enumerate(LINKS))
     return Definition(name, HEADER_FIELDS, links)
-
-
-def _fits(value: int, basic: Basic) -> bool:
-    bits = 8 * basic.size
-    low = -(1 << (bits - 1)) if basic.kind is Kind.INT else 0
-    return low <= value < low + (1 << bits)
 
 
 def _type(layout: Layout, member: Member, names: Mapping[str, str]) -> str:

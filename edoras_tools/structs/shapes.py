@@ -45,6 +45,12 @@ class Basic:
         )
         return self.kind.value if plain else f"{self.kind.value}{8 * self.size}"
 
+    def holds(self, value: int) -> bool:
+        """Tell whether an integer of this type can have a value."""
+        bits = 8 * self.size
+        low = -(1 << (bits - 1)) if self.kind is Kind.INT else 0
+        return low <= value < low + (1 << bits)
+
 
 BASIC: Final = {
     str(item): item
@@ -112,6 +118,11 @@ class Member:
     def count(self) -> int:
         """Elements in all; 0 where the array is open."""
         return prod(self.array)
+
+    @property
+    def row(self) -> int:
+        """Elements of one row of an open array."""
+        return prod(self.array[1:])
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.schema import PRIMITIVES
+from edoras_tools.structs.counting import MOST_VALUES
 from edoras_tools.structs.messages import HEADER_FIELDS, parts, primitive
 from edoras_tools.structs.shapes import Kind
 from edoras_tools.wire.window import copy_rows, put_rows
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.structs.shapes import Basic, Layout, Member, Struct
 
-MOST_VALUES: Final = 1 << 16
-"""Most single copies that a struct may take; one that spells out more is a mistake."""
 ENCAPSULATION: Final = bytes((0, 1, 0, 0))
 _SIZES: Final = {"b": 1, "B": 1, "?": 1, "h": 2, "H": 2, "i": 4, "I": 4, "f": 4, "q": 8, "Q": 8, "d": 8}
 HEAD: Final = np.dtype([(item.name, "<u" + str(_SIZES[PRIMITIVES[item.type]])) for item in HEADER_FIELDS])
@@ -213,8 +212,7 @@ class Plan:
             if member.text and len(member.dims) == 1:
                 size = self._length - at
             else:
-                count = max(self._length - at, 0) // (size * _inner(member))
-                count *= _inner(member)
+                count = max(self._length - at, 0) // (size * member.row) * member.row
                 self._constant(count.to_bytes(4, "little"))
         basic = self._layout.basic(member)
         if member.text:
@@ -311,14 +309,6 @@ class Plan:
             copies[-1] = last._replace(size=last.size + size)
         else:
             copies.append(Copy(source, target, size, turn))
-
-
-def _inner(member: Member) -> int:
-    """Return the elements of one row of an open array."""
-    count = 1
-    for size in member.array[1:]:
-        count *= size
-    return count
 
 
 def _fill(out: NDArray[np.uint8], block: Block, window: NDArray[np.uint8]) -> None:

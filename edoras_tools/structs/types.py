@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.entries import (
+    BYTE_ORDERS,
     DEEPEST,
     ENCODINGS,
     POINTERS,
     STRUCTS,
     bit_place,
+    children,
     dimensions,
     name_of,
     number,
@@ -19,6 +21,7 @@ from edoras_tools.structs.entries import (
     plain,
     type_of,
 )
+from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import BASIC, OPEN, Basic, Enumeration, Kind, Member, Struct
 
 if TYPE_CHECKING:
@@ -80,7 +83,9 @@ class Maker:
             raise ConfigError(f"{self._info.path}: {self._info.called(die) or 'a struct'} contains itself")
         self._open.add(die.offset)
         name = self._info.called(die) or wish or "Anonymous"
-        members = list(self._members(die, 0))
+        found = list(self._members(die, 0, name))
+        # Only the last goes on to the end of the packet; elsewhere an array without a size is nothing.
+        members = [item for at, item in enumerate(found, 1) if OPEN not in item.dims[at == len(found) :]]
         made = Struct(
             name,
             number(die, "DW_AT_byte_size"),
@@ -115,26 +120,25 @@ class Maker:
         self.structs[name] = replace(made, name=name)
         return name
 
-    def _members(self, die: Die, base: int) -> Iterator[Member]:
+    def _members(self, die: Die, base: int, owner: str) -> Iterator[Member]:
         taken: set[str] = set()
-        for item in die.iter_children():
+        for item in children(die):
             if item.tag == "DW_TAG_inheritance":
                 parent = plain(type_of(item))
-                inner = self._members(parent, base + offset_of(item)) if parent is not None else iter(())
+                inner = self._members(parent, base + offset_of(item), owner) if parent else iter(())
             elif item.tag == "DW_TAG_member" and "DW_AT_external" not in item.attributes:
-                inner = self._member(item, base, self._info.called(die))
+                inner = self._member(item, base, owner)
             else:
                 continue
             for member in inner:
-                if member.name not in taken:
-                    taken.add(member.name)
-                    yield member
+                name = unique(member.name, taken)  # C++: a class may have one that its base has, too
+                yield replace(member, name=name) if name != member.name else member
 
     def _member(self, item: Die, base: int, owner: str) -> Iterator[Member]:
         name, at = name_of(item), base + offset_of(item)
         kind = plain(type_of(item))
         if not name and kind is not None and kind.tag in STRUCTS:
-            yield from self._members(kind, at)  # C11: its members are those of the struct around it
+            yield from self._members(kind, at, owner)  # C11: its members are those of the struct around it
             return
         if not name:
             return
@@ -143,6 +147,10 @@ class Maker:
         if width:
             size = number(item, "DW_AT_byte_size") or self._size(member)
             found = bit_place(item, at, base, size, width, self._info.byte_order)
+            if member.dims:  # of __int128, which no ROS type holds: the bytes that have some of it
+                found = {"offset": found["offset"], "dims": ((found["bit"] + width + 7) // 8,)}
+                yield replace(member, **found)
+                return
             whole = width == 8 * self._size(member) and not found["bit"]
             member = replace(member, **({"offset": found["offset"]} if whole else found))
         yield member
@@ -178,8 +186,7 @@ class Maker:
         size = number(die, "DW_AT_byte_size")
         return replace(member, dims=(size,))
 
-    @staticmethod
-    def _basic(die: Die, member: Member) -> Member:
+    def _basic(self, die: Die, member: Member) -> Member:
         size, encoding = number(die, "DW_AT_byte_size"), number(die, "DW_AT_encoding")
         if name_of(die) == "char" and size == 1:
             return replace(member, type=BASIC["char"])
@@ -187,23 +194,25 @@ class Maker:
             return replace(member, type=BASIC[f"float{4 * size}"], dims=(2,))
         kind = ENCODINGS.get(encoding)
         found = BASIC.get(str(Basic(kind, size))) if kind else None
-        if found is None:  # as a long double: no ROS type holds it
+        turned = BYTE_ORDERS.get(number(die, "DW_AT_endianity"), self._info.byte_order)
+        if found is None or turned != self._info.byte_order:
+            # No ROS type holds it, as a long double, or one struct has both byte orders.
             return replace(member, type=BASIC["byte"], dims=(size,))
         return replace(member, type=found)
 
     def _enumeration(self, die: Die, wish: str) -> str:
         size = number(die, "DW_AT_byte_size") or 4
         names: dict[int, str] = {}
-        for item in die.iter_children():
-            if item.tag == "DW_TAG_enumerator":
+        for item in children(die):
+            if item.tag == "DW_TAG_enumerator" and name_of(item):
                 names.setdefault(int(item.attributes["DW_AT_const_value"].value), name_of(item))
         under = plain(type_of(die))
         signed = min(names, default=0) < 0
         if under is not None and "DW_AT_encoding" in under.attributes:
             signed = ENCODINGS.get(number(under, "DW_AT_encoding")) is Kind.INT
         bits = 8 * size
-        if not signed:
-            names = {value & ((1 << bits) - 1): name for value, name in names.items()}
+        low = -(1 << (bits - 1)) if signed else 0
+        names = {(value - low) % (1 << bits) + low: name for value, name in names.items()}
         basic = BASIC[f"{'' if signed else 'u'}int{bits}"]
         made = Enumeration(self._info.called(die) or wish or "Enumeration", basic, names)
         name, copy = made.name, 2

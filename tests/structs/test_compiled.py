@@ -14,9 +14,10 @@ from c_structs import HEAD, draw, program
 
 from edoras_tools.structs import Structs
 from edoras_tools.structs.dwarf import DebugInfo
-from edoras_tools.structs.files import dumps, loads
+from edoras_tools.structs.files import loads
 from edoras_tools.structs.shapes import Key
 from edoras_tools.structs.transcode import HEAD as HEAD_BYTES
+from edoras_tools.structs.writing import dumps
 
 SIZE = 512
 """Bytes that each struct is filled with."""
@@ -124,7 +125,7 @@ def test_offsets_sizes_and_values_are_the_compilers(version, drawn, tmp_path):
     made, said, data, text = drawn
     flags = ("-g", f"-gdwarf-{version}", "-gstrict-dwarf", "-fno-eliminate-unused-debug-types", "-c")
     info = DebugInfo(gcc(tmp_path, "made.o", text, *flags))
-    layout = info.layout([item.name for item in made], {}, "cfs_msgs")
+    layout, _ = info.layout([item.name for item in made], {}, "cfs_msgs")
     assert not info.warnings
     assert judge(layout, made, said, data) > 900
     again = loads(dumps(layout).encode(), "again")
@@ -137,7 +138,7 @@ def test_without_offsets_a_layout_is_arranged_as_by_the_compiler(drawn, tmp_path
 
     made, _, _, text = drawn
     flags = ("-g", "-fno-eliminate-unused-debug-types", "-c")
-    layout = DebugInfo(gcc(tmp_path, "made.o", text, *flags)).layout(
+    layout, _ = DebugInfo(gcc(tmp_path, "made.o", text, *flags)).layout(
         [item.name for item in made if "    " not in item.text and "  struct  {" not in item.text], {}, "x"
     )
     packed = {item.name for item in made if "packed" in item.text}
@@ -175,7 +176,7 @@ def test_big_endian_values_are_what_the_compiler_reads_turned_round(tmp_path):
     plain = "".join([HEAD, *(item.text for item in made)]).replace(BIG, "")
     flags = ("-g", "-fno-eliminate-unused-debug-types", "-c")
     info = DebugInfo(gcc(tmp_path, "made.o", plain, *flags))
-    layout = replace(info.layout([item.name for item in made], {}, "cfs_msgs"), byte_order="big")
+    layout = replace(info.layout([item.name for item in made], {}, "cfs_msgs")[0], byte_order="big")
     assert judge(layout, made, said, data, places=False) > 800
 
 
@@ -198,7 +199,7 @@ def test_other_word_sizes(tmp_path):
     elf = ELFFile(BytesIO(made.read_bytes()))
     symbol = elf.get_section_by_name(".symtab").get_symbol_by_name("places")[0]
     wanted = struct.unpack_from("<7I", elf.get_section(symbol["st_shndx"]).data(), symbol["st_value"])
-    found = DebugInfo(made).layout(["S0"], {}, "x").structs["S0"]
+    found = DebugInfo(made).layout(["S0"], {}, "x")[0].structs["S0"]
     members = {item.name: item for item in found.members}
     assert wanted == (*(members[name].offset for name in "bpndtx"), found.size)
     assert (str(members["p"].type), members["p"].base, members["x"].dims) == ("uint32", 16, (12,))
@@ -206,9 +207,9 @@ def test_other_word_sizes(tmp_path):
 
 def test_many_packets_at_once_are_as_one_by_one(drawn, tmp_path):
     made, _, data, text = drawn
-    layout = DebugInfo(gcc(tmp_path, "made.o", text, "-g", "-c", "-fno-eliminate-unused-debug-types")).layout(
-        [item.name for item in made], {}, "cfs_msgs"
-    )
+    layout, _ = DebugInfo(
+        gcc(tmp_path, "made.o", text, "-g", "-c", "-fno-eliminate-unused-debug-types")
+    ).layout([item.name for item in made], {}, "cfs_msgs")
     buffer = np.frombuffer(data, np.uint8)
     for bound in bound_to(layout)[0].values():
         offset = np.arange(0, 5000, 37)

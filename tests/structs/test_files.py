@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs.files import dumps, load, loads, parse_key
+from edoras_tools.structs.files import load, loads, parse_key
 from edoras_tools.structs.shapes import BASIC, Key, Member
+from edoras_tools.structs.writing import dumps
 
 ROVER = """
 byte_order: big
@@ -66,7 +67,11 @@ def test_what_is_written_reads_the_same():
 
 
 def test_names_that_yaml_would_take_for_something_else():
-    text = "structs: {A: {members: {'y': uint8, 'NO': uint8, 'null': uint8, 'true': uint8}}}"
+    text = """
+    bind: {0x890: 'null'}
+    enums: {'true': {values: {'no': 0}}}
+    structs: {'null': {members: {'y': uint8, 'NO': uint8, 'null': uint8, 'true': 'true'}}}
+    """
     made = loads(text.encode(), "x")
     assert loads(dumps(made).encode(), "x").structs == made.structs
 
@@ -93,12 +98,30 @@ def test_names_that_yaml_would_take_for_something_else():
         ("structs: {A: {members: {x: 'uint8 @1.3'}}}", "f: structs.A.x: 'uint8 @1.3': the bit behind"),
         ("structs: {A: {members: {x: A}}}", "f: structs.A.x: A contains itself"),
         ("structs: {A: {size: 2, members: {x: uint32}}}", "f: structs.A: its members take 4 bytes, more"),
-        ("structs: {A: {header: 9, members: {x: uint32}}}", "f: structs.A: 9 is no number of 0 to 4"),
+        ("structs: {A: {header: 9, members: {x: uint32}}}", "f: structs.A.header: 9 is no number of 0 to"),
         ("structs: {uint8: {members: {}}}", "f: structs.uint8: another type has this name"),
         ("structs: {}\nenums: {E: {type: float32}}", "f: enums.E: 'float32' is no integer"),
         ("structs: {}\nenums: {E: {values: {A: b}}}", "f: enums.E: A: 'b' is no number"),
-        ("structs: {}\nbind: {0x1: B}", "f: bind.1: there is no struct 'B'"),
+        ("structs: {}\nbind: {0x1: B}", "f: bind.0x0001: there is no struct 'B'"),
         ("structs: {B: {members: {}}}\nbind: {0x12345: B}", "f: bind: 74565 is no MsgId as 0x0801"),
+        ("structs: {}\nbyte_order: [big]", "f: byte_order: ['big'] is neither little nor big"),
+        ("structs: {}\npackage: a__b", "f: package: 'a__b' is no name of a ROS package"),
+        ("structs: {}\npackage: " + 900 * "X", "f: package: 'XXXXXXXXXX"),
+        ("structs: {}\nedoras_structs: '1'", "f: edoras_structs '1' is not known"),
+        ("structs: {A: {union: 'no', members: {}}}", "f: structs.A: union: 'no' is neither true nor false"),
+        ("structs: {A: {packed: [], members: {}}}", "f: structs.A: packed: [] is neither true nor false"),
+        ("structs: {A: {doc: {a: b}, members: {}}}", "f: structs.A: doc: {'a': 'b'} is no text"),
+        ("structs: {A: {members: {x: {type: uint8, doc: 1}}}}", "f: structs.A.x: doc: 1 is no text"),
+        ("structs: {A: {members: {\xe9: uint8}}}", "f: no layout file: it is no text"),
+        ("structs: {'A\\u00e9': {members: {}}}", "f: structs: 'A\\\\u00e9' is no name in C"),
+        ("structs: {A: {size: big, members: {x: uint8}}}", "f: structs.A.size: 'big' is no number of 0 to"),
+        ("structs: {A: {header: 4, members: {x: uint64}}}", "f: structs.A.x: the header of 4 bytes ends"),
+        ("structs: {}\nenums: {E: {type: uint8, values: {A: 256}}}", "f: enums.E: A: 256 does not fit uint8"),
+        ("structs: {}\nenums: {E: {type: [int8]}}", "f: enums.E: ['int8'] is no integer"),
+        ("structs: {}\nenums: {int8: {type: int8}}", "f: enums.int8: another type has this name"),
+        ("structs: {B: {members: {}}}\nbind: {1: B, '0x1': B}", "f: bind.0x0001: it is bound twice"),
+        ("structs: {B: {members: {}}}\nbind: {0x890/1: B}", "f: bind: '0x890/1': telemetry has no function"),
+        ('{"structs": {}, "structs": {}}', "f: is no YAML: 'structs' is there twice"),
     ],
 )
 def test_mistakes_are_named(text, said):
@@ -106,6 +129,7 @@ def test_mistakes_are_named(text, said):
         loads(text.encode("latin-1"), "f")
     assert str(error.value).startswith(said)
     assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 200
 
 
 def test_all_mistakes_at_once():
@@ -122,6 +146,11 @@ def test_files_that_are_none(tmp_path):
     ):
         with pytest.raises(ConfigError, match=said.replace("(", r"\(")):
             load(path)
+
+
+def test_what_is_said_of_a_member_stays_on_one_line():
+    made = loads(b'structs: {A: {doc: "b\\nuint8 c", members: {x: {type: uint8, doc: "a\\n\\nb"}}}}', "f")
+    assert (made.structs["A"].doc, made.structs["A"].members[0].doc) == ("b uint8 c", "a b")
 
 
 @pytest.mark.parametrize("text", ["", "x", "0x1880/", "0x1880/200", "-1", "0x10000", "1/2/3"])

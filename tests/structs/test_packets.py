@@ -145,6 +145,45 @@ def test_what_is_open_goes_on_to_the_end():
     assert Finding.STRUCT_LENGTH in dissect(wire.emit_telemetry(0x0894, b"\x02ab")).findings
 
 
+def structs_of(text):
+    return Context(structs=Structs([loads(text.encode(), "f")]))
+
+
+def test_of_empty_structs_there_is_no_end():
+    where = structs_of("bind: {0x890: A}\nstructs: {E: {members: {}}, A: {members: {n: uint8, e: 'E[]'}}}")
+    assert dissect(wire.emit_telemetry(0x0890, b"\5"), where).message.values["n"] == 5
+    assert Finding.STRUCT_LENGTH in dissect(wire.emit_telemetry(0x0890, b"\5\0"), where).findings
+
+
+BITS = ", ".join(f"f{bit}: 'uint8:1'" for bit in range(8))
+FLAGS = f"Flags: {{members: {{{BITS}}}}}"
+
+
+def test_more_values_than_a_message_takes_are_refused_at_the_start():
+    with pytest.raises(ConfigError, match="f: A holds more than 65536 values; bind a smaller one"):
+        structs_of(f"bind: {{0x890: A}}\nstructs: {{{FLAGS}, A: {{members: {{f: 'Flags[9000]'}}}}}}")
+    doubled = ", ".join(f"S{level + 1}: {{members: {{a: S{level}, b: S{level}}}}}" for level in range(60))
+    with pytest.raises(ConfigError, match="f: S60 holds more than"):
+        structs_of(f"bind: {{0x890: S60}}\nstructs: {{S0: {{members: {{}}}}, {doubled}}}")
+
+
+def test_a_packet_of_more_values_than_a_message_takes_is_left_alone():
+    where = structs_of(f"bind: {{0x890: A}}\nstructs: {{{FLAGS}, A: {{members: {{f: 'Flags[]'}}}}}}")
+    packets = [wire.emit_telemetry(0x0890, bytes([255]) * size) for size in (8000, 9000)]
+    assert len(dissect(packets[0], where).message.values["f"]) == 8000
+    assert Finding.STRUCT_LENGTH in dissect(packets[1], where).findings
+    found = ColumnDecoder(where).decode(batch_of(*packets)).findings & Finding.STRUCT_LENGTH
+    assert (found != 0).tolist() == [False, True]
+
+
+def test_names_with_and_without_t_have_topics_of_their_own():
+    where = structs_of(
+        "bind: {0x890: A, 0x891: A_t}\nstructs: {A: {members: {x: uint8}}, A_t: {members: {y: uint16}}}"
+    )
+    found = [(item.topic, item.type) for item in where.structs.all]
+    assert found == [("/cfs/A/0x0890", "cfs_msgs/msg/A"), ("/cfs/A/0x0891", "cfs_msgs/msg/A2")]
+
+
 def test_a_struct_of_several_packets_has_a_topic_for_each():
     topics = [dissect(wire.emit_telemetry(msg_id, b"\1")).message.topic for msg_id in (0x892, 0x893)]
     assert topics == ["/cfs/Twice/0x0892", "/cfs/Twice/0x0893"]
