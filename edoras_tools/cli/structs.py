@@ -75,7 +75,7 @@ def structs(
     if package is not None and not is_package(package):
         raise ConfigError(f"--package: {package!r} is no name of a ROS package, as rover_msgs")
     source = run.open_types(file, include or (), cflag or ())
-    bindings: dict[Key, str] = dict(bind or ())
+    bindings = run.bindings_of(bind or ())
     out = sys.stdout
     if not names and not bindings and output is None:
         bound = run.bound(source)

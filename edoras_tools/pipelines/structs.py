@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs.shapes import Key
 
 _ELF: Final = b"\x7fELF"
+_ARCHIVE: Final = b"!<arch>\n"
 
 
 class LayoutFile:
@@ -101,14 +102,31 @@ def open_types(path: Path | None, include: Sequence[Path], flags: Sequence[str])
         return compiled(path, include, flags)
     try:
         with path.open("rb") as file:
-            elf = file.read(len(_ELF)) == _ELF
+            start = file.read(len(_ARCHIVE))
     except IsADirectoryError:
-        elf = False
+        start = b""
     except OSError as error:
         raise ConfigError(
             f"{path}: cannot be read ({error.strerror}); give an ELF file, a C header or a layout file"
         ) from error
-    return DebugInfo(path) if elf else LayoutFile(load(path))
+    if start == _ARCHIVE:
+        raise ConfigError(
+            f"{path}: an archive; take its objects out with 'ar x {path}', and give one"
+        )
+    return DebugInfo(path) if start.startswith(_ELF) else LayoutFile(load(path))
+
+
+def bindings_of(pairs: Iterable[tuple[Key, str]]) -> dict[Key, str]:
+    """Return the packets that structs are said to lie in.
+
+    Raises:
+        ConfigError: two in the same.
+    """
+    found: dict[Key, str] = {}
+    for key, name in pairs:
+        if found.setdefault(key, name) != name:
+            raise ConfigError(f"--bind: {key} is bound to {found[key]} and to {name}; leave one out")
+    return found
 
 
 def bound(source: DebugInfo | LayoutFile) -> dict[str, str]:

@@ -15,8 +15,11 @@ from edoras_tools.structs.dwarf import DebugInfo
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-SUFFIXES: Final = frozenset({".h", ".hh", ".hpp", ".c"})
-"""What the names of C headers and sources end in."""
+_CLASSES: Final = frozenset({".hh", ".hpp", ".hxx", ".cc", ".cpp", ".cxx"})
+SUFFIXES: Final = frozenset({".h", ".c"}) | _CLASSES
+"""What the names of C and C++ headers and sources end in."""
+_UNIT: Final = "typedef char edoras_unit;\n"
+"""What is compiled behind the header: one without any type has debug information, too."""
 _PATIENCE_S: Final = 120
 
 
@@ -34,14 +37,18 @@ def compiled(source: Path, include: Sequence[Path], flags: Sequence[str]) -> Deb
     Raises:
         ConfigError: there is no compiler, or it refuses; says what it said first.
     """
-    compiler = shlex.split(os.environ.get("CC", "cc")) or ["cc"]
+    try:
+        compiler = shlex.split(os.environ.get("CC", "cc")) or ["cc"]
+    except ValueError as error:
+        raise ConfigError(f"CC: {os.environ['CC']!r} is no command: {error}") from error
     if not source.is_file():
         raise ConfigError(f"{source}: no such file; give a C header, or an ELF file")
     with tempfile.TemporaryDirectory(prefix="edoras-") as folder:
-        unit, made = Path(folder, "structs.c"), Path(folder, "structs.o")
-        unit.write_text(f'#include "{source.resolve()}"\n', encoding="utf-8")
+        unit = Path(folder, "structs.cc" if source.suffix.lower() in _CLASSES else "structs.c")
+        unit.write_text(_UNIT, encoding="utf-8")
+        made = Path(folder, "structs.o")
         command = [*compiler, "-g", "-gdwarf-4", "-fno-eliminate-unused-debug-types", *flags]
-        command += [f"-I{path}" for path in include]
+        command += [*(f"-I{path}" for path in include), "-include", str(source.resolve())]
         try:
             done = subprocess.run(  # noqa: S603  the user's own compiler, with the user's own options
                 [*command, "-c", str(unit), "-o", str(made)],
@@ -61,6 +68,6 @@ def compiled(source: Path, include: Sequence[Path], flags: Sequence[str]) -> Deb
             raise ConfigError(
                 f"{source}: does not compile: {said[0].strip() if said else 'no word from the compiler'}"
             )
-        info = DebugInfo(made)
-    info.path = source
-    return info
+        if not made.exists():
+            raise ConfigError(f"{source}: the compiler makes no object file; look at --cflag and CC")
+        return DebugInfo(made, source)

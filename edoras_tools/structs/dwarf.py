@@ -67,9 +67,10 @@ class DebugInfo:
 
     Args:
         path: an ELF file: ``.o``, ``.so`` or a program.
+        source: what messages call it, if not so.
 
     Attributes:
-        path: as given.
+        path: what messages call it.
         byte_order: of the machine.
         warnings: one line each, of what is described twice and not alike.
 
@@ -77,7 +78,7 @@ class DebugInfo:
         ConfigError: the file cannot be read, is no ELF, or was stripped.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], source: Path | None = None) -> None:
         try:
             from elftools.common.exceptions import DWARFError, ELFError
             from elftools.elf.elffile import ELFFile
@@ -85,16 +86,16 @@ class DebugInfo:
             raise ConfigError(
                 "debug information is read by pyelftools: pip install 'edoras-tools[elf]'"
             ) from None
-        self.path = Path(path)
+        self.path = source or Path(path)
         self.warnings: list[str] = []
         self._broken = (ELFError, DWARFError, ValueError, LookupError, AttributeError, TypeError, zlib.error)
         try:
             # Held in memory: what is asked for later is looked up there, and nothing stays open.
-            data = self.path.read_bytes()
+            data = Path(path).read_bytes()
         except OSError as error:
-            raise ConfigError(f"{path}: cannot be read ({error.strerror}); give an ELF file") from error
+            raise ConfigError(f"{self.path}: cannot be read ({error.strerror}); give an ELF file") from error
         if data[:4] != b"\x7fELF":
-            raise ConfigError(f"{path}: no ELF file; give a .o, a .so or a program compiled with -g")
+            raise ConfigError(f"{self.path}: no ELF file; give a .o, a .so or a program compiled with -g")
         from io import BytesIO
 
         with self._reading():
@@ -103,7 +104,7 @@ class DebugInfo:
             self.pointer = elf.elfclass // 8
             if sum(item.name == ".debug_info" for item in elf.iter_sections()) > 1:
                 why = "its types are in sections of their own; compile it without -fdebug-types-section"
-                raise ConfigError(f"{path}: {why}")
+                raise ConfigError(f"{self.path}: {why}")
             if elf.get_section_by_name(".debug_info") is None:
                 self._stripped(elf)
             patched = relocated(elf, data)

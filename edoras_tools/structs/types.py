@@ -102,12 +102,15 @@ class Maker:
         """Hold every member to the size of its struct.
 
         Raises:
-            ConfigError: one lies outside: the debug information is damaged.
+            ConfigError: one lies outside: the debug information is damaged; or the struct is too large.
         """
         for item in self.structs.values():
+            if item.size >= LARGEST:
+                what = f"{item.size} bytes are more than any packet holds; take a smaller struct"
+                raise ConfigError(f"{self._info.path}: {item.name}: {what}")
             for member in item.members:
                 width = (member.bit + member.bits + 7) // 8 or self._size(member) * count_of(member)
-                if not 0 <= member.offset <= member.offset + width <= item.size < LARGEST:
+                if not 0 <= member.offset <= member.offset + width <= item.size:
                     raise ConfigError(f"{self._info.path}: {item.name}.{member.name} lies outside its struct")
 
     def _kept(self, made: Struct) -> str:
@@ -151,6 +154,9 @@ class Maker:
                 found = {"offset": found["offset"], "dims": ((found["bit"] + width + 7) // 8,)}
                 yield replace(member, **found)
                 return
+            if member.type == BASIC["char"]:
+                sign = ENCODINGS.get(number(kind, "DW_AT_encoding"))
+                member = replace(member, type=BASIC["int8" if sign is Kind.INT else "uint8"])
             whole = width == 8 * self._size(member) and not found["bit"]
             member = replace(member, **({"offset": found["offset"]} if whole else found))
         yield member

@@ -134,6 +134,30 @@ def test_headers_alone_will_do(call, tmp_path):
     ]
 
 
+@needs_gcc
+def test_headers_of_any_name_and_of_classes(call, tmp_path):
+    quoted, classes, empty = tmp_path / 'a "b.h', tmp_path / "c.hpp", tmp_path / "d.h"
+    quoted.write_text("struct X { int a; };\n")
+    classes.write_text("class Y { int a; };\n")
+    empty.touch()
+    assert call("structs", quoted)[1].splitlines()[1].split() == ["X", "4", "1"]
+    assert call("structs", empty)[1].splitlines() == ["struct   bytes  members  packet"]
+    if shutil.which("g++"):
+        assert call("structs", classes)[1].splitlines()[1].split() == ["Y", "4", "1"]
+
+
+@needs_gcc
+def test_a_compiler_that_makes_nothing_is_said_in_one_line(call, tmp_path, monkeypatch):
+    header = tmp_path / "a.h"
+    header.write_text("struct X { int a; };\n")
+    for flag, said in (("-fsyntax-only", "the compiler makes no object file"), ("-g0", "it has no debug")):
+        code, out, err = call("structs", header, f"--cflag={flag}")
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert err.startswith(f"edoras: {header}: {said}")
+    monkeypatch.setenv("CC", 'gcc "')
+    assert call("structs", header)[2] == "edoras: CC: 'gcc \"' is no command: No closing quotation\n"
+
+
 def test_what_is_shipped_is_listed_and_written(call, tmp_path):
     code, out, _ = call("structs")
     assert code == 0
@@ -168,6 +192,7 @@ def test_what_cannot_be_read_is_said_in_one_line(call, library, tmp_path):
     broken.write_bytes(data[:200])
     (tmp_path / "bad.h").write_text("struct {\n")
     (tmp_path / "x.txt").write_text("hello")
+    (tmp_path / "lib.a").write_bytes(b"!<arch>\n")
     cases = [
         (
             ["structs", stripped],
@@ -181,6 +206,11 @@ def test_what_cannot_be_read_is_said_in_one_line(call, library, tmp_path):
         (["structs", library, "ROVER_Hk"], "no struct 'ROVER_Hk'; did you mean ROVER_HkTlm_t?"),
         (["structs", library, "--bind", "0x890"], "'0x890' binds nothing; write 0x0890=ROVER_HkTlm_t"),
         (["structs", library, "--bind", "x=Y"], "'x' is no MsgId as 0x0801"),
+        (
+            ["structs", library, "--bind", "0x890=Other", "--bind", "2192=ROVER_HkTlm"],
+            "--bind: 0x0890 is bound to Other and to ROVER_HkTlm; leave one out",
+        ),
+        (["structs", tmp_path / "lib.a"], "lib.a: an archive; take its objects out with 'ar x"),
         (["structs", library, "X", "--package", "Rover"], "--package: 'Rover' is no name of a ROS package"),
         (
             ["sniff", "-r", "x.pcap", "--structs", library],

@@ -103,6 +103,18 @@ def test_numbers_that_ros_has_not_are_bytes(tmp_path):
     assert members(layout, "Wide") == [("wide", "byte", 0, (13,)), ("rest", "byte", 12, (2,))]
 
 
+@pytest.mark.parametrize(("flag", "kind"), [("-fsigned-char", "int8"), ("-funsigned-char", "uint8")])
+def test_a_bit_field_of_char_is_a_number(flag, kind, tmp_path):
+    layout = written(compiled(tmp_path, "struct A { char text; char low:3; char high:5; } a;", flag), "A")
+    assert members(layout, "A") == [("text", "char", 0, ()), ("low", kind, 1, ()), ("high", kind, 1, ())]
+
+
+def test_a_struct_that_no_packet_holds(tmp_path):
+    made = compiled(tmp_path, "struct A { char text[1 << 20]; }; struct B { struct A a[40]; } b;")
+    with pytest.raises(ConfigError, match=r"made\.o: B: 41943040 bytes are more than any packet holds"):
+        take(DebugInfo(made), ["B"], {}, None)
+
+
 def test_structs_within_one_without_a_name_are_called_after_the_outermost(tmp_path):
     layout = written(compiled(tmp_path, NESTED), "Hk")
     assert list(layout.structs) == ["Hk_p_in", "Hk_p", "Hk_t"]
