@@ -110,9 +110,7 @@ def open_types(path: Path | None, include: Sequence[Path], flags: Sequence[str])
             f"{path}: cannot be read ({error.strerror}); give an ELF file, a C header or a layout file"
         ) from error
     if start == _ARCHIVE:
-        raise ConfigError(
-            f"{path}: an archive; take its objects out with 'ar x {path}', and give one"
-        )
+        raise ConfigError(f"{path}: an archive; take its objects out with 'ar x {path}', and give one")
     return DebugInfo(path) if start.startswith(_ELF) else LayoutFile(load(path))
 
 

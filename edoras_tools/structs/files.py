@@ -42,6 +42,8 @@ _STRUCT: Final = {"size", "header", "union", "packed", "members", "doc"}
 _PACKAGE: Final = re.compile(r"[a-z](?:_?[a-z0-9])*", re.ASCII)
 _IN_C: Final = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _COMMAND: Final = 0x1000
+_HIGHEST: Final = 0x1FFF
+"""MsgId that cFE takes; tables by MsgId have what is no packet at -1, which is 0xFFFF there."""
 
 
 def load(path: str | os.PathLike[str]) -> Layout:
@@ -361,7 +363,7 @@ def parse_key(raw: Any) -> Key:
         key = Key(int(word, 0), int(code, 0) if slash else None)
     except ValueError:
         _refuse(raw)
-    if not 0 <= key.msg_id <= 0xFFFF or not 0 <= (key.function_code or 0) <= 0x7F:
+    if not 1 <= key.msg_id <= _HIGHEST or not 0 <= (key.function_code or 0) <= 0x7F:
         _refuse(raw)
     if slash and not key.msg_id & _COMMAND:
         raise ConfigError(f"{_shown(raw)}: telemetry has no function code; commands are 0x1000 to 0x1fff")
@@ -374,4 +376,4 @@ def is_package(name: str) -> bool:
 
 
 def _refuse(raw: Any) -> NoReturn:
-    raise ConfigError(f"{_shown(raw)} is no MsgId as 0x0801, nor one with a function code as 0x1880/6")
+    raise ConfigError(f"{_shown(raw)} is no MsgId as 0x0801, up to 0x1fff, nor one with a function code as 0x1880/6")

@@ -153,7 +153,7 @@ def test_what_is_said_of_a_member_stays_on_one_line():
     assert (made.structs["A"].doc, made.structs["A"].members[0].doc) == ("b uint8 c", "a b")
 
 
-@pytest.mark.parametrize("text", ["", "x", "0x1880/", "0x1880/200", "-1", "0x10000", "1/2/3"])
+@pytest.mark.parametrize("text", ["", "x", "0x1880/", "0x1880/200", "-1", "0", "0x2000", "0xffff", "1/2/3"])
 def test_keys_that_are_none(text):
     with pytest.raises(ConfigError, match="is no MsgId"):
         parse_key(text)
