@@ -376,4 +376,5 @@ def is_package(name: str) -> bool:
 
 
 def _refuse(raw: Any) -> NoReturn:
-    raise ConfigError(f"{_shown(raw)} is no MsgId as 0x0801, up to 0x1fff, nor one with a function code as 0x1880/6")
+    msg_ids = "0x0801, from 1 to 0x1fff, nor one with a function code as 0x1880/6"
+    raise ConfigError(f"{_shown(raw)} is no MsgId as {msg_ids}")
