@@ -125,6 +125,7 @@ class Maker:
 
     def _members(self, die: Die, base: int, owner: str) -> Iterator[Member]:
         taken: set[str] = set()
+        before: Member | None = None
         for item in children(die):
             if item.tag == "DW_TAG_inheritance":
                 parent = plain(type_of(item))
@@ -133,7 +134,9 @@ class Maker:
                 inner = self._member(item, base, owner)
             else:
                 continue
-            for member in inner:
+            for made in inner:
+                member = made if before is None or STRUCTS[die.tag] else self._behind(before, made)
+                before = member
                 name = unique(member.name, taken)  # C++: a class may have one that its base has, too
                 yield replace(member, name=name) if name != member.name else member
 
@@ -160,6 +163,18 @@ class Maker:
             whole = width == 8 * self._size(member) and not found["bit"]
             member = replace(member, **({"offset": found["offset"]} if whole else found))
         yield member
+
+    def _behind(self, before: Member, member: Member) -> Member:
+        """Return a member that begins within the bit-field before it as the bit-field that it must be.
+
+        Clang does not say so of one that is as wide as its type.
+        """
+        bit = 8 * before.offset + before.bit + before.bits
+        whole = not before.bits or member.bits or member.dims or member.type in self.structs
+        if whole or not 0 < bit - 8 * member.offset < 8:
+            return member
+        kind = BASIC["int8"] if member.type == BASIC["char"] else member.type
+        return replace(member, type=kind, offset=bit // 8, bit=bit % 8, bits=8 * self._size(member))
 
     def extent(self, item: Die) -> int:
         """Return the bytes of a member."""
