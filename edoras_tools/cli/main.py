@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 from contextlib import suppress
@@ -20,7 +19,8 @@ _SETTINGS = {"help_option_names": ["-h", "--help"]}
 _USAGE: Final[Any] = typer.BadParameter.__mro__[1]
 """Click's root of all that a command line can be wrong in; typer brings its own click or not, by version."""
 
-_TURN_S: Final = 50e-6
+INTERRUPTED: Final = 130
+"""What shells say of a program that Ctrl-C ended."""
 
 COMMANDS: Final = (
     *("demo", "sniff", "record", "live", "info", "decode", "recover"),
@@ -74,7 +74,7 @@ def _command(name: str) -> Any:
     return getattr(import_module(f"edoras_tools.cli.{name}"), name)
 
 
-def _alone(name: str) -> typer.Typer:
+def alone(name: str) -> typer.Typer:
     """Make a program of one command."""
     made = typer.Typer(
         name=f"edoras-{name}",
@@ -89,7 +89,7 @@ def _alone(name: str) -> typer.Typer:
 def run(made: typer.Typer) -> NoReturn:
     """Run a command line to its exit code: one clear line for what went wrong, never a traceback.
 
-    Exit codes: 0 fine, 1 failed, 2 usage, 3 finished but data was lost or found lost.
+    Exit codes: 0 fine, 1 failed, 2 usage, 3 finished but data was lost or found lost, 130 given up at Ctrl-C.
     """
     _open_streams()
     if isinstance(sys.stdout, TextIOWrapper):
@@ -112,6 +112,9 @@ def run(made: typer.Typer) -> NoReturn:
         _abandon_output()
     except BrokenPipeError:
         code = 0
+        _abandon_output()
+    except (KeyboardInterrupt, typer.Abort):
+        code = INTERRUPTED
         _abandon_output()
     except OSError as error:
         # Files and sockets raise EdorasError: this is standard output.
@@ -137,49 +140,3 @@ def _say(message: str) -> None:
 def _abandon_output() -> None:
     """Keep Python from writing at exit what could not be written before."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-
-
-def _start(made: typer.Typer) -> NoReturn:
-    """Run a program as a process of its own, quick to start and quick to leave.
-
-    Hardly anything made while starting up is garbage, nothing is left to tear down at the end, and numpy's
-    linear algebra, which nobody uses here, need not start threads. A thread that numpy let go of Python for
-    gets it back at once, not after Python's 5 ms: they take turns, each of some microseconds.
-    """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    gc.set_threshold(50_000)
-    sys.setswitchinterval(_TURN_S)
-    try:
-        run(made)
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else 0
-        with suppress(OSError):
-            sys.stdout.flush()
-            sys.stderr.flush()
-        os._exit(code)
-
-
-def main() -> NoReturn:
-    """Run ``edoras``."""
-    named = sys.argv[1:2]
-    _start(program(*named) if named and named[0] in COMMANDS else program())
-
-
-def sniff() -> NoReturn:
-    """Run ``edoras-sniff``."""
-    _start(_alone("sniff"))
-
-
-def record() -> NoReturn:
-    """Run ``edoras-record``."""
-    _start(_alone("record"))
-
-
-def replay() -> NoReturn:
-    """Run ``edoras-replay``."""
-    _start(_alone("replay"))
-
-
-def proxy() -> NoReturn:
-    """Run ``edoras-proxy``."""
-    _start(_alone("proxy"))

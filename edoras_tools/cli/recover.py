@@ -26,7 +26,7 @@ def recover(
 
     from edoras_tools.sinks.recover import recover as run
 
-    target = output or file.with_name(f"{file.stem}.recovered.mcap")
+    target = output or file.parent / f"{file.stem}.recovered.mcap"
     report = run(file, target)
     if json:
         from edoras_tools.cli.output import print_json

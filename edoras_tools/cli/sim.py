@@ -72,6 +72,8 @@ def sim(
     simulation.cfs.listener = None if quiet else line
     with on_interrupt(stop.set):
         sent = serve(simulation, host, duration / 1e9 if duration else None, stop, ready)
+    if quiet:
+        return
     counters = simulation.cfs.bus.counters
     sys.stderr.write(
         f"{sent:,} datagrams sent; lost on the software bus: {counters.msg_limits:,} over a message limit, "

@@ -82,7 +82,7 @@ class Guide:
             "your own link    edoras sniff -i eth0 -c your_bridge.yaml",
             "                 edoras record -i eth0 -c your_bridge.yaml -o flight.mcap",
             f"back to a pcap   edoras record -r {folder}/a_rover.mcap -o back.pcap",
-            f"what went wrong  edoras sniff -r {folder}/a_rover.mcap --findings -V",
+            f"what went wrong  edoras doctor {folder}/a_rover.mcap",
             "a cFS to play    edoras sim two-rovers --hz 10      and, beside it:  edoras sniff -i lo",
         ):
             self._line(f"  {line}")

@@ -216,6 +216,7 @@ USAGE = [
     ("sniff --listen 192.0.2.1:47900", 1, "192.0.2.1:47900: not an address of this machine"),
     ("recover missing.mcap", 1, "missing.mcap: cannot be read: No such file"),
     ("recover folder", 1, "folder: cannot be read: Is a directory"),
+    ("recover .", 1, ".: cannot be read: Is a directory"),
     ("recover ok.pcap", 1, "ok.pcap: is no MCAP file"),
     ("recover empty", 1, "empty: is no MCAP file"),
     ("recover absurd.mcap", 1, "absurd.mcap: is cut off in its first record"),

@@ -317,7 +317,7 @@ def test_the_program_of_one_command(captures, receiver):
     target, take = receiver
     words = [captures("a_rover"), "--to", "ci", "--target", target, *FAST, "-q", "-n", "4"]
     done = subprocess.run(
-        [sys.executable, "-c", "from edoras_tools.cli.main import replay; replay()", *map(str, words)],
+        [sys.executable, "-c", "from edoras_tools.cli.programs import replay; replay()", *map(str, words)],
         check=False,
     )
     assert (done.returncode, len(take())) == (0, 4)

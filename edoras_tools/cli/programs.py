@@ -1,0 +1,73 @@
+"""The programs that a shell starts: quick to start, quick to leave."""
+
+from __future__ import annotations
+
+import signal
+
+_HEEDED = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+if _HEEDED:  # at once: Ctrl-C while Python still reads modules ends it without a word
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import gc  # noqa: E402
+import os  # noqa: E402
+import sys  # noqa: E402
+from contextlib import suppress  # noqa: E402
+from typing import Final, NoReturn  # noqa: E402
+
+_TURN_S: Final = 50e-6
+"""A thread that numpy let go of Python for gets it back at once, not after Python's 5 ms."""
+
+
+def _start(alone: str = "") -> NoReturn:
+    """Run ``edoras``, or one command as a program of its own.
+
+    Hardly anything made while starting up is garbage, nothing is left to tear down at the end, and numpy's
+    linear algebra, which nobody uses here, need not start threads.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.set_threshold(50_000)
+    sys.setswitchinterval(_TURN_S)
+    from edoras_tools.cli import main
+
+    named = sys.argv[1:2]
+    if alone:
+        made = main.alone(alone)
+    else:
+        made = main.program(*named) if named and named[0] in main.COMMANDS else main.program()
+    try:
+        if _HEEDED:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        main.run(made)
+    except KeyboardInterrupt:
+        os._exit(main.INTERRUPTED)
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else 0
+        with suppress(OSError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
+
+
+def main() -> NoReturn:
+    """Run ``edoras``."""
+    _start()
+
+
+def sniff() -> NoReturn:
+    """Run ``edoras-sniff``."""
+    _start("sniff")
+
+
+def record() -> NoReturn:
+    """Run ``edoras-record``."""
+    _start("record")
+
+
+def replay() -> NoReturn:
+    """Run ``edoras-replay``."""
+    _start("replay")
+
+
+def proxy() -> NoReturn:
+    """Run ``edoras-proxy``."""
+    _start("proxy")
