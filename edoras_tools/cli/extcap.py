@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +13,7 @@ from edoras_tools.errors import ConfigError, EdorasError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from types import FrameType
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,6 +29,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--ports", default="")
     parser.add_argument("--config", default="")
     asked, _ = parser.parse_known_args(arguments)  # newer versions of Wireshark ask for more
+    if asked.capture:  # before datagrams are taken, and after, there is nothing that an end could lose
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, _end)
     try:
         for line in _answer(asked):
             sys.stdout.write(f"{line}\n")
@@ -56,6 +62,10 @@ def _answer(asked: argparse.Namespace) -> list[str]:
     )
     extcap.capture(wish, asked.fifo)
     return []
+
+
+def _end(_signal: int, _frame: FrameType | None) -> None:
+    os._exit(0)
 
 
 def _words(text: str) -> list[str]:

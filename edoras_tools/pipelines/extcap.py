@@ -112,7 +112,7 @@ def capture(wish: Wish, fifo: Path) -> None:
     context = bench.columns.context
     source = _source(wish, np.flatnonzero(context.port_links & (1 << wish.link)).tolist())
     try:
-        with _opened(fifo) as file, on_interrupt(source.stop):
+        with _opened(fifo) as file, on_interrupt(source.stop, patient=True):
             gone = _watch(file)
             sink = PcapngSink(file)
             sink.flush()

@@ -16,8 +16,13 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def on_interrupt(stop: Callable[[], None]) -> Iterator[threading.Event]:
+def on_interrupt(stop: Callable[[], None], *, patient: bool = False) -> Iterator[threading.Event]:
     """Call ``stop`` at the first Ctrl-C or SIGTERM; a second one interrupts at once.
+
+    Args:
+        stop: ends the work.
+        patient: a second one says nothing new: a program that others end gets Ctrl-C from the terminal and
+            SIGTERM from them.
 
     Yields:
         an event that is set once it was called. Outside the main thread signals stay as they are.
@@ -29,6 +34,8 @@ def on_interrupt(stop: Callable[[], None]) -> Iterator[threading.Event]:
 
     def handle(_signal: int, _frame: FrameType | None) -> None:
         if asked.is_set():
+            if patient:
+                return
             raise KeyboardInterrupt
         asked.set()
         stop()

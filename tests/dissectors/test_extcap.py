@@ -143,6 +143,33 @@ def test_it_ends_when_wireshark_goes(launcher, tmp_path):
         program.end(None)
 
 
+def test_ctrl_c_and_wireshark_s_own_signal_end_it_silently(launcher, tmp_path):
+    options = "--extcap-interface=edoras-to", "--listen=127.0.0.1:0"
+    with begin(launcher, tmp_path, *options) as (program, reader):
+        read(program, reader, lambda data: len(data) >= 28)
+        program.process.send_signal(signal.SIGINT)  # to everybody at that terminal
+        assert program.end(signal.SIGTERM) == ("", "")
+
+
+def test_it_ends_silently_while_nobody_reads_yet(launcher, tmp_path):
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    (port,) = free_ports(1)
+    options = "--extcap-interface=edoras-to", f"--fifo={fifo}", f"--listen=127.0.0.1:{port}"
+    with Program(launcher, "--capture", *options) as program:
+        program.until(lambda: _is_taken(port), "it has its port")
+        assert program.end(signal.SIGTERM) == ("", "")
+
+
+def _is_taken(port):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        try:
+            other.bind(("127.0.0.1", port))
+        except OSError:
+            return True
+    return False
+
+
 def test_a_port_that_is_taken_is_said_in_one_line(launcher, tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bridge:
         bridge.bind(("127.0.0.1", 0))
