@@ -25,7 +25,7 @@ from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import BASIC, OPEN, Basic, Enumeration, Kind, Member, Struct
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from edoras_tools.structs.entries import Die
@@ -116,12 +116,17 @@ class Maker:
     def _kept(self, made: Struct) -> str:
         """Keep a struct; one of the same name that is not alike is given a number."""
         name, copy = made.name, 2
-        while name in self.structs and self.structs[name] != replace(made, name=name):
+        while self._is_other(name, self.structs.get(name), replace(made, name=name), self.enums):
             name, copy = f"{made.name}_{copy}", copy + 1
         if name != made.name:
             self.warnings.append(f"{made.name} is declared in more than one way; the other is called {name}")
         self.structs[name] = replace(made, name=name)
         return name
+
+    @staticmethod
+    def _is_other(name: str, there: object, made: object, others: Mapping[str, object]) -> bool:
+        """Tell whether a name is that of another type already."""
+        return name in BASIC or name in others or (there is not None and there != made)
 
     def _members(self, die: Die, base: int, owner: str) -> Iterator[Member]:
         taken: set[str] = set()
@@ -237,7 +242,7 @@ class Maker:
         basic = BASIC[f"{'' if signed else 'u'}int{bits}"]
         made = Enumeration(self._info.called(die) or wish or "Enumeration", basic, names)
         name, copy = made.name, 2
-        while (name in self.enums and self.enums[name] != replace(made, name=name)) or name in self.structs:
+        while self._is_other(name, self.enums.get(name), replace(made, name=name), self.structs):
             name, copy = f"{made.name}_{copy}", copy + 1
         self.enums[name] = replace(made, name=name)
         return name

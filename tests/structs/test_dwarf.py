@@ -140,6 +140,15 @@ def test_two_structs_of_one_name(tmp_path):
     assert two == "X is declared in more than one way; the other is called X_2"
 
 
+def test_a_struct_called_as_an_enumeration_or_as_a_type_of_ours(tmp_path):
+    one = compiled(tmp_path, "enum X { A } e; struct Y { enum X x; } y;", name="one.o")
+    text = "struct X { int a; }; typedef struct { struct X x; } byte; byte b; int main(){}"
+    other, both = compiled(tmp_path, text, name="other.o"), tmp_path / "both"
+    subprocess.run(["gcc", one, other, "-o", both], check=True)
+    layout = written(both, "Y", "byte")
+    assert [*layout.enums, *layout.structs] == ["X", "Y", "X_2", "byte_2"]
+
+
 @pytest.mark.parametrize(
     ("flags", "name", "said"),
     [
