@@ -13,6 +13,7 @@ from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.workbench import Workbench
 from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.bridge import describe
+from edoras_tools.sources.sockaddr import comes_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -133,7 +134,7 @@ def plan_bridges(settings: Settings, wishes: Wishes) -> BridgePlan:
     """Read the mission files, each for itself: two cFS may use the same MsgIds.
 
     Raises:
-        ConfigError: a file has mistakes, or nothing is left to bridge.
+        ConfigError: a file has mistakes, nothing is left to bridge, or a bridge would send to itself.
         RouteError: a rate limit names no topic.
     """
     if settings.options.extended_header:
@@ -169,6 +170,14 @@ def plan_bridges(settings: Settings, wishes: Wishes) -> BridgePlan:
     usable = tuple(item for item in stations if item.bridge.routes)
     if not usable:
         raise ConfigError(*(judge.refusals or ["nothing to bridge: command and telemetry are empty"]))
+    circles = [
+        f"{item.bridge.link.file}: the bridge listens on {item.listen} and sends to {item.target}, itself; "
+        f"give one another port"
+        for item in usable
+        if comes_in(item.target, item.listen)
+    ]
+    if circles:
+        raise ConfigError(*circles)
     return BridgePlan(usable, types, settings, tuple(notes))
 
 

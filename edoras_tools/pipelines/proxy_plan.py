@@ -9,6 +9,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.model import Link
 from edoras_tools.sessions.fault_rules import make_rule
 from edoras_tools.sessions.faults import FaultPlan
+from edoras_tools.sources.sockaddr import comes_in
 
 if TYPE_CHECKING:
     from edoras_tools.mission import Mission
@@ -34,7 +35,7 @@ class ProxyPlan:
         queue_bytes: what may wait where a socket is full.
 
     Raises:
-        ConfigError: there is no target, or ``bind`` and the others do not go together.
+        ConfigError: there is no target, ``bind`` and the others do not go together, or it sends to itself.
     """
 
     link: Link
@@ -55,8 +56,12 @@ class ProxyPlan:
             raise ConfigError("--bind takes a single target: leave --to out")
         if self.client and not self.bind:
             raise ConfigError("--client needs --bind: without a port of its own no target can speak first")
-        if self.listen in self.targets:
-            raise ConfigError(f"--listen and --target are both {self.listen}: datagrams would go in a circle")
+        for target in self.targets:
+            _check_circle("--target", target, "--listen", self.listen)
+            if self.bind:
+                _check_circle("--target", target, "--bind", self.bind)
+        if self.client:
+            _check_circle("--client", self.client, "--listen", self.listen)
 
     @property
     def to_cfs(self) -> bool:
@@ -76,6 +81,13 @@ class ProxyPlan:
                 for rule in self.faults.rules
             ],
         }
+
+
+def _check_circle(sent: str, to: Endpoint, heard: str, at: Endpoint) -> None:
+    if comes_in(to, at):
+        raise ConfigError(
+            f"{sent} {to} is {heard} {at} itself: datagrams would go in a circle; give one another port"
+        )
 
 
 def limit_rule(text: str, mission: Mission) -> Rule:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import socket
 import struct
 from typing import Any, Final, NamedTuple
@@ -65,3 +66,35 @@ def resolve(endpoint: Endpoint, option: str) -> tuple[int, Address]:
     except (OSError, UnicodeError) as error:
         raise CaptureError(f"{option} {endpoint}: no such host; name an address or a known host") from error
     return family, address_of(family, host)
+
+
+def comes_in(target: Endpoint, listen: Endpoint) -> bool:
+    """Tell whether what this machine sends to ``target`` comes in where it listens; an unknown host: no."""
+    if target.port != listen.port:
+        return False
+    try:
+        to, at = (_ip(resolve(item, "")[1].host[0]) for item in (target, listen))
+    except CaptureError:
+        return False
+    if to.is_unspecified:  # sent to, it is the loopback
+        to = ipaddress.ip_address("127.0.0.1" if to.version == 4 else "::1")
+    if not at.is_unspecified:
+        return to == at
+    # A socket of any IPv6 address takes IPv4 too.
+    return at.version >= to.version and (to.is_loopback or _is_own(to))
+
+
+def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    address = ipaddress.ip_address(host.partition("%")[0])
+    return getattr(address, "ipv4_mapped", None) or address
+
+
+def _is_own(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> bool:
+    """Tell whether an address is of one of this machine's interfaces: only to such can a socket be bound."""
+    family = socket.AF_INET if address.version == 4 else socket.AF_INET6
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.bind((str(address), 0))
+    except OSError:
+        return False
+    return True

@@ -116,6 +116,8 @@ WRONG = {
     ("ci", "--listen", "1"): (2, ["Missing option '--target'"]),
     ("cd", "--listen", "1", "--target", "2"): (2, ["cd"]),
     ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:9"): (2, ["in a circle"]),
+    ("to", "--target", f"{HOST}:9", "--listen", "9"): (2, ["in a circle"]),
+    ("sbn", "--target", f"{HOST}:1", "--listen", "9", "--to", "localhost:9"): (2, ["in a circle"]),
     ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "--fault", "drop:2", "--fault", "drip"): (
         2,
         ["fault drop:2: p '2': a probability", "fault drip: no such fault 'drip'; did you mean drop?"],

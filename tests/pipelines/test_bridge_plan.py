@@ -147,3 +147,11 @@ def test_quality_of_service_is_the_public_bridges_unless_the_file_says_other(cha
         Qos(reliable=False, transient_local=False, depth=3),
         Qos(reliable=True, transient_local=True, depth=10),
     ]
+
+
+def test_a_bridge_that_would_send_to_itself_is_refused(changed):
+    path = changed(GROUND, "circle.yaml", ("bridge_port: 1235", "bridge_port: 1234"))
+    with pytest.raises(
+        ConfigError, match=r"circle\.yaml: .* listens on .*:1234 and sends to .*:1234, itself"
+    ):
+        plan(path)

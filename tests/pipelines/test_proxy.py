@@ -350,3 +350,18 @@ def test_a_plan_that_cannot_work_is_told(message):
     usual = {"link": Link.CI, "listen": Endpoint(HOST, 9), "targets": (Endpoint(HOST, 1),)}
     with pytest.raises(ConfigError, match=message):
         ProxyPlan(**usual | PLANS[message])
+
+
+@pytest.mark.parametrize("link", [Link.CI, Link.TO, Link.SBN])
+@pytest.mark.parametrize("end", ["target", "further", "bind", "client"])
+def test_whoever_would_hear_itself_is_refused(link, end):
+    wildcard, itself, other = Endpoint("0.0.0.0", 7), Endpoint(HOST, 7), Endpoint(HOST, 1)
+    ends = {
+        "target": {"listen": wildcard, "targets": (itself,)},
+        "further": {"listen": wildcard, "targets": (other, itself)},
+        "bind": {"listen": other, "bind": wildcard, "targets": (itself,)},
+        "client": {"listen": wildcard, "bind": Endpoint(HOST, 8), "client": itself, "targets": (other,)},
+    }
+    option = "client" if end == "client" else "target"
+    with pytest.raises(ConfigError, match=rf"--{option} 127\.0\.0\.1:7 is --.* itself: .* in a circle"):
+        ProxyPlan(link=link, **ends[end])
