@@ -72,6 +72,7 @@ def _named(
     stream = _input(known, culprit)
     share = _share(known, culprit, said, rivals, profile)
     parts: list[Span | None] = list(spans(stream, known.rows)) if stream else [None]
+    reached, until_ns = 0, None
     for index, span in enumerate(parts):
         if span is None:
             # Its traffic is not in the capture: whatever the counter counts from the first event on is its.
@@ -93,9 +94,18 @@ def _named(
                 text = "0x803 is not in the capture: the events are counted, and they stop after 16"
                 yield _loss(culprit, stream, span, events, start_ns, end_ns, [*evidence, text], "low")
             continue
-        grown = track.growth(COUNTERS[_pipe_kind(culprit)], *window)
-        left = grown - attributed(telemetry, culprit.instance, _pipe_kind(culprit), *window)
+        # The windows of neighbours overlap, for the counter is seen once a second: each count is told once.
+        name_of = COUNTERS[_pipe_kind(culprit)]
+        total = track.growth(name_of, None, window[1])
+        grown = total - max(total - track.growth(name_of, *window), reached)
+        begin_ns = window[0] if until_ns is None else max(window[0], min(until_ns, window[1]))
+        left = grown - attributed(telemetry, culprit.instance, _pipe_kind(culprit), begin_ns, window[1])
         lost = left if len(rivals) == 1 else round(left * share)
+        reached, until_ns = max(total, reached), window[1]
+        if span and lost > span.count:
+            # More than there were: the rest is the next one's.
+            reached -= lost - span.count
+            lost = span.count
         if lost <= 0:
             continue
         which = "MsgLimit" if culprit.kind == "limit" else "PipeOverflow"

@@ -139,6 +139,7 @@ class Case:
             self.culprits,
             self.network,
             upstream,
+            self.profile,
         )
 
     @cached_property

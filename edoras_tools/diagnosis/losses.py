@@ -22,6 +22,8 @@ from edoras_tools.sessions.profile import MILLISECOND, SECOND
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from numpy.typing import NDArray
+
     from edoras_tools.diagnosis.counters import Track
     from edoras_tools.diagnosis.events import Culprit, Said
     from edoras_tools.diagnosis.instances import Instances
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.streams import Stream
     from edoras_tools.diagnosis.table import Rows
     from edoras_tools.diagnosis.verdict import Confidence
+    from edoras_tools.sessions.profile import SimProfile
 
 PipeKind = Literal["limit", "overflow"]
 Kind = PipeKind | Literal["after", "unknown"]
@@ -38,6 +41,9 @@ LEAD_NS: Final = 700 * MILLISECOND
 """A loss may be counted so long before the next message of the stream is seen."""
 TAIL_NS: Final = 2500 * MILLISECOND
 """Housekeeping that tells of it comes within a second, and Telemetry Output holds it for half of one."""
+_FULL: Final = 0.3
+"""Rounds of which so many are full show how many may wait."""
+_OVER: Final = 1.02
 COUNTERS: Final[Mapping[PipeKind, str]] = {"limit": "msg_limits", "overflow": "pipe_overflows"}
 """The counter of 0x803 that a loss at a pipe raises."""
 
@@ -109,6 +115,7 @@ class Known:
     network: Network
     upstream: Mapping[int, Hop]
     """id of a stream to the hop by which its packets came unchanged."""
+    profile: SimProfile
 
     def owner(self, stream: Stream) -> int:
         """Return the instance whose pipe a telemetry stream comes out of."""
@@ -123,8 +130,8 @@ class Known:
         """Return how people are told of an instance."""
         return "a cFS" if instance == NOBODY else self.instances.items[instance].label
 
-    def rounds(self, stream: Stream, span: Span) -> Comb:
-        """Return the rounds in which a MsgId comes, whoever made it: they share what may wait."""
+    def times(self, stream: Stream) -> NDArray[np.int64]:
+        """Return when a stream's MsgId comes out of its pipe, whoever made it: they share what may wait."""
         times = np.concatenate(
             [
                 self.rows.time_ns[item.rows]
@@ -134,7 +141,12 @@ class Known:
                 or (item.link, item.sender, item.msg_id) == (Link.TO, stream.sender, stream.msg_id)
             ]
         )
-        return comb(np.sort(times[(times >= span.start_ns) & (times <= span.end_ns)]))
+        return np.sort(times)
+
+    def rounds(self, stream: Stream, span: Span) -> Comb:
+        """Return the rounds in which a stream's MsgId comes meanwhile."""
+        times = self.times(stream)
+        return comb(times[(times >= span.start_ns) & (times <= span.end_ns)])
 
     def hop(self, stream: Stream) -> str:
         """Return the name of the pipe that a telemetry stream comes out of."""
@@ -195,12 +207,15 @@ def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | N
         kind: track.growth(name, *window) if track else 0 for kind, name in COUNTERS.items()
     }
     hop = known.upstream.get(id(stream))
-    ended_ns = span.end_ns
+    ended_ns, missing = span.end_ns, stream.missing
     if hop is not None:
         # What was lost further up is that link's loss: here counts what came in and did not go out.
         due = hop.missing + int(hop.latency.p50 * MILLISECOND if hop.latency else 0)
         until = following if following is not None else span.end_ns + 1
-        lost = int(((due >= span.start_ns) & (due < until)).sum())
+        due = due[(due >= span.start_ns) & (due < until)]
+        lost = len(due)
+        behind_row = np.searchsorted(known.rows.time_ns[stream.rows], due, "right") - 1
+        missing = np.bincount(np.maximum(behind_row, 0), minlength=len(stream))
         came = f"the {hop.into.link.label.upper()} link"
         evidence = [f"{lost:,} of {span.count + lost:,} that came in on {came} did not go out"]
     else:
@@ -219,7 +234,7 @@ def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | N
         evidence = [f"sequence count: {lost:,} of {span.count + lost:,} never came"]
     if lost <= 0:
         return None
-    kind, confidence = _judge(known, stream, span, track, grown, lost, evidence)
+    kind, confidence = _judge(known, stream, span, track, window, missing, lost, evidence)
     return Loss(
         kind=kind,
         instance=owner,
@@ -269,43 +284,129 @@ def _judge(
     stream: Stream,
     span: Span,
     track: Track | None,
-    grown: Mapping[Kind, int],
+    window: tuple[int, int],
+    missing: NDArray[np.int64],
     lost: int,
     evidence: list[str],
 ) -> tuple[Kind, Confidence]:
-    """Tell by counters and events why messages are missing."""
+    """Tell by counters, events and what the pipe can take why messages are missing.
+
+    A counter says that something was lost, not what: it counts for this stream only where an event names the
+    stream, or where so much of it came that the pipe was full.
+    """
     owner, output = known.owner(stream), stream.link is Link.TO
-    said = {kind: known.named(owner, stream.msg_id, kind, output=output) for kind in COUNTERS}
-    for kind_, events in said.items():
+    said: dict[PipeKind, bool] = {}
+    for kind in COUNTERS:
+        events = known.named(owner, stream.msg_id, kind, output=output)
+        said[kind] = bool(events and events.within(*window))
         if events:
-            number = 17 if kind_ == "limit" else 25
+            number = 17 if kind == "limit" else 25
             evidence.append(f"event CFE_SB {number} x{events.count}: {events.records[0].message}")
+    grown = {kind: track.growth(name, *window) if track else 0 for kind, name in COUNTERS.items()}
     if track is None:
-        named = [item for item in COUNTERS if said[item]]
+        named = [kind for kind in COUNTERS if said[kind]]
         if named:
             return named[0], "high"
         evidence.append("0x803 of this cFS is not in the capture, so its counters cannot tell where")
         return "unknown", "low"
-    text = f"0x803: MsgLimit +{grown['limit']:,}, PipeOverflow +{grown['overflow']:,} in this time"
-    evidence.append(text)
-    if not any(grown.values()):
-        if track.covers(span.start_ns, span.end_ns):
-            return "after", "medium"
-        return "unknown", "low"
-    kind: PipeKind = "overflow" if grown["overflow"] >= grown["limit"] else "limit"
+    evidence.append(f"0x803: MsgLimit +{grown['limit']:,}, PipeOverflow +{grown['overflow']:,} in this time")
+    possible = [
+        kind
+        for kind in COUNTERS
+        if said[kind] or (grown[kind] and pressed(known, stream, span, kind, missing))
+    ]
+    if not possible:
+        if not any(grown.values()):
+            covered = track.covers(span.start_ns, span.end_ns)
+            return ("after", "medium") if covered else ("unknown", "low")
+        evidence.append(
+            f"what these count is others' loss: {known.hop(stream)} was never so full of this MsgId, and no "
+            "event names it"
+        )
+        return _elsewhere(known, stream, owner, evidence) or ("after", "medium")
+    kind = max(possible, key=lambda item: (grown[item], item == "overflow"))
     if said["limit"] and not said["overflow"] and grown["limit"]:
         kind = "limit"
-    handed_on = stream.link is Link.TO and stream.instance != owner
-    if handed_on and id(stream) not in known.upstream and grown[kind] < lost:
-        evidence.append(
-            f"it came over SBN from {known.label(stream.instance)}, and that link is not in the capture: its "
-            "peer pipe may have lost some of these"
-        )
-        return "unknown", "low"
+    if grown[kind] < lost:
+        elsewhere = _elsewhere(known, stream, owner, evidence)
+        if elsewhere:
+            return elsewhere
     if said[kind] or grown[kind] >= 0.5 * lost:
         return kind, "high"
     evidence.append("the counters explain only part of it")
     return "unknown", "low"
+
+
+def _elsewhere(
+    known: Known, stream: Stream, owner: int, evidence: list[str]
+) -> tuple[Kind, Confidence] | None:
+    """Say of what another cFS handed on that it may have been lost there; None where that is not so."""
+    handed_on = stream.link is Link.TO and stream.instance != owner
+    if not handed_on or id(stream) in known.upstream:
+        return None
+    evidence.append(
+        f"it came over SBN from {known.label(stream.instance)}, and that link is not in the capture: its "
+        "peer pipe may have lost some of these"
+    )
+    return "unknown", "low"
+
+
+def pressed(known: Known, stream: Stream, span: Span, kind: PipeKind, missing: NDArray[np.int64]) -> bool:
+    """Tell whether so much came that a pipe can have lost what is missing from a span of a stream.
+
+    Where a MsgId's limit or a whole pipe is full, what did get in comes out in one burst, and the loss lies
+    beside it; or more of the MsgId is sent in a round, on the average, than the pipe takes.
+
+    Args:
+        known: what is known.
+        stream: of what.
+        span: when.
+        kind: over the MsgId's limit, or out of a full pipe.
+        missing: (rows of the stream,), what is missing behind each.
+    """
+    profile, output = known.profile, stream.link is Link.TO
+    period = profile.to_wake_ns if output else profile.sbn_wake_ns
+    own = known.rows.time_ns[stream.rows]
+    at = np.arange(span.first, min(span.last + 1, len(own) - 1))
+    at = at[missing[at] > 0]
+    if kind == "overflow":
+        sent = (known.rows.link == stream.link) & (known.rows.source == stream.sender)
+        if not output:
+            sent &= known.rows.destination == stream.receiver
+        depth = profile.to_pipe_depth if output else profile.sbn_pipe_depth
+        # Some of what fills the pipe may not be here: half of it tells.
+        full = _full(known.rows.time_ns[sent], period, depth // 2)
+        return _beside(full, own[at] - period, own[at + 1] + period, missing[at])
+    limit = (
+        profile.to_limits.get(stream.msg_id, profile.to_default_limit) if output else profile.sbn_msg_limit
+    )
+    rounds, clean = known.rounds(stream, span), limit
+    if rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
+        clean, limit = rounds.most, max(limit, rounds.most)
+    # Others may share the MsgId: the round that was full need not have brought one of this stream's.
+    if _beside(_full(known.times(stream), period, limit), own[at], own[at + 1], missing[at]):
+        return True
+    inside = own[span.first : span.last + 1]
+    later = len(inside) - int(np.searchsorted(inside, inside[0] + period // 2))
+    later += int(missing[span.first : span.last].sum())
+    return later * period > _OVER * clean * (span.end_ns - span.start_ns) > 0
+
+
+def _full(times: NDArray[np.int64], period: int, most: int) -> NDArray[np.int64]:
+    """Return those of some times at which so many have come in one burst."""
+    burst = np.arange(1, len(times) + 1) - np.searchsorted(times, times - period // 2)
+    return times[burst >= most]
+
+
+def _beside(
+    times: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    missing: NDArray[np.int64],
+) -> bool:
+    """Tell whether most of what is missing is missing where one of some times lies."""
+    there = np.searchsorted(times, ends) > np.searchsorted(times, starts)
+    return int(missing[there].sum()) * 2 > int(missing.sum())
 
 
 def attributed(losses: Sequence[Loss], instance: int, kind: str, start_ns: int, end_ns: int) -> int:

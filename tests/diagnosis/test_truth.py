@@ -212,3 +212,50 @@ def test_memory_overrun_by_one_message_takes_the_next_telemetry_away(configured,
     assert (vanished.msg_id, vanished.severity.label) == (0x829, "error")
     assert any("overran its struct" in line for line in vanished.evidence)
     assert vanished.lost == pytest.approx(100, abs=8)
+
+
+def _hole(index, item, start_ns):
+    return 20 * SECOND < item.time_ns - start_ns < 22 * SECOND
+
+
+def _each_seventh(index, item, start_ns):
+    return index % 7 == 0
+
+
+@pytest.mark.parametrize("gone", [_hole, _each_seventh])
+def test_a_counter_that_others_raise_is_not_taken_for_what_the_network_lost(gone, lab):
+    sent, counters = lab.simulate(hz=10.0, seconds=60)
+    kept = [item for index, item in enumerate(sent) if not gone(index, item, lab.start_ns)]
+    diagnosis = lab.examine(kept)
+    lost = Counter()
+    for item in diagnosis.verdicts:
+        lost[item.rule] += item.lost or 0
+    assert set(lost) - {"event_suppression", "older_losses"} == {"app_pipe_limit", "lost_after_cfs"}
+    assert lost["app_pipe_limit"] == pytest.approx(counters.msg_limits, abs=3)
+    assert lost["lost_after_cfs"] > 5
+    assert {item.confidence for item in diagnosis.verdicts if item.rule == "lost_after_cfs"} == {"medium"}
+
+
+def test_gaps_in_slow_telemetry_are_not_a_full_pipes_where_another_pipe_is_full(lab, msg_id):
+    sent, counters = lab.simulate(hz=10.0, seconds=40, app_pipe_depth=4, app_msg_limit=40)
+    assert counters.pipe_overflows > 20
+    pose = [
+        index for index, item in enumerate(sent) if item.destination.port == 1235 and msg_id(item) == 0x800
+    ]
+    diagnosis = lab.examine([item for index, item in enumerate(sent) if index not in {pose[9], pose[17]}])
+    (after,) = [item for item in diagnosis.verdicts if item.msg_id == 0x800]
+    assert (after.rule, after.lost) == ("lost_after_cfs", 2)
+
+
+def test_spans_of_one_pipe_count_each_loss_once(lab, msg_id):
+    sent, counters = lab.simulate(hz=10.0, seconds=60)
+    quiet = [(9, 12), (21, 24), (24.5, 27.5), (40, 43)]
+    kept = [
+        item
+        for item in sent
+        if item.destination.port != 1234
+        or not any(low < (item.time_ns - lab.start_ns) / SECOND < high for low, high in quiet)
+    ]
+    verdicts = [item for item in lab.examine(kept).verdicts if item.rule == "app_pipe_limit"]
+    assert len(verdicts) > 2
+    assert sum(item.lost for item in verdicts) <= counters.msg_limits
