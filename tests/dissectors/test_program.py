@@ -150,3 +150,15 @@ def test_the_page_shows_what_tshark_says():
         )
         said = [line.split() for line in done.stdout.splitlines()]
         assert said == [line.split() for line in output.splitlines()], command
+
+
+def test_the_page_s_captures_hand_their_arguments_on(capfd, tmp_path, monkeypatch):
+    """Commands that capture are not run, but for a tshark that says what it was given."""
+    page = (ROOT / "docs/wireshark.md").read_text()
+    captures = re.findall(r"^\$ edoras (wireshark run (?!.*-r ).*)$", page, re.MULTILINE)
+    assert captures
+    pretend(tmp_path, monkeypatch, "tshark", """echo 'TShark (Wireshark) 4.0.0.'; echo 'with Lua' "$@" """)
+    for command in captures:
+        code, out, said = edoras(capfd, *command.split())
+        assert (code, said) == (0, []), command
+        assert out.splitlines()[-1].endswith(command.partition(" -- ")[2])
