@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
 
 ID = "unknown_peer"
+_NAMED = re.compile(r"unknown peer (\d{1,10}):(\d{1,10})$", re.ASCII)
+"""The whole of it: an event's text may be cut."""
 
 
 def judge(case: Case) -> Iterator[Verdict]:
@@ -27,9 +30,9 @@ def judge(case: Case) -> Iterator[Verdict]:
     listed = np.isin(rows.sbn_msg_type, (sbn.MsgType.SUB, sbn.MsgType.UNSUB))
     foreign = (rows.link == Link.SBN) & rows.has(Finding.SBN_ID_MISMATCH) & ~listed
     for record in case.said(case.start_ns, case.end_ns, "SBN"):
-        _, found, name = record.message.partition("unknown peer ")
-        if found and name.count(":") == 1 and name.replace(":", "").isdigit():
-            spacecraft, processor = map(int, name.split(":"))
+        named = _NAMED.search(record.message)
+        if named:
+            spacecraft, processor = map(int, named.groups())
             near = (rows.time_ns <= record.time_ns) & (rows.time_ns > record.time_ns - 2 * SECOND)
             foreign |= (
                 near
