@@ -49,7 +49,7 @@ class Report:
     """What was sent and what came of it.
 
     Attributes:
-        sent: datagrams of the recording that left.
+        sent: datagrams of the recording that left; at the end without those that were refused.
         total: that were to be sent; None for no end.
         send_errors: datagrams that could not leave, or were refused.
         errors: why, and how many.
@@ -186,6 +186,8 @@ class Sending:
         report.errors = dict(statistics.errors)
         if refused := statistics.refused - self._refused:
             report.errors["Connection refused"] = refused
+            # An answer to one that had left: it went nowhere. Some answer those of the session.
+            report.sent = max(0, report.sent - refused)
         report.send_errors = sum(report.errors.values())
         return report
 

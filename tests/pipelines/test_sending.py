@@ -291,11 +291,28 @@ def test_q_ends_it_and_the_report_is_there():
 
 
 def test_a_target_that_refuses_at_the_start_is_not_there():
-    report = run(DeafWire(refuses=True), plain(1000))
+    wire = DeafWire(refuses=True)
+    report = run(wire, plain(1000))
     assert isinstance(report.failure, CaptureError)
     assert "there refuses: nobody listens there" in str(report.failure)
-    assert report.sent < 10
-    assert report.send_errors == report.sent
+    assert report.sent == 0
+    assert report.errors == {"Connection refused": len(wire.sent)}
+    assert 0 < report.send_errors < 10
+
+
+def test_what_is_refused_later_on_is_not_sent():
+    class LeftWire(DeafWire):
+        """Who receives goes after five seconds."""
+
+        def put(self, payload):
+            self.refuses = self.clock > 5 * SECOND
+            return super().put(payload)
+
+    wire = LeftWire()
+    report = run(wire, plain(1000))
+    assert report.failure is None
+    assert 490 <= report.sent <= 510
+    assert report.sent + report.send_errors == len(wire.sent) == 1000
 
 
 def test_a_gate_that_does_not_open_says_what_was_tried():
