@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.names import check_name
 from edoras_tools.middleware.zenoh_attachment import ATTACHMENT, GID
-from edoras_tools.middleware.zenoh_config import reason, session_config
+from edoras_tools.middleware.zenoh_config import listen_beside, reason, session_config
 from edoras_tools.middleware.zenoh_gid import gid
 from edoras_tools.middleware.zenoh_names import NO_TYPE_HASH, Kind, Node, Topic, depth
 from edoras_tools.ros.schema import full_name
@@ -32,6 +32,8 @@ _LONELY_S: Final = 3.0
 _LONELY: Final = "no Zenoh router or other peer answers; start a router: ros2 run rmw_zenoh_cpp rmw_zenohd"
 _HEARTBEAT: Final = 0.5
 """Seconds after which a subscription learns of a last message that it missed, as rmw_zenoh has it."""
+_TAKEN: Final[set[str]] = set()
+"""Where sessions of this process listen, at ports that were named: a place has one listener."""
 
 
 class ZenohGraph:
@@ -42,13 +44,24 @@ class ZenohGraph:
         node: as others see it.
         types: knows the types of all topics.
         hashed: put hashes of types into keys, as all distributions since Iron do.
+        places: where it listens at ports that were named.
     """
 
-    def __init__(self, session: zenoh.Session, node: Node, types: TypeStore, *, hashed: bool) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        node: Node,
+        types: TypeStore,
+        *,
+        hashed: bool,
+        places: Collection[str] = (),
+    ) -> None:
         self._session = session
         self._node = node
         self._types = types
         self._hashed = hashed
+        self._places = places
+        _TAKEN.update(places)
         self._ids = count(1)
         self._listening: list[_Listener] = []
         self._own: set[bytes] = set()
@@ -153,6 +166,7 @@ class ZenohGraph:
         for thing in (*self._tokens, *self._entities):
             thing.undeclare()
         self._session.close()  # type: ignore[no-untyped-call]
+        _TAKEN.difference_update(self._places)
 
     def _topic(self, topic: str, type_name: str) -> Topic:
         name = check_name(topic, "topic")
@@ -228,6 +242,7 @@ def open_graph(
         raise ConfigError(f"zenoh: type_hash {wanted!r} does not exist; write {' or '.join(_HASHES)}")
     Node.named(node, domain, "")  # a wrong name is told before a session is opened
     config = session_config(options)
+    places = listen_beside(config, _TAKEN)
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
@@ -237,4 +252,5 @@ def open_graph(
             else "listen somewhere else"
         )
         raise ConfigError(f"zenoh: no session: {reason(error)}; {remedy}") from error
-    return ZenohGraph(session, Node.named(node, domain, str(session.zid())), store, hashed=_HASHES[wanted])
+    named = Node.named(node, domain, str(session.zid()))
+    return ZenohGraph(session, named, store, hashed=_HASHES[wanted], places=places)

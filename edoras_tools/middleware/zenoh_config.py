@@ -11,7 +11,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.names import unknown_options
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
     import zenoh
 
@@ -36,6 +36,7 @@ _PLACE: Final = re.compile(r"\s*at /[^\s\]\"]+")
 _INNER: Final = re.compile(r'(?:msg: |Str\()"(.*?)"')
 _KEYS: Final = {"router": "connect/endpoints", "listen": "listen/endpoints", "mode": "mode"}
 _MODES: Final = ("peer", "client")
+_PORT: Final = re.compile(r":[1-9]\d*(?=[?#]|$)")
 
 
 def session_config(options: Mapping[str, str]) -> zenoh.Config:
@@ -61,6 +62,40 @@ def session_config(options: Mapping[str, str]) -> zenoh.Config:
         except zenoh.ZError as error:
             raise ConfigError(f"{source}: {key} cannot be {value}: {reason(error)}") from error
     return config
+
+
+def listen_beside(config: zenoh.Config, taken: Collection[str]) -> list[str]:
+    """Have a session leave the places where others of this process listen, and connect to them.
+
+    There it listens at a port that the system chooses: whoever comes to the first is told of it, by gossip.
+
+    Args:
+        config: changed in place.
+        taken: places as ``listen`` names them.
+
+    Returns:
+        the places with a port of their own that this session takes itself.
+    """
+    if _mode(config) == "client":
+        return []  # listens nowhere
+    places = _places(config, "listen")
+    if shared := [place for place in places if place in taken]:
+        beside = [_PORT.sub(":0", place) if place in taken else place for place in places]
+        config.insert_json5("listen/endpoints", json.dumps(beside))
+        config.insert_json5("connect/endpoints", json.dumps([*_places(config, "connect"), *shared]))
+    return [place for place in places if place not in taken and _PORT.search(place)]
+
+
+def _places(config: zenoh.Config, what: str) -> list[str]:
+    """Return the endpoints of ``listen`` or ``connect``: one list, or one a mode."""
+    found = json.loads(config.get_json(f"{what}/endpoints"))
+    if isinstance(found, dict):
+        found = found.get(_mode(config))
+    return [str(item) for item in found or []]
+
+
+def _mode(config: zenoh.Config) -> str:
+    return str(json.loads(config.get_json("mode")) or _MODES[0])
 
 
 def check_options(options: Mapping[str, str]) -> None:

@@ -115,6 +115,15 @@ class Lab:
             examination.add(batch, bench.columns.decode(batch))
         return examination.diagnose()
 
+    def datagrams(self, name):
+        """Return the datagrams of a captured file."""
+        (path,) = SAMPLES.glob(f"{name}.pcap*")
+        return [
+            Sent(item.time_ns, item.source, item.destination, bytes(item.payload))
+            for batch in open_file(path).batches()
+            for item in batch
+        ]
+
     def at(self, seconds, source, destination, payload):
         """Return one datagram."""
         return Sent(START_NS + int(seconds * SECOND), source, destination, payload)

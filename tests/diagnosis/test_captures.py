@@ -192,3 +192,22 @@ def test_f_matches_states_across_cfs_and_names_the_comb(capture):
     assert (crossing["from"], crossing["matched"], crossing["missing"]) == ("0x1829", 105, 0)
     assert crossing["latency"]["max_ms"] < 520
     assert row["comb_ms"] == pytest.approx(500, abs=5)
+
+
+def test_d3_says_of_each_silence_what_was_sent_in_it(capture):
+    silences = sorted(found(capture("d3_cpu1_cpu2"), "sbn_timeout"), key=lambda item: item.start_ns)
+    assert [(item.lost, item.of) for item in silences] == [(286, 286), (292, 292)]
+    for item in silences:
+        seconds = (item.end_ns - item.start_ns) / 1e9
+        # Until it is given up, 11 s later: cFS sends some 26 a second.
+        assert item.of / seconds == pytest.approx(26.3, abs=1)
+
+
+def test_f_garbage_is_no_overrun_where_the_malformed_packet_is_not_in_the_capture(lab):
+    whole = lab.datagrams("f_sbn_disconnect")
+    without = [item for item in whole if item.destination.port != 2234 and item.source.port != 2234]
+    diagnosis = lab.examine(without, lab.missions("two-rovers"))
+    (verdict,) = found(diagnosis, "struct_overrun")
+    assert verdict.confidence == "medium"
+    assert "are garbage" in verdict.reason
+    assert not any("overwritten" in line for line in verdict.evidence)

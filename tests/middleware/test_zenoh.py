@@ -395,6 +395,52 @@ def test_places_that_cannot_be_had(jazzy):
         open_graph(jazzy, "bridge", options=client)
 
 
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "localhost"])
+def test_nodes_of_one_process_listen_beside_each_other(host, graphs, jazzy, until):
+    """Whoever comes to the place that was named meets them all."""
+    port = free_port()
+    listen = {"listen": f"tcp/{host}:{port}", "router": ""}
+    nodes = [graphs(jazzy, port, name, **listen) for name in ("ground", "flight", "third")]
+    heard = {node: [] for node in range(len(nodes))}
+    said = []
+    for number, node in enumerate(nodes):
+        node.subscribe("/cmd_vel", TWIST, Qos(), heard[number].append)
+    publish = [node.advertise(f"/pose_{number}", TWIST, Qos()) for number, node in enumerate(nodes)]
+    other = graphs(jazzy, port, "other")
+    for number in range(len(nodes)):
+        other.subscribe(f"/pose_{number}", TWIST, Qos(), said.append)
+    command = other.advertise("/cmd_vel", TWIST, Qos())
+
+    def all_met():
+        command(b"go")
+        for number, speak in enumerate(publish):
+            speak(bytes([number]))
+        return all(heard.values()) and len(set(said)) == len(nodes)
+
+    until(all_met)
+
+
+def test_a_file_s_place_for_peers_is_shared_too(jazzy, until, tmp_path):
+    file = tmp_path / "session.json5"
+    file.write_text(
+        "{scouting: {multicast: {enabled: false}}, timestamping: {enabled: true},"
+        f' listen: {{endpoints: {{peer: ["tcp/127.0.0.1:{free_port()}"]}}}}}}'
+    )
+    first, second = (open_graph(jazzy, name, options={"config": str(file)}) for name in ("first", "second"))
+    until(lambda: second.connected)
+    second.close()
+    first.close()
+
+
+def test_a_place_is_free_again_when_its_node_has_gone(jazzy):
+    port = free_port()
+    place = {"listen": f"tcp/127.0.0.1:{port}", "router": ""}
+    open_graph(jazzy, "first", options=place).close()
+    second = open_graph(jazzy, "second", options=place)
+    socket.create_connection(("127.0.0.1", port)).close()
+    second.close()
+
+
 def test_names_and_types_that_do_not_exist(graphs, jazzy):
     with pytest.raises(ConfigError, match="node '/my node' is no ROS name"):
         open_graph(jazzy, "my node")

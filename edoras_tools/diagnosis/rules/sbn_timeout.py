@@ -72,9 +72,10 @@ def _verdict(case: Case, connection: Connection, at: int, silent: Change, out: C
         link="sbn",
         hop=f"SBN peer {connection.peer}",
         lost=len(sent) or None,
-        of=len(connection.sent_ns) or None,
+        of=len(sent) or None,
         start_ns=silent.time_ns,
-        end_ns=until,
+        # It is lost until the peer is given up, however long it stays away.
+        end_ns=min(max(out.time_ns, int(sent[-1]) if len(sent) else 0), until),
         evidence=tuple(evidence),
         remedy="restart the peer; it is connected again with its first SUB or PROTO. Send DISCONNECT "
         "before a planned stop",

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.verdict import Confidence
 
 ID = "struct_overrun"
 
@@ -47,7 +48,8 @@ def _verdict(case: Case, link: Link, msg_id: int, members: NDArray[np.intp], of:
             f"for {held} of CDR; its envelope claims {told}"
         )
     ]
-    if before is None:
+    confidence: Confidence = "medium"
+    if before is None and claimed <= case.profile.bus_max_bytes:
         reason = (
             f"do not fit the struct that carries them: it has room for {held} bytes of CDR, {claimed:,} are "
             "claimed"
@@ -56,6 +58,18 @@ def _verdict(case: Case, link: Link, msg_id: int, members: NDArray[np.intp], of:
             "the application wrote past the struct's end: the memory behind it is overwritten too"
         )
         remedy = "make the struct in the flight application as large as the longest message, strings included"
+        if any((hop.out.link, hop.out.msg_id) == (link, msg_id) for hop in case.hops):
+            confidence = "high"
+        else:
+            evidence.append("what went into the application is not here: a malformed message looks the same")
+    elif before is None:
+        reason = f"are garbage: their envelope claims {told} and there are {held}"
+        evidence.append(
+            f"the software bus takes {case.profile.bus_max_bytes:,} bytes at most, so no message was too "
+            "long for its struct: the application passed on what its buffer held, as it does after a "
+            "malformed packet; none is seen here just before"
+        )
+        remedy = "capture the link that the application's messages come in on, and look for malformed ones"
     else:
         reason = f"are garbage: their envelope claims {told} and there are {held}"
         evidence.append(
@@ -76,7 +90,7 @@ def _verdict(case: Case, link: Link, msg_id: int, members: NDArray[np.intp], of:
         end_ns=int(rows.time_ns[members[-1]]),
         evidence=tuple(evidence),
         remedy=remedy,
-        confidence="high" if before is None else "medium",
+        confidence=confidence,
     )
 
 
