@@ -2,6 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 FUZZ_SECONDS ?= 60
+WORKERS := --numprocesses 2 --dist loadfile
 
 .PHONY: help venv demo test lint format bench explore fuzz judges clean
 
@@ -24,7 +25,7 @@ judges:  ## Install tshark, Chromium and a C compiler, the tests' judges, where 
 	@.ci/install-judges
 
 test: venv judges lint  ## Run every check and test.
-	$(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest
+	$(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
 
 lint: venv  ## Style, types, and which way imports point.
 	$(BIN)/ruff check
@@ -40,7 +41,7 @@ bench: venv judges  ## Measure speed beside tshark, in one run.
 	$(BIN)/python benchmarks/run.py
 
 explore: venv  ## Run the tests with new random examples.
-	HYPOTHESIS_PROFILE=explore $(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest
+	HYPOTHESIS_PROFILE=explore $(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
 
 fuzz: venv  ## Feed garbage to every decoder for FUZZ_SECONDS.
 	$(BIN)/python tests/fuzz/fuzz.py --seconds $(FUZZ_SECONDS)

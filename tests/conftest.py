@@ -14,6 +14,10 @@ settings.register_profile("edoras", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "edoras"))
 
+# What whoever runs the tests has set for their own terminal is not what the tests speak of.
+for name in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR"):
+    os.environ.pop(name, None)
+
 LIMIT_S = 180
 """What a test may take; none takes a tenth of it where the machine is its own."""
 GRACE_S = 60
