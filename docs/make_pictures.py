@@ -101,14 +101,19 @@ def _three_panes(
                     app.layers.choose_byte(key)
                 elif key.startswith("<"):
                     await pilot.press(key[1:-1])
-                elif isinstance(app.focused, Input):
-                    app.focused.insert_text_at_cursor(key)
+                else:
+                    while not isinstance(field := app.focused, Input):
+                        await pilot.pause(0.02)
+                    field.insert_text_at_cursor(key)
                 await app.workers.wait_for_complete()
                 await pilot.pause(0.1)
             while app.store.settled < app.store.packets:
                 await pilot.pause(0.02)
-            await pilot.pause(1)
-            return without_fonts(app.export_screenshot())
+            before, after = "", without_fonts(app.export_screenshot())
+            while before != after:
+                await pilot.pause(0.5)
+                before, after = after, without_fonts(app.export_screenshot())
+            return after
 
     return asyncio.run(draw())
 

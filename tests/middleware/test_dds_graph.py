@@ -84,8 +84,14 @@ class Peer:
     def heard(self, topic):
         return [line for line in self.lines if line.get("heard") == topic]
 
-    def matched(self, *topics):
-        return all({"matched": topic} in self.lines for topic in topics)
+    def matched(self, graph, *topics):
+        """Tell whether both sides know of each other: the one may long before the other."""
+        ours = [
+            *(bool(reader.matched_pub) for name, reader in graph._readers if "rt" + name in topics),
+            *(bool(writer.matched_sub) for name, writer in graph._writers if "rt" + name in topics),
+        ]
+        assert len(ours) == len(topics)
+        return all(ours) and all({"matched": topic} in self.lines for topic in topics)
 
     def close(self):
         self.process.stdin.close()
@@ -141,7 +147,7 @@ def test_another_program_speaks_and_its_bytes_come_as_rosbags_writes_them(node, 
     for name in CASES:
         graph.subscribe(topic_of(name), name, Qos(), heard[name].append)
         peer.ask(speak="rt" + topic_of(name), type=name.rpartition("/")[2])
-    until(lambda: peer.matched(*("rt" + topic_of(name) for name in CASES)))
+    until(lambda: peer.matched(graph, *("rt" + topic_of(name) for name in CASES)))
     for name, values in CASES.items():
         peer.ask(say="rt" + topic_of(name), values=values)
     until(lambda: all(heard.values()))
@@ -153,7 +159,7 @@ def test_another_program_hears_what_rosbags_wrote(node, peer, until):
     publish = {name: graph.advertise(topic_of(name), name, Qos()) for name in CASES}
     for name in CASES:
         peer.ask(hear="rt" + topic_of(name), type=name.rpartition("/")[2])
-    until(lambda: peer.matched(*("rt" + topic_of(name) for name in CASES)))
+    until(lambda: peer.matched(graph, *("rt" + topic_of(name) for name in CASES)))
     for name, values in CASES.items():
         publish[name](judged(name, values))
         (line,) = until(lambda name=name: peer.heard("rt" + topic_of(name)))
@@ -167,7 +173,7 @@ def test_an_empty_message_is_one_byte(node, peer, until):
     publish = graph.advertise("/out", "std_msgs/msg/Empty", Qos())
     peer.ask(speak="rt/in", type="Empty")
     peer.ask(hear="rt/out", type="Empty")
-    until(lambda: peer.matched("rt/in", "rt/out"))
+    until(lambda: peer.matched(graph, "rt/in", "rt/out"))
     peer.ask(say="rt/in", values={"structure_needs_at_least_one_member": 0})
     publish(TYPES.encode("std_msgs/msg/Empty", {}))
     assert until(lambda: heard) == [b"\0\1\0\0\0"]
@@ -182,7 +188,7 @@ def test_what_offers_less_than_is_asked_for_is_not_heard_and_is_told(node, peer,
     sure = graph.advertise("/sure", STRING, Qos())
     graph.subscribe("/late", STRING, Qos(transient_local=True), heard.append)
     peer.ask(speak="rt/late", type="String", transient_local=False)
-    until(lambda: peer.matched("rt/sure"))
+    until(lambda: peer.matched(graph, "rt/sure"))
     told = []
     until(lambda: told.extend(graph.notes()) or len(told) == 2)
     assert sorted(told) == [
@@ -207,7 +213,7 @@ def test_a_late_subscriber_gets_the_last_messages_where_they_are_kept(node, peer
         gone(judged(STRING, {"data": f"{number}"}))
     peer.ask(hear="rt/gone", type="String")
     peer.ask(hear="rt/kept", type="String", transient_local=True)
-    until(lambda: peer.matched("rt/gone") and len(peer.heard("rt/kept")) == 3)
+    until(lambda: peer.matched(graph, "rt/gone") and len(peer.heard("rt/kept")) == 3)
     gone(judged(STRING, {"data": "new"}))
     until(lambda: peer.heard("rt/gone"))
     assert [line["values"]["data"] for line in peer.heard("rt/kept")] == ["2", "3", "4"]
@@ -215,10 +221,10 @@ def test_a_late_subscriber_gets_the_last_messages_where_they_are_kept(node, peer
 
 
 def test_a_late_subscriber_is_given_no_more_than_it_asked_for(node, peer, until):
-    first, heard = node(), []
-    first.subscribe("/kept", STRING, Qos(transient_local=True, depth=9), heard.append)
+    graph, heard = node(), []
+    graph.subscribe("/kept", STRING, Qos(transient_local=True, depth=9), heard.append)
     peer.ask(speak="rt/kept", type="String", transient_local=True, depth=9)
-    until(lambda: peer.matched("rt/kept"))
+    until(lambda: peer.matched(graph, "rt/kept"))
     for number in range(5):
         peer.ask(say="rt/kept", values={"data": f"{number}"})
     until(lambda: len(heard) == 5)
@@ -289,7 +295,7 @@ def test_a_subscriber_that_stands_still_holds_up_only_who_keeps_all(node, peer, 
     whole = graph.advertise("/whole", STRING, Qos(depth=0))
     peer.ask(hear="rt/usual", type="String")
     peer.ask(hear="rt/whole", type="String", depth=0)
-    until(lambda: peer.matched("rt/usual", "rt/whole"))
+    until(lambda: peer.matched(graph, "rt/usual", "rt/whole"))
     cdr = judged(STRING, {"data": "x" * 10_000})
 
     def flood(publish):
@@ -312,7 +318,7 @@ def test_large_messages_arrive_whole(node, peer, until):
     graph = node()
     publish = graph.advertise("/large", STRING, Qos())
     peer.ask(hear="rt/large", type="String")
-    until(lambda: peer.matched("rt/large"))
+    until(lambda: peer.matched(graph, "rt/large"))
     values = {"data": "ab" * 500_000}
     publish(judged(STRING, values))
     assert until(lambda: peer.heard("rt/large"))[0]["values"] == values
