@@ -104,6 +104,7 @@ def _three_panes(
                 else:
                     while not isinstance(field := app.focused, Input):
                         await pilot.pause(0.02)
+                    field.cursor_blink = False
                     field.insert_text_at_cursor(key)
                 await app.workers.wait_for_complete()
                 await pilot.pause(0.1)
