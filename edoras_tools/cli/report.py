@@ -38,6 +38,7 @@ def report(
     from edoras_tools.errors import ConfigError
     from edoras_tools.pipelines.doctor import examine, profile_with
     from edoras_tools.pipelines.report import write
+    from edoras_tools.render import units
 
     profile = profile_with(constant or ())
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")
@@ -47,6 +48,8 @@ def report(
     findings = examine(source, bench, profile=profile)
     if findings.failure is None:
         no_datagrams(source)
+    elif not findings.diagnosis.datagrams:
+        raise findings.failure  # a page of nothing would say that nothing is wrong
     size = write(findings.diagnosis, source.info.name, path)
     if json:
         from edoras_tools.cli.output import print_json
@@ -54,9 +57,9 @@ def report(
         print_json({**findings.summary(), "output": str(path)})
     elif not quiet:
         lost = findings.diagnosis.lost
-        told = f"{lost:,} messages lost" if lost else "no loss"
-        verdicts = len(findings.diagnosis.verdicts)
-        sys.stderr.write(f"{path}: {told}, {verdicts} verdicts, {size / 1024:.0f} KiB\n")
+        told = f"{units.plural(lost, 'message')} lost" if lost else "no loss"
+        verdicts = units.plural(len(findings.diagnosis.verdicts), "verdict")
+        sys.stderr.write(f"{path}: {told}, {verdicts}, {size / 1024:.0f} KiB\n")
     if findings.failure is not None:
         raise findings.failure
     if findings.diagnosis.lost or findings.diagnosis.capture.drops:

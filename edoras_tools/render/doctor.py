@@ -129,6 +129,14 @@ def _from(row: Mapping[str, Any]) -> Text:
     return plain(", ".join(f"{item['from_link'].upper()} {item['from']}" for item in row["crossings"]))
 
 
+def _sender(row: Mapping[str, Any]) -> Text:
+    """Return who sent it: the cFS where that is known, and the port that tells its senders apart."""
+    if not row["instance"]:
+        return plain(row["sender"])
+    return Text(f"{row['instance'].removeprefix('cFS ')} :{row['sender'].rpartition(':')[2]}")
+
+
+_SENDER: Final = Column("Sent by", _sender, rank=1, justify="left")
 _COLUMNS: Final = (
     Column("Link", link_of, justify="left"),
     Column("MsgId", msg_id_of, justify="left"),
@@ -149,7 +157,9 @@ _COLUMNS: Final = (
 
 
 def _routes(rows: Sequence[Mapping[str, Any]], width: int) -> Table:
-    return build(_COLUMNS, rows, width, apart=lambda row: "topic" if row.get("topic") else row.get("link"))
+    several = len({(row["link"], row["msg_id"]) for row in rows}) < len(rows)
+    columns = (*_COLUMNS[:3], _SENDER, *_COLUMNS[3:]) if several else _COLUMNS
+    return build(columns, rows, width, apart=lambda row: "topic" if row.get("topic") else row.get("link"))
 
 
 def _peers(found: Diagnosis) -> Table:
@@ -171,10 +181,17 @@ def _peers(found: Diagnosis) -> Table:
 
 def _conclusion(found: Diagnosis) -> Text:
     if found.lost:
-        return Text(f"Lost: {units.plural(found.lost, 'message')}.", Severity.ERROR.style)
+        line = f"Lost: {units.plural(found.lost, 'message')}"
+        counted = sum(row["lost"] for row in found.routes)
+        if found.routes and counted != found.lost:
+            some = units.count(counted) if counted else "none"
+            line += f"; {some} of them in the table, the verdicts above tell of the others"
+        return Text(f"{line}.", Severity.ERROR.style)
     if any(item.severity >= Grade.WARNING for item in found.verdicts):
         return Text("No loss found; see the warnings above.", Severity.WARNING.style)
-    return Text("No loss, nothing wrong." if found.datagrams else "No traffic of CI, TO or SBN.", "green")
+    if found.datagrams:
+        return Text("No loss, nothing wrong.", "green")
+    return Text("No traffic of CI, TO or SBN.", Severity.WARNING.style)
 
 
 def verdict_table(found: Diagnosis, title: str, height: int) -> RenderableType:

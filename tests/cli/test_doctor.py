@@ -73,6 +73,20 @@ def test_people_read_verdicts_first(name, call, captures, monkeypatch):
     assert done.out.index(marked[0]) < done.out.index("Link  MsgId")
 
 
+def test_two_senders_of_one_msg_id_are_told_apart(call, captures, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    done = call("doctor", captures("d3_cpu1_cpu2"))
+    rows = [line for line in done.out.splitlines() if line.startswith("TO    0x0800")]
+    assert {re.search(r"66:\d :\d+", row)[0] for row in rows} == {
+        f"66:{number} :{port}" for number in (1, 2) for port in (49211, 57839)
+    }
+    assert done.out.endswith(
+        "Lost: 6,482 messages; 5,904 of them in the table, the verdicts above tell of the others.\n"
+    )
+    alone = call("doctor", captures("a_rover"))
+    assert "Sent by" not in alone.out
+
+
 def test_the_sentence_of_the_rover(call, captures):
     done = call("doctor", captures("a_rover"))
     assert (
@@ -205,6 +219,14 @@ def test_a_report_never_overwrites_its_input(call, captures, tmp_path):
     shutil.copy(captures("a_rover"), own)
     assert call("report", own, "-o", own).code == 2
     assert call("report", own, "-o", tmp_path / "no" / "dir.html").code == 1
+
+
+def test_there_is_no_report_of_what_could_not_be_read(call, captures, tmp_path):
+    cut, path = tmp_path / "cut.pcap", tmp_path / "out.html"
+    cut.write_bytes(captures("a_rover").read_bytes()[:30])
+    done = call("report", cut, "-o", path)
+    assert (done.code, path.exists()) == (1, False)
+    assert "no packet was read" in done.err[0]
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(400, "dark"), (1200, "light")])

@@ -56,8 +56,10 @@ def _head(found: Diagnosis, name: str) -> str:
         end = f'<p class="end-note lost">{units.plural(found.lost, "message")} lost</p>'
     elif any(item.severity >= Severity.WARNING for item in found.verdicts):
         end = '<p class="end-note">No loss found; see the warnings.</p>'
-    else:
+    elif found.datagrams:
         end = '<p class="end-note fine">No loss, nothing wrong.</p>'
+    else:
+        end = '<p class="end-note">No traffic of CI, TO or SBN.</p>'
     line = f'<p class="dim">{units.plural(found.datagrams, "datagram")}{when}</p>'
     return f"<header><h1>{escape(name)}</h1>{line}{end}</header>"
 
