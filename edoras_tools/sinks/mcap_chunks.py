@@ -106,6 +106,7 @@ class ChunkWriter:
         """Write messages into chunks; runs in the thread, as all that follows."""
         total = np.zeros(rows, dtype=np.int64)
         within = [within_rows(stream, total) for stream in streams]
+        longest_first = sorted(zip(streams, within, strict=True), key=lambda pair: -len(pair[0]))
         ends = np.cumsum(total)
         starts = ends - total
         first = 0
@@ -118,8 +119,8 @@ class ChunkWriter:
                     continue
                 self._buffer = np.empty(int(total[first]), dtype=np.uint8)
                 last = first + 1
-            copy = spill_rows  # the first stream's: all others are written over what it spills
-            for stream, inside in zip(streams, within, strict=True):
+            copy = spill_rows  # the longest stream's: all others are written over what it spills
+            for stream, inside in longest_first:
                 low, high = np.searchsorted(stream.rows, (first, last)).tolist()
                 if low < high:
                     chosen = slice(low, high)
