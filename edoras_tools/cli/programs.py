@@ -25,7 +25,7 @@ def _start(alone: str = "") -> NoReturn:
     linear algebra, which nobody uses here, need not start threads.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    gc.set_threshold(50_000)
+    gc.set_threshold(200_000)
     sys.setswitchinterval(_TURN_S)
     from edoras_tools.cli import main
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.ros.schema import Constant, Definition, Field, Shape
@@ -54,6 +55,7 @@ def type_name(name: str) -> str:
     return text if text[:1].isalpha() else f"C{text}"
 
 
+@lru_cache(maxsize=4096)
 def field_name(name: str) -> str:
     """Return a member's name as rosidl takes it: ``ERLogIndex`` is ``er_log_index``."""
     words: list[str] = []
