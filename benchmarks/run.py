@@ -83,9 +83,7 @@ def record_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
     again, _ = timed(record, makes=recording)
     ours = min(ours, again)
     report = json.loads(
-        subprocess.run(
-            [EDORAS, "info", "--json", recording], check=True, capture_output=True
-        ).stdout
+        subprocess.run([EDORAS, "info", "--json", recording], check=True, capture_output=True).stdout
     )
     if report["datagrams"] != packets:
         sys.exit(f"{report['datagrams']} of {packets} datagrams were recorded")

@@ -25,7 +25,7 @@ _BITS: Final = np.frexp(np.arange(_LARGE + 1.0))[1].astype(np.uint8)
 """How many bits a length up to ``_LARGE`` has."""
 _WASTE: Final = 4
 """Bytes that may be moved for each that is wanted."""
-_BLOCK: Final = 4096
+_BLOCK: Final = 2048
 """Rows on their way at once: few enough for the nearest cache."""
 _KEEP: Final = np.where(np.arange(16) < np.arange(17)[:, None], np.uint8(0xFF), np.uint8(0)).view(np.uint64)
 """Masks of two words that keep the first 0 to 16 bytes."""
