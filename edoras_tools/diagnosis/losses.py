@@ -429,5 +429,5 @@ def remainders(known: Known, losses: Sequence[Loss]) -> Iterator[tuple[int, Pipe
             total = track.growth(name)
             told = sum(loss.lost for loss in losses if loss.instance == instance and loss.kind == kind)
             left = total - told
-            if left > max(2, total // 20):
+            if left > 2:
                 yield instance, kind, left, total

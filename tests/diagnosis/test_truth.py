@@ -38,6 +38,22 @@ def test_commands_lost_at_the_pipe_are_what_the_counter_says(hertz, lab):
     assert by_route(lab.examine(sent))[0x1827] == pytest.approx(counters.msg_limits, abs=1)
 
 
+def test_events_that_cfs_stops_after_sixteen_are_no_vanished_telemetry(lab):
+    sent, _ = lab.simulate(hz=9.0, seconds=40)
+    assert {item.rule for item in lab.examine(sent).verdicts} == {"app_pipe_limit", "event_suppression"}
+
+
+def test_commands_lost_beside_much_telemetry_are_seen_in_what_it_does_not_explain(lab):
+    sent, counters = lab.simulate("two-rovers", hz=15.0, state_hz=45.0, seconds=50)
+    lost = by_route(lab.examine(sent))
+    telemetry = lost[0x828] + lost[0x829]
+    assert lost[0x1827] == lost[0x1828]
+    assert 2 * lost[0x1827] == pytest.approx(counters.msg_limits - telemetry, abs=80)
+    assert lost[0x1827] > 50
+    alone = lab.examine(lab.simulate("two-rovers", hz=4.0, state_hz=45.0, seconds=50)[0])
+    assert {item.rule for item in alone.verdicts} == {"to_message_limit", "event_suppression"}
+
+
 def test_a_capture_that_begins_after_the_events_stopped_still_names_the_route(lab):
     sent, _ = lab.simulate(hz=10.0, seconds=60)
     late = lab.examine([item for item in sent if item.time_ns > lab.start_ns + 25 * SECOND])

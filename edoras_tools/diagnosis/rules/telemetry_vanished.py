@@ -12,6 +12,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.model import Link
 from edoras_tools.sessions import telemetry_output
 from edoras_tools.sessions.profile import SECOND
+from edoras_tools.wire import cfe
 from edoras_tools.wire.names import MSG_ID_NAMES
 
 if TYPE_CHECKING:
@@ -30,12 +31,16 @@ _NEAR_NS: Final = 3 * SECOND
 _CLOCKWORK: Final = 0.9
 _SLOW_NS: Final = SECOND // 4
 """What comes faster may come in bursts, and then end like any command of an operator."""
+_EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
+"""They come as there is something to say, and no more of one kind once cFS has said it 16 times."""
 
 
 def judge(case: Case) -> Iterator[Verdict]:
     """Look for a stream that ended for good, and for what happened just then."""
     for stream in case.streams:
-        if stream.link is not Link.TO or len(stream) < _LEAST or _asked_for(case, stream):
+        if stream.link is not Link.TO or len(stream) < _LEAST or stream.msg_id in _EVENTS:
+            continue
+        if _asked_for(case, stream):
             continue
         if stream.instance == NOBODY or stream.instance != case.known.owner(stream):
             continue  # handed on for a peer, which may be gone
