@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.accounts import accounts
 from edoras_tools.diagnosis.case import Capture, Case
-from edoras_tools.diagnosis.rules import RULES, capture_drops, older_losses, topic_never_seen
+from edoras_tools.diagnosis.rules import (
+    RULES,
+    capture_drops,
+    older_losses,
+    to_pipe_overflow,
+    topic_never_seen,
+)
 from edoras_tools.diagnosis.table import Recorder
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.sessions.profile import SimProfile
@@ -34,6 +40,7 @@ class Diagnosis:
         end_ns: the last.
         capture: what is known of the capture itself.
         case: what it was judged by, for plots; of a long capture the last chapter.
+        aside: messages that went down with those that verdicts are of.
     """
 
     verdicts: tuple[Verdict, ...]
@@ -45,11 +52,13 @@ class Diagnosis:
     end_ns: int
     capture: Capture = field(default_factory=Capture)
     case: Case | None = None
+    aside: int = 0
 
     @property
     def lost(self) -> int:
         """Messages found lost, of all verdicts; frames that the capture itself lost are none of them."""
-        return sum(verdict.lost or 0 for verdict in self.verdicts if verdict.rule != capture_drops.ID)
+        told = sum(verdict.lost or 0 for verdict in self.verdicts if verdict.rule != capture_drops.ID)
+        return told + self.aside
 
     def as_json(self) -> dict[str, Any]:
         """Return the diagnosis in the shape of ``doctor --json``."""
@@ -114,6 +123,7 @@ class Examination:
             end_ns=case.end_ns,
             capture=capture,
             case=case if keep else None,
+            aside=to_pipe_overflow.aside(case) if len(case.rows) else 0,
         )
 
 
@@ -152,6 +162,7 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
         end_ns=last.end_ns,
         capture=capture,
         case=last.case,
+        aside=sum(part.aside for part in parts),
     )
 
 

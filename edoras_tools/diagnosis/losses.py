@@ -178,22 +178,43 @@ def telemetry_losses(known: Known) -> list[Loss]:
                 loss = _telemetry_loss(known, stream, span, following)
                 if loss is not None:
                     found.append(loss)
-    return _with_tails(found)
+    return _with_tails(known, found)
 
 
-def _with_tails(losses: list[Loss]) -> list[Loss]:
+def _with_tails(known: Known, losses: list[Loss]) -> list[Loss]:
     """Add what was lost behind the last message that came: no gap shows it, only the counter does."""
-    tails = []
+    tails = [_tail(loss, losses) for loss in losses]
+    # All together they are no more than was counted.
+    left: dict[tuple[int, Kind], int] = {
+        (instance, kind): track.growth(name)
+        for instance, track in known.tracks.items()
+        for kind, name in COUNTERS.items()
+    }
     for loss in losses:
-        rest = [item for item in losses if item is not loss and item.overlaps(loss)]
-        tail = loss.grown - attributed(rest, loss.instance, loss.kind, *loss.time) - loss.lost
-        most = max((item.lost for item in rest), default=0)
-        believed = loss.span is not None and 0 < tail <= 0.7 * loss.span.offered_hz + 2
-        tails.append(tail if believed and loss.lost >= most else 0)
-    for loss, tail in zip(losses, tails, strict=True):
-        loss.lost += tail
-        loss.of = loss.of + tail if loss.of is not None else None
+        key = loss.instance, loss.kind
+        left[key] = left.get(key, 0) - loss.lost
+    for loss, tail in sorted(zip(losses, tails, strict=True), key=lambda pair: -pair[0].lost):
+        key = loss.instance, loss.kind
+        added = max(0, min(tail, left[key]))
+        left[key] -= added
+        loss.lost += added
+        loss.of = loss.of + added if loss.of is not None else None
     return losses
+
+
+def _tail(loss: Loss, losses: Sequence[Loss]) -> int:
+    """Return what a counter's growth about a loss leaves for what followed it."""
+    if loss.span is None or loss.stream is None or not _ends(loss.stream, loss.span):
+        return 0
+    rest = [item for item in losses if item is not loss and item.overlaps(loss)]
+    tail = loss.grown - attributed(rest, loss.instance, loss.kind, *loss.time) - loss.lost
+    believed = 0 < tail <= 0.7 * loss.span.offered_hz + 2
+    return tail if believed and loss.lost >= max((item.lost for item in rest), default=0) else 0
+
+
+def _ends(stream: Stream, span: Span) -> bool:
+    """Tell whether nothing follows a span at once, whose gap in front would show what was lost between."""
+    return span.last == len(stream) - 1 or bool(stream.pauses[span.last])
 
 
 def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | None) -> Loss | None:

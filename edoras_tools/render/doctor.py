@@ -183,7 +183,7 @@ def _conclusion(found: Diagnosis) -> Text:
     if found.lost:
         line = f"Lost: {units.plural(found.lost, 'message')}"
         counted = sum(row["lost"] for row in found.routes)
-        if found.routes and counted != found.lost:
+        if found.routes and counted < found.lost:
             some = units.count(counted) if counted else "none"
             line += f"; {some} of them in the table, the verdicts above tell of the others"
         return Text(f"{line}.", Severity.ERROR.style)

@@ -81,7 +81,7 @@ def test_two_senders_of_one_msg_id_are_told_apart(call, captures, monkeypatch):
         f"66:{number} :{port}" for number in (1, 2) for port in (49211, 57839)
     }
     assert done.out.endswith(
-        "Lost: 6,482 messages; 5,904 of them in the table, the verdicts above tell of the others.\n"
+        "Lost: 6,479 messages; 5,901 of them in the table, the verdicts above tell of the others.\n"
     )
     alone = call("doctor", captures("a_rover"))
     assert "Sent by" not in alone.out

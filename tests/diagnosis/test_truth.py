@@ -68,6 +68,7 @@ def test_tos_own_pipe_overflows_and_takes_its_events_with_it(lab):
     assert counters.pipe_overflows > 1000
     diagnosis = lab.examine(sent)
     assert not diagnosis.case.culprits or all(item.kind != "overflow" for item in diagnosis.case.culprits)
+    assert diagnosis.lost == pytest.approx(counters.pipe_overflows, rel=0.02)
     verdicts = [
         item for item in diagnosis.verdicts if item.rule == "to_pipe_overflow" and item.msg_id == 0x8F1
     ]
@@ -94,6 +95,27 @@ def test_steps_over_tos_pipe_are_each_what_was_lost(lab):
     for item in found:
         # Of 100 a second some are housekeeping and events.
         assert (item.of - item.lost) / 8 == pytest.approx(96, abs=10)
+
+
+@pytest.mark.parametrize("rate", [60, 100, 300])
+def test_a_burst_between_slow_messages_of_one_msg_id_is_counted_once(rate, lab):
+    sent, counters = lab.simulate(
+        hz=2.0, state_hz=0.0, seconds=18, generators=((5, 0x827, rate), (11, 0x827, 0)), limits=((0x827, 4),)
+    )
+    assert lab.examine(sent).lost == counters.msg_limits
+
+
+@pytest.mark.parametrize("seconds", [6, 9, 12])
+def test_what_the_full_pipe_of_two_arms_lost_is_counted_once(seconds, lab):
+    sent, counters = lab.simulate(
+        "two-arms",
+        hz=0.0,
+        state_hz=2.0,
+        seconds=12 + seconds,
+        generators=((5, 0x827, 100), (5 + seconds, 0x827, 0)),
+        limits=((0x827, 64),),
+    )
+    assert lab.examine(sent).lost == counters.pipe_overflows
 
 
 def test_two_instances_of_one_boot_time_are_told_apart(lab):

@@ -21,13 +21,23 @@ ID = "to_pipe_overflow"
 
 def judge(case: Case) -> Iterator[Verdict]:
     """Name the MsgId that fills the pipe, and what else went down with it."""
+    routes, others = _divided(case)
+    for loss in routes:
+        yield _verdict(case, loss, [item for item in others if _together(item, loss)])
+
+
+def aside(case: Case) -> int:
+    """Return how many messages went down with those that verdicts are of."""
+    return sum(item.lost for item in _divided(case)[1])
+
+
+def _divided(case: Case) -> tuple[list[Loss], list[Loss]]:
+    """Return the losses that have a verdict each, and the rest."""
     full = [item for item in case.losses if item.kind == "overflow" and item.hop == telemetry_output.PIPE]
     routes = [item for item in full if _is_route(item)]
     if not routes and full:
         routes = [max(full, key=lambda item: item.lost)]
-    for loss in routes:
-        beside = [item for item in full if item not in routes and _together(item, loss)]
-        yield _verdict(case, loss, beside)
+    return routes, [item for item in full if item not in routes]
 
 
 def _is_route(loss: Loss) -> bool:
