@@ -8,7 +8,7 @@ import numpy as np
 
 from edoras_tools.diagnosis.events import STOPS_AFTER
 from edoras_tools.diagnosis.instances import NOBODY
-from edoras_tools.diagnosis.losses import COUNTERS, LEAD_NS, TAIL_NS, Loss, attributed, remainders
+from edoras_tools.diagnosis.losses import COUNTERS, EVENTS, LEAD_NS, TAIL_NS, Loss, attributed, remainders
 from edoras_tools.diagnosis.spans import spans
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
 from edoras_tools.sessions import telemetry_output
@@ -24,20 +24,18 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.spans import Span
     from edoras_tools.diagnosis.streams import Stream
     from edoras_tools.diagnosis.verdict import Confidence
-    from edoras_tools.sessions.profile import SimProfile
 
-_EVENT: Final = {"limit": 17, "overflow": 25}
+_NAMES: Final = {"limit": "MsgLimit", "overflow": "PipeOverflow"}
 _APART_S: Final = 1.5
 """What is lost within so many seconds may be in the gaps and not yet in the counter, or the other way."""
 
 
-def app_losses(known: Known, telemetry: Sequence[Loss], profile: SimProfile) -> list[Loss]:
+def app_losses(known: Known, telemetry: Sequence[Loss]) -> list[Loss]:
     """Return every loss at a pipe that no gap shows.
 
     Args:
         known: what is known.
         telemetry: the losses that gaps show, whose share of the counters is taken.
-        profile: the constants of cFS.
     """
     seen = {(loss.instance, loss.msg_id, loss.kind) for loss in telemetry}
     found: list[Loss] = []
@@ -56,8 +54,8 @@ def app_losses(known: Known, telemetry: Sequence[Loss], profile: SimProfile) -> 
                 (other.instance, other.msg_id, other.kind) in seen and (other.at_output or other.at_peer)
             )
         ]
-        found += _named(known, telemetry, culprit, said, rivals, profile)
-    found += _unnamed(known, [*telemetry, *found], profile)
+        found += _named(known, telemetry, culprit, said, rivals)
+    found += _unnamed(known, [*telemetry, *found])
     return found
 
 
@@ -67,19 +65,19 @@ def _named(
     culprit: Culprit,
     said: Said,
     rivals: Sequence[tuple[Culprit, Said]],
-    profile: SimProfile,
 ) -> Iterator[Loss]:
     """Count what events name, a span of its traffic at a time."""
-    track = known.tracks.get(culprit.instance)
+    kind = _pipe_kind(culprit)
+    counter, track = COUNTERS[kind], known.tracks.get(culprit.instance)
     stream = _input(known, culprit)
-    share = _share(known, culprit, said, rivals, profile)
+    share = _share(known, culprit, said, rivals)
     parts: list[Span | None] = list(spans(stream, known.rows)) if stream else [None]
     reached, until_ns = 0, None
     for index, span in enumerate(parts):
         if span is None:
             # Its traffic is not in the capture: whatever the counter counts from the first event on is its.
             start_ns, end_ns = said.first_ns, said.last_ns
-            if track and track.growth(COUNTERS[_pipe_kind(culprit)], end_ns + LEAD_NS):
+            if track and track.growth(counter, end_ns + LEAD_NS):
                 end_ns = track.times[-1]
             window = start_ns - TAIL_NS, end_ns + TAIL_NS
         else:
@@ -88,20 +86,18 @@ def _named(
             limit = after.start_ns if after else end_ns + TAIL_NS
             window = start_ns - LEAD_NS, min(end_ns + TAIL_NS, max(limit, end_ns))
         events = said.within(*window)
-        name = _EVENT[_pipe_kind(culprit)]
-        evidence = [f"event CFE_SB {name} x{events}: {said.records[0].message}"] if events else []
-        stopped = _stopped(track, _pipe_kind(culprit), said, window)
+        evidence = [f"event CFE_SB {EVENTS[kind]} x{events}: {said.records[0].message}"] if events else []
+        stopped = _stopped(track, kind, said, window)
         if track is None:
             if events:
                 text = "0x803 is not in the capture: the events are counted, and they stop after 16"
                 yield _loss(culprit, stream, span, events, start_ns, end_ns, [*evidence, text], "low")
             continue
         # The windows of neighbours overlap, for the counter is seen once a second: each count is told once.
-        name_of = COUNTERS[_pipe_kind(culprit)]
-        total = track.growth(name_of, None, window[1])
-        grown = total - max(total - track.growth(name_of, *window), reached)
+        total = track.growth(counter, None, window[1])
+        grown = total - max(total - track.growth(counter, *window), reached)
         begin_ns = window[0] if until_ns is None else max(window[0], min(until_ns, window[1]))
-        left = grown - attributed(telemetry, culprit.instance, _pipe_kind(culprit), begin_ns, window[1])
+        left = grown - attributed(telemetry, culprit.instance, kind, begin_ns, window[1])
         lost = left if len(rivals) == 1 else round(left * share)
         reached, until_ns = max(total, reached), window[1]
         if span and lost > span.count:
@@ -110,8 +106,7 @@ def _named(
             lost = span.count
         if lost <= 0:
             continue
-        which = "MsgLimit" if culprit.kind == "limit" else "PipeOverflow"
-        evidence.append(f"0x803: {which} +{grown:,} in this time")
+        evidence.append(f"0x803: {_NAMES[kind]} +{grown:,} in this time")
         if left < grown:
             evidence.append(f"{grown - left:,} of these are telemetry, which leaves gaps of its own")
         if len(rivals) > 1:
@@ -130,7 +125,6 @@ def _share(
     culprit: Culprit,
     said: Said,
     rivals: Sequence[tuple[Culprit, Said]],
-    profile: SimProfile,
 ) -> float:
     """Return a culprit's share: by how far each is over what its pipe takes, where all can be seen."""
     over = {}
@@ -138,7 +132,7 @@ def _share(
         stream = _input(known, other)
         seconds = _seconds(known, stream) if stream else 0.0
         if stream and seconds:
-            burst = profile.app_msg_limit * SECOND / profile.ci_wake_ns
+            burst = known.profile.app_msg_limit * SECOND / known.profile.ci_wake_ns
             over[other] = max(0.0, len(stream) / seconds - burst)
     if len(over) == len(rivals) and all(over.values()):
         return over[culprit] / sum(over.values())
@@ -213,11 +207,11 @@ def _goes_to(known: Known, stream: Stream, instance: int) -> bool:
     return not name or known.network.identity_of.get(stream.receiver, name) == name
 
 
-def _unnamed(known: Known, losses: Sequence[Loss], profile: SimProfile) -> list[Loss]:
+def _unnamed(known: Known, losses: Sequence[Loss]) -> list[Loss]:
     """Find what counters count and no event names: by which traffic is more than a pipe takes."""
     found = []
     for instance, kind, left, total in remainders(known, losses):
-        suspects = list(_suspects(known, instance, kind, profile))
+        suspects = list(_suspects(known, instance, kind))
         track = known.tracks[instance]
         if left <= total // 20:
             # So little may be the gaps' own error, unless commands that make none are too many.
@@ -225,8 +219,9 @@ def _unnamed(known: Known, losses: Sequence[Loss], profile: SimProfile) -> list[
             seconds = (track.times[-1] - track.times[0]) / SECOND
             if not suspects or left * seconds <= total * _APART_S:
                 continue
-        which = "MsgLimit" if kind == "limit" else "PipeOverflow"
-        evidence = [f"0x803: {which} +{total:,} in the capture, {left:,} of them not explained otherwise"]
+        evidence = [
+            f"0x803: {_NAMES[kind]} +{total:,} in the capture, {left:,} of them not explained otherwise"
+        ]
         excess = [most - limit for _, _, most, limit in suspects]
         for (stream, hop, most, limit), over in zip(suspects, excess, strict=True):
             share = round(left * over / sum(excess))
@@ -275,12 +270,11 @@ def _unnamed(known: Known, losses: Sequence[Loss], profile: SimProfile) -> list[
     return found
 
 
-def _suspects(
-    known: Known, instance: int, kind: PipeKind, profile: SimProfile
-) -> Iterator[tuple[Stream, str, int, int]]:
+def _suspects(known: Known, instance: int, kind: PipeKind) -> Iterator[tuple[Stream, str, int, int]]:
     """Yield traffic into an instance that is more than a pipe takes: where, how many at once, of how many."""
     if kind != "limit":
         return
+    profile = known.profile
     leaving = {stream.msg_id for stream in known.streams if stream.link is Link.TO}
     for stream in known.streams:
         if stream.msg_id in names.MSG_ID_NAMES and stream.route == NO_ROUTE:

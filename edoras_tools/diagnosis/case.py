@@ -146,7 +146,7 @@ class Case:
     def losses(self) -> list[Loss]:
         """All that was lost, as far as it can be told."""
         telemetry = telemetry_losses(self.known)
-        return [*telemetry, *app_losses(self.known, telemetry, self.profile)]
+        return [*telemetry, *app_losses(self.known, telemetry)]
 
     @cached_property
     def has_telemetry(self) -> bool:

@@ -46,6 +46,8 @@ _FULL: Final = 0.3
 _OVER: Final = 1.02
 COUNTERS: Final[Mapping[PipeKind, str]] = {"limit": "msg_limits", "overflow": "pipe_overflows"}
 """The counter of 0x803 that a loss at a pipe raises."""
+EVENTS: Final[Mapping[PipeKind, int]] = {"limit": 17, "overflow": 25}
+"""The event of CFE_SB that names it."""
 
 
 @dataclass(slots=True)
@@ -255,7 +257,7 @@ def _telemetry_loss(known: Known, stream: Stream, span: Span, following: int | N
         evidence = [f"sequence count: {lost:,} of {span.count + lost:,} never came"]
     if lost <= 0:
         return None
-    kind, confidence = _judge(known, stream, span, track, window, missing, lost, evidence)
+    kind, confidence = _judge(known, stream, span, window, grown, missing, lost, evidence)
     return Loss(
         kind=kind,
         instance=owner,
@@ -304,8 +306,8 @@ def _judge(
     known: Known,
     stream: Stream,
     span: Span,
-    track: Track | None,
     window: tuple[int, int],
+    grown: Mapping[Kind, int],
     missing: NDArray[np.int64],
     lost: int,
     evidence: list[str],
@@ -316,14 +318,13 @@ def _judge(
     stream, or where so much of it came that the pipe was full.
     """
     owner, output = known.owner(stream), stream.link is Link.TO
+    track = known.tracks.get(owner)
     said: dict[PipeKind, bool] = {}
     for kind in COUNTERS:
         events = known.named(owner, stream.msg_id, kind, output=output)
         said[kind] = bool(events and events.within(*window))
         if events:
-            number = 17 if kind == "limit" else 25
-            evidence.append(f"event CFE_SB {number} x{events.count}: {events.records[0].message}")
-    grown = {kind: track.growth(name, *window) if track else 0 for kind, name in COUNTERS.items()}
+            evidence.append(f"event CFE_SB {EVENTS[kind]} x{events.count}: {events.records[0].message}")
     if track is None:
         named = [kind for kind in COUNTERS if said[kind]]
         if named:
@@ -334,7 +335,7 @@ def _judge(
     possible = [
         kind
         for kind in COUNTERS
-        if said[kind] or (grown[kind] and pressed(known, stream, span, kind, missing))
+        if said[kind] or (grown[kind] and _pressed(known, stream, span, kind, missing))
     ]
     if not possible:
         if not any(grown.values()):
@@ -372,7 +373,7 @@ def _elsewhere(
     return "unknown", "low"
 
 
-def pressed(known: Known, stream: Stream, span: Span, kind: PipeKind, missing: NDArray[np.int64]) -> bool:
+def _pressed(known: Known, stream: Stream, span: Span, kind: PipeKind, missing: NDArray[np.int64]) -> bool:
     """Tell whether so much came that a pipe can have lost what is missing from a span of a stream.
 
     Where a MsgId's limit or a whole pipe is full, what did get in comes out in one burst, and the loss lies
