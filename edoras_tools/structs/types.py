@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.entries import (
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.structs.entries import Die
     from edoras_tools.structs.shapes import ByteOrder
+
+_Kept = TypeVar("_Kept", Struct, Enumeration)
 
 LARGEST: Final = 1 << 24
 """Bytes that a struct is smaller than."""
@@ -115,18 +117,19 @@ class Maker:
 
     def _kept(self, made: Struct) -> str:
         """Keep a struct; one of the same name that is not alike is given a number."""
-        name, copy = made.name, 2
-        while self._is_other(name, self.structs.get(name), replace(made, name=name), self.enums):
-            name, copy = f"{made.name}_{copy}", copy + 1
+        name = self._keep(made, self.structs, self.enums)
         if name != made.name:
             self.warnings.append(f"{made.name} is declared in more than one way; the other is called {name}")
-        self.structs[name] = replace(made, name=name)
         return name
 
     @staticmethod
-    def _is_other(name: str, there: object, made: object, others: Mapping[str, object]) -> bool:
-        """Tell whether a name is that of another type already."""
-        return name in BASIC or name in others or (there is not None and there != made)
+    def _keep(made: _Kept, alike: dict[str, _Kept], others: Mapping[str, object]) -> str:
+        """Keep a type under its name, or under one with a number where that is another's; return that."""
+        name, copy = made.name, 2
+        while name in BASIC or name in others or alike.get(name) not in (None, replace(made, name=name)):
+            name, copy = f"{made.name}_{copy}", copy + 1
+        alike[name] = replace(made, name=name)
+        return name
 
     def _members(self, die: Die, base: int, owner: str) -> Iterator[Member]:
         taken: set[str] = set()
@@ -241,11 +244,7 @@ class Maker:
         names = {(value - low) % (1 << bits) + low: name for value, name in names.items()}
         basic = BASIC[f"{'' if signed else 'u'}int{bits}"]
         made = Enumeration(self._info.called(die) or wish or "Enumeration", basic, names)
-        name, copy = made.name, 2
-        while self._is_other(name, self.enums.get(name), replace(made, name=name), self.structs):
-            name, copy = f"{made.name}_{copy}", copy + 1
-        self.enums[name] = replace(made, name=name)
-        return name
+        return self._keep(made, self.enums, self.structs)
 
 
 def count_of(member: Member) -> int:
