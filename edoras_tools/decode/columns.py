@@ -20,6 +20,8 @@ from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import any_nonzero, gather, xor_bytes
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
@@ -28,7 +30,7 @@ _SBN_WINDOW: Final = 64
 """Bytes that hold an SBN header, and a subscription's $Id and count."""
 _PACKET_WINDOW: Final = 24
 """Bytes that hold every header of a space packet."""
-_IDENT: Final = np.frombuffer(sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0"), np.uint8)
+_IDENT: Final = np.frombuffer(sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0"), np.uint64)
 _KNOWN_TYPES: Final = np.isin(np.arange(256), list(sbn.MsgType))
 _BLANK: Final = {
     "sbn_msg_type": -1,
@@ -95,8 +97,12 @@ class ColumnDecoder:
         return Columns(**whole)
 
 
-def _blank(count: int) -> dict[str, NDArray[Any]]:
-    return {name: np.full(count, _BLANK.get(name, 0), dtype) for name, dtype in _TYPES.items()}
+def _blank(count: int, leave_out: Collection[str] = ()) -> dict[str, NDArray[Any]]:
+    return {
+        name: np.full(count, _BLANK.get(name, 0), dtype)
+        for name, dtype in _TYPES.items()
+        if name not in leave_out
+    }
 
 
 class _Pass:
@@ -105,7 +111,7 @@ class _Pass:
     def __init__(self, context: Context, batch: PacketBatch, link: NDArray[np.uint8]) -> None:
         self.context = context
         self.batch = batch
-        self.out = _blank(len(batch))
+        self.out = _blank(len(batch), leave_out=_PACKET_COLUMNS)
         self.out["link"] = link
         self.out["findings"] = batch.capture_findings.copy()
 
@@ -235,7 +241,8 @@ class _Pass:
             pick = whole & (legacy == old)
             if not pick.any():
                 continue
-            foreign = (head[pick, at : at + sbn.IDENT_BYTES] != _IDENT).any(axis=1)
+            ident = np.ascontiguousarray(head[pick, at : at + sbn.IDENT_BYTES]).view(np.uint64)
+            foreign = (ident != _IDENT).any(axis=1)
             self.flag(Finding.SBN_ID_MISMATCH, rows[pick], foreign)
             count = sbn.SUBSCRIPTIONS.column("count", head[pick], at).astype(np.int32)
             short = payload[pick] < sbn.SUBSCRIPTIONS.size + count * sbn.SUBSCRIPTION.size

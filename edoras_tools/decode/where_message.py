@@ -13,7 +13,7 @@ from edoras_tools.decode.where_field import MESSAGE, Field
 from edoras_tools.decode.where_series import INDEX, Kind, Series
 from edoras_tools.ros import grammar, schema
 from edoras_tools.ros.columns import Ragged
-from edoras_tools.structs.bound import Encoded
+from edoras_tools.structs.bound import Encoded, Held
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
@@ -249,18 +249,15 @@ def _messages(name: str, routes: tuple[int, ...], rows: ColumnRows) -> Owned:
     return found
 
 
-def structs_of(rows: ColumnRows) -> dict[Bound, tuple[NDArray[np.int64], Encoded]]:
-    """Return the messages of all C structs, and the rows that hold them."""
+def structs_of(rows: ColumnRows) -> dict[Bound, Held]:
+    """Return the rows that hold each C struct."""
 
-    def make() -> dict[Bound, tuple[NDArray[np.int64], Encoded]]:
+    def make() -> dict[Bound, Held]:
         structs = rows.context.structs
         there = np.flatnonzero(structs.has[rows.column("msg_id")])
-        return {
-            bound: (members, encoded)
-            for bound, members, encoded in structs.messages(there, rows.column, rows.batch.data)
-        }
+        return {held.bound: held for held in structs.held(there, rows.column, rows.batch.data)}
 
-    found: dict[Bound, tuple[NDArray[np.int64], Encoded]] = rows.once("structs", make)
+    found: dict[Bound, Held] = rows.once("structs", make)
     return found
 
 
@@ -269,10 +266,12 @@ def _struct_messages(bound: Bound, rows: ColumnRows) -> Owned:
 
     def make() -> Owned:
         nothing = np.zeros(0, np.int64)
-        empty = Encoded(np.zeros(1, np.uint8), nothing, nothing, 0)
-        owner, encoded = structs_of(rows).get(bound, (nothing, empty))
-        size = encoded.size.astype(np.int32)
-        return owner, rows.context.structs.types.columns(bound.type, encoded.data, encoded.start, size)
+        held = structs_of(rows).get(bound)
+        encoded = held.encode() if held else Encoded(np.zeros(1, np.uint8), nothing, nothing, 0)
+        columns = rows.context.structs.types.columns(
+            bound.type, encoded.data, encoded.start, encoded.size.astype(np.int32)
+        )
+        return held.rows if held else nothing, columns
 
     found: Owned = rows.once(("struct", bound.topic), make)
     return found

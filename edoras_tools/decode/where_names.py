@@ -247,8 +247,8 @@ def _read_messages(rows: ColumnRows) -> Series:
         # The decoder blames a cut packet for nothing.
         invalid[row] = rows.take(np.array([row])).packets()[0].message is None
     there &= ~invalid
-    for members, _ in structs_of(rows).values():
-        there[members] = True
+    for held in structs_of(rows).values():
+        there[held.rows] = True
     return Series.of_chosen(np.zeros(len(rows), INDEX), there)
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sinks import Sink
+    from edoras_tools.sinks.mcap import McapSink
     from edoras_tools.sources import Source
 
 _KINDS = (".mcap", ".pcapng", ".pcap")
@@ -24,6 +25,9 @@ _FLUSH_NS = 500_000_000
 """A killed recorder loses at most a second; flushed twice as often, it has time to write."""
 _SWIFT = 16 << 20
 """Bytes in that time from where on flushing is left out: it waits, and chunks fill by themselves."""
+
+_LARGE = 32 << 20
+"""Bytes of a file from where on a process of its own for what writes pays."""
 
 
 class Watcher(Protocol):
@@ -124,7 +128,7 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
         from edoras_tools.sinks.rosbag2 import Rosbag2Sink
 
         kind = Rosbag2Sink if target.rosbag2 else McapSink
-        return kind(
+        opened = kind(
             path,
             bench.mission,
             bench.types,
@@ -135,6 +139,7 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
             statistics=source.statistics,
             structs=bench.columns.context.structs,
         )
+        return _apart(opened, source, path) if isinstance(opened, McapSink) else opened
     if suffix == ".pcapng":
         from edoras_tools.sinks.pcapng import PcapngSink
 
@@ -142,6 +147,22 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
     from edoras_tools.sinks.pcap import PcapSink
 
     return PcapSink(path, nanosecond=info.time_resolution_ns < 1000, snap_length=info.snap_length)
+
+
+def _apart(sink: McapSink, source: Source, path: Path) -> Sink:
+    """Give a sink a process of its own where that pays; the source then reads into memory of both."""
+    if source.statistics.total_bytes < _LARGE:
+        return sink
+    from edoras_tools.sinks.apart import Apart
+    from edoras_tools.sources.records import RecordSource
+
+    try:
+        apart = Apart(sink, source.statistics, path)
+    except OSError:
+        return sink
+    if isinstance(source, RecordSource):
+        source.borrow(apart.lend)
+    return apart
 
 
 def record(
@@ -197,7 +218,7 @@ def record(
         tap=tap,
         by_route=by_route,
     )
-    report.outputs = [file.path for file in getattr(sink, "files", ())] or [target.path]
+    report.outputs = getattr(sink, "paths", None) or [target.path]
     return report
 
 

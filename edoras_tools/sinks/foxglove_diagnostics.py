@@ -97,10 +97,17 @@ class Diagnostics:
         }
         cdr = np.frombuffer(self._types.encode(DIAGNOSTICS.type, values), np.uint8)
         heads = np.zeros(1, np.dtype(RECORD))
-        length = np.array([len(cdr)])
-        fill_record(heads, channel_id, length, 0, np.array([time_ns]), np.array([time_ns]))
+        length, log_time = np.array([len(cdr)]), np.array([time_ns])
+        fill_record(heads, channel_id, length, 0, log_time, log_time)
         return Messages(
-            np.array([row]), heads.itemsize, heads.__getitem__, cdr, np.zeros(1, np.int64), length
+            np.array([row]),
+            channel_id,
+            log_time,
+            heads.itemsize,
+            heads.__getitem__,
+            cdr,
+            np.zeros(1, np.int64),
+            length,
         )
 
     def _status(self, link: int, msg_id: int, counts: NDArray[np.int64]) -> dict[str, Any]:
@@ -143,4 +150,5 @@ class Diagnostics:
 def _nothing() -> Messages:
     nothing = np.zeros(0, np.int64)
     heads = np.zeros(0, np.dtype(RECORD))
-    return Messages(nothing, heads.itemsize, heads.__getitem__, np.zeros(1, np.uint8), nothing, nothing)
+    pool = np.zeros(1, np.uint8)
+    return Messages(nothing, 0, nothing, heads.itemsize, heads.__getitem__, pool, nothing, nothing)

@@ -96,6 +96,16 @@ class McapSink:
         self.files: list[McapFile] = []
         self._chunks = self._open_file()
 
+    @property
+    def paths(self) -> list[Path]:
+        """The files written."""
+        return [file.path for file in self.files]
+
+    @property
+    def waiting(self) -> int:
+        """How many of the last batches are still read."""
+        return self._chunks.waiting
+
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch and what was read from it; both are read until the next ``flush``."""
         first = 0
@@ -126,6 +136,12 @@ class McapSink:
                 self._chunks.append([self._streams.finish()], 1)
                 self._close_file(statistics)
             self._state = "closed"
+
+    def abandon(self) -> None:
+        """Close the file as it is; nothing more is written."""
+        self._state = "failed"
+        self._chunks.abandon()
+        self.files[-1].abandon()
 
     def _add_topic(self, topic: Topic) -> int:
         """Make a topic of whose kind there may be none; return its channel."""
@@ -238,7 +254,5 @@ class McapSink:
         try:
             yield
         except CaptureError:
-            self._state = "failed"
-            self._chunks.abandon()
-            self.files[-1].abandon()
+            self.abandon()
             raise

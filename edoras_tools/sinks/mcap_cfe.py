@@ -82,7 +82,8 @@ def software_bus_messages(
     """
     rows, payload = _telemetry(batch, columns, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, _HOUSEKEEPING)
     heads = np.zeros(len(rows), dtype=_SOFTWARE_BUS)
-    fill_record(heads, channel_id, 0, columns.sequence_count[rows], batch.time_ns[rows], published[rows])
+    log_time = batch.time_ns[rows]
+    fill_record(heads, channel_id, 0, columns.sequence_count[rows], log_time, published[rows])
     heads["encapsulation"] = ENCAPSULATION
     stamp(heads, published[rows])
     heads["processor_id"] = columns.processor_id[rows]
@@ -91,7 +92,9 @@ def software_bus_messages(
         if name != "spare":
             heads[name] = payload[name]
     nothing = np.zeros(len(rows), dtype=np.int64)
-    return Messages(rows, heads.itemsize, heads.__getitem__, batch.data, nothing, nothing)
+    return Messages(
+        rows, channel_id, log_time, heads.itemsize, heads.__getitem__, batch.data, nothing, nothing
+    )
 
 
 def event_messages(
@@ -111,12 +114,13 @@ def event_messages(
     rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, _EVENT)
     heads = np.zeros(len(rows), dtype=_LOG)
     data, offset, length = _log_strings(payload, heads.itemsize)
-    fill_record(heads, channel_id, length, columns.sequence_count[rows], batch.time_ns[rows], published[rows])
+    log_time = batch.time_ns[rows]
+    fill_record(heads, channel_id, length, columns.sequence_count[rows], log_time, published[rows])
     heads["encapsulation"] = ENCAPSULATION
     stamp(heads, published[rows])
     kinds = payload["event_type"]
     heads["level"] = _LEVELS[np.where(kinds < len(_LEVELS), kinds, 0)]
-    return Messages(rows, heads.itemsize, heads.__getitem__, data, offset, length)
+    return Messages(rows, channel_id, log_time, heads.itemsize, heads.__getitem__, data, offset, length)
 
 
 def stamp(heads: NDArray[np.void], time_ns: NDArray[np.int64]) -> None:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import struct
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zstandard
-from mcap.opcode import Opcode
 from mcap.records import Chunk
 
-from edoras_tools.sinks.mcap_file import FinishedChunk
+from edoras_tools.sinks.mcap_index import MessageIndex
 from edoras_tools.sinks.mcap_rows import within_rows
 from edoras_tools.wire.window import copy_rows, put_rows, spill_rows
 
@@ -31,8 +28,6 @@ _LEVEL = -1
 """zstd level: an eighth faster than 1 for a twentieth more bytes; those beyond compress much worse."""
 _IN_FLIGHT = 2
 """Batches that may wait for the thread; bounds memory, and the caller waits when it is ahead."""
-
-_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
 class ChunkWriter:
@@ -56,7 +51,7 @@ class ChunkWriter:
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
         self._buffer = np.empty(CHUNK_BYTES, dtype=np.uint8)
         self._used = 0
-        self._placed: list[tuple[NDArray[np.uint16], NDArray[np.uint64], NDArray[np.int64]]] = []
+        self._index = MessageIndex()
         self._appended = 0
 
     @property
@@ -64,6 +59,11 @@ class ChunkWriter:
         """Bytes the file has at most when all that was appended is written, leaving its summary out."""
         waiting = self._appended - sum(chunk.uncompressed_size for chunk in self._file.summary.chunks)
         return self._file.size + waiting
+
+    @property
+    def waiting(self) -> int:
+        """How many of the last batches are still read."""
+        return sum(not item.done() for item in self._pending)
 
     def append(self, streams: Sequence[Messages], rows: int) -> None:
         """Append messages of a batch, row by row, in each row in the order of ``streams``.
@@ -106,9 +106,14 @@ class ChunkWriter:
         """Write messages into chunks; runs in the thread, as all that follows."""
         total = np.zeros(rows, dtype=np.int64)
         within = [within_rows(stream, total) for stream in streams]
-        longest_first = sorted(zip(streams, within, strict=True), key=lambda pair: -len(pair[0]))
         ends = np.cumsum(total)
         starts = ends - total
+        # The longest first: all others are written over what it spills.
+        laid = sorted(zip(streams, within, strict=True), key=lambda pair: -len(pair[0]))
+        parts = [
+            _Part(stream, starts[stream.rows] + inside, copy_rows if index else spill_rows)
+            for index, (stream, inside) in enumerate(laid)
+        ]
         first = 0
         while first < rows:
             base = int(starts[first])
@@ -119,76 +124,72 @@ class ChunkWriter:
                     continue
                 self._buffer = np.empty(int(total[first]), dtype=np.uint8)
                 last = first + 1
-            copy = spill_rows  # the longest stream's: all others are written over what it spills
-            for stream, inside in longest_first:
-                low, high = np.searchsorted(stream.rows, (first, last)).tolist()
-                if low < high:
-                    chosen = slice(low, high)
-                    positions = starts[stream.rows[chosen]] + inside[chosen] + (self._used - base)
-                    self._place(stream, chosen, positions, copy)
-                copy = copy_rows
+            for part in parts:
+                part.put(last, self._buffer, self._used - base, self._index)
             self._used += int(ends[last - 1]) - base
             first = last
-
-    def _place(
-        self, messages: Messages, chosen: slice, positions: NDArray[np.int64], copy: Callable[..., None]
-    ) -> None:
-        """Write the chosen messages at their positions in the chunk."""
-        heads = messages.heads(chosen)
-        copy(
-            self._buffer,
-            positions + messages.head_bytes,
-            messages.data,
-            messages.offset[chosen],
-            messages.length[chosen],
-        )
-        put_rows(self._buffer, positions, heads)
-        self._placed.append((heads["channel_id"].copy(), heads["log_time"].copy(), positions))
 
     def _store(self) -> None:
         """Compress, index and write the chunk under way, and begin another."""
         if not self._used:
             return
         raw = self._buffer[: self._used].data
-        channel, log_time, position = (np.concatenate(column) for column in zip(*self._placed, strict=True))
-        index, places, counts = message_index(channel, log_time, position)
         record = Chunk(
             compression="zstd",
             data=self._compressor.compress(raw),
-            message_end_time=int(log_time.max()),
-            message_start_time=int(log_time.min()),
+            message_end_time=self._index.end_ns,
+            message_start_time=self._index.start_ns,
             uncompressed_crc=0,  # not given: the zstd frame has a checksum of its own, a third as dear
             uncompressed_size=self._used,
         )
-        self._file.add_chunk(FinishedChunk(record, index, places, counts))
-        self._placed.clear()
+        self._file.add_chunk(record, self._index)
+        self._index = MessageIndex()
         self._used = 0
         if len(self._buffer) != CHUNK_BYTES:
             self._buffer = np.empty(CHUNK_BYTES, dtype=np.uint8)
 
 
-def message_index(
-    channel: NDArray[np.uint16], log_time: NDArray[np.uint64], position: NDArray[np.int64]
-) -> tuple[bytes, dict[int, int], dict[int, int]]:
-    """Return the MessageIndex records of a chunk, where in them each channel's starts, and each one's count.
+class _Part:
+    """The messages of one stream on their way into chunks.
 
     Args:
-        channel: u16, of each message; the messages of one channel in the order of their positions.
-        log_time: u64.
-        position: i64, where its record starts in the uncompressed chunk.
+        messages: the stream.
+        positions: i64, where each message starts, counted from the batch's first.
+        copy: moves the bytes behind the heads.
     """
-    order = np.argsort(channel, kind="stable")
-    entries = np.empty(len(order), dtype=_INDEX_ENTRY)
-    entries["log_time"], entries["offset"] = log_time[order], position[order]
-    ordered = channel[order].astype(np.int64)
-    index = bytearray()
-    places: dict[int, int] = {}
-    counts: dict[int, int] = {}
-    starts = np.flatnonzero(np.diff(ordered, prepend=-1)).tolist()
-    for start, end in pairwise([*starts, len(order)]):
-        channel_id, count = int(ordered[start]), end - start
-        places[channel_id], counts[channel_id] = len(index), count
-        size = count * entries.itemsize
-        index += struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, channel_id, size)
-        index += entries[start:end].tobytes()
-    return bytes(index), places, counts
+
+    def __init__(self, messages: Messages, positions: NDArray[np.int64], copy: Callable[..., None]) -> None:
+        self._messages = messages
+        self._positions = positions
+        self._copy = copy if messages.length.any() else None
+        self._done = 0
+
+    def put(self, last: int, buffer: NDArray[np.uint8], shift: int, index: MessageIndex) -> None:
+        """Write those that are left of the rows before ``last``.
+
+        Args:
+            last: a row of the batch.
+            buffer: u8, the chunk.
+            shift: where in it the batch's first message would start.
+            index: of the chunk.
+        """
+        messages = self._messages
+        chosen = slice(self._done, int(np.searchsorted(messages.rows, last)))
+        if chosen.start == chosen.stop:
+            return
+        self._done = chosen.stop
+        positions = self._positions[chosen] + shift
+        heads = messages.heads(chosen)
+        if self._copy is not None:
+            self._copy(
+                buffer,
+                positions + messages.head_bytes,
+                messages.data,
+                messages.offset[chosen],
+                messages.length[chosen],
+            )
+        put_rows(buffer, positions, heads)
+        channel = messages.channel_id
+        index.add(
+            channel if isinstance(channel, int) else channel[chosen], messages.log_time[chosen], positions
+        )

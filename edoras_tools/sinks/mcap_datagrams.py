@@ -81,7 +81,16 @@ class DatagramWriter:
             return self._fill(batch.take(chosen), columns.take(chosen), published[chosen])
 
         rows = np.arange(len(batch))
-        return Messages(rows, _DATAGRAM.itemsize, heads, batch.data, batch.frame_offset, batch.frame_length)
+        return Messages(
+            rows,
+            self._channel_id,
+            batch.time_ns,
+            _DATAGRAM.itemsize,
+            heads,
+            batch.data,
+            batch.frame_offset,
+            batch.frame_length,
+        )
 
     def _blank(self, count: int) -> NDArray[Any]:
         """Return heads with what is the same in all; being used again, they stay in the processor's cache."""
@@ -148,16 +157,11 @@ def ros_messages(
         (columns.route >= 0) & (columns.cdr_length > 0) & (findings & np.uint32(NO_MESSAGE) == 0)
     )
     heads = np.empty(len(rows), dtype=np.dtype(RECORD))
-    length = columns.cdr_length[rows]
-    fill_record(
-        heads,
-        channel_ids[columns.route[rows]] if len(rows) else 0,
-        length,
-        columns.sequence_count[rows],
-        batch.time_ns[rows],
-        published[rows],
-    )
-    return Messages(rows, RECORD_BYTES, heads.__getitem__, batch.data, columns.cdr_offset[rows], length)
+    channel_id: NDArray[np.uint16] | int = channel_ids[columns.route[rows]] if len(rows) else 0
+    length, log_time = columns.cdr_length[rows], batch.time_ns[rows]
+    fill_record(heads, channel_id, length, columns.sequence_count[rows], log_time, published[rows])
+    offset = columns.cdr_offset[rows]
+    return Messages(rows, channel_id, log_time, RECORD_BYTES, heads.__getitem__, batch.data, offset, length)
 
 
 assert _DATAGRAM.itemsize == RECORD_BYTES + 4 + 72

@@ -37,7 +37,8 @@ def fault_messages(faults: Sequence[Fault], channel_id: int) -> Messages:
     heads["encapsulation"] = ENCAPSULATION
     pool = np.frombuffer(b"".join(bodies), dtype=np.uint8)
     rows = np.arange(len(faults))
-    return Messages(rows, heads.itemsize, heads.__getitem__, pool, np.cumsum(length) - length, length)
+    offset = np.cumsum(length) - length
+    return Messages(rows, channel_id, time_ns, heads.itemsize, heads.__getitem__, pool, offset, length)
 
 
 def _body(fault: Fault) -> bytes:

@@ -5,8 +5,10 @@ Everything but messages and their index goes through the record classes of the `
 
 from __future__ import annotations
 
+import os
+import struct
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mcap.data_stream import RecordBuilder
@@ -36,6 +38,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from edoras_tools.sinks.mcap_index import MessageIndex
+
+_PREFIX_BYTES = 9
+"""An opcode, and the length of what follows."""
+_PIECES = 1024
+"""Most that one call may write, Linux's IOV_MAX."""
 _FOOTER_BYTES_IN_CRC = 9 + 8 + 8
 """The summary's CRC covers the footer record up to the CRC itself."""
 
@@ -114,23 +122,6 @@ class Summary:
         return end + summary + _encode(footer) + MAGIC
 
 
-@dataclass(frozen=True, slots=True)
-class FinishedChunk:
-    """A chunk ready to be written.
-
-    Attributes:
-        record: the Chunk record's content.
-        index: its MessageIndex records, one a channel.
-        index_places: where in ``index`` each channel's record starts.
-        counts: messages of each channel.
-    """
-
-    record: Chunk
-    index: bytes
-    index_places: Mapping[int, int]
-    counts: Mapping[int, int]
-
-
 class McapFile:
     """An MCAP file being written, front to back; no method may run while another does.
 
@@ -194,26 +185,27 @@ class McapFile:
         self.add_bytes(record)
         self.summary.metadata.append(index)
 
-    def add_chunk(self, chunk: FinishedChunk) -> None:
+    def add_chunk(self, record: Chunk, index: MessageIndex) -> None:
         """Write a chunk and its message index, and get them out of the process."""
-        head = _encode(chunk.record)
-        start, index_start = self.size, self.size + len(head)
-        self.add_bytes(head + chunk.index)
-        record = chunk.record
+        head = _chunk_head(record)
+        pieces, places = index.records()
+        start, length = self.size, len(head) + len(record.data)
+        self.add_bytes(head, record.data, *pieces)
+        index_start = start + length
         self.summary.chunks.append(
             ChunkIndex(
-                chunk_length=len(head),
+                chunk_length=length,
                 chunk_start_offset=start,
                 compression=record.compression,
                 compressed_size=len(record.data),
                 message_end_time=record.message_end_time,
-                message_index_length=len(chunk.index),
-                message_index_offsets={key: index_start + place for key, place in chunk.index_places.items()},
+                message_index_length=self.size - index_start,
+                message_index_offsets={key: index_start + place for key, place in places.items()},
                 message_start_time=record.message_start_time,
                 uncompressed_size=record.uncompressed_size,
             )
         )
-        self.summary.add_messages(chunk.counts, record.message_start_time, record.message_end_time)
+        self.summary.add_messages(index.counts, record.message_start_time, record.message_end_time)
 
     def finish(self) -> None:
         """Write the summary and close the file."""
@@ -224,15 +216,19 @@ class McapFile:
         """Close the file as it is."""
         self._file.close()
 
-    def add_bytes(self, data: bytes) -> None:
+    def add_bytes(self, *pieces: bytes | memoryview) -> None:
         """Write bytes that need no entry in the summary; they are out of the process when this returns."""
-        rest = memoryview(data)
+        rest = [memoryview(piece) for piece in pieces]
         try:
             while rest:
-                rest = rest[self._file.write(rest) :]
+                count = os.writev(self._file.fileno(), rest[:_PIECES])
+                self.size += count
+                while rest and count >= len(rest[0]):
+                    count -= len(rest.pop(0))
+                if count:
+                    rest[0] = rest[0][count:]
         except OSError as error:
             raise self._failure(error) from error
-        self.size += len(data)
 
     def _failure(self, error: OSError) -> CaptureError:
         return CaptureError(
@@ -254,6 +250,14 @@ def _encode(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return _built(builder)
+
+
+def _chunk_head(record: Chunk) -> bytes:
+    """Return a chunk's record up to its data, which is not copied."""
+    head = bytearray(_encode(replace(record, data=b"")))
+    struct.pack_into("<Q", head, 1, len(head) - _PREFIX_BYTES + len(record.data))
+    struct.pack_into("<Q", head, len(head) - 8, len(record.data))
+    return bytes(head)
 
 
 def _built(builder: RecordBuilder) -> bytes:

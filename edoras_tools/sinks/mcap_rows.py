@@ -37,6 +37,8 @@ class Messages:
 
     Attributes:
         rows: i64, increasing: the row of the batch that each belongs to.
+        channel_id: MCAP channel, of each or of all.
+        log_time: i64, ns since 1970.
         head_bytes: size of a head.
         heads: gives the heads of a slice of the messages: structured, ``RECORD`` first, then whatever fixed
             bytes the message data starts with. They hold until it is asked again.
@@ -47,6 +49,8 @@ class Messages:
     """
 
     rows: NDArray[np.int64]
+    channel_id: NDArray[np.uint16] | int
+    log_time: NDArray[np.int64]
     head_bytes: int
     heads: Callable[[slice], NDArray[Any]]
     data: NDArray[np.uint8]
@@ -124,12 +128,11 @@ def lay_out(streams: Sequence[Messages], rows: int) -> Records:
     first, last = np.empty(count, np.int64), np.empty(count, np.int64)
     at = 0
     for stream, inside in zip(streams, within, strict=True):
-        heads = stream.heads(slice(0, len(stream)))
         position = starts[stream.rows] + inside
-        put_rows(data, position, heads)
+        put_rows(data, position, stream.heads(slice(0, len(stream))))
         copy_rows(data, position + stream.head_bytes, stream.data, stream.offset, stream.length)
         these = slice(at, at + len(stream))
-        channel_id[these], log_time[these] = heads["channel_id"], heads["log_time"]
+        channel_id[these], log_time[these] = stream.channel_id, stream.log_time
         first[these] = position + RECORD_BYTES
         last[these] = position + stream.head_bytes + stream.length
         at += len(stream)

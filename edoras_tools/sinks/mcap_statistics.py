@@ -140,7 +140,17 @@ class LinkStatistics:
         heads["msg_id"] = (groups["flow"] & _MSG_ID_MASK) - 1
         heads["topic_length"] = length[which]
         pool = np.frombuffer(b"".join(names) or b"\0", dtype=np.uint8)
-        return Messages(rows, heads.itemsize, heads.__getitem__, pool, offset, length[which], repeats=True)
+        return Messages(
+            rows,
+            channel_id,
+            time_ns,
+            heads.itemsize,
+            heads.__getitem__,
+            pool,
+            offset,
+            length[which],
+            repeats=True,
+        )
 
     def _name(self, flow: int) -> bytes:
         """Return topic of a route or ``LINK/MSG_ID``, NUL-terminated as CDR strings are."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.sinks.mcap_rows import RECORD, Messages, fill_record
+from edoras_tools.sinks.mcap_rows import RECORD, RECORD_BYTES, Messages, fill_record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.structs import Structs
-    from edoras_tools.structs.bound import Bound
+    from edoras_tools.structs.bound import Bound, Held
 
 
 def struct_messages(
@@ -41,12 +42,40 @@ def struct_messages(
         values: NDArray[np.generic] = getattr(columns, name)
         return values
 
-    for bound, members, encoded in structs.messages(rows, column, batch.data):
-        width, length = encoded.width, encoded.size
-        heads = np.empty(len(members), dtype=[*RECORD, ("message", f"V{width}")])
-        if width:  # messages of one length are a part of their heads, and moved with them
-            heads["message"] = encoded.data.view(f"V{width}")
-            length = np.zeros_like(length)
-        sequence, time_ns = columns.sequence_count[members], batch.time_ns[members]
-        fill_record(heads, channel_id(bound), length, sequence, time_ns, published[members])
-        yield Messages(members, heads.itemsize, heads.__getitem__, encoded.data, encoded.start, length)
+    for held in structs.held(rows, column, batch.data):
+        yield _messages(held, batch, columns, channel_id(held.bound), published)
+
+
+def _messages(
+    held: Held, batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+) -> Messages:
+    """Return the messages of one struct; what is not needed to lay them out is made when it is asked for."""
+    rows = held.rows
+    log_time = batch.time_ns[rows]
+    encoded = None if held.size else held.encode()
+    # Messages of one length are a part of their heads, and moved with them.
+    width = encoded.width if encoded else held.size
+    record = np.dtype([*RECORD, ("message", f"V{width}")])
+    nothing = np.zeros(len(rows), np.int64)
+    start, length = (encoded.start, encoded.size) if encoded and not width else (nothing, nothing)
+
+    @cache
+    def heads() -> NDArray[np.void]:
+        made = np.zeros(len(rows), record)
+        if encoded is None:
+            held.fill(made.view(np.uint8).reshape(len(rows), -1)[:, RECORD_BYTES:])
+        elif width:
+            made["message"] = encoded.data.view(f"V{width}")
+        fill_record(made, channel_id, length, columns.sequence_count[rows], log_time, published[rows])
+        return made
+
+    return Messages(
+        rows,
+        channel_id,
+        log_time,
+        record.itemsize,
+        lambda chosen: heads()[chosen],
+        encoded.data if encoded else batch.data,
+        start,
+        length,
+    )

@@ -29,8 +29,8 @@ from mcap.records import (
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.sinks.mcap import METADATA_NAME, OPENING_METADATA_NAME
-from edoras_tools.sinks.mcap_chunks import message_index
-from edoras_tools.sinks.mcap_file import FinishedChunk, McapFile, Summary
+from edoras_tools.sinks.mcap_file import McapFile, Summary
+from edoras_tools.sinks.mcap_index import MessageIndex
 from edoras_tools.wire.mcap import MAGIC
 
 if TYPE_CHECKING:
@@ -52,7 +52,6 @@ _RECORDS: dict[int, Any] = {
 """What may stand among the data besides messages and chunks."""
 _PRIVATE = 0x80
 """Opcodes from here on are anybody's own; readers pass over them."""
-_NO_INDEX: tuple[bytes, dict[int, int], dict[int, int], int, list[int]] = (b"", {}, {}, 0, [])
 _COPY_BYTES = 1 << 20
 _MAX_CHUNK_BYTES = 1 << 30
 """No chunk is larger; a length beyond it is a damaged one."""
@@ -233,8 +232,8 @@ class _Rebuild:
                 break
             after = record[2]
         whole = end <= reader.size
-        index, places, counts, used, log_times = self._index(raw) if sound or not whole else _NO_INDEX
-        readable = counts.keys() <= self._summary.channels.keys()
+        index, used = self._index(raw) if sound or not whole else (MessageIndex(), 0)
+        readable = index.counts.keys() <= self._summary.channels.keys()
         if not readable or (whole and used < len(raw)) or (whole and not sound):
             # Nothing tells which of its bytes are wrong.
             self._lost += after - position
@@ -243,25 +242,25 @@ class _Rebuild:
             chunk = Chunk.read(ReadDataStream(BytesIO(content)))
         else:
             self._lost += len(content) + (start - position)
-            self._salvaged += sum(counts.values())
+            self._salvaged += sum(index.counts.values())
             raw = raw[:used]
             chunk = Chunk(
                 compression="zstd",
                 data=zstandard.ZstdCompressor().compress(raw),
-                message_start_time=min(log_times, default=0),
-                message_end_time=max(log_times, default=0),
+                message_start_time=index.start_ns,
+                message_end_time=index.end_ns,
                 uncompressed_crc=zlib.crc32(raw),
                 uncompressed_size=used,
             )
         if used:
-            self._file.add_chunk(FinishedChunk(chunk, index, places, counts))
+            self._file.add_chunk(chunk, index)
         return after
 
-    def _index(self, raw: bytes) -> tuple[bytes, dict[int, int], dict[int, int], int, list[int]]:
+    def _index(self, raw: bytes) -> tuple[MessageIndex, int]:
         """Walk the records of a chunk: build its message index, note its schemas and channels.
 
         Returns:
-            The index, as ``message_index`` does; how many bytes hold whole records; log times.
+            The index; how many bytes hold whole records.
         """
         channels: list[int] = []
         log_times: list[int] = []
@@ -280,12 +279,14 @@ class _Rebuild:
             elif not self._learn(_parsed(opcode, raw[start : start + length])):
                 break
             position = start + length
-        index, places, counts = message_index(
-            np.array(channels, dtype=np.uint16),
-            np.array(log_times, dtype=np.uint64),
-            np.array(positions, dtype=np.int64),
-        )
-        return index, places, counts, position, log_times
+        index = MessageIndex()
+        if channels:
+            index.add(
+                np.array(channels, dtype=np.uint16),
+                np.array(log_times, dtype=np.uint64),
+                np.array(positions, dtype=np.int64),
+            )
+        return index, position
 
     def _note(self, opcode: int, start: int, end: int) -> bool:
         """Note a record that may be copied to where the target ends; False where no reader could read it."""

@@ -10,6 +10,7 @@ record to record, whatever the payloads hold; a bad seed costs time, never truth
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -58,7 +59,7 @@ def walk(
         return found, end
     # The last lane is a break too: nothing follows it.
     breaks = np.append(np.flatnonzero(~joined), len(starts) - 1)
-    lane_at = {int(position): lane for lane, position in enumerate(starts)}
+    begins = starts.tolist()
     pieces: list[NDArray[np.int64]] = []
     lane = 0
     while True:
@@ -66,7 +67,7 @@ def walk(
         pieces.append(found[bases[lane] : bases[last] + counts[last]])
         position = int(landings[last])
         singles: list[int] = []
-        while position not in lane_at or lane_at[position] <= last:
+        while (lane := bisect_left(begins, position, last + 1)) == len(begins) or begins[lane] != position:
             after = step(position) if position < end else position
             if not position < after <= end:
                 pieces.append(np.array(singles, dtype=np.int64))
@@ -74,7 +75,6 @@ def walk(
             singles.append(position)
             position = after
         pieces.append(np.array(singles, dtype=np.int64))
-        lane = lane_at[position]
 
 
 def _march(

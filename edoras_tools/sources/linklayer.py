@@ -15,14 +15,14 @@ Frames that are no UDP over IP, or whose IP header is not whole or not sound, ar
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.sources.fragments import Fragment, Reassembler
 from edoras_tools.sources.framing import PADDING
-from edoras_tools.sources.network import UDP_BYTES, UDP_HEADER, Transport, ipv4, ipv6, merge
+from edoras_tools.sources.network import IPV4_HEADER, UDP_BYTES, UDP_HEADER, Transport, ipv4, ipv6, merge
 from edoras_tools.wire.window import read_at
 
 if TYPE_CHECKING:
@@ -42,6 +42,24 @@ _FAMILY_VERSION = {2: 4, 10: 6, 24: 6, 28: 6, 30: 6}
 
 LINK_TYPES = frozenset({*_PROTOCOL_FIELD, *_FAMILY_FIELD, *_RAW})
 """pcap LINKTYPEs that can be read."""
+
+
+_TYPE_AND_IPV4 = np.dtype([("ether_type", ">u2"), *IPV4_HEADER.descr])
+"""An EtherType, and what mostly follows: one access to memory instead of two."""
+
+
+class _Located(NamedTuple):
+    """Where network headers are; one element a frame.
+
+    Attributes:
+        network: i64, where each starts.
+        version: u8, of IP; 0 where there is none.
+        header: structured, with the fields of ``IPV4_HEADER``, what is there in any case; None if not read.
+    """
+
+    network: NDArray[np.int64]
+    version: NDArray[np.uint8]
+    header: NDArray[np.void] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,22 +116,19 @@ class Demux:
         data, end = frames.data, frames.offset + frames.length
         if len(frames) and int(end.max()) + PADDING > data.size:
             data = np.concatenate((data, np.zeros(PADDING, dtype=np.uint8)))
-        network, version = self._locate(data, frames)
-        parts: list[tuple[NDArray[np.int64] | None, Transport]] = []
-        for wanted, reader in ((4, ipv4), (6, ipv6)):
-            rows = np.flatnonzero(version == wanted)
-            if len(rows) == len(frames):
-                parts = [(None, reader(data, network, end))]
-                break
-            parts.append((rows, reader(data, network[rows], end[rows])))
-        transport = merge(parts)
+        network, version, header = self._locate(data, frames)
+        if (version == 4).all():
+            transport = ipv4(data, network, end, header)
+        else:
+            four, six = np.flatnonzero(version == 4), np.flatnonzero(version == 6)
+            transport = merge(
+                [(four, ipv4(data, network[four], end[four])), (six, ipv6(data, network[six], end[six]))]
+            )
         self.skipped += len(frames) - len(transport.position)
         return self._datagrams(data, _choose(frames, transport.rows), transport)
 
-    def _locate(
-        self, data: NDArray[np.uint8], frames: FrameBatch
-    ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-        """Find where each network header starts, and the IP version; 0 where there is none."""
+    def _locate(self, data: NDArray[np.uint8], frames: FrameBatch) -> _Located:
+        """Find where each network header starts, and the IP version."""
         types = frames.link_type
         if len(types) and (types == types[0]).all():
             return self._locate_one(int(types[0]), data, frames.offset, frames.offset + frames.length)
@@ -123,26 +138,30 @@ class Demux:
             rows = np.flatnonzero(types == link_type)
             offset = frames.offset[rows]
             end = offset + frames.length[rows]
-            network[rows], version[rows] = self._locate_one(int(link_type), data, offset, end)
-        return network, version
+            network[rows], version[rows], _ = self._locate_one(int(link_type), data, offset, end)
+        return _Located(network, version)
 
     def _locate_one(
         self, link_type: int, data: NDArray[np.uint8], offset: NDArray[np.int64], end: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    ) -> _Located:
         if link_type in _PROTOCOL_FIELD:
             size, at = _PROTOCOL_FIELD[link_type]
-            return _untag(data, offset + size, read_at(data, offset + at, ">u2").astype(np.uint16), end)
+            if at + 2 < size:
+                protocol = read_at(data, offset + at, ">u2")
+                return _untag(data, offset + size, protocol.astype(np.uint16), end)
+            header = read_at(data, offset + at, _TYPE_AND_IPV4)
+            return _untag(data, offset + size, header["ether_type"].astype(np.uint16), end, header)
         version = np.zeros(len(offset), dtype=np.uint8)
         if link_type in _RAW:
             version[:] = read_at(data, offset, np.uint8) >> 4
-            return offset, version
+            return _Located(offset, version)
         if link_type not in _FAMILY_FIELD:
             self.unknown_link_types.add(link_type)
-            return offset, version
+            return _Located(offset, version)
         family = read_at(data, offset, "<u4")
         for value, number in _FAMILY_VERSION.items():
             version[(family == value) | (family == value << 24)] = number
-        return offset + 4, version
+        return _Located(offset + 4, version)
 
     def _datagrams(self, data: NDArray[np.uint8], frames: FrameBatch, transport: Transport) -> PacketBatch:
         """Read UDP headers; ``frames`` and ``transport`` go row by row."""
@@ -217,15 +236,26 @@ def _untag(
     position: NDArray[np.int64],
     protocol: NDArray[np.uint16],
     end: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Step over VLAN tags (IEEE 802.1Q, nested too) and tell the IP version from the EtherType."""
+    header: NDArray[np.void] | None = None,
+) -> _Located:
+    """Step over VLAN tags (IEEE 802.1Q, nested too) and tell the IP version from the EtherType.
+
+    Args:
+        data: u8, the buffer.
+        position: i64, where what follows the EtherType starts; written to.
+        protocol: u16, the EtherType; written to.
+        end: i64, one past each frame's last captured byte.
+        header: what would be IPv4 headers if there were no tags.
+    """
     rows = np.flatnonzero(np.isin(protocol, _VLAN))
+    if len(rows):
+        header = None
     while len(rows := rows[position[rows] + 4 <= end[rows]]):
         protocol[rows] = read_at(data, position[rows] + 2, ">u2")
         position[rows] += 4
         rows = rows[np.isin(protocol[rows], _VLAN)]
     version = (protocol == _IPV4) * np.uint8(4) + (protocol == _IPV6) * np.uint8(6)
-    return position, version
+    return _Located(position, version, header)
 
 
 def _key(batch: PacketBatch, row: int, identification: int) -> tuple[int, int, bytes, bytes]:

@@ -20,7 +20,7 @@ UDP_HEADER = np.dtype([("source_port", ">u2"), ("destination_port", ">u2"), ("le
 """RFC 768, without the checksum."""
 UDP_BYTES = 8
 
-_IPV4 = np.dtype(
+IPV4_HEADER = np.dtype(
     [
         ("version_length", "u1"),
         ("service", "u1"),
@@ -88,15 +88,22 @@ class Transport:
     udp: NDArray[np.void] | None = None
 
 
-def ipv4(data: NDArray[np.uint8], network: NDArray[np.int64], end: NDArray[np.int64]) -> Transport:
+def ipv4(
+    data: NDArray[np.uint8],
+    network: NDArray[np.int64],
+    end: NDArray[np.int64],
+    header: NDArray[np.void] | None = None,
+) -> Transport:
     """Read IPv4 headers.
 
     Args:
         data: u8, the buffer.
         network: i64, where each header starts; 28 bytes from there lie in the buffer.
         end: i64, one past each frame's last captured byte.
+        header: structured, with the fields of ``IPV4_HEADER``, where it was read on the way.
     """
-    header = read_at(data, network, _IPV4)
+    if header is None:
+        header = read_at(data, network, IPV4_HEADER)
     # Version 4 and 5 to 15 words: 0 to 10.
     words = header["version_length"] - np.uint8(0x45)
     length: NDArray[np.int64] = (words.astype(np.int64) << 2) + 20
@@ -189,19 +196,13 @@ def _number(
     return index[: len(source)], index[len(source) :], table
 
 
-def merge(parts: list[tuple[NDArray[np.int64] | None, Transport]]) -> Transport:
+def merge(parts: list[tuple[NDArray[np.int64], Transport]]) -> Transport:
     """Put what was read of several choices of rows into one, in the order of the rows.
 
     Args:
-        parts: which packets were asked about, None for all, and what was read of them; at most one part
-            has addresses.
+        parts: which packets were asked about, and what was read of them; at most one part has addresses.
     """
-    chosen = [
-        replace(part, rows=asked if part.rows is None else part.rows if asked is None else asked[part.rows])
-        for asked, part in parts
-    ]
-    if len(chosen) == 1:
-        return chosen[0]
+    chosen = [replace(part, rows=asked if part.rows is None else asked[part.rows]) for asked, part in parts]
     columns = {
         item.name: np.concatenate([getattr(part, item.name) for part in chosen])
         for item in fields(Transport)

@@ -10,7 +10,10 @@ from edoras_tools.model import SourceStatistics
 from edoras_tools.sources.linklayer import Demux
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from edoras_tools.model import PacketBatch, SourceInfo
     from edoras_tools.sources.linklayer import FrameBatch
@@ -59,6 +62,10 @@ class RecordSource(ABC):
         finally:
             self._warn()
             self.close()
+
+    def borrow(self, room: Callable[[int], NDArray[np.uint8]]) -> None:
+        """Read into what ``room`` gives, u8 of so many bytes, instead of into fresh memory."""
+        self._window.room = room
 
     def close(self) -> None:
         """Close the file."""

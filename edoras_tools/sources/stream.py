@@ -15,6 +15,7 @@ from edoras_tools.sources.framing import PADDING
 
 if TYPE_CHECKING:
     import io
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
@@ -210,6 +211,7 @@ class Window:
     Attributes:
         stream: where the bytes come from.
         data: u8, the buffer; ``PADDING`` zero bytes follow those in use. Never written again once advanced.
+        room: gives u8 of so many bytes for the next one.
         end: bytes of it in use.
         base: place of its first byte in the stream.
     """
@@ -226,6 +228,7 @@ class Window:
         self.end = len(head)
         self.data: NDArray[np.uint8] = np.frombuffer(head + bytes(PADDING), dtype=np.uint8)
         self._size = FIRST
+        self.room: Callable[[int], NDArray[np.uint8]] = _fresh
 
     def advance(self, start: int) -> bool:
         """Move on: keep what is from ``start`` on, read more behind it into a fresh buffer.
@@ -237,7 +240,7 @@ class Window:
             CaptureError: the stream cannot be read any further.
         """
         kept = self.end - start
-        data = np.empty(kept + self._size + PADDING, dtype=np.uint8)
+        data = self.room(kept + self._size + PADDING)
         count = self.stream.fill(memoryview(data.data)[kept : kept + self._size])
         if not count:
             return False
@@ -247,3 +250,7 @@ class Window:
         self.data, self.end = data[: kept + count + PADDING], kept + count
         self._size = SLICE
         return True
+
+
+def _fresh(size: int) -> NDArray[np.uint8]:
+    return np.empty(size, dtype=np.uint8)

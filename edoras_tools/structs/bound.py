@@ -15,7 +15,7 @@ from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -203,6 +203,54 @@ class Bound:
         if member is self._open:
             return member.offset
         return member.offset + member.count * self.layout.size(member)
+
+
+class Held:
+    """The packets of a batch that hold one struct.
+
+    Args:
+        bound: the struct.
+        rows: i64 (n,), which packets; at least one.
+        columns: gives the decoder's by name, an element a packet of the batch.
+        data: u8, what they point into.
+
+    Attributes:
+        bound: the struct.
+        rows: which packets.
+        size: bytes of every message, where it is known without making them that all have as many; else 0.
+    """
+
+    def __init__(
+        self,
+        bound: Bound,
+        rows: NDArray[np.intp],
+        columns: Callable[[str], NDArray[Any]],
+        data: NDArray[np.uint8],
+    ) -> None:
+        self.bound = bound
+        self.rows = rows
+        self._columns = columns
+        self._data = data
+        header = columns("header_length")[rows]
+        self._offset = columns("packet_offset")[rows] + header
+        self._length = columns("packet_length")[rows] - header
+        least, most = int(self._length.min()), int(self._length.max())
+        self.size = bound.plan(most).size if least == most else 0
+
+    def encode(self) -> Encoded:
+        """Return the messages."""
+        return self.bound.encode(self._data, self._offset, self._length, self._heads())
+
+    def fill(self, rows: NDArray[np.uint8]) -> None:
+        """Write the messages, where all have one ``size``, into u8 (n, size) that is zero."""
+        length = int(self._length[0])
+        self.bound.plan(length).fill(rows, _window(self._data, self._offset, length, self._heads()))
+
+    def _heads(self) -> NDArray[np.void]:
+        heads = np.empty(len(self.rows), HEAD)
+        for field in HEADER_FIELDS:
+            heads[field.name] = np.maximum(self._columns(field.name)[self.rows], 0)
+        return heads
 
 
 def _window(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.schema import Definition
     from edoras_tools.structs.bindings import Bindings
-    from edoras_tools.structs.bound import Bound, Encoded
+    from edoras_tools.structs.bound import Bound, Held
     from edoras_tools.structs.shapes import Layout, Struct
 
 _MSG_IDS: Final = 65536
@@ -143,35 +143,21 @@ class Structs:
                     yield item, rows[found], item.fits(length[found])
                 left = left[~chosen]
 
-    def messages(
+    def held(
         self, rows: NDArray[np.intp], columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
-    ) -> Iterator[tuple[Bound, NDArray[np.intp], Encoded]]:
-        """Yield the messages of many packets, a struct at a time.
+    ) -> Iterator[Held]:
+        """Yield the structs that many packets hold, and which of the packets do.
 
         Args:
             rows: packets whose MsgIds have a struct; increasing.
             columns: gives the decoder's by name.
             data: u8, what they point into.
-
-        Yields:
-            the struct; which of ``rows`` hold it; their messages.
         """
-        from edoras_tools.structs.messages import HEADER_FIELDS
-        from edoras_tools.structs.transcode import HEAD
+        from edoras_tools.structs.bound import Held
 
         for item, members, fits in self.split(rows, columns):
-            members = members[fits]  # noqa: PLW2901  only these hold it
-            if not len(members):
-                continue
-            heads = np.empty(len(members), HEAD)
-            for field in HEADER_FIELDS:
-                heads[field.name] = np.maximum(columns(field.name)[members], 0)
-            header = columns("header_length")[members]
-            offset, length = (
-                columns("packet_offset")[members] + header,
-                columns("packet_length")[members] - header,
-            )
-            yield item, members, item.encode(data, offset, length, heads)
+            if fits.any():
+                yield Held(item, members[fits], columns, data)
 
     def _of(self, msg_id: int) -> Sequence[Bound]:
         return self._bindings.by_id[msg_id] if self.has[msg_id] else ()

@@ -130,6 +130,7 @@ class Plan:
     Attributes:
         width: bytes in front of the CDR: the head, and the payload.
         leaves: every value and where it is.
+        size: bytes of every message, encapsulation included; 0 where they differ.
 
     Raises:
         ConfigError: it spells out too many values.
@@ -147,6 +148,18 @@ class Plan:
             size = _SIZES[PRIMITIVES[item.type]]
             self._copy(HEAD.fields[item.name][1], size, size, "little")  # type: ignore[index]
         self._parts(struct, 0, (), whole=True)
+        # What follows the first block may be a text, or move with one.
+        self.size = len(ENCAPSULATION) + self._block.size if len(self._segments) == 1 else 0
+
+    def fill(self, rows: NDArray[np.uint8], window: NDArray[np.uint8]) -> None:
+        """Write messages that are all of one ``size``.
+
+        Args:
+            rows: u8 (n, size), zero.
+            window: u8 (n, width), as for ``encode``.
+        """
+        rows[:, 1] = ENCAPSULATION[1]
+        _fill(rows[:, len(ENCAPSULATION) :], self._block, window)
 
     def encode(
         self, window: NDArray[np.uint8]
@@ -160,13 +173,10 @@ class Plan:
             u8, the messages one after the other; i64 (n,), where each starts; i64 (n,), how long each is.
         """
         count = len(window)
-        first = self._segments[0]
-        if len(self._segments) == 1 and isinstance(first, Block):
-            rows = np.zeros((count, len(ENCAPSULATION) + first.size), np.uint8)
-            rows[:, 1] = ENCAPSULATION[1]
-            _fill(rows[:, len(ENCAPSULATION) :], first, window)
-            width = rows.shape[1]
-            return rows.reshape(-1), np.arange(count) * width, np.full(count, width)
+        if self.size:
+            rows = np.zeros((count, self.size), np.uint8)
+            self.fill(rows, window)
+            return rows.reshape(-1), np.arange(count) * self.size, np.full(count, self.size)
         cursor = np.zeros(count, np.int64)
         places = []
         texts: dict[int, tuple[NDArray[np.uint8], NDArray[np.int64]]] = {}

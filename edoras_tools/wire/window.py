@@ -27,8 +27,8 @@ _WASTE: Final = 4
 """Bytes that may be moved for each that is wanted."""
 _BLOCK: Final = 2048
 """Rows on their way at once: few enough for the nearest cache."""
-_KEEP: Final = np.where(np.arange(16) < np.arange(17)[:, None], np.uint8(0xFF), np.uint8(0)).view(np.uint64)
-"""Masks of two words that keep the first 0 to 16 bytes."""
+_KEEP: Final = np.array([(1 << 64) - 1, *((1 << 8 * count) - 1 for count in range(1, 8))], "<u8")
+"""Masks that keep the first 1 to 7 bytes of a word, by their number; by 0, all 8."""
 
 
 def at_every_byte(buffer: NDArray[np.uint8], width: int) -> NDArray[np.void]:
@@ -165,14 +165,17 @@ def xor_bytes(
 ) -> NDArray[np.uint8]:
     """Return the XOR of the bytes of each range ``offset : offset + length``, u8 (n,)."""
     out = np.zeros(len(offset), np.uint8)
-    for size, rows in by_value(length + 15 & ~15):
+    for size, rows in by_value(length + 7 >> 3):
         if size <= 0:
             continue
-        words = gather(data, offset[rows], size).view(np.uint64)
-        words[:, -2:] &= _KEEP[length[rows] - (size - 16)]
+        words = gather(data, offset[rows], 8 * size).view(np.uint64)
+        words[:, -1] &= _KEEP[length[rows] & 7]
         folded = words[:, 0].copy()
-        for column in range(1, words.shape[1]):
-            folded ^= words[:, column]
+        if len(rows) < size:
+            np.bitwise_xor.reduce(words, axis=1, out=folded)
+        else:
+            for column in range(1, size):
+                folded ^= words[:, column]
         for shift in (32, 16, 8):
             folded ^= folded >> np.uint64(shift)
         out[rows] = folded.astype(np.uint8)

@@ -316,7 +316,7 @@ def test_a_full_disk_is_one_error_and_closing_afterwards_is_none(
 ):
     sink = McapSink(tmp_path / "a.mcap", mission, types, info)
 
-    def full(self, data):
+    def full(self, *pieces):
         raise self._failure(OSError(28, "No space left on device"))
 
     monkeypatch.setattr(McapFile, "add_bytes", full)
@@ -333,7 +333,7 @@ def test_a_disk_that_fills_up_while_chunks_are_under_way(
     sink = McapSink(tmp_path / "a.mcap", mission, types, info)
     sink.write(*made_up(7, [100] * 10))
 
-    def full(self, data):
+    def full(self, *pieces):
         raise self._failure(OSError(28, "No space left on device"))
 
     monkeypatch.setattr(McapFile, "add_bytes", full)

@@ -54,12 +54,12 @@ def messages(path):
         for batch in source.batches():
             columns = decoder.decode(batch)
             rows = np.flatnonzero(shipped().has[columns.msg_id])
-            found = shipped().messages(rows, lambda name: getattr(columns, name), batch.data)  # noqa: B023
-            for bound, members, encoded in found:
-                for row, start, size in zip(members, encoded.start, encoded.size, strict=True):
+            for held in shipped().held(rows, lambda name: getattr(columns, name), batch.data):  # noqa: B023
+                encoded = held.encode()
+                for row, start, size in zip(held.rows, encoded.start, encoded.size, strict=True):
                     origin = int(columns.link[row]), int(columns.processor_id[row])
                     cdr = encoded.data[start : start + size].tobytes()
-                    yield bound, origin, shipped().types.decode(bound.type, cdr)
+                    yield held.bound, origin, shipped().types.decode(held.bound.type, cdr)
 
 
 @pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.stem)

@@ -295,11 +295,11 @@ def test_one_by_one_and_all_at_once_agree(items, order):
     columns = ColumnDecoder(where).decode(batch)
     found = {}
     rows = np.flatnonzero(where.structs.has[columns.msg_id])
-    for bound, members, encoded in where.structs.messages(
-        rows, lambda name: getattr(columns, name), batch.data
-    ):
-        for row, start, size in zip(members.tolist(), encoded.start, encoded.size, strict=True):
-            found[row] = bound.topic, encoded.data[start : start + size].tobytes()
+    for held in where.structs.held(rows, lambda name: getattr(columns, name), batch.data):
+        encoded = held.encode()
+        assert held.size in {0, encoded.width}
+        for row, start, size in zip(held.rows.tolist(), encoded.start, encoded.size, strict=True):
+            found[row] = held.bound.topic, encoded.data[start : start + size].tobytes()
     for row in range(len(batch)):
         decoded = Dissector(where).dissect(batch[row])
         message = decoded.message
