@@ -9,7 +9,7 @@ import numpy as np
 from edoras_tools.model import Link
 from edoras_tools.sinks.mcap_rows import ENCAPSULATION, RECORD, Messages, fill_record
 from edoras_tools.wire import cfe
-from edoras_tools.wire.window import copy_rows
+from edoras_tools.wire.window import copy_rows, put_rows, read_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -139,11 +139,7 @@ def _telemetry(
         & (header > 0)
         & (columns.packet_length[rows] >= header + payload.itemsize)
     ]
-    gathered = np.empty(len(rows) * payload.itemsize, dtype=np.uint8)
-    width = np.full(len(rows), payload.itemsize)
-    offset = columns.packet_offset[rows] + columns.header_length[rows]
-    copy_rows(gathered, np.cumsum(width) - width, batch.data, offset, width)
-    return rows, gathered.view(payload)
+    return rows, read_at(batch.data, columns.packet_offset[rows] + columns.header_length[rows], payload)
 
 
 def _log_strings(
@@ -175,11 +171,10 @@ def _log_strings(
     size = cursor + 4 - start
     base = np.cumsum(size) - size - start
     out = np.zeros(int(size.sum()), dtype=np.uint8)
-    four = np.full(count, 4)
     for (pool, offset, length), place in zip(texts, places, strict=True):
-        _put_u4(out, base + place, length + 1)
-        copy_rows(out, base + place + four, pool, offset, length)
-    _put_u4(out, base + cursor, payload["event_id"].astype(np.int64))
+        put_rows(out, base + place, (length + 1).astype("<u4"))
+        copy_rows(out, base + place + 4, pool, offset, length)
+    put_rows(out, base + cursor, payload["event_id"].astype("<u4"))
     return out, base + start, size
 
 
@@ -189,13 +184,3 @@ def _text(field: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64
     pool = np.where(field < 0x80, field, np.uint8(ord("?")))
     ended = np.concatenate((pool == 0, np.ones((count, 1), dtype=np.bool_)), axis=1)
     return pool.ravel(), np.arange(count) * width, ended.argmax(axis=1)
-
-
-def _put_u4(out: NDArray[np.uint8], positions: NDArray[np.int64], values: NDArray[np.int64]) -> None:
-    copy_rows(
-        out,
-        positions,
-        values.astype("<u4").view(np.uint8),
-        np.arange(len(values)) * 4,
-        np.full(len(values), 4),
-    )

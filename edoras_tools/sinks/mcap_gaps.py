@@ -42,5 +42,6 @@ class SequenceGaps:
             tracker = trackers[owner]
             before = tracker.gaps
             tracker.follow(first, last)
-            missing[row] = tracker.gaps - before
+            if tracker.gaps != before:
+                missing[row] = tracker.gaps - before
         return missing
