@@ -2,7 +2,7 @@
 
 Two threads that work in numpy hand that lock to each other hundreds of times a batch; two processes need not.
 The arrays of a batch lie in memory that both have, everything else is pickled through a socket. Every request
-is answered once and in order: a batch when its arrays are no longer read, whatever failed by what was raised.
+is answered once it was done, in order, by nothing or by what was raised.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
 
-_SLOTS: Final = 3
-"""Batches under way: the one being handed over, and those that the sink still reads."""
+_SLOTS: Final = 2
+"""Batches under way: the one being handed over, and the one that is written."""
 _SLOT_BYTES: Final = 32 << 20
 """Room for the arrays of one; what does not fit goes through the socket. Only what is used becomes memory."""
-_ROOMS: Final = 4
+_ROOMS: Final = 3
 _ROOM_BYTES: Final = 9 << 20
 """Memory lent to a source to read into, which need not be copied then: what it is at, and one a slot."""
 _LENT: Final = _ROOMS * _ROOM_BYTES
@@ -44,13 +44,8 @@ _ALIGNMENT: Final = 64
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
-class Patient(Sink, Protocol):
-    """A sink that may read a batch after ``write`` has returned."""
-
-    @property
-    def waiting(self) -> int:
-        """How many of the last batches are still read."""
-        ...
+class Filing(Sink, Protocol):
+    """A sink that writes files."""
 
     @property
     def paths(self) -> list[Path]:
@@ -77,7 +72,7 @@ class Apart:
         OSError: no process can be forked.
     """
 
-    def __init__(self, sink: Patient, statistics: SourceStatistics, path: Path) -> None:
+    def __init__(self, sink: Filing, statistics: SourceStatistics, path: Path) -> None:
         if sys.platform != "linux":
             raise OSError("elsewhere libraries do not expect to be forked")
         self.paths: list[Path] = []
@@ -206,7 +201,7 @@ def _address(data: NDArray[np.uint8]) -> int:
 
 
 def _serve(
-    sink: Patient, statistics: SourceStatistics, memory: NDArray[np.uint8], link: BufferedRWPair
+    sink: Filing, statistics: SourceStatistics, memory: NDArray[np.uint8], link: BufferedRWPair
 ) -> NoReturn:
     """Live the life of the forked process: do what is asked until it is to close, or nobody asks any more.
 
@@ -214,14 +209,12 @@ def _serve(
     """
     with suppress(BaseException):
         gc.freeze()  # a collection would write to all the memory that is still shared
-        owed: list[int] = []
         kind = ""
         while kind != "close":
             try:
                 number, kind, *values = pickle.load(link)  # noqa: S301  from the process that forked this one
             except (OSError, EOFError, pickle.UnpicklingError):
                 number, kind, values = 0, "close", [statistics]
-            owed.append(number)
             answer: Any = None
             try:
                 if kind == "write":
@@ -233,17 +226,14 @@ def _serve(
                     answer = sink.paths
             except Exception as error:  # noqa: BLE001  all of them are for the one that asked
                 answer = error
-            done = len(owed) - (sink.waiting if answer is None else 0)
             with suppress(OSError):  # nobody there: the end of the requests is read next
-                for due in owed[:done]:
-                    pickle.dump((due, answer if due == number else None), link, protocol=5)
+                pickle.dump((number, answer), link, protocol=5)
                 link.flush()
-            del owed[:done]
     os._exit(0)
 
 
 def _write(
-    sink: Patient,
+    sink: Filing,
     statistics: SourceStatistics,
     memory: NDArray[np.uint8],
     body: bytes,

@@ -101,13 +101,8 @@ class McapSink:
         """The files written."""
         return [file.path for file in self.files]
 
-    @property
-    def waiting(self) -> int:
-        """How many of the last batches are still read."""
-        return self._chunks.waiting
-
     def write(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch and what was read from it; both are read until the next ``flush``."""
+        """Take a batch and what was read from it."""
         first = 0
         while first < len(batch):
             last = self._make_room(batch, first)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import zstandard
@@ -26,30 +26,29 @@ CHUNK_BYTES = 4 << 20
 """Uncompressed bytes of a full chunk; more only where one message is larger."""
 _LEVEL = -1
 """zstd level: an eighth faster than 1 for a twentieth more bytes; those beyond compress much worse."""
-_IN_FLIGHT = 2
-"""Batches that may wait for the thread; bounds memory, and the caller waits when it is ahead."""
+_IN_FLIGHT = 3
+"""Chunks that may wait for the thread; bounds memory, and the caller waits when it is ahead."""
 
 
 class ChunkWriter:
-    """Appends messages to a file, chunk by chunk, in a thread of its own.
+    """Appends messages to a file, chunk by chunk; a thread of its own compresses and writes the full ones.
 
-    Laying out and compressing are long numpy and zstd calls that do without Python, so they run while
-    the caller reads and decodes the next batch.
+    Compressing does without Python, so it runs while the caller goes on with the next chunk.
 
     Args:
         file: where the chunks go; until ``flush`` returns it belongs to the thread.
 
     Raises:
         CaptureError: from every method: the file cannot be written. What failed in the thread is raised by
-            the next call.
+            a later call.
     """
 
     def __init__(self, file: McapFile) -> None:
         self._file = file
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="edoras-mcap")
-        self._pending: deque[Future[None]] = deque()
+        self._pending: deque[Future[NDArray[np.uint8]]] = deque()
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
-        self._buffer = np.empty(CHUNK_BYTES, dtype=np.uint8)
+        self._buffer = _blank()
         self._used = 0
         self._index = MessageIndex()
         self._appended = 0
@@ -60,16 +59,11 @@ class ChunkWriter:
         waiting = self._appended - sum(chunk.uncompressed_size for chunk in self._file.summary.chunks)
         return self._file.size + waiting
 
-    @property
-    def waiting(self) -> int:
-        """How many of the last batches are still read."""
-        return sum(not item.done() for item in self._pending)
-
     def append(self, streams: Sequence[Messages], rows: int) -> None:
         """Append messages of a batch, row by row, in each row in the order of ``streams``.
 
         Args:
-            streams: the messages; their arrays are read until ``flush`` returns.
+            streams: the messages.
             rows: rows of the batch.
         """
         streams = [stream for stream in streams if len(stream)]
@@ -77,11 +71,11 @@ class ChunkWriter:
             len(stream) * stream.head_bytes + int(stream.length.sum()) for stream in streams
         )
         if streams:
-            self._submit(self._lay_out, streams, rows)
+            self._lay_out(streams, rows)
 
     def flush(self) -> None:
         """End the chunk under way, and wait until all are out of the process."""
-        self._submit(self._store)
+        self._store()
         while self._pending:
             self._pending.popleft().result()
 
@@ -96,14 +90,7 @@ class ChunkWriter:
         """End the thread, and forget what it has not begun to write."""
         self._thread.shutdown(cancel_futures=True)
 
-    def _submit(self, work: Callable[..., None], *arguments: Any) -> None:
-        """Give work to the thread, after waiting until it is no more than ``_IN_FLIGHT`` behind."""
-        while len(self._pending) >= _IN_FLIGHT:
-            self._pending.popleft().result()
-        self._pending.append(self._thread.submit(work, *arguments))
-
     def _lay_out(self, streams: Sequence[Messages], rows: int) -> None:
-        """Write messages into chunks; runs in the thread, as all that follows."""
         total = np.zeros(rows, dtype=np.int64)
         within = [within_rows(stream, total) for stream in streams]
         ends = np.cumsum(total)
@@ -130,23 +117,30 @@ class ChunkWriter:
             first = last
 
     def _store(self) -> None:
-        """Compress, index and write the chunk under way, and begin another."""
+        """Hand over the chunk under way, and begin another."""
         if not self._used:
             return
-        raw = self._buffer[: self._used].data
+        self._pending.append(self._thread.submit(self._press, self._buffer, self._used, self._index))
+        self._buffer = self._pending.popleft().result() if len(self._pending) > _IN_FLIGHT else _blank()
+        self._used = 0
+        self._index = MessageIndex()
+
+    def _press(self, buffer: NDArray[np.uint8], used: int, index: MessageIndex) -> NDArray[np.uint8]:
+        """Compress and write a chunk; runs in the thread. Return a buffer that is free then."""
         record = Chunk(
             compression="zstd",
-            data=self._compressor.compress(raw),
-            message_end_time=self._index.end_ns,
-            message_start_time=self._index.start_ns,
+            data=self._compressor.compress(buffer[:used].data),
+            message_end_time=index.end_ns,
+            message_start_time=index.start_ns,
             uncompressed_crc=0,  # not given: the zstd frame has a checksum of its own, a third as dear
-            uncompressed_size=self._used,
+            uncompressed_size=used,
         )
-        self._file.add_chunk(record, self._index)
-        self._index = MessageIndex()
-        self._used = 0
-        if len(self._buffer) != CHUNK_BYTES:
-            self._buffer = np.empty(CHUNK_BYTES, dtype=np.uint8)
+        self._file.add_chunk(record, index)
+        return buffer if len(buffer) == CHUNK_BYTES else _blank()
+
+
+def _blank() -> NDArray[np.uint8]:
+    return np.empty(CHUNK_BYTES, dtype=np.uint8)
 
 
 class _Part:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,7 +48,7 @@ def struct_messages(
 def _messages(
     held: Held, batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
 ) -> Messages:
-    """Return the messages of one struct; what is not needed to lay them out is made when it is asked for."""
+    """Return the messages of one struct."""
     rows = held.rows
     log_time = batch.time_ns[rows]
     encoded = None if held.size else held.encode()
@@ -58,23 +57,18 @@ def _messages(
     record = np.dtype([*RECORD, ("message", f"V{width}")])
     nothing = np.zeros(len(rows), np.int64)
     start, length = (encoded.start, encoded.size) if encoded and not width else (nothing, nothing)
-
-    @cache
-    def heads() -> NDArray[np.void]:
-        made = np.zeros(len(rows), record)
-        if encoded is None:
-            held.fill(made.view(np.uint8).reshape(len(rows), -1)[:, RECORD_BYTES:])
-        elif width:
-            made["message"] = encoded.data.view(f"V{width}")
-        fill_record(made, channel_id, length, columns.sequence_count[rows], log_time, published[rows])
-        return made
-
+    heads = np.zeros(len(rows), record)
+    if encoded is None:
+        held.fill(heads.view(np.uint8).reshape(len(rows), -1)[:, RECORD_BYTES:])
+    elif width:
+        heads["message"] = encoded.data.view(f"V{width}")
+    fill_record(heads, channel_id, length, columns.sequence_count[rows], log_time, published[rows])
     return Messages(
         rows,
         channel_id,
         log_time,
         record.itemsize,
-        lambda chosen: heads()[chosen],
+        heads.__getitem__,
         encoded.data if encoded else batch.data,
         start,
         length,

@@ -77,7 +77,7 @@ class Rosbag2Sink:
         self._closed = False
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take a batch and what was read from it; both are read until the next ``flush``."""
+        """Take a batch and what was read from it."""
         self._sink.write(batch, columns)
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
