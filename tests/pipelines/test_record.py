@@ -265,3 +265,39 @@ def test_batches_of_one_make_the_same_recording(bench, batches, made_up, tmp_pat
     assert contents[0] == contents[1]
     assert len(contents[0]) == 100
     assert bench.mission == Mission()
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+@pytest.mark.parametrize("limits", [{}, {"split_bytes": 60_000}, {"split_ns": 20_000_000_000}])
+def test_a_process_of_its_own_for_what_writes_makes_the_same_recording(
+    bench, captures, tmp_path, monkeypatch, limits
+):
+    contents = []
+    for large in (1 << 60, 0):
+        monkeypatch.setattr(module, "_LARGE", large)
+        report = record(
+            open_files([captures("a_rover")]),
+            bench,
+            Target(tmp_path / "a.mcap", **limits),
+            clock=lambda: 0,
+            count=1500,
+        )
+        assert report.ledger.datagrams == 1500
+        assert len(report.outputs) == 1 or limits
+        contents.append({path.name: path.read_bytes() for path in report.outputs})
+        for path in report.outputs:
+            path.unlink()
+    assert contents[0] == contents[1]
+
+
+def test_where_no_process_can_be_forked_it_records_all_the_same(bench, captures, tmp_path, monkeypatch):
+    def none(*_):
+        raise BlockingIOError("Resource temporarily unavailable")
+
+    monkeypatch.setattr(module, "_LARGE", 0)
+    monkeypatch.setattr("os.fork", none)
+    source = open_files([captures("a_rover")])
+    report = record(source, bench, Target(tmp_path / "a.mcap"), clock=lambda: 0)
+    assert report.ledger.datagrams == 1827
+    with (tmp_path / "a.mcap").open("rb") as file:
+        assert sum(1 for _ in make_reader(file).iter_messages(["/edoras/datagrams"])) == 1827
