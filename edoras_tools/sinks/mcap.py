@@ -227,7 +227,7 @@ class McapSink:
         file = self.files[-1]
         if self._count == 0 and not file.summary.attachments:
             for name, data in self._mission.files.items():
-                file.add_attachment(name, "application/yaml", data, time_ns)
+                file.add_attachment(name, "application/yaml", data, max(time_ns, 0))
 
     def _opening(self) -> dict[str, str]:
         return {

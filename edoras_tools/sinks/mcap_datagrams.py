@@ -10,12 +10,12 @@ from edoras_tools.model import Finding
 from edoras_tools.sinks.mcap_rows import (
     ENCAPSULATION,
     OPCODE_MESSAGE,
-    PREFIX_BYTES,
     RECORD,
     RECORD_BYTES,
     Messages,
     fill_record,
 )
+from edoras_tools.wire.mcap import RECORD_PREFIX_BYTES
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -105,7 +105,7 @@ class DatagramWriter:
         if len(self._heads) < len(batch):
             self._heads = self._blank(len(batch))
         heads = self._heads[: len(batch)]
-        heads["record_length"] = batch.frame_length + np.int64(_DATAGRAM.itemsize - PREFIX_BYTES)
+        heads["record_length"] = batch.frame_length + np.int64(_DATAGRAM.itemsize - RECORD_PREFIX_BYTES)
         heads["sequence"] = columns.sequence_count
         heads["log_time"] = batch.time_ns
         heads["publish_time"] = published

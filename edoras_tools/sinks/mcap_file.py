@@ -32,7 +32,7 @@ from mcap.records import (
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
-from edoras_tools.wire.mcap import MAGIC
+from edoras_tools.wire.mcap import MAGIC, RECORD_PREFIX_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.sinks.mcap_index import MessageIndex
 
-_PREFIX_BYTES = 9
-"""An opcode, and the length of what follows."""
 _PIECES = 1024
 """Most that one call may write, Linux's IOV_MAX."""
 _FOOTER_BYTES_IN_CRC = 9 + 8 + 8
@@ -219,14 +217,16 @@ class McapFile:
     def add_bytes(self, *pieces: bytes | memoryview) -> None:
         """Write bytes that need no entry in the summary; they are out of the process when this returns."""
         rest = [memoryview(piece) for piece in pieces]
+        done = 0
         try:
-            while rest:
-                count = os.writev(self._file.fileno(), rest[:_PIECES])
+            while done < len(rest):
+                count = os.writev(self._file.fileno(), rest[done : done + _PIECES])
                 self.size += count
-                while rest and count >= len(rest[0]):
-                    count -= len(rest.pop(0))
+                while done < len(rest) and count >= len(rest[done]):
+                    count -= len(rest[done])
+                    done += 1
                 if count:
-                    rest[0] = rest[0][count:]
+                    rest[done] = rest[done][count:]
         except OSError as error:
             raise self._failure(error) from error
 
@@ -255,7 +255,7 @@ def _encode(record: McapRecord) -> bytes:
 def _chunk_head(record: Chunk) -> bytes:
     """Return a chunk's record up to its data, which is not copied."""
     head = bytearray(_encode(replace(record, data=b"")))
-    struct.pack_into("<Q", head, 1, len(head) - _PREFIX_BYTES + len(record.data))
+    struct.pack_into("<Q", head, 1, len(head) - RECORD_PREFIX_BYTES + len(record.data))
     struct.pack_into("<Q", head, len(head) - 8, len(record.data))
     return bytes(head)
 

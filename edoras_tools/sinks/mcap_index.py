@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from mcap.opcode import Opcode
 
+from edoras_tools.wire.mcap import RECORD_PREFIX_BYTES
 from edoras_tools.wire.order import by_value
 
 if TYPE_CHECKING:
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
 
 _HEAD: Final = struct.Struct("<BQHI")
 """Opcode, length of what follows it, channel id, bytes of entries."""
-_PREFIX_BYTES: Final = 9
-"""What that length does not count."""
 _ENTRY: Final = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
@@ -71,7 +70,7 @@ class MessageIndex:
             size = count * _ENTRY.itemsize
             places[channel_id] = end
             end += _HEAD.size + size
-            length = _HEAD.size - _PREFIX_BYTES + size
+            length = _HEAD.size - RECORD_PREFIX_BYTES + size
             pieces.append(_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel_id, size))
             pieces += [item.view(np.uint8).data for item in self._entries[channel_id]]
         return pieces, places

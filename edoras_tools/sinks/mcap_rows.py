@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from edoras_tools.wire.mcap import RECORD_PREFIX_BYTES
 from edoras_tools.wire.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ RECORD = [
 ]
 """An MCAP Message record up to its data."""
 RECORD_BYTES = np.dtype(RECORD).itemsize
-PREFIX_BYTES = 9
-"""Bytes of a record that its length does not count: the opcode and the length."""
 OPCODE_MESSAGE = 0x05
 ENCAPSULATION = 0x00000100
 """The CDR encapsulation ``00 01 00 00`` (little-endian CDR, no options) as a little-endian u32."""
@@ -81,7 +80,7 @@ def fill_record(
         publish_time: ns since 1970.
     """
     heads["opcode"] = OPCODE_MESSAGE
-    heads["record_length"] = length + (heads.itemsize - PREFIX_BYTES)
+    heads["record_length"] = length + (heads.itemsize - RECORD_PREFIX_BYTES)
     heads["channel_id"] = channel_id
     heads["sequence"] = sequence
     heads["log_time"] = log_time

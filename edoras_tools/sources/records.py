@@ -64,7 +64,10 @@ class RecordSource(ABC):
             self.close()
 
     def borrow(self, room: Callable[[int], NDArray[np.uint8]]) -> None:
-        """Read into what ``room`` gives, u8 of so many bytes, instead of into fresh memory."""
+        """Read into what ``room`` gives, u8 of so many bytes, instead of into fresh memory.
+
+        It must not give memory again that batches are still read from, nor that it gave last.
+        """
         self._window.room = room
 
     def close(self) -> None:

@@ -210,8 +210,9 @@ class Window:
 
     Attributes:
         stream: where the bytes come from.
-        data: u8, the buffer; ``PADDING`` zero bytes follow those in use. Never written again once advanced.
-        room: gives u8 of so many bytes for the next one.
+        data: u8, the buffer; ``PADDING`` zero bytes follow those in use. Not written again once advanced,
+            unless ``room`` gives it once more.
+        room: gives u8 of so many bytes for the next one; fresh memory if not set otherwise.
         end: bytes of it in use.
         base: place of its first byte in the stream.
     """
@@ -231,7 +232,7 @@ class Window:
         self.room: Callable[[int], NDArray[np.uint8]] = _fresh
 
     def advance(self, start: int) -> bool:
-        """Move on: keep what is from ``start`` on, read more behind it into a fresh buffer.
+        """Move on: keep what is from ``start`` on, read more behind it into another buffer.
 
         Returns:
             False when the stream has ended; the window stays as it is then.

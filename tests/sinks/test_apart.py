@@ -2,16 +2,20 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from waiting import until
 
 from edoras_tools.decode import ColumnDecoder, Context
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, FieldError
 from edoras_tools.mission import Mission
 from edoras_tools.model import SourceStatistics
 from edoras_tools.sinks import apart
@@ -134,7 +138,7 @@ def test_what_is_lent_is_not_copied(tmp_path, made_up):
     batch, columns = made_up(1, [100] * 20)
     lent = sink.lend(len(batch.data))
     lent[:] = batch.data
-    sink.write(type(batch)(**{**{k: getattr(batch, k) for k in batch.__slots__}, "data": lent}), columns)
+    sink.write(replace(batch, data=lent), columns)
     rooms = [sink.lend(10) for _ in range(apart._ROOMS)]
     addresses = {room.__array_interface__["data"][0] for room in rooms}
     assert len(addresses) == len(rooms)
@@ -153,7 +157,70 @@ def test_what_the_sink_raises_is_raised_here(tmp_path, made_up, error):
     with pytest.raises(type(error), match=str(error)):
         sink.flush()
     sink.close(SourceStatistics())
-    assert path.read_text() == "flushed\nclosed 0\n"
+    assert path.read_text() == "closed 0\n"
+
+
+def test_a_failure_is_not_told_to_the_source_that_borrows(tmp_path, made_up):
+    sink, _, _ = started(tmp_path, fail=CaptureError("a.mcap: cannot be written"))
+    batch, columns = made_up(1, [100] * 20)
+    lent = sink.lend(len(batch.data))
+    sink.write(replace(batch, data=lent), columns)
+    for _ in range(4):
+        assert len(sink.lend(10)) == 10
+    with pytest.raises(CaptureError, match="cannot be written"):
+        sink.close(SourceStatistics())
+    sink.close(SourceStatistics())
+
+
+def test_an_exception_that_does_not_survive_the_way(tmp_path, made_up):
+    sink, _, _ = started(tmp_path, fail=FieldError("ccsds", "apid", "99999 does not fit"))
+    sink.write(*made_up(1, [100] * 20))
+    with pytest.raises(CaptureError, match=r"ccsds.*99999 does not fit"):
+        sink.flush()
+    sink.close(SourceStatistics())
+
+
+def test_what_could_not_be_asked_is_not_waited_for(tmp_path, made_up):
+    sink, path, _ = started(tmp_path)
+    batch, columns = made_up(1, [100] * 20)
+    lent = sink.lend(len(batch.data))
+    with pytest.raises(TypeError, match="pickle"):
+        sink.write(replace(batch, data=lent, ipv6=threading.Lock()), columns)
+    for _ in range(4):
+        sink.lend(10)
+    sink.write(batch, columns)
+    sink.close(SourceStatistics())
+    assert len(path.read_text().splitlines()) == 2
+
+
+def test_where_nobody_waits_for_processes(tmp_path, made_up):
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        sink, path, _ = started(tmp_path)
+        sink.write(*made_up(1, [100] * 20))
+        sink.close(SourceStatistics())
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+    assert len(path.read_text().splitlines()) == 2
+
+
+def test_the_process_goes_with_the_one_that_started_it(tmp_path):
+    code = f"""
+import sys, time
+sys.path[:0] = {[str(Path(__file__).parents[up] / name) for up, name in ((0, "."), (1, "support"))]!r}
+from test_apart import started
+from pathlib import Path
+sink, _, _ = started(Path({str(tmp_path)!r}), slow=60)
+sink._ask("flush")
+print(sink._process, flush=True)
+time.sleep(60)
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as starter:
+        number = int(starter.stdout.readline())
+        assert Path(f"/proc/{number}").exists()
+        starter.kill()
+    state = Path(f"/proc/{number}/stat")
+    until(lambda: not state.exists() or state.read_text().split()[2] == "Z", "the process is still there")
 
 
 def test_a_process_that_was_killed(tmp_path, made_up):

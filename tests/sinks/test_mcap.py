@@ -145,6 +145,15 @@ def test_metadata_and_attachments(tmp_path, types, mission, info, made_up):
     ]
 
 
+def test_times_before_1970(tmp_path, types, mission, info, made_up):
+    path = tmp_path / "a.mcap"
+    record(path, mission, types, info, [made_up(1, [100] * 50, start_ns=-1_000_000_000)])
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        assert [item.log_time for item in reader.iter_attachments()] == [0]
+        assert sum(1 for _ in reader.iter_messages(["/edoras/datagrams"])) == 50
+
+
 def expected_messages(batch, columns, mission):
     """What must be recorded, a datagram at a time: topic, log time, sequence and the bytes or values."""
     for row in range(len(batch)):
