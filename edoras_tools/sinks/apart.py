@@ -93,6 +93,7 @@ class Apart:
         self._used = [0] * _ROOMS
         """Of each room, which request was the last to name it."""
         self._link, there = socket.socketpair()
+        starter = os.getpid()
         with there, _undisturbed():
             try:
                 self._process = os.fork()
@@ -101,7 +102,7 @@ class Apart:
                 raise
             if not self._process:
                 self._link.close()
-                _serve(sink, statistics, self._memory, there)
+                _serve(sink, statistics, self._memory, there, starter)
         sink.abandon()
 
     def lend(self, size: int) -> NDArray[np.uint8]:
@@ -239,7 +240,11 @@ def _address(data: NDArray[np.uint8]) -> int:
 
 
 def _serve(
-    sink: Filing, statistics: SourceStatistics, memory: NDArray[np.uint8], link: socket.socket
+    sink: Filing,
+    statistics: SourceStatistics,
+    memory: NDArray[np.uint8],
+    link: socket.socket,
+    starter: int,
 ) -> NoReturn:
     """Live the life of the forked process: do what is asked until it is to close, or nobody asks any more.
 
@@ -248,6 +253,8 @@ def _serve(
     """
     with suppress(BaseException):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != starter:  # it was gone before that
+            os._exit(1)
         gc.freeze()  # a collection would write to all the memory that is still shared
         failed = False
         kind = ""
