@@ -2,9 +2,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 FUZZ_SECONDS ?= 60
+SOAK_SECONDS ?= 600
+SOAK_RATE ?= 1000
 WORKERS := --numprocesses 2 --dist loadfile
+QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis render tui/data io/formats io/frames)
+SEARCHES := $(addprefix --ignore=tests/,diagnosis/test_variants.py diagnosis/test_cuts.py io/formats/mcap/test_recover.py)
 
-.PHONY: help venv demo test lint format bench explore fuzz judges clean
+.PHONY: help venv demo test check long lint format bench kill explore fuzz soak lock sbom judges ros clean
 
 help:  ## Show what there is to make.
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -14,7 +18,12 @@ venv: $(VENV)/.installed  ## Set up .venv with everything but the judges.
 $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit("edoras-tools needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; try: make PYTHON=python3.12" if sys.version_info < (3, 11) else 0)'
 	@$(PYTHON) -m venv $(VENV) || { echo "python3-venv is missing; on Debian: apt install python3-venv" >&2; exit 1; }
+ifdef LOCKED
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+else
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
+endif
 	$(BIN)/python -m compileall -q edoras_tools dissectors
 	@touch $@
 
@@ -24,8 +33,17 @@ demo: venv  ## Tour the main job on loopback.
 judges:  ## Install tshark, Chromium and a C compiler, the tests' judges, where they are missing.
 	@.ci/install-judges
 
-test: venv judges lint  ## Run every check and test.
+ros: venv  ## Install ROS 2 Jazzy and Kilted from their wheels, real peers for the tests, where they can be had.
+	@.ci/install-ros $(BIN)/python
+
+test: venv judges ros lint  ## Run every check and test.
 	$(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
+
+check: lint  ## Run the checks and the quick tests, in less than a minute.
+	$(BIN)/pytest $(WORKERS) $(QUICK) $(SEARCHES)
+
+long: venv judges ros  ## Run every test with all examples and all combinations: many minutes.
+	EDORAS_LONG=1 $(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
 
 lint: venv  ## Style, types, and which way imports point.
 	$(BIN)/ruff check
@@ -40,11 +58,25 @@ format: venv  ## Lay the code out.
 bench: venv judges  ## Measure speed beside tshark, in one run.
 	$(BIN)/python benchmarks/run.py
 
+kill: venv  ## Kill recorders a hundred times under load, and show what each kill cost: some minutes.
+	$(BIN)/python benchmarks/kill.py
+
 explore: venv  ## Run the tests with new random examples.
 	HYPOTHESIS_PROFILE=explore $(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
 
 fuzz: venv  ## Feed garbage to every decoder for FUZZ_SECONDS.
 	$(BIN)/python tests/fuzz/fuzz.py --seconds $(FUZZ_SECONDS)
 
+soak: venv  ## Run everything that runs for long at load for SOAK_SECONDS: memory, open files, losses.
+	$(BIN)/python benchmarks/soak.py --seconds $(SOAK_SECONDS) --rate $(SOAK_RATE)
+
+lock: venv  ## Lock the versions and hashes of all that is installed by LOCKED=1, as in continuous integration.
+	$(BIN)/pip install --quiet --disable-pip-version-check uv
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --extra all --extra dev --generate-hashes \
+		--no-emit-index-url --custom-compile-command 'make lock' --upgrade -o requirements.lock pyproject.toml
+
+sbom: venv  ## List all that is installed, with versions and licences, in dist/edoras-tools.cdx.json (CycloneDX).
+	$(BIN)/python .ci/make_sbom.py dist/edoras-tools.cdx.json
+
 clean:  ## Remove what make made.
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache benchmarks/out
+	rm -rf $(VENV) .ros build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache benchmarks/out

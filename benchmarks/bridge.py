@@ -18,23 +18,25 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.emulator import Served, Simulation, WireDatagram
+from edoras_tools.io.net.buffer import make_buffer
+from edoras_tools.io.net.sockets import kernel_drops, open_bound, open_socket
+from edoras_tools.io.net.wire import precise_timing
 from edoras_tools.middleware import Qos, open_graph
 from edoras_tools.model import Endpoint
-from edoras_tools.pipelines.bridge import Bridges
-from edoras_tools.pipelines.bridge_plan import Wishes, plan_bridges
+from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
+from edoras_tools.pipelines.bridge.run import Bridges
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
-from edoras_tools.sessions.profile import MILLISECOND, SimProfile
-from edoras_tools.sim import Sent, Simulation, serve
-from edoras_tools.sinks.wire import precise_timing
-from edoras_tools.sources.relay import make_arena, open_port, open_socket, stage
-from edoras_tools.sources.udp import kernel_drops
+from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe, envelope
 
 if TYPE_CHECKING:
@@ -69,13 +71,13 @@ def pace(rate: int, seconds: float, step: int, send) -> int:
 
 def cfs(rate: int, seconds: float) -> None:
     """Play cFS: send telemetry at a rate, count commands; print what came of it."""
-    arena, taken = make_arena(), open_port(Endpoint(HOST, CI))
+    buffer, taken = make_buffer(), open_bound(Endpoint(HOST, CI))
     sender = open_socket(socket.AF_INET)
     sender.connect((HOST, TO))
     step = max(rate // 1000, 1)
     packet = cfe.emit_telemetry(0x0827, envelope.DEFAULT.emit(CDR))
     for row in range(256, 256 + step):
-        stage(arena, row, packet)
+        buffer.put(row, packet)
     rows = np.arange(256, 256 + step)
     print("ready", flush=True)
     sys.stdin.readline()
@@ -83,12 +85,12 @@ def cfs(rate: int, seconds: float) -> None:
 
     def send(_count: int) -> None:
         nonlocal received
-        arena.send(sender, rows, None)
-        received += max(arena.receive(taken), 0)
+        buffer.send(sender, rows, None)
+        received += max(buffer.receive(taken), 0)
 
     sent = pace(rate, seconds, step, send)
     while select.select([taken], [], [], 1)[0]:
-        received += max(arena.receive(taken), 0)
+        received += max(buffer.receive(taken), 0)
     print(json.dumps({"sent": sent, "received": received, "drops": kernel_drops(taken)}))
 
 
@@ -109,9 +111,9 @@ def both_ways(folder: Path, rate: int) -> dict[str, object]:
         text=True,
     )
     other.stdout.readline()
-    wishes = Wishes(enable=False)
-    plan = plan_bridges(Settings((mission(folder),)), wishes)
-    bridges = Bridges(plan, wishes)
+    request = BridgeRequest(enable=False)
+    plan = plan_bridges(Settings((mission(folder),)), request)
+    bridges = Bridges(plan, request)
     thread = threading.Thread(target=bridges.run)
     thread.start()
     node = open_graph("local", plan.types, "bench")
@@ -154,7 +156,6 @@ def whole_way(ros: str, options: dict[str, str], other: dict[str, str]) -> dict[
     fast = MILLISECOND
     profile = replace(SimProfile(), to_wake_ns=fast, ci_wake_ns=fast, sbn_wake_ns=fast)
     simulation = Simulation(profile, "two-rovers", bridges=False)
-    stop, ready = threading.Event(), threading.Event()
     inside: dict[bytes, int] = {}
     feed, run = simulation.feed, simulation.run
 
@@ -162,7 +163,7 @@ def whole_way(ros: str, options: dict[str, str], other: dict[str, str]) -> dict[
         inside.setdefault(data[-STATE:], -time.monotonic_ns())
         feed(time_ns, place, data)
 
-    def leaving(until_ns: int) -> Iterator[Sent]:
+    def leaving(until_ns: int) -> Iterator[WireDatagram]:
         for item in run(until_ns):
             cdr = item.payload[AT : AT + STATE]
             if item.destination.port == TO and inside.get(cdr, 0) < 0:
@@ -170,13 +171,10 @@ def whole_way(ros: str, options: dict[str, str], other: dict[str, str]) -> dict[
             yield item
 
     simulation.feed, simulation.run = entering, leaving
-    flight_software = threading.Thread(
-        target=serve, args=(simulation, HOST, None, stop, ready.set), daemon=True
-    )
-    flight_software.start()
-    ready.wait()
+    flight_software = ExitStack()
+    flight_software.enter_context(Served(simulation))
     files = tuple(MISSIONS / f"two_rovers_{side}.yaml" for side in ("ground", "flight"))
-    bridges = Bridges(plan_bridges(Settings(files), Wishes()), ros=ros, options=options)
+    bridges = Bridges(plan_bridges(Settings(files), BridgeRequest()), ros=ros, options=options)
     thread = threading.Thread(target=bridges.run)
     thread.start()
     if ros == "local":
@@ -187,8 +185,7 @@ def whole_way(ros: str, options: dict[str, str], other: dict[str, str]) -> dict[
     bridges.stop()
     thread.join()
     bridges.close()
-    stop.set()
-    flight_software.join()
+    flight_software.close()
     took = found.pop("took_ns")
     beside = [total - inside[bytes.fromhex(cdr)] for cdr, total in took.items()]
     return {"ros": ros, **found, "whole_ms": spread(took.values()), "beside_cfs_ms": spread(beside)}

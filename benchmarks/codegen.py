@@ -12,7 +12,8 @@ from pathlib import Path
 
 from rosbags.typesys import Stores, get_typestore
 
-from edoras_tools.codegen import Bounds, Order, Rule, generate, write
+from edoras_tools.codegen import BoundRule, Bounds, LibraryOrder, generate
+from edoras_tools.pipelines.codegen import write_folder
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.arbitrary import arbitrary
 
@@ -25,7 +26,10 @@ MESSAGES = {
     "sensor_msgs/msg/LaserScan": {"ranges": [1.5] * 1080},
     "sensor_msgs/msg/PointCloud2": {"data": [7] * 32000},
 }
-BOUNDS = (Rule.read("sensor_msgs/LaserScan.ranges=1080"), Rule.read("sensor_msgs/PointCloud2.data=32000"))
+BOUNDS = (
+    BoundRule.read("sensor_msgs/LaserScan.ranges=1080"),
+    BoundRule.read("sensor_msgs/PointCloud2.data=32000"),
+)
 SECONDS = 0.5
 DRIVER = """\
 #define _POSIX_C_SOURCE 199309L
@@ -82,8 +86,8 @@ def measure(folder: Path) -> dict[str, object]:
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         sys.exit("a C compiler is missing: apt install gcc")
-    out, store, theirs = folder / "codegen", TypeStore(), get_typestore(Stores.ROS2_HUMBLE)
-    write(out, generate(store, Order(tuple(MESSAGES), Bounds(64, 40, BOUNDS))).files)
+    out, store, theirs = folder / "codegen", TypeStore(), get_typestore(Stores.ROS2_JAZZY)
+    write_folder(out, generate(store, LibraryOrder(tuple(MESSAGES), Bounds(64, 40, BOUNDS))).files)
     (out / "driver.c").write_text(DRIVER)
     program = out / "driver"
     command = [

@@ -7,9 +7,9 @@ import sys
 import time
 from pathlib import Path
 
-from edoras_tools.decode.where import Where
+from edoras_tools.decode.filters.filter import Where
+from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.sources import open_file
 
 HERE = Path(__file__).parent
 MISSIONS = [HERE.parent / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]

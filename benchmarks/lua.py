@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from edoras_tools.pipelines.wireshark import dissector
+from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings
 
 HERE = Path(__file__).parent

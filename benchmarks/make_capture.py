@@ -7,8 +7,8 @@ Run: python benchmarks/make_capture.py FILE [PACKETS]
 
 from __future__ import annotations
 
+import argparse
 import struct
-import sys
 from collections import defaultdict
 from pathlib import Path
 
@@ -43,12 +43,15 @@ def frames() -> list[tuple[bytearray, int, bytes]]:
 
 def main() -> None:
     """Write the file."""
-    path, packets = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 1_000_000
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("path", type=Path)
+    parser.add_argument("packets", type=int, nargs="?", default=1_000_000)
+    options = parser.parse_args()
     pool = frames()
     counts: dict[bytes, int] = defaultdict(int)
-    with path.open("wb") as file:
+    with options.path.open("wb") as file:
         file.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262144, 1))
-        for number in range(packets):
+        for number in range(options.packets):
             frame, at, owner = pool[number % len(pool)]
             if at:
                 struct.pack_into(">H", frame, at, 0xC000 | counts[owner] & 0x3FFF)

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
+from edoras_tools.io.net.buffer import make_buffer
+from edoras_tools.io.net.sockets import kernel_drops, open_bound, open_socket
+from edoras_tools.io.net.wire import precise_timing
 from edoras_tools.model import Endpoint
-from edoras_tools.sinks.wire import precise_timing
-from edoras_tools.sources.relay import make_arena, open_port, open_socket, payload_of, stage
-from edoras_tools.sources.udp import kernel_drops
 
 EDORAS = str(Path(sys.executable).with_name("edoras"))
 LISTEN, TARGET = 47234, 47235
@@ -53,27 +53,27 @@ def send_random(port: int, count: int) -> None:
     """Send random datagrams of all sizes at 40,000/s; print their digest."""
     chances = np.random.default_rng(SEED)
     block = chances.bytes(RANDOM_BLOCK + LARGEST)
-    digest, arena, opened = hashlib.sha256(), make_arena(), connected(port)
+    digest, buffer, opened = hashlib.sha256(), make_buffer(), connected(port)
     began, step = time.perf_counter(), 100
     for first in range(0, count, step):
         rows = min(step, count - first)
         for row, pick in enumerate(chances.integers(0, RANDOM_BLOCK, (rows, 3))):
             payload = random_datagram(block, pick)
             digest.update(len(payload).to_bytes(4, "big") + payload)
-            stage(arena, row, payload)
+            buffer.put(row, payload)
         ahead = began + first / 40_000 - time.perf_counter()
         if ahead > 0:
             time.sleep(ahead)
-        arena.send(opened, rows, None)
+        buffer.send(opened, rows, None)
     print(json.dumps({"sent": count, "digest": digest.hexdigest()}))
 
 
 def send_at(port: int, rate: int, seconds: float, burst: int) -> None:
     """Send stamped datagrams at a rate, some at once; print how many."""
-    arena, opened = make_arena(), connected(port)
+    buffer, opened = make_buffer(), connected(port)
     for row in range(burst):
-        stage(arena, row, bytes.fromhex("1827c000") + (BYTES - 7).to_bytes(2, "big") + bytes(BYTES - 6))
-    stamps = arena.rooms[:burst, 8:16]
+        buffer.put(row, bytes.fromhex("1827c000") + (BYTES - 7).to_bytes(2, "big") + bytes(BYTES - 6))
+    stamps = buffer.slots[:burst, 8:16]
     sent, step_ns = 0, burst * 10**9 // rate
     with precise_timing():
         began = due = time.monotonic_ns() + 10**6
@@ -83,26 +83,26 @@ def send_at(port: int, rate: int, seconds: float, burst: int) -> None:
             if ahead > 0:
                 time.sleep(ahead / 1e9)
             stamps[:] = np.frombuffer(time.time_ns().to_bytes(8, "little"), np.uint8)
-            sent += arena.send(opened, burst, None).done
+            sent += buffer.send(opened, burst, None).done
             due += step_ns
     print(json.dumps({"sent": sent, "seconds": (time.monotonic_ns() - began) / 1e9}))
 
 
 def receive(port: int, *, digests: bool) -> None:
     """Take what comes until nothing has come for a second; print count, digest, latencies and drops."""
-    arena, opened = make_arena(), open_port(Endpoint("127.0.0.1", port))
+    buffer, opened = make_buffer(), open_bound(Endpoint("127.0.0.1", port))
     print("ready", flush=True)
     digest, late, count = hashlib.sha256(), [], 0
     while select.select([opened], [], [], 30 if not count else QUIET_S)[0]:
-        rows = arena.receive(opened)
+        rows = buffer.receive(opened)
         count += rows
         if digests:
             for row in range(rows):
-                payload = payload_of(arena, row)
+                payload = buffer.payload(row)
                 digest.update(len(payload).to_bytes(4, "big") + payload)
         else:
-            stamps = np.ascontiguousarray(arena.rooms[:rows, 8:16]).view("<i8")[:, 0]
-            late.append(arena.times(rows) - stamps)
+            stamps = np.ascontiguousarray(buffer.slots[:rows, 8:16]).view("<i8")[:, 0]
+            late.append(buffer.times(rows) - stamps)
     late_us = np.concatenate(late) / 1000 if late else np.zeros(1)
     p50, p99 = np.percentile(late_us, (50, 99)).tolist()
     result = {"received": count, "p50_us": round(p50, 1), "p99_us": round(p99, 1)}

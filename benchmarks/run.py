@@ -21,6 +21,7 @@ from pathlib import Path
 
 import bridge
 import codegen
+import export
 import filters
 import foxglove_live
 import lua
@@ -190,7 +191,7 @@ def main() -> None:
         "--only",
         choices=[
             *("record", "memory", "live", "startup", "pacing"),
-            *("proxy", "bridge", "foxglove", "where", "lua", "codegen", "tui"),
+            *("proxy", "bridge", "foxglove", "where", "lua", "codegen", "tui", "export"),
         ],
     )
     options = parser.parse_args()
@@ -214,6 +215,7 @@ def main() -> None:
             "lua": lambda: lua.measure(folder, options.packets // 5),
             "codegen": lambda: codegen.measure(folder),
             "tui": lambda: tui.measure(folder, options.packets),
+            "export": lambda: export.measure(folder, options.packets),
         }.items():
             if options.only in {None, key}:
                 results[key] = run()

@@ -17,16 +17,16 @@ def main() -> None:
     port, rate, size, seconds = (int(argument) for argument in sys.argv[1:5])
     # A command packet of cFE, so that the receiver has something to decode.
     payload = struct.pack(">HHHBB", 0x1827, 0, size - 7, 1, 0) + bytes(size - 8)
-    burst = rate // 1000
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.connect(("127.0.0.1", port))
+        print("sending", file=sys.stderr, flush=True)
         began = time.perf_counter()
         sent = 0
         for step in range(seconds * 1000):
             ahead = began + step / 1000 - time.perf_counter()
             if ahead > 0:
                 time.sleep(ahead)
-            for _ in range(burst):
+            for _ in range(rate * (step + 1) // 1000 - sent):
                 try:
                     sender.send(payload)
                 except ConnectionRefusedError:

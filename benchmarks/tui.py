@@ -42,10 +42,11 @@ async def look(capture: Path, packets: int, began: float) -> dict[str, object]:
     """Drive the view without a terminal; times count from the start of the process."""
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings, open_files
-    from edoras_tools.tui.viewer import Choice, Viewer
+    from edoras_tools.tui.panes import ViewOptions
+    from edoras_tools.tui.viewer import Viewer
 
     settings = Settings(MISSIONS)
-    app = Viewer(open_files([capture]), settings.workbench(), Choice(Selection(), settings))
+    app = Viewer(open_files([capture]), settings.workbench(), ViewOptions(Selection(), settings))
     report: dict[str, object] = {}
     async with app.run_test(size=SIZE) as pilot:
         while len(app.store) < SIZE[1]:  # noqa: ASYNC110  looked at from outside

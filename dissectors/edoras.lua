@@ -1,9 +1,9 @@
 -- EDORAS for Wireshark and tshark: CCSDS space packets, cFE, SBN, the EDORAS envelope and ROS 2 messages.
 -- Generated from the layouts of edoras-tools; do not edit: edoras wireshark print > edoras.lua
--- Routes of the demos of the EDORAS paper; ROS 2 humble.
+-- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "7941dde8b40cf2ee"
+local DIGEST = "8bb11d4584fe171f"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -15,6 +15,160 @@ end
 
 local D = {}
 D.layouts = {
+	sbn = {
+		name = "sbn",
+		protocol = "sbn",
+		title = "Software Bus Network",
+		size = 11,
+		fields = {
+			{
+				abbreviation = "sbn.msg_size",
+				name = "msg_size",
+				start = 0,
+				size = 2,
+				kind = "int16",
+				doc = "payload bytes; this header is not counted",
+			},
+			{
+				abbreviation = "sbn.msg_type",
+				name = "msg_type",
+				start = 2,
+				size = 1,
+				kind = "uint8",
+				hex = true,
+				names = {
+					[0] = "NO_MSG",
+					[1] = "SUB",
+					[2] = "UNSUB",
+					[3] = "APP",
+					[4] = "PROTO",
+					[160] = "HEARTBEAT",
+					[161] = "ANNOUNCE",
+					[162] = "DISCONNECT",
+				},
+				doc = "what the payload is",
+			},
+			{
+				abbreviation = "sbn.processor_id",
+				name = "processor_id",
+				start = 3,
+				size = 4,
+				kind = "uint32",
+				doc = "the sender's processor",
+			},
+			{
+				abbreviation = "sbn.spacecraft_id",
+				name = "spacecraft_id",
+				start = 7,
+				size = 4,
+				kind = "uint32",
+				hex = true,
+				doc = "the sender's spacecraft",
+			},
+		},
+		place = {msg_size = 1, msg_type = 2, processor_id = 3, spacecraft_id = 4},
+	},
+	sbn_sub = {
+		name = "sbn_sub",
+		protocol = "sbn",
+		title = "SBN Subscriptions",
+		size = 50,
+		fields = {
+			{
+				abbreviation = "sbn.sub.ident",
+				name = "ident",
+				start = 0,
+				size = 48,
+				kind = "string",
+				doc = "$Id of the sender's SBN; another than the receiver's is refused",
+			},
+			{
+				abbreviation = "sbn.sub.count",
+				name = "count",
+				start = 48,
+				size = 2,
+				kind = "uint16",
+				doc = "entries that follow",
+			},
+		},
+		place = {count = 1, ident = 2},
+	},
+	sbn_proto = {
+		name = "sbn_proto",
+		protocol = "sbn",
+		title = "SBN Protocol",
+		size = 1,
+		fields = {
+			{
+				abbreviation = "sbn.proto.protocol_version",
+				name = "protocol_version",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				doc = "11 here; another is refused",
+			},
+		},
+		place = {protocol_version = 1},
+	},
+	robot_command = {
+		name = "robot_command",
+		protocol = "robot",
+		title = "Robot command",
+		size = 48,
+		fields = {
+			{
+				abbreviation = "robot.command.values",
+				name = "values",
+				start = 0,
+				size = 48,
+				kind = "bytes",
+				doc = "6 doubles in native order: linear and angular x, y, z",
+			},
+		},
+		place = {},
+	},
+	robot_pose = {
+		name = "robot_pose",
+		protocol = "robot",
+		title = "Robot pose",
+		size = 56,
+		fields = {
+			{
+				abbreviation = "robot.pose.values",
+				name = "values",
+				start = 0,
+				size = 56,
+				kind = "bytes",
+				doc = "7 doubles in native order: position x, y, z; quaternion x, y, z, w",
+			},
+		},
+		place = {},
+	},
+	robot_state = {
+		name = "robot_state",
+		protocol = "robot",
+		title = "Robot state",
+		size = 64,
+		fields = {
+			{
+				abbreviation = "robot.state.values",
+				name = "values",
+				start = 0,
+				size = 56,
+				kind = "bytes",
+				doc = "7 doubles in native order: a rover's position x, y, z and quaternion x, y, z, w; an arm's 7 joints",
+			},
+			{
+				abbreviation = "robot.state.stamp",
+				name = "stamp",
+				start = 56,
+				size = 8,
+				kind = "bytes",
+				doc = "seconds and nanoseconds, 4 bytes each in native order",
+			},
+		},
+		place = {},
+	},
 	ccsds = {
 		name = "ccsds",
 		protocol = "ccsds_sp",
@@ -100,7 +254,7 @@ D.layouts = {
 	extended = {
 		name = "cfe_extended",
 		protocol = "cfe",
-		title = "cFE Extended Header (version 2)",
+		title = "cFE Extended Header",
 		size = 4,
 		fields = {
 			{
@@ -190,6 +344,50 @@ D.layouts = {
 		},
 		place = {reserved = 1, function_code = 2, checksum = 3},
 	},
+	command_extended = {
+		name = "cfe_command",
+		protocol = "cfe",
+		title = "cFE Command Header (behind an extended header)",
+		size = 6,
+		fields = {
+			{
+				abbreviation = "cfe.command.reserved",
+				name = "reserved",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 128,
+				doc = "always 0",
+			},
+			{
+				abbreviation = "cfe.command.function_code",
+				name = "function_code",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 127,
+				doc = "EDORAS apps: 0 no-op, 1 set",
+			},
+			{
+				abbreviation = "cfe.command.checksum",
+				name = "checksum",
+				start = 1,
+				size = 1,
+				kind = "uint8",
+				hex = true,
+				doc = "0xFF XOR every byte of the packet; the bridges send 0, no app here checks it",
+			},
+			{
+				abbreviation = "cfe.command.spare",
+				name = "spare",
+				start = 2,
+				size = 4,
+				kind = "bytes",
+				doc = "alignment",
+			},
+		},
+		place = {reserved = 1, function_code = 2, checksum = 3},
+	},
 	telemetry = {
 		name = "cfe_telemetry",
 		protocol = "cfe",
@@ -227,6 +425,31 @@ D.layouts = {
 		name = "cfe_telemetry",
 		protocol = "cfe",
 		title = "cFE Telemetry Header (12 bytes, older builds)",
+		size = 6,
+		fields = {
+			{
+				abbreviation = "cfe.telemetry.seconds",
+				name = "seconds",
+				start = 0,
+				size = 4,
+				kind = "uint32",
+				doc = "mission time: whole seconds since the mission's epoch, not UTC",
+			},
+			{
+				abbreviation = "cfe.telemetry.subseconds",
+				name = "subseconds",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				doc = "mission time: 1/65536 s",
+			},
+		},
+		place = {seconds = 1, subseconds = 2},
+	},
+	telemetry_extended = {
+		name = "cfe_telemetry",
+		protocol = "cfe",
+		title = "cFE Telemetry Header (behind an extended header)",
 		size = 6,
 		fields = {
 			{
@@ -488,59 +711,6 @@ D.layouts = {
 			unmarked_memory = 17,
 		},
 	},
-	sbn = {
-		name = "sbn",
-		protocol = "sbn",
-		title = "Software Bus Network",
-		size = 11,
-		fields = {
-			{
-				abbreviation = "sbn.msg_size",
-				name = "msg_size",
-				start = 0,
-				size = 2,
-				kind = "int16",
-				doc = "payload bytes; this header is not counted",
-			},
-			{
-				abbreviation = "sbn.msg_type",
-				name = "msg_type",
-				start = 2,
-				size = 1,
-				kind = "uint8",
-				hex = true,
-				names = {
-					[0] = "NO_MSG",
-					[1] = "SUB",
-					[2] = "UNSUB",
-					[3] = "APP",
-					[4] = "PROTO",
-					[160] = "HEARTBEAT",
-					[161] = "ANNOUNCE",
-					[162] = "DISCONNECT",
-				},
-				doc = "what the payload is",
-			},
-			{
-				abbreviation = "sbn.processor_id",
-				name = "processor_id",
-				start = 3,
-				size = 4,
-				kind = "uint32",
-				doc = "the sender's processor",
-			},
-			{
-				abbreviation = "sbn.spacecraft_id",
-				name = "spacecraft_id",
-				start = 7,
-				size = 4,
-				kind = "uint32",
-				hex = true,
-				doc = "the sender's spacecraft",
-			},
-		},
-		place = {msg_size = 1, msg_type = 2, processor_id = 3, spacecraft_id = 4},
-	},
 	sbn_legacy = {
 		name = "sbn",
 		protocol = "sbn",
@@ -585,31 +755,6 @@ D.layouts = {
 		},
 		place = {msg_size = 1, msg_type = 2, processor_id = 3},
 	},
-	subscriptions = {
-		name = "sbn_sub",
-		protocol = "sbn",
-		title = "SBN Subscriptions",
-		size = 50,
-		fields = {
-			{
-				abbreviation = "sbn.sub.ident",
-				name = "ident",
-				start = 0,
-				size = 48,
-				kind = "string",
-				doc = "$Id of the sender's SBN; another than the receiver's is refused",
-			},
-			{
-				abbreviation = "sbn.sub.count",
-				name = "count",
-				start = 48,
-				size = 2,
-				kind = "uint16",
-				doc = "entries that follow",
-			},
-		},
-		place = {count = 1, ident = 2},
-	},
 	subscription = {
 		name = "sbn_subscription",
 		protocol = "sbn",
@@ -643,23 +788,6 @@ D.layouts = {
 			},
 		},
 		place = {msg_id = 1, priority = 2, reliability = 3},
-	},
-	proto = {
-		name = "sbn_proto",
-		protocol = "sbn",
-		title = "SBN Protocol",
-		size = 1,
-		fields = {
-			{
-				abbreviation = "sbn.proto.protocol_version",
-				name = "protocol_version",
-				start = 0,
-				size = 1,
-				kind = "uint8",
-				doc = "11 here; another is refused",
-			},
-		},
-		place = {protocol_version = 1},
 	},
 	cdr = {
 		name = "cdr",
@@ -703,12 +831,11 @@ D.formats = {
 	{width = 1, little = true},
 }
 D.limits = {
-	ci_buffer = 768,
-	bridge_buffer = 1024,
 	bridge_modulus = 256,
 	software_bus = 32768,
 	highest_msg_id = 8191,
 	length_bias = 7,
+	rounded = 3,
 	sequence_modulus = 16384,
 }
 D.sbn = {
@@ -847,27 +974,27 @@ D.commands = {
 		[0] = {name = "NOOP", lengths = {8}},
 		[1] = {name = "RESET_COUNTERS", lengths = {8}},
 		[2] = {name = "RESTART"},
-		[3] = {name = "START_APP"},
-		[4] = {name = "STOP_APP"},
-		[5] = {name = "RESTART_APP"},
-		[6] = {name = "RELOAD_APP"},
-		[7] = {name = "QUERY_ONE"},
-		[8] = {name = "QUERY_ALL"},
-		[9] = {name = "CLEAR_SYS_LOG"},
-		[10] = {name = "WRITE_SYS_LOG"},
-		[11] = {name = "CLEAR_ER_LOG"},
-		[12] = {name = "WRITE_ER_LOG"},
-		[13] = {name = "START_PERF_DATA"},
-		[14] = {name = "STOP_PERF_DATA"},
-		[15] = {name = "SET_PERF_FILTER_MASK"},
-		[16] = {name = "SET_PERF_TRIGGER_MASK"},
-		[17] = {name = "OVER_WRITE_SYS_LOG"},
-		[18] = {name = "RESET_PR_COUNT"},
-		[19] = {name = "SET_MAX_PR_COUNT"},
-		[20] = {name = "DELETE_CDS"},
-		[21] = {name = "SEND_MEM_POOL_STATS"},
-		[22] = {name = "DUMP_CDS_REGISTRY"},
-		[23] = {name = "QUERY_ALL_TASKS"},
+		[4] = {name = "START_APP"},
+		[5] = {name = "STOP_APP"},
+		[6] = {name = "RESTART_APP"},
+		[7] = {name = "RELOAD_APP"},
+		[8] = {name = "QUERY_ONE"},
+		[9] = {name = "QUERY_ALL"},
+		[10] = {name = "CLEAR_SYS_LOG"},
+		[11] = {name = "WRITE_SYS_LOG"},
+		[12] = {name = "CLEAR_ER_LOG"},
+		[13] = {name = "WRITE_ER_LOG"},
+		[14] = {name = "START_PERF_DATA"},
+		[15] = {name = "STOP_PERF_DATA"},
+		[16] = {name = "SET_PERF_FILTER_MASK"},
+		[17] = {name = "SET_PERF_TRIGGER_MASK"},
+		[18] = {name = "OVER_WRITE_SYS_LOG"},
+		[19] = {name = "RESET_PR_COUNT"},
+		[20] = {name = "SET_MAX_PR_COUNT"},
+		[21] = {name = "DELETE_CDS"},
+		[22] = {name = "SEND_MEM_POOL_STATS"},
+		[23] = {name = "DUMP_CDS_REGISTRY"},
+		[24] = {name = "QUERY_ALL_TASKS"},
 	},
 	[6272] = {
 		[0] = {name = "NOOP", lengths = {8}},
@@ -886,21 +1013,21 @@ D.findings = {
 		label = "truncated",
 		severity = "error",
 		short = "truncated",
-		meaning = "A layer needs more bytes than the datagram holds; CI drops commands below 8 bytes, and an app that gets a cut one fails to read it or reads what its buffer held before.",
+		meaning = "A layer needs more bytes than the datagram has; CI drops commands shorter than 8 bytes, and an app that gets a cut one cannot read it, or reads old bytes of its buffer.",
 		unknowable = true,
 	},
 	{
 		label = "length_mismatch",
 		severity = "warning",
 		short = "length field",
-		meaning = "The packet data length field disagrees with the bytes that came; CI accepts that silently.",
+		meaning = "The packet data length field differs from the number of bytes received; CI accepts that silently.",
 		unknowable = true,
 	},
 	{
 		label = "checksum_bad",
 		severity = "warning",
 		short = "checksum",
-		meaning = "The command's checksum is neither 0 nor right; no cFS app here checks it, so the command is obeyed.",
+		meaning = "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed.",
 		unknowable = true,
 	},
 	{
@@ -914,20 +1041,20 @@ D.findings = {
 		label = "sequence_unset",
 		severity = "note",
 		short = "",
-		meaning = "The sequence word is 0x0000, as the EDORAS bridges send it, so a loss leaves no gap to see.",
+		meaning = "The sequence word is 0x0000, as the EDORAS bridges send it, so a loss leaves no visible gap.",
 	},
 	{
 		label = "envelope_overrun",
 		severity = "error",
 		short = "envelope overrun",
-		meaning = "buffer_length reaches past the end of the packet, so there is no whole message; a receiver that trusts it reads beyond the data.",
+		meaning = "buffer_length exceeds the bytes in the packet, so there is no complete message; a receiver that trusts it reads beyond the data.",
 		unknowable = true,
 	},
 	{
 		label = "stale_tail",
 		severity = "note",
 		short = "",
-		meaning = "The bytes after the CDR are not zero: a fixed-size struct kept them of an earlier, longer message; readers ignore them.",
+		meaning = "The bytes after the CDR are not zero: a fixed-size struct still has them from an earlier, longer message; readers ignore them.",
 	},
 	{
 		label = "cdr_invalid",
@@ -946,20 +1073,20 @@ D.findings = {
 		label = "sbn_size_mismatch",
 		severity = "warning",
 		short = "MsgSz",
-		meaning = "MsgSz is not the size of the payload that came; the receiver ignores that up to 32767 and refuses more.",
+		meaning = "MsgSz differs from the size of the payload; the receiver ignores that up to 32767 and refuses larger values.",
 		unknowable = true,
 	},
 	{
 		label = "sbn_unknown_type",
 		severity = "error",
 		short = "unknown SBN type",
-		meaning = "MsgType is none of SBN's; the receiver reports an error and drops the datagram.",
+		meaning = "MsgType is not an SBN message type; the receiver reports an error and drops the datagram.",
 	},
 	{
 		label = "sbn_id_mismatch",
 		severity = "error",
 		short = "SBN identity",
-		meaning = "Not the peer that is known here: another $Id in SUB or UNSUB, or SpacecraftID and ProcessorID of an unknown peer; the receiver refuses it.",
+		meaning = "Not a known peer: another $Id in SUB or UNSUB, or the SpacecraftID and ProcessorID of an unknown peer; the receiver refuses it.",
 	},
 	{
 		label = "over_ci_buffer",
@@ -983,7 +1110,7 @@ D.findings = {
 		label = "header_only",
 		severity = "note",
 		short = "",
-		meaning = "The packet ends with its header: a scheduler's wake-up or a request, not a message.",
+		meaning = "The packet ends after its header: a scheduler's wake-up or a request, not a message.",
 		unknowable = true,
 	},
 	{
@@ -996,7 +1123,7 @@ D.findings = {
 		label = "wrong_direction",
 		severity = "warning",
 		short = "direction",
-		meaning = "The MsgId's type bit does not suit the link: telemetry sent to CI, or a command from TO; CI accepts it.",
+		meaning = "The MsgId's type bit is wrong for the link: telemetry sent to CI, or a command from TO; CI accepts it.",
 	},
 	{
 		label = "unknown_function_code",
@@ -1008,7 +1135,7 @@ D.findings = {
 		label = "command_length",
 		severity = "error",
 		short = "command length",
-		meaning = "The command's length is not what its function code takes; apps refuse it with an event, all but TO's enable, which reads what is there.",
+		meaning = "The command's length is wrong for its function code; apps refuse it with an event, except TO's enable command, which reads the bytes that exist.",
 		unknowable = true,
 	},
 	{
@@ -1021,7 +1148,7 @@ D.findings = {
 		label = "sbn_version_mismatch",
 		severity = "error",
 		short = "SBN version",
-		meaning = "PROTO names another protocol version than 11; the receiver refuses it.",
+		meaning = "PROTO has a protocol version other than 11; the receiver refuses it.",
 	},
 	{
 		label = "sbn_no_message",
@@ -1033,36 +1160,119 @@ D.findings = {
 		label = "sbn_legacy_header",
 		severity = "warning",
 		short = "7-byte header",
-		meaning = "The SBN header has 7 bytes and no SpacecraftID, as older sources write it; a current peer takes the next 4 bytes for one.",
+		meaning = "The SBN header has 7 bytes and no SpacecraftID, as in older versions; a current peer reads the next 4 bytes as one.",
 		unknowable = true,
 	},
 	{
 		label = "cdr_big_endian",
 		severity = "note",
 		short = "",
-		meaning = "The CDR is big-endian, which no EDORAS sender on a little-endian machine writes; it is decoded all the same.",
+		meaning = "The CDR is big-endian, which no EDORAS sender on a little-endian machine writes; it is decoded nevertheless.",
 	},
 	{
 		label = "fragment",
 		severity = "note",
 		short = "",
-		meaning = "The datagram came in IP fragments and was put together from several frames.",
+		meaning = "The datagram came in IP fragments and was reassembled from several frames.",
 	},
 	{
 		label = "capture_cut",
 		severity = "warning",
 		short = "capture cut",
-		meaning = "The capture's snap length cut the frame: the bytes are missing here, not on the wire.",
+		meaning = "The capture's snap length cut the frame: bytes are missing in the capture, not on the wire.",
 	},
 	{
 		label = "struct_length",
 		severity = "warning",
 		short = "struct length",
-		meaning = "The payload is not as long as the C struct that is known for this MsgId, so it is not read by it: another build; --structs names its own layout.",
+		meaning = "The payload has another length than the C struct known for this MsgId, so it is not decoded with it: another build; name its layout with --structs.",
+		unknowable = true,
+	},
+	{
+		label = "cdr_trailing",
+		severity = "note",
+		short = "",
+		meaning = "A few bytes follow the message's last field: rmw_serialize leaves them, mostly behind empty sequences; readers ignore them.",
+		unknowable = true,
+	},
+	{
+		label = "cdr_too_long",
+		severity = "warning",
+		short = "CDR too long",
+		meaning = "More bytes follow the message's last field than ROS 2 leaves there; receivers ignore them, but often it is a message of another type.",
 		unknowable = true,
 	},
 }
-D.ports = {ci = {1234, 1235, 1236, 1237}, to = {1235}, sbn = {2234, 2235, 2236}}
+D.links = {
+	{
+		label = "ci",
+		code = 1,
+		name = "CI",
+		doc = "ground to cFS, one space packet a datagram (Command Ingest)",
+		title = "CI link",
+		to_cfs = true,
+		from_cfs = false,
+		packets = true,
+		headers = {},
+		header_bytes = 0,
+		sure = 1,
+		sender_port = false,
+		receive_buffer = 768,
+		over_receive_buffer = "over_ci_buffer",
+	},
+	{
+		label = "to",
+		code = 2,
+		name = "TO",
+		doc = "cFS to ground, one space packet a datagram (Telemetry Output)",
+		title = "TO link",
+		to_cfs = false,
+		from_cfs = true,
+		packets = true,
+		headers = {},
+		header_bytes = 0,
+		sure = 1,
+		sender_port = false,
+		receive_buffer = 1024,
+		over_receive_buffer = "over_bridge_buffer",
+	},
+	{
+		label = "sbn",
+		code = 3,
+		name = "SBN",
+		doc = "between Software Bus Network peers",
+		title = "Software Bus Network",
+		to_cfs = true,
+		from_cfs = true,
+		packets = true,
+		headers = {"sbn", "sbn_sub", "sbn_proto"},
+		header_bytes = 11,
+		sure = 8,
+		sender_port = true,
+	},
+	{
+		label = "robot",
+		code = 4,
+		name = "ROBOT",
+		doc = "between a flight app and its robot, bare doubles over UDP",
+		title = "ROBOT link",
+		to_cfs = true,
+		from_cfs = true,
+		packets = false,
+		headers = {"robot_command", "robot_pose", "robot_state"},
+		header_bytes = 0,
+		forms = {
+			[48] = {headers = {"robot_command"}, port = 8585, doubles = 6},
+			[56] = {headers = {"robot_pose"}, port = 8585, doubles = 7},
+			[64] = {headers = {"robot_state"}, port = 8080, doubles = 7},
+		},
+		sure = 1,
+		sender_port = false,
+	},
+}
+D.sure = {by_content = 2, by_address = 4}
+D.doubles = {smallest = 767, largest = 1086}
+D.ports = {ci = {1234, 1235, 1236, 1237}, to = {1235}, sbn = {2234, 2235, 2236}, robot = {8080, 8585}}
 D.bridge_ports = {2236}
 D.cfs_addresses = {"127.0.0.1"}
 D.identities = {{66, 1}, {66, 3}}
@@ -1107,6 +1317,7 @@ D.any_link = {
 D.types = {
 	["geometry_msgs/msg/Twist"] = {
 		fixed = 48,
+		trailing = 7,
 		steps = {
 			{
 				alignment = 8,
@@ -1123,6 +1334,7 @@ D.types = {
 		},
 	},
 	["geometry_msgs/msg/PoseStamped"] = {
+		trailing = 7,
 		steps = {
 			{
 				alignment = 4,
@@ -1150,6 +1362,7 @@ D.types = {
 	},
 	["geometry_msgs/msg/Pose"] = {
 		fixed = 56,
+		trailing = 7,
 		steps = {
 			{
 				alignment = 8,
@@ -1167,6 +1380,7 @@ D.types = {
 		},
 	},
 	["sensor_msgs/msg/JointState"] = {
+		trailing = 19,
 		steps = {
 			{
 				alignment = 4,
@@ -1238,6 +1452,41 @@ D.telemetry_header = 16
 local byte = string.byte
 D.read = {}
 
+function D.read.sbn(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10 = byte(s, p + 0, p + 10)
+	local msg_size = b0 * 256 + b1
+	if msg_size >= 32768 then msg_size = msg_size - 65536 end
+	local msg_type = b2
+	local processor_id = ((b3 * 256 + b4) * 256 + b5) * 256 + b6
+	local spacecraft_id = ((b7 * 256 + b8) * 256 + b9) * 256 + b10
+	return msg_size, msg_type, processor_id, spacecraft_id
+end
+
+function D.read.sbn_sub(s, p)
+	local b48, b49 = byte(s, p + 48, p + 49)
+	local count = b48 * 256 + b49
+	local ident = D.text(s, p + 0, p + 47)
+	return count, ident
+end
+
+function D.read.sbn_proto(s, p)
+	local b0 = byte(s, p + 0, p + 0)
+	local protocol_version = b0
+	return protocol_version
+end
+
+function D.read.robot_command(s, p)
+	return 
+end
+
+function D.read.robot_pose(s, p)
+	return 
+end
+
+function D.read.robot_state(s, p)
+	return 
+end
+
 function D.read.ccsds(s, p)
 	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
 	local packet_version_number = b0
@@ -1284,6 +1533,16 @@ function D.read.command(s, p)
 	return reserved, function_code, checksum
 end
 
+function D.read.command_extended(s, p)
+	local b0, b1 = byte(s, p + 0, p + 1)
+	local reserved = b0
+	reserved = (reserved - reserved % 128) / 128
+	local function_code = b0
+	function_code = function_code % 128
+	local checksum = b1
+	return reserved, function_code, checksum
+end
+
 function D.read.telemetry(s, p)
 	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
 	local seconds = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
@@ -1292,6 +1551,13 @@ function D.read.telemetry(s, p)
 end
 
 function D.read.telemetry_short(s, p)
+	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
+	local seconds = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
+	local subseconds = b4 * 256 + b5
+	return seconds, subseconds
+end
+
+function D.read.telemetry_extended(s, p)
 	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
 	local seconds = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
 	local subseconds = b4 * 256 + b5
@@ -1331,16 +1597,6 @@ function D.read.software_bus(s, p)
 	return command_counter, command_error_counter, no_subscribers_counter, message_send_error_counter, message_receive_error_counter, internal_error_counter, create_pipe_error_counter, subscribe_error_counter, pipe_options_error_counter, duplicate_subscriptions_counter, get_pipe_id_by_name_error_counter, spare, pipe_overflow_error_counter, message_limit_error_counter, memory_pool_handle, memory_in_use, unmarked_memory
 end
 
-function D.read.sbn(s, p)
-	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10 = byte(s, p + 0, p + 10)
-	local msg_size = b0 * 256 + b1
-	if msg_size >= 32768 then msg_size = msg_size - 65536 end
-	local msg_type = b2
-	local processor_id = ((b3 * 256 + b4) * 256 + b5) * 256 + b6
-	local spacecraft_id = ((b7 * 256 + b8) * 256 + b9) * 256 + b10
-	return msg_size, msg_type, processor_id, spacecraft_id
-end
-
 function D.read.sbn_legacy(s, p)
 	local b0, b1, b2, b3, b4, b5, b6 = byte(s, p + 0, p + 6)
 	local msg_size = b0 * 256 + b1
@@ -1350,25 +1606,12 @@ function D.read.sbn_legacy(s, p)
 	return msg_size, msg_type, processor_id
 end
 
-function D.read.subscriptions(s, p)
-	local b48, b49 = byte(s, p + 48, p + 49)
-	local count = b48 * 256 + b49
-	local ident = D.text(s, p + 0, p + 47)
-	return count, ident
-end
-
 function D.read.subscription(s, p)
 	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
 	local msg_id = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
 	local priority = b4
 	local reliability = b5
 	return msg_id, priority, reliability
-end
-
-function D.read.proto(s, p)
-	local b0 = byte(s, p + 0, p + 0)
-	local protocol_version = b0
-	return protocol_version
 end
 
 function D.read.cdr(s, p)
@@ -1473,7 +1716,7 @@ local function utf8_character(code)
 	)
 end
 
--- A wide string: UTF-16 units of 2 or 4 bytes; half a surrogate pair is replaced.
+-- A wide string: UTF-16 units of some bytes each; half a surrogate pair is replaced.
 local function wide_text(s, first, last, width, big)
 	local out, p = {}, first
 	local code = (big and ">I" or "<I") .. string.format("%d", width)
@@ -1540,12 +1783,18 @@ local add, add_le, cut = TreeItem.add, TreeItem.add_le, Tvb.range
 local set_text, set_generated, add_expert = TreeItem.set_text, TreeItem.set_generated, TreeItem.add_proto_expert_info
 
 local TITLES = {
-	ccsds_sp = "CCSDS Space Packet", cfe = "core Flight System", sbn = "Software Bus Network",
-	ros2cdr = "ROS 2 message (CDR)",
+	ccsds_sp = "CCSDS Space Packet", cfe = "core Flight System", ros2cdr = "ROS 2 message (CDR)",
 }
+for _, link in ipairs(D.links) do
+	if #link.headers > 0 then TITLES[link.label] = link.title end
+end
 local P = {edoras = EDORAS}
-for name, title in pairs(TITLES) do P[name] = Proto(name, title) end
-local members = {edoras = {}, ccsds_sp = {}, cfe = {}, sbn = {}, ros2cdr = {}}
+local members = {edoras = {}}
+for name, title in pairs(TITLES) do
+	local made, proto = pcall(Proto, name, title)
+	if not made then proto = Proto("edoras_" .. name, title) end  -- Wireshark knows a protocol of that name
+	P[name], members[name] = proto, {}
+end
 local by_name = {}  -- abbreviation to record
 
 -- Make a field, or find the one of that name. A record's `on` tells whether anybody asks for it, where there
@@ -1615,8 +1864,8 @@ local F = {
 	stop = new_field("edoras", "edoras.stop", "string", "Decoded no further"),
 	padding = new_field("edoras", "edoras.padding", "bytes", "Padding"),
 	gap = new_field("edoras", "edoras.gap", "uint16", "Packets missing before this one", base.DEC),
-	duplicate = new_field("edoras", "edoras.duplicate", "bool", "Same sequence count as the packet before"),
-	reordered = new_field("edoras", "edoras.reordered", "bool", "Sequence count steps back"),
+	duplicate = new_field("edoras", "edoras.duplicate", "bool", "Same sequence count and bytes as an earlier packet"),
+	reordered = new_field("edoras", "edoras.reordered", "bool", "Came after a packet with a higher sequence count"),
 	body = new_field("ros2cdr", "ros2cdr.body", "bytes", "Body"),
 }
 
@@ -1640,20 +1889,27 @@ local EXPERT = {
 		expert.group.SEQUENCE, expert.severity.WARN
 	),
 	duplicate = ProtoExpert.new(
-		"edoras.analysis.duplicate", "The sequence count of the packet before: sent twice",
+		"edoras.analysis.duplicate", "The sequence count and the bytes of an earlier packet",
 		expert.group.SEQUENCE, expert.severity.WARN
 	),
 	reordered = ProtoExpert.new(
-		"edoras.analysis.reordered", "The sequence count steps back: reordered, or its sender began anew",
+		"edoras.analysis.reordered", "The packet came late: packets with higher sequence counts came before it",
 		expert.group.SEQUENCE, expert.severity.NOTE
 	),
 }
 for _, made in pairs(EXPERT) do table.insert(experts, made) end
 
--- Which link a datagram belongs to: by the mission's endpoints, then by port and content. cpu2's CI port equals
+-- Which link a datagram belongs to: of the links that claim its port, the one that is surest. cpu2's CI port equals
 -- TO's destination port (both 1235): a port alone does not tell.
 
-local ports = {ci = {}, to = {}, sbn = {}}
+local ports, link_by_label = {}, {}
+for _, link in ipairs(D.links) do
+	ports[link.label], link_by_label[link.label] = {}, link
+	link.form_ports = {}
+	for _, form in pairs(link.forms or {}) do
+		if form.port then link.form_ports[form.port] = true end
+	end
+end
 local bridge_ports, cfs = {}, {}
 for _, port in ipairs(D.bridge_ports) do bridge_ports[port] = true end
 for index, address in ipairs(D.cfs_addresses) do cfs[index] = Address.ip(address) end
@@ -1675,28 +1931,76 @@ local function is_for_cfs(pinfo)
 	return for_cfs
 end
 
--- Return "ci", "to" or "sbn", or nil for none of them.
-local function link_of(pinfo, first_byte)
-	local destination = pinfo.dst_port
-	if ports.sbn[destination] then return "sbn" end
-	local ci, to = ports.ci[destination], ports.to[destination]
-	local command
-	if ci and to then
-		command = is_for_cfs(pinfo)
-	elseif ci then
-		return "ci"
-	elseif to then
-		return "to"
-	else
-		local source = pinfo.src_port
-		if ports.sbn[source] then return "sbn" end
-		if ports.ci[source] or ports.to[source] then return nil end
-		-- "Decode As": no port of ours has a say.
+-- Tell whether a link's first header holds the values that it always holds.
+local function holds_constants(link, s)
+	local layout = D.layouts[link.headers[1]]
+	if #s < layout.size then return false end
+	local values = {D.read[link.headers[1]](s, 1)}
+	for name, value in pairs(link.constants) do
+		if values[layout.place[name]] ~= value then return false end
 	end
-	if command == nil then
-		command = not first_byte or first_byte % 32 >= 16  -- TO never sends an empty datagram
+	return true
+end
+
+-- Tell whether the first doubles are likely values, where byte HIGH of each holds the sign and the exponent, LOW the rest.
+local function likely_doubles(s, count, high, low)
+	for at = 0, 8 * (count - 1), 8 do
+		local first, second = byte(s, at + high), byte(s, at + low)
+		if first and second then
+			local exponent = first % 128 * 16 + (second - second % 16) / 16
+			if exponent ~= 0 and (exponent < D.doubles.smallest or exponent > D.doubles.largest) then return false end
+		end
 	end
-	return command and "ci" or "to"
+	return true
+end
+
+-- How sure a link is that a datagram is its own, 0 for not at all: as LinkProtocol.recognise.
+local function likeness(link, pinfo, s)
+	local sure = link.sure
+	if link.forms then
+		local form = link.forms[#s]
+		if not form then return 0 end
+		if form.port and form.port ~= pinfo.dst_port and link.form_ports[pinfo.dst_port] then return 0 end
+		local count = form.doubles
+		if count and not likely_doubles(s, count, 8, 7) and not likely_doubles(s, count, 1, 2) then return 0 end
+		return D.sure.by_content
+	elseif link.constants then
+		if not holds_constants(link, s) then return 0 end
+		sure = D.sure.by_content
+	end
+	if link.to_cfs == link.from_cfs then return sure end
+	local first = byte(s, link.header_bytes + 1)
+	local command = not first or first % 32 >= 16  -- TO never sends an empty datagram
+	if command == link.to_cfs then sure = sure + 1 end
+	local for_cfs = is_for_cfs(pinfo)
+	if for_cfs ~= nil and for_cfs == link.to_cfs then sure = sure + D.sure.by_address end
+	return sure
+end
+
+-- Return the link of a datagram, or nil for none.
+local function link_of(pinfo, s)
+	local destination, source = pinfo.dst_port, pinfo.src_port
+	local best, found, ours = 0, nil, false
+	for _, link in ipairs(D.links) do
+		local claimed = ports[link.label]
+		if claimed[destination] then
+			ours = true
+			local sure = likeness(link, pinfo, s)
+			if sure > 0 and sure >= best then best, found = sure, link end
+		elseif claimed[source] then
+			ours = true
+			if link.sender_port and best == 0 then found = link end
+		end
+	end
+	if ours then return found end
+	-- "Decode As": no port of ours has a say.
+	for _, link in ipairs(D.links) do
+		if link.to_cfs ~= link.from_cfs and #link.headers == 0 then
+			local sure = likeness(link, pinfo, s)
+			if sure >= best then best, found = sure, link end
+		end
+	end
+	return found
 end
 
 -- CDR bodies by message type. A type is a list of steps, as in edoras_tools.ros.plan: a "run" of primitives at
@@ -1831,14 +2135,14 @@ local function check(steps, s, p, start, stop, big)
 	return p
 end
 
--- Tell whether a body is a message of a type: its end, and at most 3 bytes of padding.
-local function is_message(kind, s, start, stop, big)
+-- Return how many bytes follow a body's last field, or nil where it is no message of this type.
+local function bytes_left(kind, s, start, stop, big)
 	if kind.fixed then
 		local left = stop - start + 1 - kind.fixed
-		return left >= 0 and left <= 3
+		return left >= 0 and left or nil
 	end
 	local p = check(kind.steps, s, start, start, stop, big)
-	return p ~= nil and stop + 1 - p <= 3
+	return p and stop + 1 - p
 end
 
 -- A message in a few words, for the packet list.
@@ -1980,83 +2284,226 @@ function short_message(steps, s, p, start, big, whole)
 end
 
 
--- Sequence counts, followed as edoras_tools.sessions.sequence does: one stream may carry several senders that
--- count each for themselves, so it is followed as strands, and a packet belongs to the strand that it continues.
+-- Sequence counts, followed by the rules of edoras_tools.sessions.sequence, which say what is meant here.
 -- What a later packet shows to be no gap, or not late, is taken back: the second pass over a file knows more.
 
 local MODULUS = D.limits.sequence_modulus
-local FORWARD = MODULUS / 2  -- a step of half the range or more is a step back
-local MOST_STRANDS = 8
+local FORWARD = MODULUS / 2
+local WINDOW, REPEATED, BOOT_APART = 1024, 128, 3  -- counts, seconds
+local FIRST_COUNTS, REMEMBERED, GOES_ON, LEAST_HOLE, MOST_STRANDS = 64, FORWARD / 2, 3, 16, 8
 
-local function continued(strands, count)
-	for index = 1, #strands do  -- the first, almost always
-		if (strands[index].last + 1) % MODULUS == count then return index end
+local function position_of(strand, count)
+	return strand.last + (count - strand.last + FORWARD) % MODULUS - FORWARD
+end
+
+local function hole_at(strand, position)
+	for index = #strand.holes, 1, -1 do
+		local hole = strand.holes[index]
+		if hole.first <= position then
+			if position < hole.stop then return hole, index end
+			return nil
+		end
 	end
 	return nil
 end
 
-local function continue(strands, strand)
-	strands.moved = true
-	if strand.lone then analysis[strand.lone] = nil end
-	strand.lone = nil
+local function unknown(position)  -- what may come late before a strand's first packet: nobody missed it
+	return {first = position - WINDOW, stop = position}
 end
 
-local function begin_strand(strands, count, lone)
-	if #strands > 0 then strands.moved = true end
-	if lone then analysis[lone] = "reordered" end
-	strands[MOST_STRANDS] = nil
-	table.insert(strands, 1, {last = count, before = 0, jumped = 0, lone = lone})
+local function new_strand(position, packet, holes)
+	return {
+		last = position, boot = packet.boot, bodies = {[position % REPEATED] = packet.body}, holes = holes, place = packet.place,
+		front = 0, behind = 0, late = {},
+	}
 end
 
--- Tell a packet out of what was taken for a gap: it came late, or the jump was another sender's.
-local function late(strands, count)
+-- Put a strand first; forget those that did not move for long.
+local function add_strand(stream, strand)
+	local strands = {strand}
+	for _, other in ipairs(stream.strands) do
+		if #strands < MOST_STRANDS and strand.place - other.place <= REMEMBERED then
+			strands[#strands + 1] = other
+		end
+	end
+	stream.strands = strands
+end
+
+local function went_on(stream, strand, packet)
+	strand.place, strand.moved, stream.moved = packet.place, true, true
+	local strands = stream.strands
+	if strands[1] == strand then return end
+	for index = 2, #strands do
+		if strands[index] == strand then table.remove(strands, index) end
+	end
+	table.insert(strands, 1, strand)
+end
+
+local function advance(stream, strand, packet)
+	strand.last = strand.last + 1
+	strand.bodies[strand.last % REPEATED] = packet.body
+	strand.boot = packet.boot or strand.boot
+	strand.front = strand.front + 1
+	local holes = strand.holes
+	while holes[1] do
+		local kept = holes[1].stop - holes[1].first > WINDOW and REMEMBERED or WINDOW
+		if holes[1].stop > strand.last - kept then break end
+		table.remove(holes, 1)
+	end
+	went_on(stream, strand, packet)
+end
+
+local function begin_strand(stream, strand)
+	if #stream.strands > 0 then stream.moved = true end
+	add_strand(stream, strand)
+end
+
+-- Take counts of a hole for not missing after all.
+local function find(hole, count)
+	if hole.gap then
+		local left = hole.gap.missing - count
+		hole.gap.missing = left
+		analysis[hole.gap.frame] = left > 0 and left or nil
+	end
+end
+
+-- Make the packets in front of a hole another sender's.
+local function divide(stream, strand, hole, index, position, packet)
+	local taken_back = math.max(#strand.late - 1, 0)
+	for place = 1, taken_back do analysis[strand.late[place]] = nil end
+	strand.late = {}
+	local other = new_strand(position, packet, {})
+	other.moved = true
+	if not hole.gap then
+		other.holes[1] = unknown(position - taken_back)
+		begin_strand(stream, other)
+		return
+	end
+	find(hole, hole.stop - position)
+	local above = {unknown(hole.stop)}
+	for place, item in ipairs(strand.holes) do
+		if place < index then other.holes[place] = item end
+		if place > index then above[#above + 1] = item end
+	end
+	if position > hole.first then
+		other.holes[index] = {first = hole.first, stop = position, gap = hole.gap}
+	end
+	strand.holes = above
+	add_strand(stream, other)
+	went_on(stream, other, packet)
+end
+
+local function fill(strand, hole, index, position)
+	if position == hole.first then
+		hole.first = position + 1
+	else
+		if position + 1 < hole.stop then
+			table.insert(strand.holes, index + 1, {first = position + 1, stop = hole.stop, gap = hole.gap})
+		end
+		hole.stop = position
+	end
+	if hole.first == hole.stop then table.remove(strand.holes, index) end
+end
+
+local function comes_late(stream, strands, packet, missed)
 	for _, strand in ipairs(strands) do
-		local since = (count - strand.before) % MODULUS
-		if since > 0 and since <= strand.jumped then
-			analysis[strand.jump] = since > 1 and since - 1 or nil
-			strand.jumped = 0
-			return true
+		local position = position_of(strand, packet.count)
+		local hole, index = hole_at(strand, position)
+		if hole and (hole.gap ~= nil) == missed then
+			if position > strand.last - WINDOW then
+				if position ~= hole.first and missed then
+					strand.late = {}
+				elseif #strand.late == 0 or position ~= strand.behind then
+					strand.late, strand.front = {packet.frame}, 0
+				else
+					strand.late[#strand.late + 1] = packet.frame
+				end
+				strand.behind = position + 1
+				if #strand.late >= GOES_ON and (not missed or strand.front >= GOES_ON - 1)
+					and hole.stop - position > LEAST_HOLE then
+					divide(stream, strand, hole, index, position, packet)
+					return true
+				end
+				if position > strand.last - REPEATED then strand.bodies[position % REPEATED] = packet.body end
+				find(hole, 1)
+				fill(strand, hole, index, position)
+				analysis[packet.frame], stream.moved = "reordered", true
+				return true
+			elseif hole.stop - hole.first > WINDOW then
+				strand.late = {}
+				divide(stream, strand, hole, index, position, packet)
+				return true
+			end
 		end
 	end
 	return false
 end
 
--- Return the strand to which a count is nearest, going forward, and the step.
-local function nearest(strands, count)
-	local best, least = nil, MODULUS
-	for index, strand in ipairs(strands) do
-		local step = (count - strand.last) % MODULUS
-		if step < least then best, least = index, step end
-	end
-	return best, least
-end
-
--- Take the count of the packet in a frame.
-local function follow_count(strands, count, frame)
-	local index, step = continued(strands, count), nil
-	if index then
-		continue(strands, strands[index])
-	else
-		index, step = nearest(strands, count)
-		if index and step == 0 then
-			if strands.moved then analysis[frame] = "duplicate" end
-		elseif late(strands, count) or step >= FORWARD then
-			begin_strand(strands, count, #strands > 0 and frame or nil)
-			return
-		else
-			local strand = strands[index]
-			strands.moved = true
-			strand.before, strand.jumped, strand.jump = strand.last, step - 1, frame
-			analysis[frame] = step - 1
+local function comes_again(stream, strands, packet)
+	for _, strand in ipairs(strands) do
+		local position = position_of(strand, packet.count)
+		if position <= strand.last and position > strand.last - REPEATED and not hole_at(strand, position) then
+			if strand.bodies[position % REPEATED] == packet.body then
+				if stream.moved then analysis[packet.frame] = "duplicate" end
+				return true
+			elseif not strand.moved and position == strand.last then
+				strand.bodies[position % REPEATED] = packet.body
+				return true
+			end
 		end
 	end
-	-- The strand that moved last comes first: it is the one that goes on.
-	local strand = strands[index]
-	strand.last = count
-	if index > 1 then table.insert(strands, 1, table.remove(strands, index)) end
+	return false
 end
 
--- The work on one datagram, and the Software Bus Network's headers.
+local function is_ahead(stream, strands, packet, reach)
+	local nearest, least = nil, reach + 1
+	for _, strand in ipairs(strands) do
+		local step = position_of(strand, packet.count) - strand.last
+		if step > 0 and step < least then nearest, least = strand, step end
+	end
+	if not nearest or (least > WINDOW and packet.count < FIRST_COUNTS and not (packet.boot and nearest.boot)) then
+		return false
+	end
+	local gap = {frame = packet.frame, missing = least - 1}
+	analysis[packet.frame] = gap.missing
+	table.insert(nearest.holes, {first = nearest.last + 1, stop = nearest.last + least, gap = gap})
+	nearest.last = nearest.last + least - 1
+	advance(stream, nearest, packet)
+	nearest.late = {}
+	return true
+end
+
+-- Take a packet of a stream: its count, frame number and bytes, and its boot, where it has a time.
+local function follow_count(stream, packet)
+	local count, boot = packet.count, packet.boot
+	stream.place = stream.place + 1
+	packet.place = stream.place
+	local again = stream.count == count and stream.body == packet.body
+	stream.count, stream.body = count, packet.body
+	if again then
+		if stream.moved then analysis[packet.frame] = "duplicate" end
+		return
+	end
+	local strands = {}
+	for _, strand in ipairs(stream.strands) do
+		if not boot or not strand.boot or math.abs(boot - strand.boot) <= BOOT_APART then
+			strands[#strands + 1] = strand
+		end
+	end
+	for _, strand in ipairs(#strands > 0 and strands or stream.strands) do
+		if (strand.last + 1) % MODULUS == count then
+			advance(stream, strand, packet)
+			return
+		end
+	end
+	if not (comes_late(stream, strands, packet, true) or comes_again(stream, strands, packet)
+		or is_ahead(stream, strands, packet, WINDOW) or comes_late(stream, strands, packet, false)
+		or is_ahead(stream, strands, packet, FORWARD)) then
+		begin_strand(stream, new_strand(count, packet, {unknown(count)}))
+	end
+end
+
+-- The work on one datagram, and the headers of the links.
 
 local W = {serial = 0, layer = {}, at = {}, found = {}, is_found = {}}
 local peers, sequences = {}, {}  -- what is known of senders, see init()
@@ -2071,7 +2518,7 @@ end
 local function begin(s, link, pinfo, number, listed)
 	W.serial = W.serial + 1
 	W.s, W.link, W.pinfo, W.number, W.listed = s, link, pinfo, number, listed
-	W.layers, W.findings, W.entries, W.processor, W.bare = 0, 0, 0, 0, false
+	W.layers, W.findings, W.entries, W.spacecraft, W.processor, W.bare = 0, 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
 	W.route, W.message, W.envelope, W.padding, W.known = nil, nil, nil, nil, nil
 end
@@ -2126,7 +2573,7 @@ local function is_legacy(s)
 	elseif kind == D.sbn.APP then
 		return size >= L.ccsds.size and select(7, read.ccsds(s, at + 1)) + D.limits.length_bias == size
 	elseif kind == D.sbn.PROTO then
-		return size == L.proto.size
+		return size == L.sbn_proto.size
 	elseif kind == D.sbn.SUB or kind == D.sbn.UNSUB then
 		return s:sub(at + 1, at + 1) == "$"
 	end
@@ -2135,16 +2582,26 @@ end
 
 local source, source_text  -- the last address: most datagrams come from where the one before did
 
+-- Return the table that another has under a key.
+local function nested(outer, key)
+	local inner = outer[key]
+	if not inner then
+		inner = {}
+		outer[key] = inner
+	end
+	return inner
+end
+
 -- Return what is known of the endpoint that a datagram came from: a table in `places`, by address and port.
 local function sender(places)
 	local address, port = W.pinfo.src, W.pinfo.src_port
 	if address ~= source then source, source_text = address, tostring(address) end
-	local place = places[source_text]
-	if not place then
-		place = {}
-		places[source_text] = place
-	end
-	return place, port
+	return nested(places, source_text), port
+end
+
+-- Return what is known of the endpoint that a datagram goes to.
+local function receiver(places)
+	return nested(places, tostring(W.pinfo.dst)), W.pinfo.dst_port
 end
 
 -- Compare a sender with the one its endpoint is known by: the first identity that it gave.
@@ -2165,11 +2622,11 @@ end
 local IDENT = D.sbn.ident .. string.rep("\0", D.sbn.ident_bytes - #D.sbn.ident)
 
 local function subscriptions(at)
-	if not take(L.subscriptions, at) then return end
+	if not take(L.sbn_sub, at) then return end
 	local s = W.s
-	local count = read.subscriptions(s, at + 1)
+	local count = read.sbn_sub(s, at + 1)
 	if s:sub(at + 1, at + D.sbn.ident_bytes) ~= IDENT then note("sbn_id_mismatch") end
-	local first = at + L.subscriptions.size
+	local first = at + L.sbn_sub.size
 	local size = L.subscription.size
 	W.entries = math.min(count, math.floor((#s - first) / size))
 	if W.listed then
@@ -2199,7 +2656,7 @@ local function software_bus_network(s)
 		size, kind, processor, spacecraft = read.sbn(s, 1)
 	end
 	local known, payload = D.sbn.names[kind], #s - layout.size
-	W.kind, W.processor = known or format("0x%02x", kind), processor
+	W.kind, W.spacecraft, W.processor = known or format("0x%02x", kind), spacecraft, processor
 	if size ~= payload then note("sbn_size_mismatch") end
 	if not known then note("sbn_unknown_type") end
 	if kind == D.sbn.NO_MSG then note("sbn_no_message") end
@@ -2207,8 +2664,8 @@ local function software_bus_network(s)
 	if kind == D.sbn.APP then return layout.size end
 	if kind == D.sbn.SUB or kind == D.sbn.UNSUB then
 		subscriptions(layout.size)
-	elseif kind == D.sbn.PROTO and take(L.proto, layout.size) then
-		local version = read.proto(s, layout.size + 1)
+	elseif kind == D.sbn.PROTO and take(L.sbn_proto, layout.size) then
+		local version = read.sbn_proto(s, layout.size + 1)
 		W.summary = format("protocol version %d", version)
 		if version ~= D.sbn.version then note("sbn_version_mismatch") end
 	end
@@ -2219,6 +2676,20 @@ local function software_bus_network(s)
 	return nil
 end
 
+-- Read the headers of a link that has the same ones always, or by its length.
+local function read_headers(s, link)
+	local form, at = link.forms and link.forms[#s], 0
+	for _, name in ipairs(form and form.headers or link.headers) do
+		if not take(L[name], at) then return nil end
+		if not link.packets then W.summary = L[name].title or link.title end
+		at = at + L[name].size
+	end
+	return link.packets and at or nil
+end
+
+-- Links whose headers hang on what they hold read them by themselves.
+local HEADER_READERS = {sbn = software_bus_network}
+
 -- Space packets: the primary header, cFE's headers, what cFE itself sends, and the EDORAS envelope.
 
 local routes = D.routes
@@ -2226,11 +2697,12 @@ local settings = {}
 
 -- Take what the preferences say of the headers; all the rest follows from it.
 local function settle(extended, short)
-	local layout = short and L.telemetry_short or L.telemetry
+	local telemetry = extended and "telemetry_extended" or short and "telemetry_short" or "telemetry"
 	settings.extra = extended and L.extended.size or 0
-	settings.command_header = L.ccsds.size + L.command.size + settings.extra
-	settings.telemetry_header = L.ccsds.size + layout.size + settings.extra
-	settings.telemetry, settings.read_time = layout, read[short and "telemetry_short" or "telemetry"]
+	settings.command = extended and L.command_extended or L.command
+	settings.telemetry, settings.read_time = L[telemetry], read[telemetry]
+	settings.command_header = L.ccsds.size + settings.extra + settings.command.size
+	settings.telemetry_header = L.ccsds.size + settings.extra + settings.telemetry.size
 end
 settle(D.extended_header, D.telemetry_header == L.ccsds.size + L.telemetry_short.size)
 for _, form in ipairs(D.formats) do
@@ -2254,7 +2726,8 @@ local function look_up(link, msg_id)
 	}
 end
 
-local known_of = {ci = {}, to = {}, sbn = {}}
+local known_of = {}
+for _, link in ipairs(D.links) do known_of[link.label] = {} end
 
 local function about(link, msg_id)
 	local known = known_of[link][msg_id]
@@ -2271,24 +2744,23 @@ end
 
 local LENGTH_BIAS, LONGEST, HIGHEST_MSG_ID = D.limits.length_bias, D.limits.software_bus, D.limits.highest_msg_id
 local HEADER = L.ccsds.size
-local LINK_NUMBER = {ci = 1, to = 2, sbn = 3}
 
--- Follow the sequence count of a stream: one MsgId of one processor on one link, each endpoint by itself.
-local function follow(msg_id, count)
+-- Follow the sequence count of a stream: one MsgId of one sender on one link.
+local function follow(msg_id, count, start)
 	if W.pinfo.visited then return end
-	local stream = (W.processor * 65536 + msg_id) * 4 + LINK_NUMBER[W.link]  -- below 2^53
-	local endpoints = sequences[stream]
-	if not endpoints then
-		endpoints = {}
-		sequences[stream] = endpoints
+	local spacecraft, key = nested(sequences, W.spacecraft), msg_id * 256 + link_by_label[W.link].code
+	local endpoints = nested(nested(spacecraft, W.processor), key)
+	local place, port
+	if W.spacecraft > 0 or W.processor > 0 then
+		place, port = receiver(endpoints)
+	else
+		place, port = sender(endpoints)
 	end
-	local place, port = sender(endpoints)
-	local strands = place[port]
-	if not strands then
-		strands = {}
-		place[port] = strands
-	end
-	follow_count(strands, count, W.number)
+	place[port] = place[port] or {strands = {}, place = 0}
+	follow_count(place[port], {
+		count = count, frame = W.number, body = W.s:sub(start + 1),
+		boot = W.time and W.time > 0 and W.pinfo.abs_ts - W.time or nil,
+	})
 end
 
 -- Judge a command's checksum and function code.
@@ -2302,7 +2774,7 @@ local function command(code, sent, start, length, extra)
 	if not known then
 		note("unknown_function_code")
 	elseif known.lengths then
-		local total = #W.s - start - extra
+		local total = #W.s - start - settings.command_header + L.ccsds.size + L.command.size
 		for _, length_taken in ipairs(known.lengths) do
 			if total == length_taken then return end
 		end
@@ -2336,15 +2808,15 @@ local function suits(route, at)
 	if #s < start + 4 then return false end
 	local length = form.read(s, at + 1)
 	local representation = length >= 4 and length <= #s - start and read.cdr(s, start + 1) or 2
-	return representation <= 1 and route.kind ~= nil
-		and is_message(route.kind, s, start + L.cdr.size + 1, start + length, representation == 0)
+	if representation > 1 or not route.kind then return false end
+	local left = bytes_left(route.kind, s, start + L.cdr.size + 1, start + length, representation == 0)
+	return left ~= nil and left <= route.kind.trailing
 end
 
 local function envelope(claims, at)
-	local route, s, proven = routes[claims[1]], W.s, false
+	local route, s = routes[claims[1]], W.s
 	for index = 1, #claims > 1 and #claims or 0 do
-		proven = suits(routes[claims[index]], at)
-		if proven then
+		if suits(routes[claims[index]], at) then
 			route = routes[claims[index]]
 			break
 		end
@@ -2380,8 +2852,10 @@ local function envelope(claims, at)
 	local kind = route.kind
 	if not kind then return end
 	W.big = representation == 0
-	if proven or is_message(kind, s, W.body + 1, stop, W.big) then
+	local left = bytes_left(kind, s, W.body + 1, stop, W.big)
+	if left then
 		W.message = kind
+		if left > D.limits.rounded then note(left > kind.trailing and "cdr_too_long" or "cdr_trailing") end
 		if W.listed then W.summary = short_message(kind.steps, s, W.body + 1, W.body + 1, W.big) end
 	else
 		note("cdr_invalid")
@@ -2425,39 +2899,34 @@ local function space_packet(start)
 	local extra = settings.extra
 	local is_command, total = kind == 1, data_length + LENGTH_BIAS
 	local after, link = start + HEADER, work.link
-	if extra > 0 and length >= HEADER + extra then
-		local _, _, _, subsystem = read.extended(s, after + 1)
-		msg_id = apid % 128 + kind * 128 + subsystem % 256 * 256
-	end
 	local known = about(link, msg_id)
 	work.msg_id, work.known = msg_id, known
 	work.kind = work.kind or (is_command and "cmd" or "tlm")
 	if total ~= length then note("length_mismatch") end
-	if flags == 0 and count == 0 then
-		note("sequence_unset")
-	else
-		follow(msg_id, count)
-	end
+	local counted = flags > 0 or count > 0
+	if not counted then note("sequence_unset") end
 	if total > LONGEST then note("over_software_bus") end
 	if msg_id < 1 or msg_id > HIGHEST_MSG_ID then
 		note("invalid_msg_id")
 	elseif known.unknown then
 		note("unknown_msg_id")
 	end
-	if (link == "ci" and not is_command) or (link == "to" and is_command) then note("wrong_direction") end
+	local way = link_by_label[link]
+	if way.to_cfs ~= way.from_cfs and is_command ~= way.to_cfs then note("wrong_direction") end
 
 	local as_command = settings.command_header
-	local bare = not is_command and length == as_command and total == length
+	local bare = not is_command and length == as_command and total == length and as_command < settings.telemetry_header
 	local header = (is_command or bare) and as_command or settings.telemetry_header
 	work.bare = bare
 	if bare then note("header_only") end
 	if extra > 0 and length >= HEADER + extra then add_layer(L.extended, after) end
 	if length < header then
+		if counted then follow(msg_id, count, start) end
 		return truncated(is_command and L.command.name or L.telemetry.name, after, header - HEADER)
 	end
 	local at, code, sent = after + extra, nil, nil
 	if is_command or bare then
-		add_layer(L.command, at)
+		add_layer(settings.command, at)
 		local _
 		_, code, sent = read.command(s, at + 1)
 	else
@@ -2465,6 +2934,7 @@ local function space_packet(start)
 		local seconds, subseconds = settings.read_time(s, at + 1)
 		work.time = seconds + subseconds / 65536
 	end
+	if counted then follow(msg_id, count, start) end
 	if is_command then
 		work.code = code
 		command(code, sent, start, math.min(length, total), extra)
@@ -2629,27 +3099,27 @@ end
 -- The dissector itself: read a datagram, fill the columns, and add to the tree what is asked for.
 
 local edoras = P.edoras
-edoras.prefs.ci_ports = Pref.range("CI ports", "", "UDP ports of Command Ingest", 65535)
-edoras.prefs.to_ports = Pref.range("TO ports", "", "UDP ports that Telemetry Output sends to", 65535)
-edoras.prefs.sbn_ports = Pref.range("SBN ports", "", "UDP ports of Software Bus Network peers", 65535)
+for _, link in ipairs(D.links) do
+	local what = "Further UDP ports of the link " .. link.doc
+	edoras.prefs[link.label .. "_ports"] = Pref.range(link.name .. " ports", "", what, 65535)
+end
 edoras.prefs.extended_header = Pref.bool(
-	"Extended header", D.extended_header, "Packets carry cFE's extended (version 2) header"
+	"Extended header", D.extended_header, "Packets carry cFE's extended header"
 )
 edoras.prefs.short_telemetry_header = Pref.bool(
 	"12-byte telemetry header", D.telemetry_header == 12, "Older cFE builds: no spare in the telemetry header"
 )
 
-local PROTOCOL = {ci = "CI", to = "TO", sbn = "SBN"}
 local registered = {}
 
 local function register_ports()
 	local udp = DissectorTable.get("udp.port")
 	for port in pairs(registered) do udp:remove(port, edoras) end
 	registered = {}
-	for link in pairs(ports) do
-		ports[link] = port_set(edoras.prefs[link .. "_ports"])
-		for _, port in ipairs(D.ports[link]) do ports[link][port] = true end
-		for port in pairs(ports[link]) do registered[port] = true end
+	for label in pairs(ports) do
+		ports[label] = port_set(edoras.prefs[label .. "_ports"])
+		for _, port in ipairs(D.ports[label]) do ports[label][port] = true end
+		for port in pairs(ports[label]) do registered[port] = true end
 	end
 	for port in pairs(registered) do udp:add(port, edoras) end
 	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header)
@@ -2794,7 +3264,7 @@ local function show_facts(node, visible)
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
 end
 
-local CDR, SUBSCRIPTIONS = L.cdr, L.subscriptions
+local CDR, SUBSCRIPTIONS = L.cdr, L.sbn_sub
 
 -- Add every layer, outermost first; return where findings belong.
 local function show(tree, tvb, visible)
@@ -2823,28 +3293,25 @@ local function show(tree, tvb, visible)
 	return node
 end
 
-local CI_BUFFER, BRIDGE_BUFFER = D.limits.ci_buffer, D.limits.bridge_buffer
 local reported_len, captured_len, raw = Tvb.reported_len, Tvb.captured_len, Tvb.raw
 
 local function dissect(tvb, pinfo, tree)
 	if pinfo.in_error_pkt then return 0 end  -- what an ICMP error quotes was not sent again
 	local s = captured_len(tvb) > 0 and raw(tvb) or ""
-	local link = link_of(pinfo, byte(s))
+	local link = link_of(pinfo, s)
 	if not link then return 0 end
 	local number = pinfo.number
 	local wanted = look_who_asks(tree, number)
 	local visible = wanted == "all"
-	begin(s, link, pinfo, number, has_columns(pinfo, visible, number))
-	if link == "ci" and #s > CI_BUFFER then note("over_ci_buffer") end
-	if link == "to" and #s > BRIDGE_BUFFER then note("over_bridge_buffer") end
-	local start = 0
-	if link == "sbn" then start = software_bus_network(s) end
+	begin(s, link.label, pinfo, number, has_columns(pinfo, visible, number))
+	if link.receive_buffer and #s > link.receive_buffer then note(link.over_receive_buffer) end
+	local start = (HEADER_READERS[link.label] or read_headers)(s, link)
 	if start then space_packet(start) end
 	if reported_len(tvb) > #s then forgive() end
 
 	if W.listed then
 		local columns = pinfo.cols
-		columns.protocol = PROTOCOL[link]
+		columns.protocol = link.name
 		columns.info = info()
 	end
 	show_findings(wanted and show(tree, tvb, visible) or tree, visible)

@@ -10,13 +10,16 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from edoras_tools.cfs import limits, names
 from edoras_tools.dissectors.lua_text import literal, quoted
-from edoras_tools.wire import ccsds, cdr, cfe, limits, names, sbn
-from edoras_tools.wire.envelope import FORMATS
+from edoras_tools.links.protocol import BY_ADDRESS, BY_CONTENT, LARGEST_DOUBLE, SMALLEST_DOUBLE
+from edoras_tools.wire import ccsds, cdr, cfe, sbn
+from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.wire.envelope import EnvelopeFormat
     from edoras_tools.wire.layout import Layout, Slot
 
@@ -32,18 +35,17 @@ LAYOUTS: Final[dict[str, tuple[Layout, Place]]] = {
     "ccsds": (ccsds.PRIMARY, Place("ccsds_sp", "ccsds_sp")),
     "extended": (cfe.EXTENDED, Place("cfe", "cfe.extended")),
     "command": (cfe.COMMAND, Place("cfe", "cfe.command")),
+    "command_extended": (cfe.COMMAND_EXTENDED, Place("cfe", "cfe.command")),
     "telemetry": (cfe.TELEMETRY, Place("cfe", "cfe.telemetry")),
     "telemetry_short": (cfe.TELEMETRY_SHORT, Place("cfe", "cfe.telemetry")),
+    "telemetry_extended": (cfe.TELEMETRY_EXTENDED, Place("cfe", "cfe.telemetry")),
     "event": (cfe.EVENT, Place("cfe", "cfe.event")),
     "software_bus": (cfe.SOFTWARE_BUS_HOUSEKEEPING, Place("cfe", "cfe.software_bus")),
-    "sbn": (sbn.HEADER, Place("sbn", "sbn")),
     "sbn_legacy": (sbn.LEGACY_HEADER, Place("sbn", "sbn")),
-    "subscriptions": (sbn.SUBSCRIPTIONS, Place("sbn", "sbn.sub")),
     "subscription": (sbn.SUBSCRIPTION, Place("sbn", "sbn.subscription")),
-    "proto": (sbn.PROTO, Place("sbn", "sbn.proto")),
     "cdr": (cdr.ENCAPSULATION, Place("ros2cdr", "ros2cdr")),
 }
-"""Every header, by what the engine calls it; the envelopes are added for each of their formats."""
+"""Headers by what the engine calls them; those of links and the envelopes in each format come to them."""
 
 ENGINE: Final = (
     *("base", "fields", "links", "cdr", "words", "sequence", "network", "packet", "show", "message"),
@@ -90,20 +92,23 @@ class Knowledge:
 
     Attributes:
         findings: every finding.
-        ports: UDP ports by link, ``ci``, ``to`` and ``sbn``.
+        links: every link.
+        ports: UDP ports by link.
         bridge_ports: where flight bridges listen.
         cfs_addresses: IPv4 addresses of the cFS of ground missions.
         identities: (SpacecraftID, ProcessorID) that missions name.
         routes: all routes.
         exact: by link, MsgId to the routes that may claim it; the first whose type fits the bytes is taken.
         any_link: the same whatever the link.
-        types: ROS types by name: ``{"fixed": bytes or None, "steps": [...]}``, as ``engine/cdr.lua`` reads.
+        types: ROS types by name: ``{"fixed": bytes or None, "trailing": bytes, "steps": [...]}``, as
+            ``engine/cdr.lua`` reads.
         extended_header: packets carry cFE's extended header.
         telemetry_header: 16 or 12.
         note: what the head of the file says of where the routes are from.
     """
 
     findings: Sequence[FindingText]
+    links: Sequence[LinkProtocol]
     ports: Mapping[str, Sequence[int]]
     bridge_ports: Sequence[int]
     cfs_addresses: Sequence[str] = ()
@@ -119,7 +124,7 @@ class Knowledge:
 
 def generate(knowledge: Knowledge) -> str:
     """Return the Lua file."""
-    parts = [_data(knowledge), _readers()]
+    parts = [_data(knowledge), _readers(knowledge)]
     parts += [(files(__package__) / "engine" / f"{name}.lua").read_text("utf-8") for name in ENGINE]
     body = "\n".join(parts)
     return _head(knowledge.note, digest(body)) + body
@@ -156,17 +161,18 @@ end
 
 
 def _data(knowledge: Knowledge) -> str:
-    layouts = {name: _layout(layout, place) for name, (layout, place) in LAYOUTS.items()}
+    layouts = {name: _layout(layout, place) for name, (layout, place) in _layouts(knowledge).items()}
     data = {
         "layouts": layouts,
-        "formats": [{"width": item.width, "little": item.byte_order == "little"} for item in FORMATS],
+        "formats": [
+            {"width": item.width, "little": item.byte_order == "little"} for item in ENVELOPE_FORMATS
+        ],
         "limits": {
-            "ci_buffer": limits.CI_BUFFER,
-            "bridge_buffer": limits.BRIDGE_BUFFER,
             "bridge_modulus": limits.BRIDGE_LENGTH_MODULUS,
             "software_bus": limits.SOFTWARE_BUS_MAXIMUM,
             "highest_msg_id": cfe.HIGHEST_MSG_ID,
             "length_bias": ccsds.LENGTH_BIAS,
+            "rounded": cdr.ROUNDED,
             "sequence_modulus": 1 << ccsds.PRIMARY.by_name["packet_sequence_count"].field.bits,
         },
         "sbn": {
@@ -199,6 +205,9 @@ def _data(knowledge: Knowledge) -> str:
             }
             for item in knowledge.findings
         ],
+        "links": [_link(item) for item in knowledge.links],
+        "sure": {"by_content": BY_CONTENT, "by_address": BY_ADDRESS},
+        "doubles": {"smallest": SMALLEST_DOUBLE, "largest": LARGEST_DOUBLE},
         "ports": {link: list(ports) for link, ports in knowledge.ports.items()},
         "bridge_ports": list(knowledge.bridge_ports),
         "cfs_addresses": list(knowledge.cfs_addresses),
@@ -207,7 +216,7 @@ def _data(knowledge: Knowledge) -> str:
             {
                 "topic": item.topic,
                 "type": item.type,
-                "format": FORMATS.index(item.envelope) + 1 if item.envelope else None,
+                "format": ENVELOPE_FORMATS.index(item.envelope) + 1 if item.envelope else None,
             }
             for item in knowledge.routes
         ],
@@ -218,6 +227,45 @@ def _data(knowledge: Knowledge) -> str:
         "telemetry_header": knowledge.telemetry_header,
     }
     return "local D = {}\n" + "".join(f"D.{name} = {literal(value)}\n" for name, value in data.items())
+
+
+def _layouts(knowledge: Knowledge) -> dict[str, tuple[Layout, Place]]:
+    """Return every header, those of the links among them: each is named as its layout is."""
+    own = {
+        layout.name: (layout, Place(link.label, layout.name.replace("_", ".")))
+        for link in knowledge.links
+        for layout in link.layouts
+    }
+    return own | LAYOUTS
+
+
+def _link(link: LinkProtocol) -> dict[str, Any]:
+    forms = {
+        length: {
+            "headers": [layout.name for layout in form.headers],
+            "port": form.port or None,
+            "doubles": form.doubles or None,
+        }
+        for length, form in link.forms.items()
+    }
+    return {
+        "label": link.label,
+        "code": int(link),
+        "name": link.name,
+        "doc": link.doc,
+        "title": link.layouts[0].title if link.layouts and link.packets else f"{link.name} link",
+        "to_cfs": link.to_cfs,
+        "from_cfs": link.from_cfs,
+        "packets": link.packets,
+        "headers": [layout.name for layout in link.layouts],
+        "header_bytes": link.header_bytes,
+        "forms": forms or None,
+        "constants": dict(link.constants) or None,
+        "sure": link.port_sure,
+        "sender_port": link.sender_port,
+        "receive_buffer": link.receive_buffer or None,
+        "over_receive_buffer": link.over_receive_buffer.label if link.receive_buffer else None,
+    }
 
 
 def _from_one(claims: Mapping[int, Sequence[int]]) -> dict[int, list[int]]:
@@ -272,12 +320,12 @@ def _field(slot: Slot, word: Slot, prefix: str) -> dict[str, Any]:
     }
 
 
-def _readers() -> str:
+def _readers(knowledge: Knowledge) -> str:
     """Return a Lua function for each layout: from a string and a place to its numbers and texts."""
     lines = ["local byte = string.byte", "D.read = {}"]
-    for name, (layout, _) in LAYOUTS.items():
+    for name, (layout, _) in _layouts(knowledge).items():
         lines += _reader(name, layout)
-    for item in FORMATS:
+    for item in ENVELOPE_FORMATS:
         lines += _reader(
             f"envelope_{item.width}_{'little' if item.byte_order == 'little' else 'big'}", item.layout
         )

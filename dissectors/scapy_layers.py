@@ -15,6 +15,7 @@ an envelope is told from the bytes.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from scapy.fields import PacketListField, StrLenField
@@ -22,17 +23,21 @@ from scapy.layers.inet import UDP
 from scapy.packet import Packet, Raw, bind_top_down
 
 from edoras_tools.dissectors.scapy_fields import fields, put
+from edoras_tools.links import table
 from edoras_tools.wire import ccsds, cdr, cfe, sbn
-from edoras_tools.wire.envelope import DEFAULT, FORMATS, EnvelopeFormat, detect
+from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.wire.layout import Layout
 
-CI_TO_PORTS: Final = (1234, 1235, 1236, 1237)
-SBN_PORTS: Final = (2234, 2235, 2236)
-CAPTURE_FILTER: Final = "udp portrange 1234-1237 or udp portrange 2234-2236"
+_LINKS: Final = tuple(link for link in table.links() if not link.forms)
+"""Those whose ports tell what they carry; scapy binds layers to ports, not to lengths."""
+CAPTURE_FILTER: Final = " or ".join(
+    f"udp port {port}" for port in sorted({port for link in _LINKS for port in link.transport.ports})
+)
 """For ``sniff(filter=...)``."""
 
 
@@ -101,20 +106,16 @@ class SpacePacket(Packet):  # type: ignore[misc]
     @property
     def msg_id(self) -> int:
         """The MsgId by which cFE knows the packet."""
-        word = ccsds.msg_id(
+        return ccsds.msg_id(
             {slot.field.name: self.getfieldval(slot.field.name) for slot in ccsds.PRIMARY.slots}
         )
-        extended = self.getlayer(ExtendedHeader)
-        if extended is None:
-            return word
-        return cfe.extended_msg_id(self.apid, self.packet_type, extended.subsystem_id)
 
     def post_build(self, header: bytes, payload: bytes) -> bytes:
         """Fill in the length, and the checksum of a command."""
         if self.packet_data_length is None:
             total = len(header) + len(payload)
             header = put(header, ccsds.PRIMARY, "packet_data_length", total - ccsds.LENGTH_BIAS)
-        command = self.getlayer(CommandHeader)
+        command = self.getlayer(CommandHeader) or self.getlayer(ExtendedCommandHeader)
         if command is not None and command.checksum is None:
             extra = cfe.EXTENDED.size if self.haslayer(ExtendedHeader) else 0
             at = extra + cfe.COMMAND.by_name["checksum"].start
@@ -131,18 +132,23 @@ class SpacePacket(Packet):  # type: ignore[misc]
 def _secondary(packet: SpacePacket, payload: bytes, extra: int) -> type[Packet]:
     """Choose the cFE header; a telemetry packet of 8 bytes in all has the command header, as wake-ups do."""
     total = ccsds.PRIMARY.size + extra + len(payload)
-    bare = total == cfe.COMMAND_HEADER_BYTES + extra == packet.packet_data_length + ccsds.LENGTH_BIAS
+    bare = total == cfe.COMMAND_HEADER_BYTES == packet.packet_data_length + ccsds.LENGTH_BIAS
+    chosen: type[Packet]
     if packet.packet_type or bare:
-        return CommandHeader if len(payload) >= cfe.COMMAND.size else Raw
-    short = _known.telemetry_header == ccsds.PRIMARY.size + cfe.TELEMETRY_SHORT.size
-    chosen, layout = (
-        (ShortTelemetryHeader, cfe.TELEMETRY_SHORT) if short else (TelemetryHeader, cfe.TELEMETRY)
-    )
+        chosen, layout = (
+            (ExtendedCommandHeader, cfe.COMMAND_EXTENDED) if extra else (CommandHeader, cfe.COMMAND)
+        )
+    elif extra:
+        chosen, layout = ExtendedTelemetryHeader, cfe.TELEMETRY_EXTENDED
+    elif _known.telemetry_header == cfe.SHORT.telemetry_bytes:
+        chosen, layout = ShortTelemetryHeader, cfe.TELEMETRY_SHORT
+    else:
+        chosen, layout = TelemetryHeader, cfe.TELEMETRY
     return chosen if len(payload) >= layout.size else Raw
 
 
 class ExtendedHeader(Packet):  # type: ignore[misc]
-    """cFE's extended ("version 2") header."""
+    """cFE's extended header."""
 
     name = cfe.EXTENDED.title
     fields_desc = fields(cfe.EXTENDED)
@@ -188,6 +194,20 @@ class TelemetryHeader(_Secondary):
 
     name = cfe.TELEMETRY.title
     fields_desc = fields(cfe.TELEMETRY)
+
+
+class ExtendedCommandHeader(_Secondary):
+    """cFE command header behind an extended one."""
+
+    name = cfe.COMMAND_EXTENDED.title
+    fields_desc = fields(cfe.COMMAND_EXTENDED, checksum=None)
+
+
+class ExtendedTelemetryHeader(_Secondary):
+    """cFE telemetry header behind an extended one."""
+
+    name = cfe.TELEMETRY_EXTENDED.title
+    fields_desc = fields(cfe.TELEMETRY_EXTENDED)
 
 
 class ShortTelemetryHeader(_Secondary):
@@ -241,7 +261,7 @@ def _envelope(chosen: EnvelopeFormat) -> type[Packet]:
     return type(f"EdorasEnvelope{suffix}", (_Envelope,), members)
 
 
-ENVELOPES: Final = {item: _envelope(item) for item in FORMATS}
+ENVELOPES: Final = {item: _envelope(item) for item in ENVELOPE_FORMATS}
 """The envelope layer of each format."""
 EdorasEnvelope = ENVELOPES[DEFAULT]
 
@@ -404,15 +424,32 @@ def _bind(layers: Sequence[type[Packet]], **flags: int) -> None:
         bind_top_down(SpacePacket, layer, secondary_header_flag=1, **flags)
 
 
-_bind((CommandHeader,), packet_type=ccsds.TELECOMMAND)
-_bind((TelemetryHeader, ShortTelemetryHeader), packet_type=ccsds.TELEMETRY)
+@cache
+def _first(link: LinkProtocol) -> type[Packet]:
+    """Return the first layer of a link: its header, made from its layouts, or the space packet."""
+    if not link.layouts or link.layouts[0] is sbn.HEADER:
+        return SBN if link.layouts else SpacePacket
+    following: type[Packet] = SpacePacket if link.packets else Raw
+    for layout in reversed(link.layouts):
+        made = {"name": layout.title, "fields_desc": fields(layout), "__module__": __name__}
+        made["guess_payload_class"] = lambda _self, _payload, then=following: then
+        following = type("".join(word.title() for word in layout.name.split("_")), (Packet,), made)
+    return following
+
+
+_bind((CommandHeader,), packet_type=ccsds.TELECOMMAND_TYPE)
+_bind((TelemetryHeader, ShortTelemetryHeader), packet_type=ccsds.TELEMETRY_TYPE)
 bind_top_down(SBN, SBNSubscriptions, msg_type=sbn.MsgType.SUB)
 bind_top_down(SBN, SBNProto, msg_type=sbn.MsgType.PROTO)
 bind_top_down(UDP, SpacePacket, sport=1235, dport=1234)
 bind_top_down(UDP, SBN, sport=2236, dport=2234)
 # In front of all others: a source port that means something else elsewhere must not win.
 UDP.payload_guess[:0] = [
-    *(({"dport": port}, SBN) for port in SBN_PORTS),
-    *(({"dport": port}, SpacePacket) for port in CI_TO_PORTS),
-    *(({"sport": port}, SBN) for port in SBN_PORTS),
+    *(({"dport": port}, _first(link)) for link in reversed(_LINKS) for port in link.transport.ports),
+    *(
+        ({"sport": port}, _first(link))
+        for link in _LINKS
+        if link.sender_port
+        for port in link.transport.ports
+    ),
 ]

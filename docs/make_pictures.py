@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING, Final
 
 from textual.widgets import Input
 
-from edoras_tools.pipelines.info import inspect
+from edoras_tools.pipelines.capture.info import inspect
+from edoras_tools.pipelines.capture.sniff import decode_packet
 from edoras_tools.pipelines.selection import Selection
-from edoras_tools.pipelines.sniff import find
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.render import packet, palette
-from edoras_tools.render.info import capture_summary
-from edoras_tools.render.packet_list import PacketList
-from edoras_tools.render.svg import picture, without_fonts
-from edoras_tools.tui.viewer import Choice, Viewer
+from edoras_tools.render.capture import packet
+from edoras_tools.render.capture.info import capture_summary
+from edoras_tools.render.capture.packet_list import PacketList
+from edoras_tools.render.svg import terminal_picture, without_fonts
+from edoras_tools.render.terminal import palette
+from edoras_tools.tui.viewer import Viewer, ViewOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -54,16 +55,16 @@ def sniff() -> str:
                     lines.append(palette.Paint(colour=True)("     ⋮", palette.DIM))
                 lines.append(line)
     source.close()
-    return picture(lines, width=128, title=f"edoras sniff -r f_sbn_disconnect.pcap {_CONFIGS}")
+    return terminal_picture(lines, width=128, title=f"edoras sniff -r f_sbn_disconnect.pcap {_CONFIGS}")
 
 
 def decode() -> str:
     """Draw one packet, its tree and its bytes."""
     settings, path = _bench("f_sbn_disconnect", _ROVERS)
-    decoded = find(open_files([path]), settings.workbench(), 189)
-    lines = packet.lines(decoded, 150, colour=True, chosen="ros.linear.x")
+    decoded = decode_packet(open_files([path]), settings.workbench(), 189)
+    lines = packet.packet_lines(decoded, 150, colour=True, chosen="ros.linear.x")
     title = f"edoras decode f_sbn_disconnect.pcap 189 {_CONFIGS} --layer ros.linear.x"
-    return picture(lines, width=150, title=title)
+    return terminal_picture(lines, width=150, title=title)
 
 
 def info() -> str:
@@ -71,7 +72,7 @@ def info() -> str:
     settings, path = _bench("a_rover", ["rover_ground"])
     summary = inspect(open_files([path]), settings.workbench()).summary()
     view = capture_summary({**summary, "source": path.name})
-    return picture([view], width=100, title="edoras info a_rover.pcap -c rover_ground.yaml")
+    return terminal_picture([view], width=100, title="edoras info a_rover.pcap -c rover_ground.yaml")
 
 
 def _three_panes(
@@ -89,7 +90,7 @@ def _three_panes(
         missions: that are named.
     """
     settings, path = _bench(capture, missions)
-    app = Viewer(open_files([path]), settings.workbench(), Choice(Selection(), settings))
+    app = Viewer(open_files([path]), settings.workbench(), ViewOptions(Selection(), settings))
     app.title = " ".join(["edoras sniff --tui -r", path.name, *(f"-c {name}.yaml" for name in missions)])
 
     async def draw() -> str:

@@ -7,13 +7,15 @@
 * ``console`` blocks are run, their commands one after the other in one folder for the whole page, 100 columns
   wide; ``head=N`` and ``tail=N`` behind the word keep that many lines of each output;
 * ``console live`` blocks need a network, or a clock: they were run by hand, only their options are checked;
-* ``python run`` blocks are run, and what they print goes into the ``text`` block that follows;
+* ``python run`` blocks are run, those of a page as one program, and what they print goes into the ``text``
+  block that follows;
 * regions between ``<!-- table: NAME -->`` and ``<!-- end -->`` are written from the code's own tables.
 """  # noqa: INP001  a script beside the pages, no package
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import json
 import os
@@ -21,8 +23,9 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -74,6 +77,7 @@ class _Runner:
     def __init__(self) -> None:
         self._code = 0
         self._printed: str | None = None
+        self._names: dict[str, object] = {"__name__": "page"}
 
     def block(self, found: re.Match[str]) -> str:
         language, words, body = found[1], found[2].split(), found[3]
@@ -105,11 +109,10 @@ class _Runner:
         self._code = done.returncode
         return done.stdout
 
-    @staticmethod
-    def _program(code: str) -> str:
+    def _program(self, code: str) -> str:
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
-            exec(compile(code, "page", "exec"), {"__name__": "page"})  # noqa: S102  the pages' own programs
+            exec(compile(code, "page", "exec"), self._names)  # noqa: S102  the pages' own programs
         return printed.getvalue()
 
 
@@ -222,6 +225,18 @@ def _keys() -> str:
     return "\n".join(lines) + "\n"
 
 
+def _sbn_states() -> str:
+    """Return the states of an SBN connection as a diagram."""
+    from edoras_tools.sessions.sbn.states import TRANSITIONS, ConnectionState
+
+    lines = [f"[*] --> {next(iter(ConnectionState)).value}"]
+    lines += [
+        f"{before.value} --> {after.value}: {trigger.value}"
+        for (before, trigger), after in TRANSITIONS.items()
+    ]
+    return "\n".join(["```mermaid", "stateDiagram-v2", *(f"    {line}" for line in lines), "```\n"])
+
+
 def _attributes(name: str) -> Callable[[], str]:
     """Return a function that writes the attributes of a class of ``model`` as a table, from its docstring."""
 
@@ -236,12 +251,80 @@ def _attributes(name: str) -> Callable[[], str]:
     return table
 
 
+_PORTS: Final = {"n10_uplink_loss": 5234}
+"""Where CI is not at its usual port."""
+
+
+@functools.cache
+def _balances() -> dict[str, Any]:
+    """Return the diagnosis of every capture of the tests, as JSON, by the capture's name."""
+    from edoras_tools.decode import Options
+    from edoras_tools.diagnosis.examination import Examination
+    from edoras_tools.io.formats.open import open_file
+    from edoras_tools.links.ci import CI
+    from edoras_tools.pipelines.workbench import Settings
+
+    found = {}
+    for path in sorted((ROOT / "tests/captures").glob("*.pcap.zst")):
+        name = path.name.partition(".")[0]
+        ports = ((CI, _PORTS[name]),) if name in _PORTS else ()
+        bench = Settings(configs=[], options=Options(ports=ports)).workbench()
+        examination = Examination(bench.columns.context)
+        for batch in open_file(path).batches():
+            examination.add(batch, bench.columns.decode(batch))
+        found[name] = examination.diagnose().as_json()
+    return found
+
+
+def _marks() -> str:
+    """Return what was noted of every capture when it was made, beside the sums of its balance."""
+    from edoras_tools.render.doctor.balance import causes
+
+    text = (ROOT / "tests/captures/README.md").read_text(encoding="utf-8")
+    noted = {cells[1]: cells[-2] for line in text.splitlines() if len(cells := re.split(r" *\| *", line)) > 4}
+    both = next((told for name, told in noted.items() if name.startswith("n12")), "")
+    lines = ["| capture | what happened | lost | by | superseded | unaccounted |", "|---" * 6 + "|"]
+    for name, told in _balances().items():
+        by: Counter[str] = Counter()
+        for row in told["balance"]:
+            by.update(row["lost_by"])
+        figures = (
+            f"{told['lost']:,} | {causes({'lost_by': by})} | {told['superseded']:,} | {told['unaccounted']:,}"
+        )
+        lines.append(f"| {name} | {noted.get(name, both)} | {figures} |")
+    return "\n".join(lines) + "\n"
+
+
+def _balance() -> str:
+    """Return the balance of every capture of the tests: what is missing, and the rest as one row."""
+    from edoras_tools.render.doctor.balance import causes
+
+    figures = ("in", "duplicated", "out", "lost", "superseded", "waiting", "not_captured", "unaccounted")
+    heads = ("capture", "MsgId", "hop", *(figure.replace("_", " ") for figure in figures), "by")
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for name, found in _balances().items():
+        rows = found["balance"]
+        missing = [row for row in rows if row["in"] != row["out"]]
+        even = [row for row in rows if row["in"] == row["out"]]
+        for row in missing:
+            told = " | ".join(f"{row[figure]:,}" if row[figure] else "" for figure in figures)
+            which = row["msg_id"] or "not known"
+            lines.append(f"| {name} | {which} | {row['hop']} | {told} | {causes(row)} |")
+        came = sum(row["in"] for row in even)
+        told = f"{len(even)} hops where nothing is missing | {came:,} | | {came:,} |"
+        lines.append(f"| {name} | | {told}{' |' * 6}")
+    return "\n".join(lines) + "\n"
+
+
 TABLES: Final[dict[str, Callable[[], str]]] = {
+    "balance": _balance,
+    "marks": _marks,
     "findings": _findings,
     "bits": _bits,
     "truth": _truth,
     "sizes": _sizes,
     "tui.KEYS": _keys,
+    "sbn.states": _sbn_states,
     "model.PacketBatch": _attributes("PacketBatch"),
     "model.Columns": _attributes("Columns"),
     **{

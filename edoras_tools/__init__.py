@@ -6,6 +6,19 @@ One pipeline: datagrams come from a *source* in batches, are *dissected* into co
 
 from __future__ import annotations
 
-__all__ = ["__version__"]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from edoras_tools.pipelines.export.reading import read
+
+__all__ = ["__version__", "read"]
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    """Return ``read``, imported only when it is used: most programs of this package do not."""
+    if name == "read":
+        return import_module("edoras_tools.pipelines.export.reading").read
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -11,15 +11,19 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.accounting.budget import Budget
+from edoras_tools.diagnosis.accounting.budget import predict as predict_budgets
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.pipelines.doctor.doctor import examine as examine_source
+from edoras_tools.pipelines.workbench import Settings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.diagnosis.budget import Budget
-    from edoras_tools.sessions.profile import SimProfile
-    from edoras_tools.sources import Source
+    from edoras_tools.io import Source
 
 __all__ = ["Diagnosis", "Examination", "Severity", "Verdict", "examine", "predict"]
 
@@ -41,13 +45,9 @@ def examine(
         CaptureError: the file cannot be read, or ended early.
         ConfigError: a mission file has mistakes.
     """
-    from edoras_tools.pipelines.doctor import examine as run
-    from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sources import open_file
-
     opened = open_file(Path(source)) if isinstance(source, (str, os.PathLike)) else source
     bench = Settings(configs=[Path(item) for item in config]).workbench(opened.info)
-    findings = run(opened, bench, profile=profile)
+    findings = examine_source(opened, bench, profile=profile)
     if findings.failure is not None:
         raise findings.failure
     return findings.diagnosis
@@ -59,9 +59,5 @@ def predict(config: Sequence[str | os.PathLike[str]], *, profile: SimProfile | N
     Raises:
         ConfigError: a mission file has mistakes.
     """
-    from edoras_tools.diagnosis.budget import predict as run
-    from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sessions.profile import SimProfile
-
     bench = Settings(configs=[Path(item) for item in config]).workbench()
-    return run(bench.mission, bench.types, profile or SimProfile())
+    return predict_budgets(bench.mission, bench.types, profile or SimProfile())

@@ -6,9 +6,10 @@ an array that was handed over.
 
 from __future__ import annotations
 
+import ipaddress
 from dataclasses import dataclass, field, fields
-from enum import IntEnum, IntFlag
-from typing import TYPE_CHECKING, Any, Self
+from enum import IntFlag
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -23,24 +24,6 @@ NO_MSG_ID = -1
 """``Columns.msg_id`` of a datagram that holds no space packet."""
 NO_ROUTE = -1
 """``Columns.route`` of a datagram that no configured topic claims."""
-
-
-class Link(IntEnum):
-    """Which of the three links a datagram belongs to."""
-
-    OTHER = 0
-    """None of them: the datagram is kept, and not dissected."""
-    CI = 1
-    """Ground to cFS, one space packet a datagram (Command Ingest)."""
-    TO = 2
-    """cFS to ground, one space packet a datagram (Telemetry Output)."""
-    SBN = 3
-    """Between Software Bus Network peers."""
-
-    @property
-    def label(self) -> str:
-        """The name used in files, JSON and on screen: ``ci``, ``to``, ``sbn`` or ``other``."""
-        return self.name.lower()
 
 
 class Finding(IntFlag):
@@ -77,6 +60,8 @@ class Finding(IntFlag):
     FRAGMENT = 1 << 25
     CAPTURE_CUT = 1 << 26
     STRUCT_LENGTH = 1 << 27
+    CDR_TRAILING = 1 << 28
+    CDR_TOO_LONG = 1 << 29
 
     @property
     def label(self) -> str:
@@ -93,6 +78,92 @@ NO_FINDINGS = Finding(0)
 
 
 @dataclass(frozen=True, slots=True)
+class Transport:
+    """How the datagrams of a link travel.
+
+    Attributes:
+        protocol: ``udp``; a link over ``tcp`` is described, and not read yet.
+        ports: the usual destination ports.
+        first: which end speaks first: ``client``, ``server`` or ``either``.
+    """
+
+    protocol: Literal["udp", "tcp"] = "udp"
+    ports: tuple[int, ...] = ()
+    first: Literal["client", "server", "either"] = "client"
+
+
+class Link(int):
+    """What a link is called and what it is for; as a number, its code: what columns and recordings hold.
+
+    There is one object for each link, in the table :mod:`edoras_tools.links.table`. Ask a link for what it is
+    for (``link.to_cfs``, ``link.peers``), never which one it is.
+
+    Attributes:
+        code: what recordings store; never renumbered.
+        name: for people, as ``CI``.
+        label: in files, JSON and options, as ``ci``.
+        colour: of its name on a terminal; a name that rich knows.
+        doc: one line on what it is.
+        transport: ports, and who speaks first.
+        to_cfs: whether messages travel towards cFS on it; both may be true.
+        from_cfs: whether messages travel away from cFS on it.
+        packets: whether it carries space packets.
+        peers: whether a header names the sender: SpacecraftID and ProcessorID.
+        bridge: kind of the EDORAS bridge whose routes it carries: ``ground``, ``flight``, or none.
+        bridge_ports: parameters of such a bridge that name the link's ports.
+        receive_buffer: bytes that the usual receiver has room for; 0 where that does not matter.
+        over_receive_buffer: the finding of a datagram that is longer.
+        largest: bytes of the largest space packet that a datagram can hold.
+        header_bytes: bytes in front of the space packet.
+    """
+
+    code: ClassVar[int] = 0
+    name: ClassVar[str] = "UDP"
+    label: ClassVar[str] = "other"
+    colour: ClassVar[str] = "dim"
+    doc: ClassVar[str] = "of no link: kept, and not dissected"
+    transport: ClassVar[Transport] = Transport()
+    to_cfs: ClassVar[bool] = False
+    from_cfs: ClassVar[bool] = False
+    packets: ClassVar[bool] = False
+    peers: ClassVar[bool] = False
+    bridge: ClassVar[str] = ""
+    bridge_ports: ClassVar[tuple[str, ...]] = ()
+    receive_buffer: ClassVar[int] = 0
+    over_receive_buffer: ClassVar[Finding] = NO_FINDINGS
+    largest: ClassVar[int] = 65507
+    header_bytes: ClassVar[int] = 0
+
+    @property
+    def only_to_cfs(self) -> bool:
+        """Whether it has one direction, towards cFS."""
+        return self.to_cfs and not self.from_cfs
+
+    @property
+    def only_from_cfs(self) -> bool:
+        """Whether it has one direction, away from cFS."""
+        return self.from_cfs and not self.to_cfs
+
+    def __new__(cls) -> Self:
+        """Return the one object of this link."""
+        if "_only" not in cls.__dict__:
+            cls._only = super().__new__(cls, cls.code)
+        return cls._only
+
+    _only: ClassVar[Self]
+
+    def __reduce__(self) -> tuple[type[Link], tuple[()]]:
+        return type(self), ()
+
+    def __repr__(self) -> str:
+        return f"<link {self.label}>"
+
+
+OTHER: Final = Link()
+"""No link: the datagram is kept, and not dissected."""
+
+
+@dataclass(frozen=True, slots=True)
 class Endpoint:
     """An IP address in text form and a UDP port."""
 
@@ -102,6 +173,16 @@ class Endpoint:
     def __str__(self) -> str:
         host = f"[{self.address}]" if ":" in self.address else self.address
         return f"{host}:{self.port}"
+
+
+class Peer(NamedTuple):
+    """What tells SBN peers apart: spacecraft and processor, never their address."""
+
+    spacecraft_id: int
+    processor_id: int
+
+    def __str__(self) -> str:
+        return f"{self.spacecraft_id}:{self.processor_id}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,8 +285,6 @@ class PacketBatch:
 
     def address(self, value: int, index: int) -> str:
         """Return an element of an address column of row ``index`` as text."""
-        import ipaddress
-
         if self.ip_version[index] == 6:
             return str(ipaddress.IPv6Address(self.ipv6[value]))
         return str(ipaddress.IPv4Address(value))
@@ -228,7 +307,7 @@ class Columns:
     Offsets point into the batch's ``data``. Where a layer is absent its columns hold the stated "none".
 
     Attributes:
-        link: u8, a ``Link``.
+        link: u8, the code of a ``Link``.
         sbn_msg_type: i16, SBN MsgType; -1 where there is no SBN header.
         processor_id: u32, SBN ProcessorID of the sender; 0 where there is none.
         spacecraft_id: u32, SBN SpacecraftID of the sender; 0 where there is none.
@@ -240,6 +319,7 @@ class Columns:
         function_code: i16, of a command; -1 for telemetry or none.
         mission_time_ns: i64, telemetry header time since its epoch in ns; -1 where there is none.
         header_length: u8, cFE header bytes, primary header included; 0 where there is none.
+        headers: u8, place in ``wire.cfe.HEADERS`` of the headers that the packet is read with.
         cdr_offset: i64, first byte of the CDR encapsulation; -1 where there is no whole envelope.
         cdr_length: i32, CDR bytes, encapsulation included; 0 where there is no whole envelope.
         route: i16, index into ``Mission.routes``; ``NO_ROUTE`` where no route of this link claims the MsgId.
@@ -258,6 +338,7 @@ class Columns:
     function_code: NDArray[np.int16]
     mission_time_ns: NDArray[np.int64]
     header_length: NDArray[np.uint8]
+    headers: NDArray[np.uint8]
     cdr_offset: NDArray[np.int64]
     cdr_length: NDArray[np.int32]
     route: NDArray[np.int16]
@@ -359,6 +440,45 @@ class Decoded:
         return next((item for item in self.layers if item.name == name), None)
 
 
+@dataclass(frozen=True, slots=True)
+class InterfaceOutage:
+    """A time in which an interface gave nothing because it was not there.
+
+    Attributes:
+        interface: its name.
+        why: ``not there``, ``down`` or ``without carrier``, when it was noticed.
+        start_ns: when it went away, ns since 1970-01-01 UTC.
+        end_ns: when it was back; 0 while it is away.
+    """
+
+    interface: str
+    why: str
+    start_ns: int
+    end_ns: int = 0
+
+    @classmethod
+    def from_text(cls, values: Mapping[str, str]) -> Self:
+        """Return what ``as_json`` says, from a recording that holds it as text.
+
+        Raises:
+            ValueError: it is not whole.
+        """
+        try:
+            start_ns, end_ns = int(values["start_ns"]), int(values["end_ns"])
+            return cls(values["interface"], values["why"], start_ns, end_ns)
+        except KeyError as error:
+            raise ValueError(f"no {error}") from error
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``record --json``."""
+        return {
+            "interface": self.interface,
+            "why": self.why,
+            "start_ns": self.start_ns,
+            "end_ns": self.end_ns or None,
+        }
+
+
 @dataclass(slots=True)
 class SourceStatistics:
     """What a source counts as it goes; read at any time.
@@ -372,6 +492,7 @@ class SourceStatistics:
         total_bytes: size of the whole input where it is known, for progress; else 0.
         position: bytes of the input consumed so far, on the scale of ``total_bytes``.
         warnings: one line each, for people.
+        outages: when an interface was away, in order of time; the last may still go on.
     """
 
     frames: int = 0
@@ -382,6 +503,7 @@ class SourceStatistics:
     total_bytes: int = 0
     position: int = 0
     warnings: list[str] = field(default_factory=list)
+    outages: list[InterfaceOutage] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -395,6 +517,7 @@ class SourceInfo:
         snap_length: the capture's limit on a frame's bytes.
         attachments: mission files and the like that the source carries, by name.
         definitions: message definitions that it carries, complete ``ros2msg`` texts by type.
+        read_with: how its datagrams are read, as ``decode.Options.described``; a recording keeps it.
     """
 
     name: str
@@ -403,6 +526,7 @@ class SourceInfo:
     snap_length: int = 262144
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     definitions: Mapping[str, str] = field(default_factory=dict)
+    read_with: Mapping[str, str] = field(default_factory=dict)
 
 
 def concatenate(batches: Sequence[PacketBatch]) -> PacketBatch:

@@ -12,12 +12,12 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from edoras_tools.pipelines.accounts import Ledger
-from edoras_tools.pipelines.record import Report
-from edoras_tools.pipelines.sniff import as_json
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.pipelines.capture.record import CaptureReport
+from edoras_tools.pipelines.capture.sniff import as_json
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.severity import NOTABLE
-from edoras_tools.sources import open_file
 
 SAMPLES: Final = Path(__file__).resolve().parent
 MISSIONS: Final = {
@@ -39,7 +39,7 @@ def expected(capture: str) -> dict[str, Any]:
     """
     bench = Settings([SAMPLES / f"missions/{name}.yaml" for name in MISSIONS[capture]]).workbench()
     source = open_file(SAMPLES / f"captures/{capture}.pcap")
-    report = Report(Ledger(bench.mission), source)
+    report = CaptureReport(Ledger(bench.mission), source)
     kinds: dict[tuple[Any, ...], dict[str, Any]] = {}
     notable: dict[str, list[str]] = {}
     for batch in source.batches():

@@ -1,8 +1,9 @@
-"""Imports point one way, optional libraries wait until they are needed, and scapy stays in its two rooms."""
+"""Imports point one way, slow ones wait until they are needed, and scapy stays in its two rooms."""
 
 from __future__ import annotations
 
 import ast
+import importlib.util
 import subprocess
 import sys
 import tomllib
@@ -13,8 +14,41 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("edoras_tools", "dissectors", "samples")
-SCAPY_ROOMS = ("dissectors/", "edoras_tools/sources/scapy_backend.py")
+SCAPY_ROOMS = ("dissectors/", "edoras_tools/io/capture/scapy_backend.py")
 """scapy is GPL-2.0-only, the project MIT."""
+PUT_OFF = {
+    "io/capture/interfaces.py": ("fcntl", "not there on Windows"),
+    "io/outputs.py": ("fcntl", "not there on Windows"),
+    "pipelines/interrupt.py": ("termios", "not there on Windows"),
+    "pipelines/sending/keys.py": ("termios tty", "not there on Windows"),
+    "io/capture/scapy_backend.py": ("scapy", "0.35 s, and only where there is no packet ring"),
+    "io/formats/stream.py": ("zstandard", "only for captures inside zstd data"),
+    "io/foxglove/server.py": (
+        "edoras_tools.io.foxglove.client",
+        "websockets, an extra: when the first client comes",
+    ),
+    "links/table.py": ("importlib.metadata", "11 ms, and only where a package adds a link"),
+    "middleware/dds/joining.py": (
+        "edoras_tools.middleware.dds",
+        "cyclonedds, an extra: what it says first is told",
+    ),
+    "middleware/dds/raw.py": ("cyclonedds", "a part of its inside, which may not be there"),
+    "mission/tree.py": ("ruamel", "14 ms, and only where there is a mission file"),
+    "pipelines/demo/router.py": ("zenoh", "an extra"),
+    "pipelines/selection.py": (
+        "edoras_tools.decode.filters.filter",
+        "the filter language: only where there is a filter",
+    ),
+    "pipelines/workbench.py": ("edoras_tools", "only for several files, or layouts that are given"),
+    "render/capture/watch.py": ("edoras_tools.render", "rich, and only where something is drawn"),
+    "ros/types/library.py": ("rosbags", "15 ms, and only for .idl files"),
+    "ros/types/standard.py": ("rosbags", "15 ms, and only to make the table of standard messages anew"),
+    "sessions/faults/chance.py": ("hashlib", "20 ms, and only where there are faults"),
+    "structs/debug_info/dwarf.py": ("elftools", "an extra"),
+    "structs/files.py": ("ruamel", "14 ms, and only for layouts that are files"),
+    "structs/table.py": ("edoras_tools.structs", "20 ms, when the first packet that holds a struct is shown"),
+}
+"""Modules outside ``cli/`` that import inside functions: what, and why. ``cli`` has the rule."""
 HEAVY = {"numpy", "scapy", "mcap", "rosbags", "ruamel", "zstandard", "lz4"}
 
 
@@ -34,6 +68,12 @@ def imported(nodes):
     names = [alias.name for item in found if isinstance(item, ast.Import) for alias in item.names]
     names += [item.module for item in found if isinstance(item, ast.ImportFrom) and not item.level]
     return {name.partition(".")[0] for name in names}
+
+
+@cache
+def of_scapy():
+    """The modules that import scapy anywhere."""
+    return {name for name, tree in modules().items() if "scapy" in imported([tree])}
 
 
 def loaded_by(program):
@@ -61,9 +101,8 @@ def test_contracts():
 
 
 def test_scapy_is_imported_in_two_rooms_only():
-    found = {name for name, tree in modules().items() if "scapy" in imported([tree])}
-    assert found
-    assert {name for name in found if not name.startswith(SCAPY_ROOMS)} == set()
+    assert of_scapy()
+    assert {name for name in of_scapy() if not name.startswith(SCAPY_ROOMS)} == set()
 
 
 def test_scapy_is_imported_only_when_it_is_needed():
@@ -75,10 +114,9 @@ def test_scapy_is_imported_only_when_it_is_needed():
 
 
 def test_files_with_scapy_say_their_licence():
-    for name, tree in modules().items():
-        if "scapy" in imported([tree]):
-            head = (ROOT / name).read_text(encoding="utf-8").splitlines()[:3]
-            assert "# SPDX-License-Identifier: GPL-2.0-only" in head, name
+    for name in of_scapy():
+        head = (ROOT / name).read_text(encoding="utf-8").splitlines()[:3]
+        assert "# SPDX-License-Identifier: GPL-2.0-only" in head, name
 
 
 @pytest.mark.parametrize("arguments", ["--help", "--version", "sniff --help", "record --help", "nonsense"])
@@ -99,7 +137,7 @@ except SystemExit:
     [
         ("wire", {"scapy", "mcap", "rosbags", "ruamel", "typer", "rich", "zstandard"}),
         ("model", {"scapy", "mcap", "rosbags", "ruamel", "typer", "rich", "zstandard"}),
-        ("sources.live", {"scapy", "mcap", "rosbags", "ruamel", "typer", "rich"}),
+        ("io.capture.live", {"scapy", "mcap", "rosbags", "ruamel", "typer", "rich"}),
         ("pipelines.workbench", {"scapy", "mcap", "typer", "rich"}),
     ],
 )
@@ -107,7 +145,41 @@ def test_what_libraries_a_room_brings_along(module, absent):
     assert loaded_by(f"import edoras_tools.{module}") & absent == set()
 
 
+def inside_functions(tree):
+    """The modules that functions of a syntax tree import."""
+    functions = [item for item in ast.walk(tree) if isinstance(item, (ast.FunctionDef, ast.AsyncFunctionDef))]
+    inner = [item for function in functions for item in ast.walk(function)]
+    names = {alias.name for item in inner if isinstance(item, ast.Import) for alias in item.names}
+    return names | {item.module for item in inner if isinstance(item, ast.ImportFrom)}
+
+
+def test_imports_inside_functions_are_those_that_are_named():
+    found = {
+        name.removeprefix("edoras_tools/"): inside_functions(tree)
+        for name, tree in modules().items()
+        if name.startswith("edoras_tools/") and not name.startswith("edoras_tools/cli/")
+    }
+    assert {name for name, names in found.items() if names} == set(PUT_OFF)
+    for name, (libraries, _) in PUT_OFF.items():
+        named = tuple(f"{library}." for library in libraries.split())
+        assert {item for item in found[name] if not f"{item}.".startswith(named)} == set(), name
+
+
 def test_every_package_is_installed():
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     there = {file.parent.relative_to(ROOT) for file in (ROOT / "edoras_tools").rglob("*.py")}
     assert {".".join(folder.parts) for folder in there} <= {*settings["packages"]}
+
+
+def test_what_benchmarks_import_is_there():
+    """Nothing else runs the benchmarks between two measurements, and a move would break them unseen."""
+    missing = [
+        f"{path.name}: {item.module}.{alias.name}"
+        for path in sorted((ROOT / "benchmarks").glob("*.py"))
+        for item in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(item, ast.ImportFrom) and str(item.module).startswith("edoras_tools")
+        for alias in item.names
+        if not hasattr(importlib.import_module(str(item.module)), alias.name)
+        and importlib.util.find_spec(f"{item.module}.{alias.name}") is None
+    ]
+    assert not missing

@@ -58,7 +58,7 @@ local function utf8_character(code)
 	)
 end
 
--- A wide string: UTF-16 units of 2 or 4 bytes; half a surrogate pair is replaced.
+-- A wide string: UTF-16 units of some bytes each; half a surrogate pair is replaced.
 local function wide_text(s, first, last, width, big)
 	local out, p = {}, first
 	local code = (big and ">I" or "<I") .. string.format("%d", width)

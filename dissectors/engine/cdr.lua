@@ -130,12 +130,12 @@ local function check(steps, s, p, start, stop, big)
 	return p
 end
 
--- Tell whether a body is a message of a type: its end, and at most 3 bytes of padding.
-local function is_message(kind, s, start, stop, big)
+-- Return how many bytes follow a body's last field, or nil where it is no message of this type.
+local function bytes_left(kind, s, start, stop, big)
 	if kind.fixed then
 		local left = stop - start + 1 - kind.fixed
-		return left >= 0 and left <= 3
+		return left >= 0 and left or nil
 	end
 	local p = check(kind.steps, s, start, start, stop, big)
-	return p ~= nil and stop + 1 - p <= 3
+	return p and stop + 1 - p
 end

@@ -1,27 +1,27 @@
 -- The dissector itself: read a datagram, fill the columns, and add to the tree what is asked for.
 
 local edoras = P.edoras
-edoras.prefs.ci_ports = Pref.range("CI ports", "", "UDP ports of Command Ingest", 65535)
-edoras.prefs.to_ports = Pref.range("TO ports", "", "UDP ports that Telemetry Output sends to", 65535)
-edoras.prefs.sbn_ports = Pref.range("SBN ports", "", "UDP ports of Software Bus Network peers", 65535)
+for _, link in ipairs(D.links) do
+	local what = "Further UDP ports of the link " .. link.doc
+	edoras.prefs[link.label .. "_ports"] = Pref.range(link.name .. " ports", "", what, 65535)
+end
 edoras.prefs.extended_header = Pref.bool(
-	"Extended header", D.extended_header, "Packets carry cFE's extended (version 2) header"
+	"Extended header", D.extended_header, "Packets carry cFE's extended header"
 )
 edoras.prefs.short_telemetry_header = Pref.bool(
 	"12-byte telemetry header", D.telemetry_header == 12, "Older cFE builds: no spare in the telemetry header"
 )
 
-local PROTOCOL = {ci = "CI", to = "TO", sbn = "SBN"}
 local registered = {}
 
 local function register_ports()
 	local udp = DissectorTable.get("udp.port")
 	for port in pairs(registered) do udp:remove(port, edoras) end
 	registered = {}
-	for link in pairs(ports) do
-		ports[link] = port_set(edoras.prefs[link .. "_ports"])
-		for _, port in ipairs(D.ports[link]) do ports[link][port] = true end
-		for port in pairs(ports[link]) do registered[port] = true end
+	for label in pairs(ports) do
+		ports[label] = port_set(edoras.prefs[label .. "_ports"])
+		for _, port in ipairs(D.ports[label]) do ports[label][port] = true end
+		for port in pairs(ports[label]) do registered[port] = true end
 	end
 	for port in pairs(registered) do udp:add(port, edoras) end
 	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header)
@@ -166,7 +166,7 @@ local function show_facts(node, visible)
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
 end
 
-local CDR, SUBSCRIPTIONS = L.cdr, L.subscriptions
+local CDR, SUBSCRIPTIONS = L.cdr, L.sbn_sub
 
 -- Add every layer, outermost first; return where findings belong.
 local function show(tree, tvb, visible)
@@ -195,28 +195,25 @@ local function show(tree, tvb, visible)
 	return node
 end
 
-local CI_BUFFER, BRIDGE_BUFFER = D.limits.ci_buffer, D.limits.bridge_buffer
 local reported_len, captured_len, raw = Tvb.reported_len, Tvb.captured_len, Tvb.raw
 
 local function dissect(tvb, pinfo, tree)
 	if pinfo.in_error_pkt then return 0 end  -- what an ICMP error quotes was not sent again
 	local s = captured_len(tvb) > 0 and raw(tvb) or ""
-	local link = link_of(pinfo, byte(s))
+	local link = link_of(pinfo, s)
 	if not link then return 0 end
 	local number = pinfo.number
 	local wanted = look_who_asks(tree, number)
 	local visible = wanted == "all"
-	begin(s, link, pinfo, number, has_columns(pinfo, visible, number))
-	if link == "ci" and #s > CI_BUFFER then note("over_ci_buffer") end
-	if link == "to" and #s > BRIDGE_BUFFER then note("over_bridge_buffer") end
-	local start = 0
-	if link == "sbn" then start = software_bus_network(s) end
+	begin(s, link.label, pinfo, number, has_columns(pinfo, visible, number))
+	if link.receive_buffer and #s > link.receive_buffer then note(link.over_receive_buffer) end
+	local start = (HEADER_READERS[link.label] or read_headers)(s, link)
 	if start then space_packet(start) end
 	if reported_len(tvb) > #s then forgive() end
 
 	if W.listed then
 		local columns = pinfo.cols
-		columns.protocol = PROTOCOL[link]
+		columns.protocol = link.name
 		columns.info = info()
 	end
 	show_findings(wanted and show(tree, tvb, visible) or tree, visible)

@@ -5,12 +5,18 @@ local add, add_le, cut = TreeItem.add, TreeItem.add_le, Tvb.range
 local set_text, set_generated, add_expert = TreeItem.set_text, TreeItem.set_generated, TreeItem.add_proto_expert_info
 
 local TITLES = {
-	ccsds_sp = "CCSDS Space Packet", cfe = "core Flight System", sbn = "Software Bus Network",
-	ros2cdr = "ROS 2 message (CDR)",
+	ccsds_sp = "CCSDS Space Packet", cfe = "core Flight System", ros2cdr = "ROS 2 message (CDR)",
 }
+for _, link in ipairs(D.links) do
+	if #link.headers > 0 then TITLES[link.label] = link.title end
+end
 local P = {edoras = EDORAS}
-for name, title in pairs(TITLES) do P[name] = Proto(name, title) end
-local members = {edoras = {}, ccsds_sp = {}, cfe = {}, sbn = {}, ros2cdr = {}}
+local members = {edoras = {}}
+for name, title in pairs(TITLES) do
+	local made, proto = pcall(Proto, name, title)
+	if not made then proto = Proto("edoras_" .. name, title) end  -- Wireshark knows a protocol of that name
+	P[name], members[name] = proto, {}
+end
 local by_name = {}  -- abbreviation to record
 
 -- Make a field, or find the one of that name. A record's `on` tells whether anybody asks for it, where there
@@ -80,8 +86,8 @@ local F = {
 	stop = new_field("edoras", "edoras.stop", "string", "Decoded no further"),
 	padding = new_field("edoras", "edoras.padding", "bytes", "Padding"),
 	gap = new_field("edoras", "edoras.gap", "uint16", "Packets missing before this one", base.DEC),
-	duplicate = new_field("edoras", "edoras.duplicate", "bool", "Same sequence count as the packet before"),
-	reordered = new_field("edoras", "edoras.reordered", "bool", "Sequence count steps back"),
+	duplicate = new_field("edoras", "edoras.duplicate", "bool", "Same sequence count and bytes as an earlier packet"),
+	reordered = new_field("edoras", "edoras.reordered", "bool", "Came after a packet with a higher sequence count"),
 	body = new_field("ros2cdr", "ros2cdr.body", "bytes", "Body"),
 }
 
@@ -105,11 +111,11 @@ local EXPERT = {
 		expert.group.SEQUENCE, expert.severity.WARN
 	),
 	duplicate = ProtoExpert.new(
-		"edoras.analysis.duplicate", "The sequence count of the packet before: sent twice",
+		"edoras.analysis.duplicate", "The sequence count and the bytes of an earlier packet",
 		expert.group.SEQUENCE, expert.severity.WARN
 	),
 	reordered = ProtoExpert.new(
-		"edoras.analysis.reordered", "The sequence count steps back: reordered, or its sender began anew",
+		"edoras.analysis.reordered", "The packet came late: packets with higher sequence counts came before it",
 		expert.group.SEQUENCE, expert.severity.NOTE
 	),
 }

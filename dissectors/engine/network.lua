@@ -1,4 +1,4 @@
--- The work on one datagram, and the Software Bus Network's headers.
+-- The work on one datagram, and the headers of the links.
 
 local W = {serial = 0, layer = {}, at = {}, found = {}, is_found = {}}
 local peers, sequences = {}, {}  -- what is known of senders, see init()
@@ -13,7 +13,7 @@ end
 local function begin(s, link, pinfo, number, listed)
 	W.serial = W.serial + 1
 	W.s, W.link, W.pinfo, W.number, W.listed = s, link, pinfo, number, listed
-	W.layers, W.findings, W.entries, W.processor, W.bare = 0, 0, 0, 0, false
+	W.layers, W.findings, W.entries, W.spacecraft, W.processor, W.bare = 0, 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
 	W.route, W.message, W.envelope, W.padding, W.known = nil, nil, nil, nil, nil
 end
@@ -68,7 +68,7 @@ local function is_legacy(s)
 	elseif kind == D.sbn.APP then
 		return size >= L.ccsds.size and select(7, read.ccsds(s, at + 1)) + D.limits.length_bias == size
 	elseif kind == D.sbn.PROTO then
-		return size == L.proto.size
+		return size == L.sbn_proto.size
 	elseif kind == D.sbn.SUB or kind == D.sbn.UNSUB then
 		return s:sub(at + 1, at + 1) == "$"
 	end
@@ -77,16 +77,26 @@ end
 
 local source, source_text  -- the last address: most datagrams come from where the one before did
 
+-- Return the table that another has under a key.
+local function nested(outer, key)
+	local inner = outer[key]
+	if not inner then
+		inner = {}
+		outer[key] = inner
+	end
+	return inner
+end
+
 -- Return what is known of the endpoint that a datagram came from: a table in `places`, by address and port.
 local function sender(places)
 	local address, port = W.pinfo.src, W.pinfo.src_port
 	if address ~= source then source, source_text = address, tostring(address) end
-	local place = places[source_text]
-	if not place then
-		place = {}
-		places[source_text] = place
-	end
-	return place, port
+	return nested(places, source_text), port
+end
+
+-- Return what is known of the endpoint that a datagram goes to.
+local function receiver(places)
+	return nested(places, tostring(W.pinfo.dst)), W.pinfo.dst_port
 end
 
 -- Compare a sender with the one its endpoint is known by: the first identity that it gave.
@@ -107,11 +117,11 @@ end
 local IDENT = D.sbn.ident .. string.rep("\0", D.sbn.ident_bytes - #D.sbn.ident)
 
 local function subscriptions(at)
-	if not take(L.subscriptions, at) then return end
+	if not take(L.sbn_sub, at) then return end
 	local s = W.s
-	local count = read.subscriptions(s, at + 1)
+	local count = read.sbn_sub(s, at + 1)
 	if s:sub(at + 1, at + D.sbn.ident_bytes) ~= IDENT then note("sbn_id_mismatch") end
-	local first = at + L.subscriptions.size
+	local first = at + L.sbn_sub.size
 	local size = L.subscription.size
 	W.entries = math.min(count, math.floor((#s - first) / size))
 	if W.listed then
@@ -141,7 +151,7 @@ local function software_bus_network(s)
 		size, kind, processor, spacecraft = read.sbn(s, 1)
 	end
 	local known, payload = D.sbn.names[kind], #s - layout.size
-	W.kind, W.processor = known or format("0x%02x", kind), processor
+	W.kind, W.spacecraft, W.processor = known or format("0x%02x", kind), spacecraft, processor
 	if size ~= payload then note("sbn_size_mismatch") end
 	if not known then note("sbn_unknown_type") end
 	if kind == D.sbn.NO_MSG then note("sbn_no_message") end
@@ -149,8 +159,8 @@ local function software_bus_network(s)
 	if kind == D.sbn.APP then return layout.size end
 	if kind == D.sbn.SUB or kind == D.sbn.UNSUB then
 		subscriptions(layout.size)
-	elseif kind == D.sbn.PROTO and take(L.proto, layout.size) then
-		local version = read.proto(s, layout.size + 1)
+	elseif kind == D.sbn.PROTO and take(L.sbn_proto, layout.size) then
+		local version = read.sbn_proto(s, layout.size + 1)
 		W.summary = format("protocol version %d", version)
 		if version ~= D.sbn.version then note("sbn_version_mismatch") end
 	end
@@ -160,3 +170,17 @@ local function software_bus_network(s)
 	end
 	return nil
 end
+
+-- Read the headers of a link that has the same ones always, or by its length.
+local function read_headers(s, link)
+	local form, at = link.forms and link.forms[#s], 0
+	for _, name in ipairs(form and form.headers or link.headers) do
+		if not take(L[name], at) then return nil end
+		if not link.packets then W.summary = L[name].title or link.title end
+		at = at + L[name].size
+	end
+	return link.packets and at or nil
+end
+
+-- Links whose headers hang on what they hold read them by themselves.
+local HEADER_READERS = {sbn = software_bus_network}

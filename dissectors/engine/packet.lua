@@ -5,11 +5,12 @@ local settings = {}
 
 -- Take what the preferences say of the headers; all the rest follows from it.
 local function settle(extended, short)
-	local layout = short and L.telemetry_short or L.telemetry
+	local telemetry = extended and "telemetry_extended" or short and "telemetry_short" or "telemetry"
 	settings.extra = extended and L.extended.size or 0
-	settings.command_header = L.ccsds.size + L.command.size + settings.extra
-	settings.telemetry_header = L.ccsds.size + layout.size + settings.extra
-	settings.telemetry, settings.read_time = layout, read[short and "telemetry_short" or "telemetry"]
+	settings.command = extended and L.command_extended or L.command
+	settings.telemetry, settings.read_time = L[telemetry], read[telemetry]
+	settings.command_header = L.ccsds.size + settings.extra + settings.command.size
+	settings.telemetry_header = L.ccsds.size + settings.extra + settings.telemetry.size
 end
 settle(D.extended_header, D.telemetry_header == L.ccsds.size + L.telemetry_short.size)
 for _, form in ipairs(D.formats) do
@@ -33,7 +34,8 @@ local function look_up(link, msg_id)
 	}
 end
 
-local known_of = {ci = {}, to = {}, sbn = {}}
+local known_of = {}
+for _, link in ipairs(D.links) do known_of[link.label] = {} end
 
 local function about(link, msg_id)
 	local known = known_of[link][msg_id]
@@ -50,24 +52,23 @@ end
 
 local LENGTH_BIAS, LONGEST, HIGHEST_MSG_ID = D.limits.length_bias, D.limits.software_bus, D.limits.highest_msg_id
 local HEADER = L.ccsds.size
-local LINK_NUMBER = {ci = 1, to = 2, sbn = 3}
 
--- Follow the sequence count of a stream: one MsgId of one processor on one link, each endpoint by itself.
-local function follow(msg_id, count)
+-- Follow the sequence count of a stream: one MsgId of one sender on one link.
+local function follow(msg_id, count, start)
 	if W.pinfo.visited then return end
-	local stream = (W.processor * 65536 + msg_id) * 4 + LINK_NUMBER[W.link]  -- below 2^53
-	local endpoints = sequences[stream]
-	if not endpoints then
-		endpoints = {}
-		sequences[stream] = endpoints
+	local spacecraft, key = nested(sequences, W.spacecraft), msg_id * 256 + link_by_label[W.link].code
+	local endpoints = nested(nested(spacecraft, W.processor), key)
+	local place, port
+	if W.spacecraft > 0 or W.processor > 0 then
+		place, port = receiver(endpoints)
+	else
+		place, port = sender(endpoints)
 	end
-	local place, port = sender(endpoints)
-	local strands = place[port]
-	if not strands then
-		strands = {}
-		place[port] = strands
-	end
-	follow_count(strands, count, W.number)
+	place[port] = place[port] or {strands = {}, place = 0}
+	follow_count(place[port], {
+		count = count, frame = W.number, body = W.s:sub(start + 1),
+		boot = W.time and W.time > 0 and W.pinfo.abs_ts - W.time or nil,
+	})
 end
 
 -- Judge a command's checksum and function code.
@@ -81,7 +82,7 @@ local function command(code, sent, start, length, extra)
 	if not known then
 		note("unknown_function_code")
 	elseif known.lengths then
-		local total = #W.s - start - extra
+		local total = #W.s - start - settings.command_header + L.ccsds.size + L.command.size
 		for _, length_taken in ipairs(known.lengths) do
 			if total == length_taken then return end
 		end
@@ -115,15 +116,15 @@ local function suits(route, at)
 	if #s < start + 4 then return false end
 	local length = form.read(s, at + 1)
 	local representation = length >= 4 and length <= #s - start and read.cdr(s, start + 1) or 2
-	return representation <= 1 and route.kind ~= nil
-		and is_message(route.kind, s, start + L.cdr.size + 1, start + length, representation == 0)
+	if representation > 1 or not route.kind then return false end
+	local left = bytes_left(route.kind, s, start + L.cdr.size + 1, start + length, representation == 0)
+	return left ~= nil and left <= route.kind.trailing
 end
 
 local function envelope(claims, at)
-	local route, s, proven = routes[claims[1]], W.s, false
+	local route, s = routes[claims[1]], W.s
 	for index = 1, #claims > 1 and #claims or 0 do
-		proven = suits(routes[claims[index]], at)
-		if proven then
+		if suits(routes[claims[index]], at) then
 			route = routes[claims[index]]
 			break
 		end
@@ -159,8 +160,10 @@ local function envelope(claims, at)
 	local kind = route.kind
 	if not kind then return end
 	W.big = representation == 0
-	if proven or is_message(kind, s, W.body + 1, stop, W.big) then
+	local left = bytes_left(kind, s, W.body + 1, stop, W.big)
+	if left then
 		W.message = kind
+		if left > D.limits.rounded then note(left > kind.trailing and "cdr_too_long" or "cdr_trailing") end
 		if W.listed then W.summary = short_message(kind.steps, s, W.body + 1, W.body + 1, W.big) end
 	else
 		note("cdr_invalid")
@@ -204,39 +207,34 @@ local function space_packet(start)
 	local extra = settings.extra
 	local is_command, total = kind == 1, data_length + LENGTH_BIAS
 	local after, link = start + HEADER, work.link
-	if extra > 0 and length >= HEADER + extra then
-		local _, _, _, subsystem = read.extended(s, after + 1)
-		msg_id = apid % 128 + kind * 128 + subsystem % 256 * 256
-	end
 	local known = about(link, msg_id)
 	work.msg_id, work.known = msg_id, known
 	work.kind = work.kind or (is_command and "cmd" or "tlm")
 	if total ~= length then note("length_mismatch") end
-	if flags == 0 and count == 0 then
-		note("sequence_unset")
-	else
-		follow(msg_id, count)
-	end
+	local counted = flags > 0 or count > 0
+	if not counted then note("sequence_unset") end
 	if total > LONGEST then note("over_software_bus") end
 	if msg_id < 1 or msg_id > HIGHEST_MSG_ID then
 		note("invalid_msg_id")
 	elseif known.unknown then
 		note("unknown_msg_id")
 	end
-	if (link == "ci" and not is_command) or (link == "to" and is_command) then note("wrong_direction") end
+	local way = link_by_label[link]
+	if way.to_cfs ~= way.from_cfs and is_command ~= way.to_cfs then note("wrong_direction") end
 
 	local as_command = settings.command_header
-	local bare = not is_command and length == as_command and total == length
+	local bare = not is_command and length == as_command and total == length and as_command < settings.telemetry_header
 	local header = (is_command or bare) and as_command or settings.telemetry_header
 	work.bare = bare
 	if bare then note("header_only") end
 	if extra > 0 and length >= HEADER + extra then add_layer(L.extended, after) end
 	if length < header then
+		if counted then follow(msg_id, count, start) end
 		return truncated(is_command and L.command.name or L.telemetry.name, after, header - HEADER)
 	end
 	local at, code, sent = after + extra, nil, nil
 	if is_command or bare then
-		add_layer(L.command, at)
+		add_layer(settings.command, at)
 		local _
 		_, code, sent = read.command(s, at + 1)
 	else
@@ -244,6 +242,7 @@ local function space_packet(start)
 		local seconds, subseconds = settings.read_time(s, at + 1)
 		work.time = seconds + subseconds / 65536
 	end
+	if counted then follow(msg_id, count, start) end
 	if is_command then
 		work.code = code
 		command(code, sent, start, math.min(length, total), extra)

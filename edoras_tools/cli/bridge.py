@@ -1,38 +1,41 @@
-"""``edoras bridge``: in the place of the ground bridge and the flight bridge."""
+"""``edoras bridge``: replaces the ground bridge and the flight bridge."""
 
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from enum import StrEnum
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options
-from edoras_tools.cli.endings import LOST
-from edoras_tools.cli.live import Origins, Shown, showing
+from edoras_tools.cli.endings import LOST, lost_outputs
+from edoras_tools.cli.listening import tell_reach
+from edoras_tools.cli.live import RelayOutputOptions
+from edoras_tools.cli.output import print_json
+from edoras_tools.cli.sending import Yes, confirm_targets
+from edoras_tools.errors import EdorasError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from edoras_tools.errors import EdorasError
-    from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.bridge import Bridges
-    from edoras_tools.pipelines.bridge_plan import BridgePlan
-    from edoras_tools.pipelines.proxy_recorder import Recorder
-    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.pipelines.bridge.plan import BridgePlan
+    from edoras_tools.pipelines.bridge.run import Bridges
+    from edoras_tools.pipelines.recorder import RelayRecorder
 
 
-class Kind(StrEnum):
-    """Which of the bridges that the files describe."""
+class BridgeKind(StrEnum):
+    """Which bridges of the files to run."""
 
     GROUND = "ground"
     FLIGHT = "flight"
 
 
 class Ros(StrEnum):
-    """A way into the ROS 2 graph."""
+    """A way to connect to the ROS 2 graph."""
 
     ZENOH = "zenoh"
     DDS = "dds"
@@ -45,76 +48,98 @@ def ros_option(text: str) -> str:
     """Check ``NAME=VALUE``."""
     name, equals, _ = text.partition("=")
     if not name or not equals:
-        raise typer.BadParameter(f"{text!r} is no NAME=VALUE")
+        raise typer.BadParameter(f"{text!r} is not NAME=VALUE")
     return text
 
 
-@options.takes_decoding
-def bridge(
-    settings: Settings,
-    kind: Annotated[
-        Kind | None, typer.Argument(help="Only the ground, or the flight bridges of the files; else all.")
-    ] = None,
+class RosOptions(NamedTuple):
+    """How to connect to the ROS 2 graph."""
+
     ros: Annotated[
         Ros | None,
         typer.Option(
-            help="The way to ROS 2; dds, or zenoh where RMW_IMPLEMENTATION says so.", show_default=False
+            help="How to connect to ROS 2; default: dds, or zenoh if RMW_IMPLEMENTATION says so.",
+            show_default=False,
         ),
-    ] = None,
+    ] = None
     domain: Annotated[
         int | None,
-        typer.Option(metavar="N", min=0, max=232, help="ROS 2 domain; ROS_DOMAIN_ID, or 0."),
-    ] = None,
+        typer.Option(metavar="N", min=0, max=232, help="ROS 2 domain; default: ROS_DOMAIN_ID, or 0."),
+    ] = None
     ros_options: Annotated[
         list[str] | None,
         typer.Option(
-            "--ros-option", metavar="NAME=VALUE", parser=ros_option, help="For the middleware; repeatable."
+            "--ros-option",
+            metavar="NAME=VALUE",
+            parser=ros_option,
+            help="Option of the middleware; repeatable.",
         ),
-    ] = None,
+    ] = None
+
+
+class PacketOptions(NamedTuple):
+    """What is sent to cFS, and what is requested from it."""
+
     max_rate: Annotated[
         list[str] | None,
         typer.Option(
             "--max-rate",
             metavar="[TOPIC=]HZ[,KEEP]",
-            help="No more a second of each topic to cFS, of one, or of all=HZ; KEEP: latest, first.",
+            help="Messages per second to cFS for each topic, one topic, or all=HZ; KEEP: latest, first.",
         ),
+    ] = None
+    checksum: Annotated[bool, typer.Option("--checksum", help="Send real checksums in commands, not 0.")] = (
+        False
+    )
+    sequence: Annotated[bool, typer.Option("--sequence", help="Send real sequence counts, not 0.")] = False
+    enable: Annotated[bool, typer.Option(help="Command Telemetry Output to send to this machine.")] = True
+
+
+class RunOptions(NamedTuple):
+    """How long the bridges run, and whether they run at all."""
+
+    duration: options.Duration = None
+    yes: Yes = False
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what would be bridged; open nothing.")] = (
+        False
+    )
+
+
+@options.grouped
+def bridge(
+    *,
+    kind: Annotated[
+        BridgeKind | None,
+        typer.Argument(help="Only the ground or only the flight bridges of the files; default: all."),
     ] = None,
-    checksum: Annotated[bool, typer.Option("--checksum", help="Real checksums in commands, not 0.")] = False,
-    sequence: Annotated[bool, typer.Option("--sequence", help="Real sequence counts, not 0.")] = False,
-    enable: Annotated[bool, typer.Option(help="Ask Telemetry Output to send here.")] = True,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Record to .mcap, .pcapng or .pcap.")
-    ] = None,
-    live: Shown = None,
-    allow_origin: Origins = None,
-    duration: options.Duration = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be bridged; open nothing.")
-    ] = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    graph: RosOptions,
+    packets: PacketOptions,
+    outputs: RelayOutputOptions,
+    running: RunOptions,
+    printing: options.PrintOptions,
+    decoding: options.DecodingOptions,
 ) -> None:
-    """Bridge ROS 2 and cFS as ground and flight bridges do, by the same files, without a ROS 2 installed.
+    """Bridge ROS 2 and cFS from the files of the ground and flight bridges, without an installed ROS 2.
 
     Every bridge of every file runs, in one process: edoras bridge -c ground.yaml -c flight.yaml
     """
-    from edoras_tools.cli.output import print_json
     from edoras_tools.middleware.opening import usual, usual_domain
-    from edoras_tools.pipelines.bridge_plan import Wishes, plan_bridges
-    from edoras_tools.render import bridge as view
-    from edoras_tools.render.console import error_console, output_console
-    from edoras_tools.render.foxglove import served
+    from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
+    from edoras_tools.render.bridge import bridge as view
+    from edoras_tools.render.bridge.foxglove import served
+    from edoras_tools.render.terminal.console import error_console, output_console
 
-    way = ros.value if ros else usual()
-    wishes = Wishes(
+    (json, quiet), output = printing, outputs.output
+    way = graph.ros.value if graph.ros else usual()
+    request = BridgeRequest(
         kind.value if kind else None,
-        tuple(max_rate or ()),
-        checksum=checksum,
-        sequence=sequence,
-        enable=enable,
+        tuple(packets.max_rate or ()),
+        checksum=packets.checksum,
+        sequence=packets.sequence,
+        enable=packets.enable,
     )
-    plan = plan_bridges(settings, wishes)
-    if dry_run:
+    plan = plan_bridges(decoding.settings(), request)
+    if running.dry_run:
         planned = [item.summary() for item in plan.stations]
         if json:
             print_json({"ros": way, "bridges": planned, "notes": list(plan.notes)})
@@ -124,20 +149,22 @@ def bridge(
             console = output_console()
             console.print(view.plan(planned, way, output, console.width))
         return
-    from edoras_tools.pipelines.bridge import Bridges
-    from edoras_tools.render.terminal import look
+    from edoras_tools.pipelines.bridge.run import Bridges
+    from edoras_tools.render.terminal.terminal import look
+
+    confirm_targets(*(station.target for station in plan.stations), confirmed=running.yes)
 
     shows = not quiet and not json and look(sys.stderr).interactive
     bridges = Bridges(
         plan,
-        wishes,
+        request,
         ros=way,
-        domain=usual_domain() if domain is None else domain,
-        options=_options(way, ros_options, allow_origin),
-        recorder=_recorder(plan, output, live, allow_origin),
+        domain=usual_domain() if graph.domain is None else graph.domain,
+        options=_options(way, graph.ros_options, outputs),
+        recorder=_recorder(plan, outputs),
         say=None if shows else _say,
     )
-    failure = _run(bridges, output, duration or 0, shows=shows)
+    failure = _run(bridges, output, running.duration or 0, shows=shows)
     summary = bridges.summary()
     shown = bridges.recorder.shown.summary() if bridges.recorder and bridges.recorder.shown else None
     if json:
@@ -155,46 +182,42 @@ def bridge(
             _say(line)
     if failure is not None:
         raise failure
+    lost_outputs(bridges.recorder.losses if bridges.recorder else ())
     if summary["lost"]:
         raise typer.Exit(LOST)
 
 
-def _options(way: str, given: list[str] | None, origins: list[str] | None) -> dict[str, str]:
-    """Return the middleware's options; where that is Foxglove itself, it has the origins too."""
+def _options(way: str, given: list[str] | None, outputs: RelayOutputOptions) -> dict[str, str]:
+    """Return the middleware's options; for Foxglove also the allowed origins and the token."""
     pairs = dict(item.split("=", 1) for item in given or ())
-    return {**pairs, "origins": ",".join(origins)} if origins and way == Ros.FOXGLOVE else pairs
+    if way == Ros.FOXGLOVE:
+        more = {"origins": ",".join(outputs.allow_origin or ()), "token": outputs.token or ""}
+        pairs |= {name: text for name, text in more.items() if text}
+    return pairs
 
 
-def _recorder(
-    plan: BridgePlan, output: Path | None, live: Endpoint | None, origins: list[str] | None
-) -> Callable[[], Recorder] | None:
-    """Return what records and shows it, checked before anything is opened; None where nobody wants it."""
-    if output is None and live is None:
+def _recorder(plan: BridgePlan, outputs: RelayOutputOptions) -> Callable[[], RelayRecorder] | None:
+    """Return what makes the recorder, its target already checked; None if nothing is recorded or shown."""
+    if outputs.output is None and outputs.live is None:
         return None
-    from edoras_tools.pipelines.proxy_recorder import Recorder
-    from edoras_tools.pipelines.record import Target, check_target
+    from edoras_tools.pipelines.recorder import RelayRecorder
 
-    goal = Target(output) if output else None
-    if goal:
-        check_target(goal, ())
+    goal = outputs.target()
     bench = plan.workbench()
     name = ", ".join(f"{item.kind} bridge {item.listen} to {item.target}" for item in plan.stations)
-    show = showing(bench, live, origins)
-    return lambda: Recorder(goal, bench, name, "bridge", show=show)
+    show = outputs.shown(bench)
+    return lambda: RelayRecorder(goal, bench, name, "bridge", show=show)
 
 
 def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool) -> EdorasError | None:
-    """Bridge until the end; return what ended it early, if anything did."""
-    from contextlib import ExitStack
-
-    from edoras_tools.errors import EdorasError
+    """Run until the end; return the error that stopped it early, or None."""
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.render.bridge import BridgeTable
-    from edoras_tools.render.console import error_console
+    from edoras_tools.render.bridge.bridge import live_table
+    from edoras_tools.render.terminal.console import error_console
 
     failure: EdorasError | None = None
     with ExitStack() as stack:
-        stack.enter_context(on_interrupt(bridges.stop))  # from the moment that it is told
+        stack.enter_context(on_interrupt(bridges.stop))  # before the user reads that Ctrl-C ends it
         for station in bridges.stations:
             count = len(station.machine.routes)
             sys.stderr.write(
@@ -202,8 +225,14 @@ def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool
                 f"{station.plan.name}, {station.plan.kind}, {station.endpoint} to {station.plan.target}; "
                 "Ctrl-C ends\n"
             )
+            tell_reach(station.endpoint, "send what is published in ROS 2")
+        if bridges.ros in {Ros.DDS, Ros.RCLPY}:
+            _say(
+                "the ROS 2 domain is open: every node on its network may publish what is bridged; "
+                "--ros zenoh listens on this machine only"
+            )
         sys.stderr.flush()
-        table = stack.enter_context(BridgeTable(error_console(), output)) if shows else None
+        table = stack.enter_context(live_table(error_console(), output)) if shows else None
         try:
             bridges.run(duration_ns=duration_ns, watcher=table)
         except EdorasError as error:
@@ -214,7 +243,7 @@ def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool
 
 
 def _say(text: str) -> None:
-    from edoras_tools.render.text import clean
+    from edoras_tools.render.terminal.text import clean
 
-    sys.stderr.write(f"edoras: {clean(text)}\n")  # a peer's own words may be in it
+    sys.stderr.write(f"edoras: {clean(text)}\n")  # it may contain text that a peer sent
     sys.stderr.flush()

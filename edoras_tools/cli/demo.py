@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import typer
 
-from edoras_tools.cli import options
-from edoras_tools.cli.endings import LOST
+from edoras_tools.cli import options, recordings
+from edoras_tools.cli.endings import LOST, tell
+from edoras_tools.cli.output import print_json
 from edoras_tools.cli.sim import Scenario
+from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.io.outputs import in_the_way, path_beside
 
 if TYPE_CHECKING:
-    from edoras_tools.errors import EdorasError
+    from edoras_tools.emulator import Scenario as ScenarioName
     from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.demo_run import Demo, DemoPlan
+    from edoras_tools.pipelines.demo.run import Demo, DemoPlan
 
 _TOUR_S: Final = 6.0
 _DEMO_S: Final = 20.0
@@ -25,7 +29,7 @@ _demos = partial(typer.Option, rich_help_panel="The paper's demos")
 
 
 class Ros(StrEnum):
-    """A way into the ROS 2 graph."""
+    """A way to connect to the ROS 2 graph."""
 
     LOCAL = "local"
     ZENOH = "zenoh"
@@ -33,31 +37,16 @@ class Ros(StrEnum):
     RCLPY = "rclpy"
 
 
-def demo(
-    scenario: Annotated[
-        Scenario | None, typer.Argument(help="A demo of the EDORAS paper; without one, the tour.")
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="PATH", help="The recording; of the tour, the folder for them."
-        ),
-    ] = None,
-    duration: Annotated[
-        int | None,
-        typer.Option(
-            *("--duration", "--seconds"),
-            metavar="TIME",
-            parser=options.duration,
-            help="How long, as 30, 10m; 6 s the tour, 20 s a demo.",
-        ),
-    ] = None,
+class DemoOptions(NamedTuple):
+    """Options of the demos of the paper; the tour does not have them."""
+
     ros: Annotated[
-        Ros, _demos(help="Where robots and ground station meet; local: inside this process.")
-    ] = Ros.LOCAL,
+        Ros, _demos(help="Middleware of the robots and the ground station; local: inside this process.")
+    ] = Ros.LOCAL
     rate: Annotated[
-        float, _demos("--rate", metavar="HZ", min=0, max=1000, help="Commands a second and robot; 0: none.")
-    ] = 10.0,
+        float,
+        _demos("--rate", metavar="HZ", min=0, max=1000, help="Commands per second for each robot; 0: none."),
+    ] = 10.0
     state_rate: Annotated[
         float | None,
         _demos(
@@ -65,17 +54,22 @@ def demo(
             metavar="HZ",
             min=0,
             max=2000,
-            help="States that each of two robots publishes a second; 250, as Gazebo does.",
+            help="States per second that each of two robots publishes; default: 250, like Gazebo.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     max_rate: Annotated[
         float,
-        _demos("--max-rate", metavar="HZ", min=0, help="States that the flight bridge lets through; 0: all."),
-    ] = 30.0,
-    live: Annotated[
-        bool, _demos("--live", help="Show it in Foxglove; robots may be driven from there.")
-    ] = False,
+        _demos(
+            "--max-rate",
+            metavar="HZ",
+            min=0,
+            help="States per second that the flight bridge forwards; 0: all.",
+        ),
+    ] = 30.0
+    live: Annotated[bool, _demos("--live", help="Show it in Foxglove, and drive the robots from there.")] = (
+        False
+    )
     ws_port: Annotated[
         int | None,
         _demos(
@@ -83,56 +77,98 @@ def demo(
             metavar="PORT",
             min=0,
             max=65535,
-            help="Where Foxglove connects to; 8765, or any that is free.",
+            help="Port for Foxglove; default: 8765, or a free port if that is in use.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     distro: Annotated[
-        str, _demos(metavar="NAME", help="ROS 2 distribution; nodes on Zenoh meet only those of their own.")
-    ] = "humble",
+        str,
+        _demos(
+            metavar="NAME",
+            envvar="ROS_DISTRO",
+            help="ROS 2 distribution; Zenoh connects only nodes of the same one.",
+        ),
+    ] = options.DISTRO
     domain: Annotated[
-        int | None, _demos(metavar="N", min=0, max=232, help="ROS 2 domain; ROS_DOMAIN_ID, or 0.")
-    ] = None,
+        int | None, _demos(metavar="N", min=0, max=232, help="ROS 2 domain; default: ROS_DOMAIN_ID, or 0.")
+    ] = None
     ros_options: Annotated[
         list[str] | None,
-        _demos("--ros-option", metavar="NAME=VALUE", help="For the middleware; repeatable."),
+        _demos("--ros-option", metavar="NAME=VALUE", help="Option of the middleware; repeatable."),
+    ] = None
+
+    def plan(self, scenario: ScenarioName, output: Path, *, replace: bool) -> DemoPlan:
+        """Return these options in the form that pipelines take.
+
+        Raises:
+            ConfigError: an option of the middleware is not NAME=VALUE.
+        """
+        from edoras_tools.middleware.opening import usual_domain
+        from edoras_tools.pipelines.demo.run import DemoPlan
+
+        pairs = [item.partition("=") for item in self.ros_options or ()]
+        if wrong := [name for name, equals, _ in pairs if not name or not equals]:
+            raise ConfigError(f"--ros-option {wrong[0]!r} is not NAME=VALUE")
+        return DemoPlan(
+            scenario,
+            output,
+            command_hz=self.rate,
+            state_hz=self.state_rate,
+            max_rate=self.max_rate,
+            ros=self.ros.value,
+            domain=usual_domain() if self.domain is None else self.domain,
+            options={name: value for name, _, value in pairs},
+            distro=self.distro,
+            live=_where(self.ws_port) if self.live else None,
+            replace=replace,
+        )
+
+
+@options.grouped
+def demo(
+    *,
+    scenario: Annotated[
+        Scenario | None, typer.Argument(help="A demo of the EDORAS paper; default: the tour.")
     ] = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            *("--output", "-o"),
+            metavar="PATH",
+            parser=recordings.recording_path,
+            help="The recording; for the tour, the folder for its files.",
+        ),
+    ] = None,
+    force: recordings.Force = False,
+    duration: Annotated[
+        int | None,
+        typer.Option(
+            *("--duration", "--seconds"),
+            metavar="TIME",
+            parser=options.duration,
+            help="How long it runs, e.g. 30 or 10m; default: 6 s for the tour, 20 s for a demo.",
+        ),
+    ] = None,
+    demos: DemoOptions,
+    printing: options.PrintOptions,
 ) -> None:
-    """Tour the main job on loopback against an emulated cFS; or run a demo of the paper, with both bridges.
+    """Show the main features on loopback with an emulated cFS, or run a demo of the paper with both bridges.
 
     For example: edoras demo two-rovers --live
     """
     if scenario is None:
         _tour(output, duration)
         return
-    from edoras_tools.errors import ConfigError
-    from edoras_tools.middleware.opening import usual_domain
-    from edoras_tools.pipelines.demo_run import DemoPlan
-
-    pairs = [item.partition("=") for item in ros_options or ()]
-    if wrong := [name for name, equals, _ in pairs if not name or not equals]:
-        raise ConfigError(f"--ros-option {wrong[0]!r} is no NAME=VALUE")
-    plan = DemoPlan(
-        scenario.value,
-        output or Path(f"{scenario.value.replace('-', '_')}.mcap"),
-        command_hz=rate,
-        state_hz=state_rate,
-        max_rate=max_rate,
-        ros=ros.value,
-        domain=usual_domain() if domain is None else domain,
-        options={name: value for name, _, value in pairs},
-        distro=distro,
-        live=_where(ws_port) if live else None,
-    )
-    _show(plan, duration or int(_DEMO_S * 1e9), json=json, quiet=quiet)
+    usual = Path(f"{scenario.value.replace('-', '_')}.mcap")
+    free = path_beside(usual) if in_the_way(usual) and not force else usual
+    plan = demos.plan(scenario.value, output or free, replace=force)
+    _show(plan, duration or int(_DEMO_S * 1e9), printing)
 
 
 def _tour(output: Path | None, duration: int | None) -> None:
-    from edoras_tools.pipelines.demo import tour
-    from edoras_tools.render.demo import Guide
-    from edoras_tools.render.terminal import look
+    from edoras_tools.pipelines.demo.tour import tour
+    from edoras_tools.render.demo.tour import Guide
+    from edoras_tools.render.terminal.terminal import look
 
     seconds = duration / 1e9 if duration else _TOUR_S
     guide = Guide(sys.stdout, look(sys.stdout))
@@ -141,16 +177,16 @@ def _tour(output: Path | None, duration: int | None) -> None:
     guide.end(result.live.summary(), result.real.summary(), result.folder)
 
 
-def _show(plan: DemoPlan, duration_ns: int, *, json: bool, quiet: bool) -> None:
-    """Run a demo and say what came of it."""
-    from edoras_tools.cli.output import print_json
-    from edoras_tools.pipelines.demo_run import Demo
-    from edoras_tools.render import demo_view as view
-    from edoras_tools.render.console import output_console
-    from edoras_tools.render.terminal import look
+def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> None:
+    """Run a demo and print its result."""
+    from edoras_tools.pipelines.demo.run import Demo
+    from edoras_tools.render.demo import view
+    from edoras_tools.render.terminal.console import output_console
+    from edoras_tools.render.terminal.terminal import look
 
+    json, quiet = printing
     shows = not quiet and not json and look(sys.stderr).interactive
-    with Demo(plan, None if shows or quiet else _say) as running:
+    with Demo(plan, None if shows or quiet else tell) as running:
         failure = _run(running, duration_ns, shows=shows, quiet=quiet)
     summary = running.summary()
     if json:
@@ -165,12 +201,9 @@ def _show(plan: DemoPlan, duration_ns: int, *, json: bool, quiet: bool) -> None:
 
 
 def _run(running: Demo, duration_ns: int, *, shows: bool, quiet: bool) -> EdorasError | None:
-    """Let it run; return what ended it early, if anything did."""
-    from contextlib import ExitStack
-
-    from edoras_tools.errors import EdorasError
-    from edoras_tools.render import demo_view as view
-    from edoras_tools.render.console import error_console
+    """Run it; return the error that stopped it early, or None."""
+    from edoras_tools.render.demo import view
+    from edoras_tools.render.terminal.console import error_console
 
     if not quiet:
         sys.stderr.write(
@@ -181,7 +214,7 @@ def _run(running: Demo, duration_ns: int, *, shows: bool, quiet: bool) -> Edoras
             sys.stderr.write(f"Foxglove: {running.foxglove.server.app_url}\n")
         sys.stderr.flush()
     with ExitStack() as stack:
-        table = stack.enter_context(view.DemoTable(error_console(), running.plan.output)) if shows else None
+        table = stack.enter_context(view.live_table(error_console(), running.plan.output)) if shows else None
         try:
             running.run(duration_ns=duration_ns, watcher=table)
         except EdorasError as error:
@@ -190,11 +223,11 @@ def _run(running: Demo, duration_ns: int, *, shows: bool, quiet: bool) -> Edoras
 
 
 def _where(port: int | None) -> Endpoint:
-    """Return where Foxglove connects to: the usual port if it is free, unless one is named."""
+    """Return the address for Foxglove: the port that was named, else the default port or any free port."""
     import socket
 
+    from edoras_tools.io.foxglove.server import HERE
     from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.live import HERE
 
     if port is None:
         with socket.socket() as probe:
@@ -206,8 +239,3 @@ def _where(port: int | None) -> Endpoint:
             else:
                 port = HERE.port
     return Endpoint(HERE.address, port)
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"edoras: {text}\n")
-    sys.stderr.flush()

@@ -1,158 +1,234 @@
-"""``edoras doctor``: what is wrong on a link, where and why."""
+"""``edoras doctor``: says what is wrong on a link, where and why."""
 
 from __future__ import annotations
 
-import sys
+from contextlib import nullcontext
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from time import monotonic_ns
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.endings import LOST, no_datagrams, tell
+from edoras_tools.cli.inputs import InputOptions, open_input
+from edoras_tools.cli.output import print_csv, print_json
+from edoras_tools.errors import CaptureError, ConfigError
 
 if TYPE_CHECKING:
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sessions.profile import SimProfile
 
 _EVERY_NS = 1_000_000_000
 
 
-@options.takes_decoding
-def doctor(
-    settings: Settings,
-    files: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[FILE]...", help="pcap, pcapng or MCAP; - is stdin; several are merged."),
-    ] = None,
-    interface: options.Interface = None,
-    listen: options.Listen = None,
+class Listing(StrEnum):
+    """Formats of the list of lost messages."""
+
+    TABLE = "table"
+    CSV = "csv"
+    JSON = "json"
+
+
+class TaskOptions(NamedTuple):
+    """What to do; the default is a diagnosis."""
+
     against: Annotated[
         Path | None,
         typer.Option(
-            "--against", metavar="FILE", help="Only tell how this capture of the same traffic differs."
+            "--against",
+            metavar="FILE",
+            help="Only report how this second capture of the same traffic differs.",
         ),
-    ] = None,
+    ] = None
     predict: Annotated[
-        bool, typer.Option("--predict", help="Only tell what each route of the mission can carry.")
-    ] = False,
+        bool, typer.Option("--predict", help="Only report how much each route of the mission can carry.")
+    ] = False
     constant: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="NAME=VALUE", help="A constant of your cFS, as app_msg_limit=8; repeatable."
+            "--set", metavar="NAME=VALUE", help="A constant of your cFS, e.g. app_msg_limit=8; repeatable."
         ),
-    ] = None,
+    ] = None
+    list_lost: Annotated[
+        Listing | None,
+        typer.Option(
+            "--list-lost",
+            metavar="FORMAT",
+            help="Only list the messages that did not arrive, with time and values; table, csv or json.",
+        ),
+    ] = None
+
+
+@options.grouped
+def doctor(
+    *,
+    given: InputOptions,
+    task: TaskOptions,
     duration: options.Duration = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    printing: options.PrintOptions,
+    part: options.ScopeOptions,
+    decoding: options.DecodingOptions,
 ) -> None:
-    """Say what is wrong on this link, where and why: loss per hop, its evidence, and what to change.
+    """Find what is wrong on a link, where and why: losses per hop, evidence, and what to change.
 
-    Live (-i) a table of verdicts is kept current. Exit code 3 tells that loss was found.
+    With -i it shows a table of verdicts that is updated live. Exit code 3: a loss or an error was found.
     """
-    from edoras_tools.pipelines.doctor import profile_with
+    from edoras_tools.pipelines.doctor.doctor import profile_with
 
-    profile = profile_with(constant or ())
-    if predict:
-        _predict(settings, profile, json=json)
-    elif against is not None:
-        _compare(settings, files or [], against, json=json)
+    settings, scope, profile = decoding.settings(), part.scope(), profile_with(task.constant or ())
+    if task.predict:
+        _predict(settings, profile, scope, json=printing.json)
+    elif task.list_lost is not None:
+        _list_lost(settings, profile, scope, given.paths, task.list_lost, printing)
+    elif task.against is not None:
+        _compare(settings, scope, given.paths, task.against, printing)
     else:
-        _examine(settings, profile, files, interface, listen, duration or 0, json=json, quiet=quiet)
+        _examine(settings, profile, scope, given, duration or 0, printing)
 
 
 def _examine(
     settings: Settings,
     profile: SimProfile,
-    files: list[Path] | None,
-    interface: str | None,
-    listen: list[str] | None,
-    duration: int,
-    *,
-    json: bool,
-    quiet: bool,
+    scope: Scope,
+    given: InputOptions,
+    duration_ns: int,
+    printing: options.PrintOptions,
 ) -> None:
-    from contextlib import nullcontext
-    from time import monotonic_ns
+    from edoras_tools.pipelines.doctor.doctor import Pace, examine
+    from edoras_tools.render.doctor.live import LiveVerdicts
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
 
-    from edoras_tools.cli.endings import LOST, no_datagrams
-    from edoras_tools.cli.inputs import open_input
-    from edoras_tools.errors import ConfigError
-    from edoras_tools.pipelines.doctor import examine
-    from edoras_tools.render.doctor_live import LiveVerdicts
-
-    if not (files or interface or listen):
-        raise ConfigError("name what to examine: FILE..., -i IFACE, or --listen PORT")
-    source, bench = open_input(files, interface, listen, settings)
-    live = not files
-    with LiveVerdicts(source.info.name, quiet=quiet) if live else nullcontext() as onlooker:
-        findings = examine(
-            source,
-            bench,
-            profile=profile,
-            clock=monotonic_ns,
-            every_ns=_EVERY_NS if live else 0,
-            duration_ns=duration,
-            onlooker=onlooker,
-        )
+    json, quiet = printing
+    if not (given.paths or any(given.live)):
+        raise ConfigError("name the input to examine: FILE..., -i IFACE, or --listen PORT")
+    live = not given.paths
+    if live and (scope.start_ns or scope.end_ns):
+        raise ConfigError("--start and --end select part of a file; for live traffic use --duration")
+    name = ", ".join(map(str, given.paths))
+    with FileProgress(name, console=error_console(), quiet=quiet or json or live) as bar:
+        source, bench = open_input(given, settings, aligned=True, progress=bar)
+        with LiveVerdicts(source.info.name, quiet=quiet) if live else nullcontext() as onlooker:
+            pace = Pace(monotonic_ns, _EVERY_NS if live else 0, duration_ns, onlooker)
+            findings = examine(source, bench, profile=profile, scope=scope, pace=pace, progress=bar)
     if json:
-        from edoras_tools.cli.output import print_json
-
         print_json(findings.summary())
-    elif findings.diagnosis.datagrams:
-        from edoras_tools.render.console import output_console
-        from edoras_tools.render.doctor import diagnosis
+    elif source.statistics.datagrams:
+        from edoras_tools.render.doctor.doctor import diagnosis
+        from edoras_tools.render.terminal.console import output_console
 
         console = output_console()
         console.print(diagnosis(findings.diagnosis, source.info.name, console.width))
-    for warning in (*bench.mission.warnings, *source.statistics.warnings):
-        sys.stderr.write(f"edoras: {warning}\n")
+    for warning in (*bench.mission.warnings, *findings.diagnosis.capture.warnings):
+        tell(warning)
     if findings.failure is not None:
         raise findings.failure
     if not live:
         no_datagrams(source)
-    if findings.diagnosis.lost or findings.diagnosis.capture.drops:
+    if findings.diagnosis.bad:
         raise typer.Exit(LOST)
 
 
-def _predict(settings: Settings, profile: SimProfile, *, json: bool) -> None:
-    from edoras_tools.diagnosis.budget import predict
-    from edoras_tools.errors import ConfigError
+def _list_lost(
+    settings: Settings,
+    profile: SimProfile,
+    scope: Scope,
+    files: list[Path],
+    listing: Listing,
+    printing: options.PrintOptions,
+) -> None:
+    from edoras_tools.pipelines.doctor.doctor import examine
+    from edoras_tools.pipelines.doctor.missing import list_missing
+    from edoras_tools.pipelines.workbench import open_files
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+
+    if not files or any(str(item) == "-" for item in files):
+        raise ConfigError("--list-lost reads the capture twice, so it needs files, not stdin: name files")
+    source = open_files(files)
+    bench = settings.workbench(source.info)
+    with FileProgress(source.info.name, console=error_console(), quiet=printing.quiet) as bar:
+        findings = examine(source, bench, profile=profile, scope=scope, progress=bar)
+        case, choice = findings.diagnosis.case, findings.diagnosis.choice
+        found = list_missing(case, open_files(files), bench, choice, bar) if case else []
+    if listing is Listing.TABLE:
+        from edoras_tools.render.doctor.missing import missing_table
+        from edoras_tools.render.terminal.console import output_console
+
+        console = output_console()
+        console.print(missing_table(found, findings.diagnosis.zero_ns, console.width))
+    elif listing is Listing.JSON:
+        print_json({"schema": 1, "missing": [item.as_json() for item in found]})
+    else:
+        print_csv([item.as_json() for item in found])
+    told, listed = findings.diagnosis, sum(item.count for item in found)
+    missing = told.lost + told.superseded + told.unaccounted
+    if listed != missing:
+        tell(
+            f"{listed:,} listed, {missing:,} in the balance (lost, superseded, unaccounted): "
+            "counts that are missing while a path was closed, or on two links, are listed as well"
+        )
+    if findings.failure is not None:
+        raise findings.failure
+    if found or missing:
+        raise typer.Exit(LOST)
+
+
+def _predict(settings: Settings, profile: SimProfile, scope: Scope, *, json: bool) -> None:
+    from edoras_tools.diagnosis.accounting.budget import predict
 
     bench = settings.workbench()
     if not bench.mission.routes:
         raise ConfigError("--predict needs a mission: name its files with -c")
-    budgets = predict(bench.mission, bench.types, profile)
+    if scope.selection.where or scope.start_ns or scope.end_ns:
+        raise ConfigError(
+            "--predict does not read a capture: --where, --start and --end cannot be used with it"
+        )
+    chosen = scope.selection.over(bench)
+    budgets = [
+        item
+        for item in predict(bench.mission, bench.types, profile)
+        if chosen.about(item.route.link.label, item.route.msg_id, bench.mission)
+    ]
     if json:
-        from edoras_tools.cli.output import print_json
-
         print_json({"routes": [item.as_json() for item in budgets]})
         return
-    from edoras_tools.render.console import output_console
-    from edoras_tools.render.doctor import budgets as view
+    from edoras_tools.render.doctor.doctor import budgets as view
+    from edoras_tools.render.terminal.console import output_console
 
     console = output_console()
     console.print(view(budgets, console.width))
 
 
-def _compare(settings: Settings, files: list[Path], against: Path, *, json: bool) -> None:
-    from edoras_tools.cli.endings import LOST
-    from edoras_tools.errors import ConfigError
-    from edoras_tools.pipelines.diff import diff
+def _compare(
+    settings: Settings, scope: Scope, files: list[Path], against: Path, printing: options.PrintOptions
+) -> None:
+    from edoras_tools.pipelines.doctor.compare import diff
     from edoras_tools.pipelines.workbench import open_files
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
 
     if not files:
         raise ConfigError("--against needs two captures: edoras doctor FIRST --against SECOND")
     first = open_files(files)
-    found = diff(first, open_files([against]), settings.workbench(first.info))
-    if json:
-        from edoras_tools.cli.output import print_json
-
+    quiet = printing.quiet or printing.json
+    with FileProgress(first.info.name, console=error_console(), quiet=quiet) as bar:
+        found = diff(first, open_files([against]), settings.workbench(first.info), scope, bar)
+    if printing.json:
         print_json(found.as_json())
-    else:
-        from edoras_tools.render.console import output_console
-        from edoras_tools.render.doctor import comparison
+    elif found.common:
+        from edoras_tools.render.doctor.doctor import comparison_table
+        from edoras_tools.render.terminal.console import output_console
 
         console = output_console()
-        console.print(comparison(found, console.width))
+        console.print(comparison_table(found, console.width))
+    if not found.common:
+        names = ", ".join(map(str, files))
+        raise CaptureError(
+            f"{names} and {against}: no datagram in common; name two captures of the same traffic"
+        )
     if found.lost:
         raise typer.Exit(LOST)

@@ -1,8 +1,9 @@
-"""What a command says, and tells the shell, at its end."""
+"""What a command prints at its end, and its exit code."""
 
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import typer
@@ -10,18 +11,21 @@ import typer
 from edoras_tools.errors import CaptureError
 
 if TYPE_CHECKING:
-    from edoras_tools.pipelines.record import Report
-    from edoras_tools.sources import Source
+    from collections.abc import Sequence
+
+    from edoras_tools.io import Source
+    from edoras_tools.io.formats.watched import OutputLoss
+    from edoras_tools.pipelines.capture.record import CaptureReport
 
 LOST = 3
 """Exit code: finished, but data was lost or found lost."""
 
 
 def no_datagrams(source: Source) -> None:
-    """Fail when a file held no UDP at all.
+    """Raise an error if a file contained no UDP datagram.
 
     Raises:
-        CaptureError: it did not.
+        CaptureError: it contained none.
     """
     statistics = source.statistics
     if not statistics.datagrams:
@@ -29,14 +33,16 @@ def no_datagrams(source: Source) -> None:
         raise CaptureError(f"{source.info.name}: no UDP datagram in it ({what}); nothing to decode")
 
 
-def nothing_shown(source: Source, shown: int, *, live: bool) -> None:
-    """Say why a list stayed empty, and what was lost.
+def nothing_shown(source: Source, shown: int, *, live: bool, notes: Sequence[str] = ()) -> None:
+    """Print why a list is empty, what was recognised from the bytes, and what the capture lost.
 
     Raises:
-        CaptureError: a file held no UDP at all.
+        CaptureError: a file contained no UDP at all.
     """
     if not shown and not live:
         no_datagrams(source)
+    for note in notes:
+        tell(note)
     if not shown:
         _none_chosen(source, "; -a shows every link")
     lost(source)
@@ -45,38 +51,66 @@ def nothing_shown(source: Source, shown: int, *, live: bool) -> None:
 def _none_chosen(source: Source, hint: str = "") -> None:
     there = source.statistics.datagrams
     if there:
-        sys.stderr.write(f"edoras: none of the {there:,} datagrams was chosen{hint}\n")
+        tell(f"none of the {there:,} datagrams was selected{hint}")
 
 
 def lost(source: Source) -> None:
-    """Tell the shell that the capture itself lost packets.
+    """End with exit code 3 if the capture itself lost packets.
 
     Raises:
-        typer.Exit: with code 3, when it did.
+        typer.Exit: with code 3, if it did.
     """
-    for warning in source.statistics.warnings:
-        sys.stderr.write(f"edoras: {warning}\n")
-    drops = source.statistics.kernel_drops
+    statistics = source.statistics
+    lines = statistics.warnings
+    if statistics.outages:
+        from edoras_tools.render.capture.outage import outage_lines
+
+        lines = [*lines, *outage_lines(statistics.outages)]
+    for line in lines:
+        tell(line)
+    drops = statistics.kernel_drops
     if drops:
-        sys.stderr.write(f"edoras: the capture itself lost {drops:,} packets; it was too slow for them\n")
+        tell(f"the capture itself lost {drops:,} packets; it was too slow for them")
         raise typer.Exit(LOST)
 
 
-def finish(report: Report, *, live: bool) -> None:
+def tell(line: str) -> None:
+    """Print a line on standard error while a command runs."""
+    sys.stderr.write(f"edoras: {line}\n")
+    sys.stderr.flush()
+
+
+def lost_outputs(losses: Sequence[OutputLoss]) -> None:
+    """Report outputs that were removed while they were written.
+
+    Raises:
+        typer.Exit: with code 3, if there are any.
+    """
+    for item in losses:
+        tell(str(item))
+    if losses:
+        raise typer.Exit(LOST)
+
+
+def finish(report: CaptureReport, *, live: bool) -> None:
     """End a command that read a whole source.
 
     Raises:
-        EdorasError: the source ended early, or held no UDP at all.
-        typer.Exit: with code 3, when the capture lost packets.
+        EdorasError: the source ended early, or contained no UDP at all.
+        typer.Exit: with code 3, if the capture lost packets.
     """
-    for warning in report.ledger.mission.warnings:
-        sys.stderr.write(f"edoras: {warning}\n")
+    for warning in (*report.ledger.mission.warnings, *report.notes):
+        tell(warning)
     if report.failure is not None:
         raise report.failure
     if report.interrupted and not live:
-        sys.stderr.write(f"edoras: interrupted after {report.ledger.datagrams:,} datagrams\n")
+        tell(f"interrupted after {report.ledger.datagrams:,} datagrams")
     elif not live:
         no_datagrams(report.source)
         if not report.ledger.datagrams:
             _none_chosen(report.source)
+    if report.losses:
+        with suppress(typer.Exit):
+            lost(report.source)
+        lost_outputs(report.losses)
     lost(report.source)

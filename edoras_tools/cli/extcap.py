@@ -1,4 +1,4 @@
-"""The program that Wireshark runs for ``EDORAS CI``, ``TO`` and ``SBN``; not for people."""
+"""The program that Wireshark runs for ``EDORAS CI``, ``TO`` and ``SBN``; not meant for users."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.io.signals import ENDING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Answer one question of Wireshark's, or capture; return the exit code."""
+    """Answer a request of Wireshark, or capture; return the exit code."""
     parser = argparse.ArgumentParser(prog="edoras-extcap", description=__doc__, allow_abbrev=False)
     for name in ("interfaces", "dlts", "config"):
         parser.add_argument(f"--extcap-{name}", action="store_true")
@@ -28,9 +29,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--listen", default="")
     parser.add_argument("--ports", default="")
     parser.add_argument("--config", default="")
-    asked, _ = parser.parse_known_args(arguments)  # newer versions of Wireshark ask for more
-    if asked.capture:  # before datagrams are taken, and after, there is nothing that an end could lose
-        for number in (signal.SIGINT, signal.SIGTERM):
+    asked, _ = parser.parse_known_args(arguments)  # newer versions of Wireshark pass more options
+    if asked.capture:  # until datagrams are read, the process can end at once without losing anything
+        for number in ENDING:
             signal.signal(number, _end)
     try:
         for line in _answer(asked):
@@ -42,18 +43,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _answer(asked: argparse.Namespace) -> list[str]:
-    from edoras_tools.pipelines import extcap
+    from edoras_tools.pipelines.wireshark import extcap
 
     if asked.extcap_interfaces:
-        return extcap.interfaces()
-    link = extcap.link_of(asked.extcap_interface)
+        return extcap.interfaces_answer()
+    link = extcap.interface_link(asked.extcap_interface)
     if asked.extcap_dlts:
         return extcap.link_types()
     if asked.extcap_config:
         return extcap.options()
     if not asked.capture or asked.fifo is None:
-        raise ConfigError("Wireshark runs this program; for people there is: edoras sniff -i IFACE")
-    wish = extcap.Wish(
+        raise ConfigError(
+            "this program is for Wireshark; to capture on the command line: edoras sniff -i IFACE"
+        )
+    wish = extcap.CaptureRequest(
         link,
         asked.interface,
         _words(asked.listen),

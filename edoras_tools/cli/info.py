@@ -1,44 +1,69 @@
-"""``edoras info``: what is in a capture or a recording."""
+"""``edoras info``: shows what a capture or a recording contains."""
 
 from __future__ import annotations
 
+import sys
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.endings import LOST, finish
+from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
+from edoras_tools.cli.output import print_json
 
-if TYPE_CHECKING:
-    from edoras_tools.pipelines.selection import Selection
-    from edoras_tools.pipelines.workbench import Settings
 
-
-@options.takes_decoding
-@options.takes_choice
+@options.grouped
 def info(
-    settings: Settings,
-    selection: Selection,
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="pcap, pcapng or MCAP; - is stdin.")],
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    *,
+    files: FileOptions,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Only check every checksum of the recordings.")
+    ] = False,
+    printing: options.PrintOptions,
+    part: options.PartOptions,
+    chosen: options.SelectionOptions,
+    decoding: options.DecodingOptions,
 ) -> None:
-    """Tell what is in a capture: routes, counts, rates, jitter, gaps, sizes and findings."""
-    from edoras_tools.cli.endings import finish
-    from edoras_tools.cli.inputs import open_input
-    from edoras_tools.pipelines.info import inspect
-    from edoras_tools.render.watch import watcher
+    """Show what a capture contains: routes, counts, rates, jitter, gaps, sizes and findings."""
+    paths, limits = files.named(), part.limits()
+    if verify:
+        _verify(paths, json=printing.json)
+        return
+    from edoras_tools.pipelines.capture.info import inspect
+    from edoras_tools.render.capture.watch import watcher
 
-    source, bench = open_input(files, None, None, settings)
-    with watcher(source, None, quiet=quiet or json, live=False) as watch:
-        report = inspect(source, bench, selection=selection, watcher=watch)
-    if json:
-        from edoras_tools.cli.output import print_json
-
+    source, bench = open_input(InputOptions(files), decoding.settings())
+    with watcher(source, None, quiet=printing.quiet or printing.json, live=False) as watch:
+        report = inspect(source, bench, selection=chosen.selection(), limits=limits, watcher=watch)
+    if printing.json:
         print_json(report.summary())
     elif report.ledger.datagrams:
-        from edoras_tools.render.console import output_console
-        from edoras_tools.render.info import capture_summary
+        from edoras_tools.render.capture.info import capture_summary
+        from edoras_tools.render.terminal.console import output_console
 
         output_console().print(capture_summary(report.summary()))
     finish(report, live=False)
+
+
+def _verify(files: list[Path], *, json: bool) -> None:
+    """Check recordings, and the files of rosbag2 directories; the exit code is as for ``recover``.
+
+    Raises:
+        typer.Exit: with code 3, if one of them lost data.
+    """
+    from edoras_tools.io.formats.mcap.recover import verify
+
+    every = [item for path in files for item in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
+    lost = False
+    for path in every:
+        report = verify(path)
+        lost |= report.lost
+        if json:
+            print_json({"source": str(path), **asdict(report)})
+        else:
+            sys.stdout.write(f"{path}: {report.text(written=False)}\n")
+    if lost:
+        raise typer.Exit(LOST)

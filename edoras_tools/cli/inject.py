@@ -1,111 +1,135 @@
-"""``edoras inject``: one message or command, once or at a rate."""
+"""``edoras inject``: sends one message or command, once or at a rate."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options, sending
+from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from edoras_tools.pipelines.orders import Orders
-    from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sessions.faults import FaultPlan
+    from edoras_tools.pipelines.sending.inject import Injection
 
 
 def hexadecimal(text: str) -> bytes:
-    """Read bytes in hex; blanks and colons may stand between them."""
+    """Read bytes in hex; spaces and colons may separate them."""
     try:
         return bytes.fromhex(text.removeprefix("0x").replace(":", " "))
     except ValueError:
-        raise typer.BadParameter(f"{text!r} is no row of bytes in hex; write '01 ff' or 01ff") from None
+        raise typer.BadParameter(f"{text!r} is not bytes in hex; write '01 ff' or 01ff") from None
 
 
-@options.takes_decoding
-@sending.takes_sending
-@options.takes_faults
-def inject(
-    settings: Settings,
-    orders: Orders,
-    faults: FaultPlan,
+class MessageOptions(NamedTuple):
+    """What is sent."""
+
     what: Annotated[
         str, typer.Argument(metavar="[WHAT]", help="A topic; or a command: to-enable, noop APP, ci-noop ...")
-    ] = "",
+    ] = ""
     values: Annotated[
-        str, typer.Argument(metavar="[MESSAGE]", help="Its fields as YAML or JSON, or @FILE; or an argument.")
-    ] = "",
+        str,
+        typer.Argument(metavar="[MESSAGE]", help="Its fields as YAML or JSON, or @FILE; or the argument."),
+    ] = ""
     to: Annotated[
         str,
-        typer.Option("--to", metavar="TO", help="To ci, sbn or ground; where its route leads if not said."),
-    ] = "",
+        typer.Option("--to", metavar="TO", help="Send to ci, sbn or ground; default: the link of its route."),
+    ] = ""
     command: Annotated[
         tuple[str, str] | None,
-        typer.Option("--command", metavar="MSGID CODE", help="A command packet instead: MsgId and code."),
-    ] = None,
+        typer.Option(
+            "--command", metavar="MSGID CODE", help="Send a command packet with this MsgId and code."
+        ),
+    ] = None
     payload: Annotated[
         Any,
-        typer.Option("--hex", metavar="BYTES", parser=hexadecimal, help="Behind the header of --command."),
-    ] = None,
+        typer.Option(
+            "--hex", metavar="BYTES", parser=hexadecimal, help="Bytes that follow the header of --command."
+        ),
+    ] = None
     code: Annotated[
         int | None,
-        typer.Option("--code", metavar="N", parser=options.number, help="Function code of a message; 1."),
-    ] = None,
+        typer.Option(
+            "--code", metavar="N", parser=options.number, help="Function code of a message; default 1."
+        ),
+    ] = None
     rate: Annotated[
         float | None,
-        typer.Option("--hz", metavar="HZ", parser=sending.positive, help="So often a second; 1."),
-    ] = None,
-    count: Annotated[
+        typer.Option("--hz", metavar="HZ", parser=sending.positive, help="Messages per second; default 1."),
+    ] = None
+    times: Annotated[
         int | None,
         typer.Option(
             "--count",
             "-n",
             metavar="N",
             parser=options.counted,
-            help="So often; with --hz alone without end.",
+            help="How often to send it; default: once, or without end with --hz.",
         ),
-    ] = None,
+    ] = None
     arbitrary: Annotated[
-        bool, typer.Option("--every-field-random", help="Make all values up, new ones each time; --seed.")
-    ] = False,
-    output: sending.Output = None,
-    dry_run: sending.DryRun = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+        bool,
+        typer.Option(
+            "--every-field-random", help="Random values in all fields, new ones for each message; see --seed."
+        ),
+    ] = False
+
+    def injection(self, seed: int) -> Injection:
+        """Return these options in the form that pipelines take.
+
+        Args:
+            seed: of the random values.
+
+        Raises:
+            ConfigError: nothing is named, or more than one thing.
+            typer.BadParameter: a MsgId or a code is not a number.
+        """
+        from edoras_tools.pipelines.sending.inject import Injection
+
+        if bool(self.what) == bool(self.command):
+            raise ConfigError("name one thing: a topic, a command's name, or --command MSGID CODE")
+        if self.payload is not None and not self.command:
+            raise ConfigError("--hex gives the bytes after the header of --command; name --command too")
+        return Injection(
+            self.what,
+            self.values,
+            (options.msg_id(self.command[0]), options.number(self.command[1])) if self.command else None,
+            self.payload or b"",
+            1 if self.code is None else self.code,
+            self.times or (0 if self.rate else 1),
+            self.arbitrary,
+            seed,
+        )
+
+
+@options.grouped
+def inject(
+    message: MessageOptions,
+    ending: sending.EndingOptions,
+    how: sending.SendingOptions,
+    decoding: options.DecodingOptions,
 ) -> None:
     """Send one ROS message or one command, once or at a rate.
 
     For example: edoras inject /cmd_vel '{linear: {x: 0.5}}' -c rover.yaml --hz 10 -n 50
     """
-    from dataclasses import replace
-
-    from edoras_tools.errors import ConfigError
-    from edoras_tools.pipelines.inject import Order, make, receiver
-    from edoras_tools.pipelines.orders import To
-    from edoras_tools.pipelines.transmission import Transmission
+    from edoras_tools.pipelines.sending.inject import injection_receiver, make
+    from edoras_tools.pipelines.sending.options import Receiver
+    from edoras_tools.pipelines.sending.run import Transmission
     from edoras_tools.sessions.outgoing import Changes
 
-    if bool(what) == bool(command):
-        raise ConfigError("name one thing: a topic, a command's name, or --command MSGID CODE")
-    if payload is not None and not command:
-        raise ConfigError("--hex goes behind the header of --command; name that too")
-    order = Order(
-        what,
-        values,
-        (options.msg_id(command[0]), options.number(command[1])) if command else None,
-        payload or b"",
-        1 if code is None else code,
-        count or (0 if rate else 1),
-        arbitrary,
-        faults.seed,
-    )
-    bench = settings.workbench()
-    orders = replace(
-        orders,
-        to=sending.one_of(To, to, "--to") if to else receiver(order, bench.mission),
-        rates=(("*", rate or 1.0),),
+    send_options, faults = how.send_options(), how.faults.plan()
+    injection = message.injection(faults.seed)
+    bench = decoding.settings().workbench()
+    send_options = replace(
+        send_options,
+        to=sending.one_of(Receiver, message.to, "--to")
+        if message.to
+        else injection_receiver(injection, bench.mission),
+        rates=(("*", message.rate or 1.0),),
     ).placed(bench.mission)
-    loaded, orders = make(order, bench, orders)
-    changes = Changes(sequence=orders.sequence, checksum=orders.checksum)
-    transmission = Transmission.of(loaded, orders, bench.mission, changes)
-    sending.carry_out(transmission, bench, faults, output=output, dry_run=dry_run, json=json, quiet=quiet)
+    loaded, send_options = make(injection, bench, send_options)
+    changes = Changes(sequence=send_options.sequence, checksum=send_options.checksum)
+    transmission = Transmission.of(loaded, send_options, bench.mission, changes)
+    sending.carry_out(transmission, bench, faults, ending)

@@ -2,65 +2,193 @@
 
 from __future__ import annotations
 
+import logging
 import sys
-from typing import TYPE_CHECKING
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
+import typer
+
+from edoras_tools.cli.endings import tell
 from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.io.formats.table import READ_PACKED
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
+    from edoras_tools.io import Source
+    from edoras_tools.model import InterfaceOutage
     from edoras_tools.pipelines.workbench import Settings, Workbench
-    from edoras_tools.sources import Source
+    from edoras_tools.render.terminal.run import Progress
+
+
+class LiveOptions(NamedTuple):
+    """Live traffic: packets on an interface, or datagrams sent to a port."""
+
+    interface: Annotated[
+        str | None, typer.Option("--interface", "-i", metavar="IFACE", help="Capture live from an interface.")
+    ] = None
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--listen",
+            metavar="[HOST:]PORT",
+            help="Receive on a UDP port; loopback only unless HOST is given; needs no privilege; repeatable.",
+        ),
+    ] = None
+    wait_interface: Annotated[
+        bool,
+        typer.Option("--wait-interface", help="Wait for an interface that does not exist yet, or is down."),
+    ] = False
+    user: Annotated[
+        str | None,
+        typer.Option(
+            "--user",
+            metavar="NAME",
+            help="Run as this user once the capture is open.",
+        ),
+    ] = None
+
+
+class FileOptions(NamedTuple):
+    """Files to read, with or without ``-r``; several are merged in time order."""
+
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[FILE]...", help=f"{READ_PACKED}; - is stdin; several are merged."),
+    ] = None
+    read: Annotated[
+        list[Path] | None,
+        typer.Option("--read", "-r", metavar="FILE", help="A file; same as without -r; repeatable."),
+    ] = None
+
+    @property
+    def paths(self) -> list[Path]:
+        """All of them."""
+        return [*(self.read or ()), *(self.files or ())]
+
+    def named(self) -> list[Path]:
+        """Return all of them, at least one.
+
+        Raises:
+            ConfigError: there is none.
+        """
+        if not self.paths:
+            raise ConfigError("name the input to read: FILE...")
+        return self.paths
+
+
+class InputOptions(NamedTuple):
+    """Files, or live traffic."""
+
+    files: FileOptions = FileOptions()
+    live: LiveOptions = LiveOptions()
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files."""
+        return self.files.paths
 
 
 def open_input(
-    read: Sequence[Path] | None,
-    interface: str | None,
-    listen: Sequence[str] | None,
+    given: InputOptions,
     settings: Settings,
     *,
     every_port: bool = False,
+    aligned: bool = False,
+    output: Path | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Source, Workbench]:
     """Open the one input that was named, and set up the decoders for it.
 
-    A live capture says on stderr when it is ready: no packet sent after that is missed.
+    A live capture prints a line on stderr when it is ready: no packet sent after that is missed.
 
     Args:
-        read: files.
-        interface: an interface.
-        listen: UDP endpoints to bind.
+        given: the inputs that were named.
         settings: missions, types and options.
         every_port: capture all UDP, not only the ports of the links.
+        aligned: align the clocks of several files by their content, and take datagrams that several captured
+            only once.
+        output: the file that will be written, perhaps as another user.
+        progress: shows the progress while clocks are aligned.
 
     Raises:
         ConfigError: none or more than one was named, or the mission has mistakes.
         CaptureError: it cannot be opened.
     """
+    read, (interface, listen, waits, user) = given.paths, given.live
     if sum(map(bool, (read, interface, listen))) != 1:
-        raise ConfigError("name one input: -r FILE (repeatable), -i IFACE, or --listen PORT")
+        raise ConfigError("name one input: FILE..., -i IFACE, or --listen PORT")
+    if waits and not interface:
+        raise ConfigError("--wait-interface can only be used with -i IFACE")
+    if read and user:
+        raise ConfigError("--user can only be used with live traffic; files are read as the current user")
     if read:
         from edoras_tools.pipelines.workbench import open_files
 
-        source = open_files(read)
+        notes: list[str] = []
+        if aligned and len(read) > 1 and "-" not in map(str, read):
+            from edoras_tools.pipelines.doctor.clocks import open_aligned
+
+            source, notes = open_aligned(read, settings, progress)
+        else:
+            source = open_files(read)
         try:
-            return source, settings.workbench(source.info)
+            bench = settings.workbench(source.info)
         except EdorasError:
             source.close()
             raise
+        bench.columns.context.notes += notes
+        return source, bench
     bench = settings.workbench()
+    if user:
+        return _as_user(user, given.live._replace(user=None), bench, every_port=every_port, output=output)
+    return _opened(given.live, bench, every_port=every_port), bench
+
+
+def _as_user(
+    name: str, given: LiveOptions, bench: Workbench, *, every_port: bool, output: Path | None
+) -> tuple[Source, Workbench]:
+    """Open live traffic, then change the user; first check that this user can write the output."""
+    from edoras_tools.io.privileges import become, check_readable, check_writable, find_user
+
+    user = find_user(name)
+    check_readable(user, Path(logging.__file__), Path(__file__))
+    if output is not None:
+        check_writable(user, output.absolute().parent)
+    source = _opened(given, bench, every_port=every_port)
+    try:
+        become(user)
+    except EdorasError:
+        source.close()
+        raise
+    return source, bench
+
+
+def _opened(given: LiveOptions, bench: Workbench, *, every_port: bool) -> Source:
+    """Open live traffic."""
+    interface, listen, waits, _ = given
     if interface:
-        from edoras_tools.sources.live import open_live
+        from edoras_tools.io.capture.live import open_live
 
         ports = () if every_port else bench.columns.context.capture_ports()
-        return open_live(interface, ports, ready=lambda: _ready(interface)), bench
-    from edoras_tools.sources.udp import UdpSource, parse_endpoint
+        ready = partial(_ready, interface)
+        return open_live(interface, ports, ready=ready, told=_tell, wait=waits)
+    from edoras_tools.cli.listening import tell_reach
+    from edoras_tools.io.net.address import parse_endpoint
+    from edoras_tools.io.net.receive import UdpSource
 
     sockets = UdpSource(
         [parse_endpoint(item) for item in listen or ()], ready=lambda: _ready(sockets.info.name)
     )
-    return sockets, bench
+    for endpoint in sockets.endpoints:
+        tell_reach(endpoint, "send datagrams that count as captured")
+    return sockets
+
+
+def _tell(outage: InterfaceOutage) -> None:
+    from edoras_tools.render.capture.outage import outage_news
+
+    tell(outage_news(outage))
 
 
 def _ready(name: str) -> None:

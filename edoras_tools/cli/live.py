@@ -1,4 +1,4 @@
-"""``edoras live``: a link, or a recording, in Foxglove."""
+"""``edoras live``: shows a link or a recording in Foxglove."""
 
 from __future__ import annotations
 
@@ -7,168 +7,260 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from time import monotonic_ns
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from edoras_tools.cli import options, sending
+from edoras_tools.cli import options, recordings, sending
+from edoras_tools.cli.endings import finish, tell
+from edoras_tools.cli.inputs import InputOptions, open_input
+from edoras_tools.cli.listening import tell_reach
+from edoras_tools.cli.output import print_json
 from edoras_tools.cli.sim import Scenario
+from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from edoras_tools.emulator.source import RealTimeSource
     from edoras_tools.errors import EdorasError
+    from edoras_tools.io.capture.device import DeviceSource
+    from edoras_tools.io.foxglove.origins import OriginCheck
+    from edoras_tools.io.foxglove.sink import FoxgloveSink
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
-    from edoras_tools.pipelines.live_publish import Commands, Send
-    from edoras_tools.pipelines.live_sim import RunningSimulation
-    from edoras_tools.pipelines.orders import To
-    from edoras_tools.pipelines.record import Report
+    from edoras_tools.pipelines.capture.record import CaptureReport, Target
+    from edoras_tools.pipelines.live.publish import CommandPublisher, Send
+    from edoras_tools.pipelines.reading import Limits
     from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.sending.options import Receiver
     from edoras_tools.pipelines.workbench import Settings, Workbench
-    from edoras_tools.sinks.foxglove import FoxgloveSink
-    from edoras_tools.sources.device import DeviceSource
-    from edoras_tools.websocket import Guard
-    from edoras_tools.wire.sbn import Peer
 
 Show = Callable[["SourceInfo", "SourceStatistics"], "FoxgloveSink"]
-"""Attaches Foxglove to what is about to run."""
+"""Starts a Foxglove server for a pipeline that is about to run."""
 
+_SHORTEST_TOKEN = 8
 _publishing = partial(typer.Option, rich_help_panel="Publishing")
 _playback = partial(typer.Option, rich_help_panel="Playback")
 
 
 def place(text: str) -> Endpoint:
-    """Read ``[HOST:]PORT``; alone, a port is one of this machine's own address."""
+    """Read ``[HOST:]PORT``; the default host is 127.0.0.1."""
     return sending.endpoint(text if ":" in text else f"127.0.0.1:{text}")
 
 
-Shown = Annotated[
-    Any,
-    typer.Option(
-        "--live",
-        metavar="[HOST:]PORT",
-        parser=place,
-        help="Show it in Foxglove meanwhile, at 8765 or so; 0: any.",
-    ),
-]
-"""An option of whatever can be looked at while it runs; ``showing`` makes of it what a recorder takes."""
 Origins = Annotated[
     list[str] | None,
     typer.Option(
         "--allow-origin",
         metavar="ORIGIN",
-        help="Foxglove: let in web pages from there too, as https://viz.example.org; repeatable.",
+        help="Foxglove: also allow web pages of this origin, e.g. https://viz.example.org; repeatable.",
     ),
 ]
 
 
-def showing(bench: Workbench, where: Endpoint | None, origins: Sequence[str] | None) -> Show | None:
-    """Return what attaches Foxglove, and says where to look; None where nobody wants it."""
-    if where is None:
-        return None
-    guard = _guard(origins)
-
-    def show(info: SourceInfo, statistics: SourceStatistics) -> FoxgloveSink:
-        from edoras_tools.pipelines.live import attach
-
-        sink = attach(bench, info, listen=where, statistics=statistics, guard=guard)
-        _say(info.name, sink)
-        return sink
-
-    return show
+def token(text: str) -> str:
+    """Read a token; a short one could be guessed."""
+    if len(text) < _SHORTEST_TOKEN:
+        raise typer.BadParameter(
+            f"a token needs at least {_SHORTEST_TOKEN} characters; a shorter one is easy to guess"
+        )
+    return text
 
 
-@options.takes_decoding
-@options.takes_choice
-def live(
-    settings: Settings,
-    selection: Selection,
-    files: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[FILE]...", help="A recording or capture to play back; several are one."),
-    ] = None,
-    interface: options.Interface = None,
-    listen: options.Listen = None,
+Token = Annotated[
+    Any,
+    typer.Option(
+        "--token",
+        metavar="WORD",
+        envvar="EDORAS_TOKEN",
+        parser=token,
+        help="Foxglove: accept only clients that give this token, as in ws://HOST:PORT/?token=TOKEN.",
+    ),
+]
+
+
+class RelayOutputOptions(NamedTuple):
+    """Where a command that relays traffic also writes it: to a recording, and to Foxglove."""
+
+    output: recordings.Output = None
+    force: recordings.Force = False
+    live: Annotated[
+        Any,
+        typer.Option(
+            "--live",
+            metavar="[HOST:]PORT",
+            parser=place,
+            help="Also show it in Foxglove, usually on port 8765; 0 for any free port.",
+        ),
+    ] = None
+    allow_origin: Origins = None
+    token: Token = None
+
+    def target(self) -> Target | None:
+        """Return what is recorded to, checked; None for nothing."""
+        return recordings.recording_target(self.output, force=self.force)
+
+    def shown(self, bench: Workbench) -> Show | None:
+        """Return a function that starts a Foxglove server and prints its address; None without --live."""
+        if self.live is None:
+            return None
+        check = _origin_check(self.allow_origin)
+
+        def show(info: SourceInfo, statistics: SourceStatistics) -> FoxgloveSink:
+            from edoras_tools.pipelines.live.run import attach
+
+            word = self.token or ""
+            sink = attach(bench, info, listen=self.live, statistics=statistics, origins=check, token=word)
+            _say(info.name, sink)
+            return sink
+
+        return show
+
+
+class SourceOptions(NamedTuple):
+    """What is shown."""
+
+    given: InputOptions = InputOptions()
     sim: Annotated[
-        Scenario | None, typer.Option("--sim", help="An emulated cFS, and its bridges and robots.")
-    ] = None,
+        Scenario | None, typer.Option("--sim", help="An emulated cFS with its bridges and robots.")
+    ] = None
+
+
+class OutputOptions(NamedTuple):
+    """Where it is shown and recorded."""
+
     host: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Where Foxglove connects to; this machine only.")
-    ] = "127.0.0.1",
+        str,
+        typer.Option(metavar="ADDRESS", help="Address that Foxglove connects to; default: loopback."),
+    ] = "127.0.0.1"
     ws_port: Annotated[
         int,
         typer.Option(
-            "--ws-port", metavar="PORT", min=0, max=65535, help="And at which port; 0 for any that is free."
+            "--ws-port",
+            metavar="PORT",
+            min=0,
+            max=65535,
+            help="Port that Foxglove connects to; 0 for any free port.",
         ),
-    ] = 8765,
-    allow_origin: Origins = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Record at the same time, as record does."),
-    ] = None,
+    ] = 8765
+    allow_origin: Origins = None
+    token: Token = None
+    output: recordings.Output = None
+    force: recordings.Force = False
+
+
+class PlaybackOptions(NamedTuple):
+    """How a recording is played back."""
+
     speed: Annotated[
         float | None,
-        _playback(metavar="X", parser=sending.positive, help="Times the recorded speed, at first."),
-    ] = None,
-    paused: Annotated[bool, _playback("--paused", help="Begin paused: play is pressed in Foxglove.")] = False,
+        _playback(metavar="X", parser=sending.positive, help="Start at X times the recorded speed."),
+    ] = None
+    paused: Annotated[bool, _playback("--paused", help="Start paused; press play in Foxglove.")] = False
+
+
+class PublishingOptions(NamedTuple):
+    """What Foxglove may publish, and where it is sent."""
+
     allow_publish: Annotated[
         list[str] | None,
-        _publishing(metavar="PATTERN", help="Foxglove may send topics that fit into cFS; repeatable."),
-    ] = None,
+        _publishing(metavar="PATTERN", help="Topics that Foxglove may publish into cFS; repeatable."),
+    ] = None
     target: Annotated[
         Any,
         _publishing(
             "--target",
             metavar="HOST:PORT",
             parser=sending.endpoint,
-            help="Where cFS is; this machine unless it is named.",
+            help="Address of cFS; default: this machine.",
         ),
-    ] = None,
+    ] = None
     sender: Annotated[
         Any, _publishing("--as", metavar="SC:CPU", parser=sending.peer, help="SBN: send as this peer.")
-    ] = None,
-    yes: sending.Yes = False,
-    count: options.Count = None,
-    duration: options.Duration = None,
-    every: Annotated[
-        bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")
-    ] = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    ] = None
+    yes: sending.Yes = False
+
+    def commands(self, bench: Workbench, outlets: Mapping[Receiver, Send]) -> CommandPublisher | None:
+        """Return what sends Foxglove's messages, once the user confirmed the target; None if not allowed."""
+        if not self.allow_publish:
+            return None
+        from edoras_tools.pipelines.live.publish import CommandPublisher
+        from edoras_tools.pipelines.sending.options import SendOptions
+
+        where = SendOptions(target=self.target, sender=self.sender)
+        commands = CommandPublisher(bench, self.allow_publish, where, outlets=outlets)
+        for send_options in commands.options.values():
+            assert send_options.target is not None
+            sending.confirm_targets(send_options.target, confirmed=self.yes)
+        return commands
+
+
+class StopOptions(NamedTuple):
+    """How much live traffic is read, and how long a source is shown."""
+
+    limits: options.PartOptions
+    every: Annotated[bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")] = (
+        False
+    )
+
+
+@options.grouped
+def live(
+    source: SourceOptions,
+    outputs: OutputOptions,
+    playback: PlaybackOptions,
+    publishing: PublishingOptions,
+    stop: StopOptions,
+    printing: options.PrintOptions,
+    chosen: options.SelectionOptions,
+    decoding: options.DecodingOptions,
 ) -> None:
-    """Show a link, or a recording, in Foxglove: topics, events, statistics, diagnostics.
+    """Show a link or a recording in Foxglove: topics, events, statistics, diagnostics.
 
     For example: edoras live -i lo -c rover.yaml; or edoras live --sim two-rovers
     """
-    from edoras_tools.cli.output import print_json
-    from edoras_tools.errors import ConfigError
     from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.live import attach
-    from edoras_tools.render.foxglove import served
+    from edoras_tools.pipelines.live.run import attach
+    from edoras_tools.render.bridge.foxglove import served
 
-    if sum(map(bool, (files, interface, listen, sim))) != 1:
+    (_, given), sim = source
+    files = source.given.paths
+    (json, quiet), limits = printing, stop.limits.limits()
+    if sum(map(bool, (files, given.interface, given.listen, sim))) != 1:
         raise ConfigError("name one source: FILE, -i IFACE, --listen PORT or --sim DEMO")
-    if files and (allow_publish or output or every or count):
-        raise ConfigError("a recording is played back: --allow-publish, -o, -a and -n go with live traffic")
-    if not files and (paused or speed):
-        raise ConfigError("live traffic has its own speed: --speed and --paused go with a recording")
-    serve = partial(attach, listen=Endpoint(host, ws_port), guard=_guard(allow_origin))
+    if files and (publishing.allow_publish or outputs.output or stop.every or stop.limits.datagrams):
+        raise ConfigError(
+            "--allow-publish, -o, -a and -n can only be used with live traffic, not with a recording"
+        )
+    if files and (limits.start_ns or limits.end_ns):
+        raise ConfigError("--start and --end do not apply to playback; seek in Foxglove")
+    if not files and any(playback):
+        raise ConfigError("--speed and --paused can only be used with a recording, not with live traffic")
+    goal = recordings.recording_target(outputs.output, force=outputs.force)
+    settings, selection = decoding.settings(), chosen.selection()
+    serve = partial(
+        attach,
+        listen=Endpoint(outputs.host, outputs.ws_port),
+        origins=_origin_check(outputs.allow_origin),
+        token=outputs.token or "",
+    )
     report = None
     if files:
         summary, failure = _play(
-            files, settings, selection, serve, speed or 1.0, duration, paused=paused, quiet=quiet or json
+            files, settings, selection, serve, playback, limits.duration_ns, quiet=quiet or json
         )
     else:
         failure = None
         with ExitStack() as stack:
-            source, bench, outlets = _source(interface, listen, sim, settings, every=every)
-            stack.callback(source.close)
-            commands = _commands(bench, allow_publish, target, sender, outlets, yes=yes)
+            traffic, bench, outlets = _traffic(source, settings, outputs.output, every=stop.every)
+            stack.callback(traffic.close)
+            commands = publishing.commands(bench, outlets)
             if commands:
                 stack.callback(commands.close)
                 commands.open()
             summary, report = _show(
-                source, bench, selection, serve, commands, output, duration, count, quiet=quiet or json
+                traffic, bench, selection, serve, commands, goal, limits, quiet=quiet or json
             )
     if json:
         print_json(summary)
@@ -177,8 +269,6 @@ def live(
     if failure is not None:
         raise failure
     if report is not None:
-        from edoras_tools.cli.endings import finish
-
         finish(report, live=True)
 
 
@@ -187,128 +277,92 @@ def _play(
     settings: Settings,
     selection: Selection,
     serve: Callable[..., FoxgloveSink],
-    speed: float,
-    duration: int | None,
+    playback: PlaybackOptions,
+    duration_ns: int,
     *,
-    paused: bool,
     quiet: bool,
 ) -> tuple[dict[str, Any], EdorasError | None]:
-    """Play a recording back; return what became of it, and what was wrong with it."""
-    from time import monotonic_ns
-
+    """Play a recording; return a summary, and the error if the recording is cut off."""
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.pipelines.live_player import RecordingPlayer, look_into
+    from edoras_tools.pipelines.live.player import RecordingPlayer, open_recording
     from edoras_tools.render import units
 
-    info, bench, reopen = look_into(files, settings)
+    info, bench, reopen = open_recording(files, settings)
     player = RecordingPlayer(
-        reopen, bench, clock=monotonic_ns, selection=selection, speed=speed, paused=paused
+        reopen,
+        bench,
+        clock=monotonic_ns,
+        selection=selection,
+        speed=playback.speed or 1.0,
+        paused=playback.paused,
     )
     start_ns, end_ns = player.range_ns
     sink = serve(bench, info, player=player)
     with on_interrupt(player.stop):
         _say(info.name, sink)
         if not quiet:
-            begins = "Play is pressed there" if paused else "somebody looks"
-            _write(f"plays {units.duration((end_ns - start_ns) / 1e9)} once {begins}; Ctrl-C ends")
-        player.run(sink, duration_ns=duration or 0)
+            begins = "play is pressed in Foxglove" if playback.paused else "a client connects"
+            _write(f"plays {units.duration((end_ns - start_ns) / 1e9)} when {begins}; Ctrl-C ends")
+        player.run(sink, duration_ns=duration_ns)
     summary = {"source": info.name, "kind": info.kind, "start_ns": start_ns, "end_ns": end_ns}
     return {**summary, "foxglove": sink.summary()}, player.failure
 
 
 def _show(
-    source: DeviceSource | RunningSimulation,
+    source: DeviceSource | RealTimeSource,
     bench: Workbench,
     selection: Selection,
     serve: Callable[..., FoxgloveSink],
-    commands: Commands | None,
-    output: Path | None,
-    duration: int | None,
-    count: int | None,
+    commands: CommandPublisher | None,
+    goal: Target | None,
+    limits: Limits,
     *,
     quiet: bool,
-) -> tuple[dict[str, Any], Report]:
-    """Show live traffic; return what became of it."""
-    from time import monotonic_ns
-
+) -> tuple[dict[str, Any], CaptureReport]:
+    """Show live traffic; return a summary and the report of its capture."""
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.pipelines.live import live as run
-    from edoras_tools.pipelines.record import Target, check_target
-    from edoras_tools.render.watch import watcher
+    from edoras_tools.pipelines.live.run import live as run
+    from edoras_tools.render.capture.watch import watcher
 
-    goal = Target(output) if output else None
-    if goal:
-        check_target(goal, ())
     sink = serve(bench, source.info, statistics=source.statistics, publisher=commands)
-    with on_interrupt(source.stop), watcher(source, output, quiet=quiet, live=True) as watch:
-        _say(source.info.name, sink)
+    with (
+        on_interrupt(source.stop),
+        watcher(source, goal.path if goal else None, quiet=quiet, live=True) as watch,
+    ):
+        _say(source.info.name, sink, commands.topics if commands else ())
         report = run(
             source,
             bench,
             sink,
             selection=selection,
             target=goal,
-            clock=monotonic_ns,
-            duration_ns=duration or 0,
-            count=count or 0,
+            limits=limits,
             watcher=watch,
         )
     return {**report.summary(), "foxglove": sink.summary()}, report
 
 
-def _source(
-    interface: str | None,
-    listen: list[str] | None,
-    sim: Scenario | None,
-    settings: Settings,
-    *,
-    every: bool,
-) -> tuple[DeviceSource | RunningSimulation, Workbench, Mapping[To, Send]]:
-    """Open live traffic; return with it what sends commands there without a socket."""
-    if sim is not None:
-        from time import monotonic_ns
+def _traffic(
+    given: SourceOptions, settings: Settings, output: Path | None, *, every: bool
+) -> tuple[DeviceSource | RealTimeSource, Workbench, Mapping[Receiver, Send]]:
+    """Open the live source; return it, its workbench, and functions that send commands without a socket."""
+    if given.sim is not None:
+        from edoras_tools.pipelines.live.simulated import start_simulation
+        from edoras_tools.pipelines.sending.options import Receiver
 
-        from edoras_tools.pipelines.live_sim import start
-        from edoras_tools.pipelines.orders import To
+        running, bench = start_simulation(given.sim.value, settings, monotonic_ns)
+        return running, bench, {Receiver.CI: running.command}
+    from edoras_tools.io.capture.device import DeviceSource
 
-        running, bench = start(sim.value, settings, monotonic_ns)
-        return running, bench, {To.CI: running.command}
-    from edoras_tools.cli.inputs import open_input
-    from edoras_tools.sources.device import DeviceSource
-
-    source, bench = open_input(None, interface, listen, settings, every_port=every)
+    source, bench = open_input(given.given, settings, every_port=every, output=output)
     assert isinstance(source, DeviceSource)
     return source, bench, {}
 
 
-def _commands(
-    bench: Workbench,
-    allow: list[str] | None,
-    target: Endpoint | None,
-    sender: Peer | None,
-    outlets: Mapping[To, Send],
-    *,
-    yes: bool,
-) -> Commands | None:
-    """Make what takes messages from Foxglove, once it is sure where they would go."""
-    if not allow:
-        return None
-    from edoras_tools.pipelines.live_publish import Commands
-    from edoras_tools.pipelines.orders import Orders
-    from edoras_tools.pipelines.safety import check_target
+def _origin_check(origins: Sequence[str] | None) -> OriginCheck:
+    from edoras_tools.io.foxglove.origins import OriginCheck
 
-    commands = Commands(bench, allow, Orders(target=target, sender=sender), outlets=outlets)
-    asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-    for orders in commands.orders.values():
-        assert orders.target is not None
-        check_target(orders.target, yes=yes, confirm=partial(typer.confirm, err=True) if asks else None)
-    return commands
-
-
-def _guard(origins: Sequence[str] | None) -> Guard:
-    from edoras_tools.websocket import Guard
-
-    return Guard(tuple(origins or ()), lambda text: _write(f"edoras: {text}"))
+    return OriginCheck(tuple(origins or ()), tell)
 
 
 def _write(line: str) -> None:
@@ -316,6 +370,14 @@ def _write(line: str) -> None:
     sys.stderr.flush()
 
 
-def _say(name: str, sink: FoxgloveSink) -> None:
-    """Say where to look, before anything else: scripts wait for it."""
-    _write(f"{name} in Foxglove: {sink.server.app_url}")
+def _say(name: str, sink: FoxgloveSink, publishes: Sequence[str] = ()) -> None:
+    """Print the address first, because scripts wait for this line; then who may connect."""
+    server, may = sink.server, "watch"
+    if publishes:
+        may += f" and publish {', '.join(publishes)} into cFS"
+    if server.asks_token:
+        _write(f"{name} in Foxglove: open a connection to {server.url}/?token=... with your token")
+        tell_reach(server.endpoint, may, who="every client that can reach it and has the token")
+    else:
+        _write(f"{name} in Foxglove: {server.app_url}")
+        tell_reach(server.endpoint, may, instead="with --token, clients must give a token")

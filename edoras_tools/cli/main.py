@@ -1,7 +1,8 @@
-"""``edoras``: the commands put together, and what the shell is told when one fails."""
+"""``edoras``: all commands, and the exit codes and messages when one fails."""
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from contextlib import suppress
@@ -11,23 +12,53 @@ from pathlib import Path
 from typing import Annotated, Any, Final, NoReturn
 
 import typer
+import typer.core
 
 from edoras_tools import __version__
 from edoras_tools.errors import EdorasError
 
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
 _USAGE: Final[Any] = typer.BadParameter.__mro__[1]
-"""Click's root of all that a command line can be wrong in; typer brings its own click or not, by version."""
+"""Click's base class of usage errors; some versions of typer contain their own copy of click."""
+
+_VALUE_LEFT_OUT: Final = {"--sync": "--sync=1s"}
 
 INTERRUPTED: Final = 130
-"""What shells say of a program that Ctrl-C ended."""
+"""Exit code of a program that Ctrl-C ended, as in shells."""
+
+_NO_MEMORY: Final = (
+    *("can't start new thread", "failed to map segment", "Cannot allocate memory"),
+    "unknown encoding: idna",  # for any host name: Python could not load its module for host names
+    *("without exception set", "without setting an exception"),  # Python cannot create a MemoryError
+)
+"""Texts of errors other than ``MemoryError`` that mean that memory is exhausted."""
 
 COMMANDS: Final = (
-    *("demo", "sniff", "record", "live", "info", "decode", "recover"),
-    *("replay", "inject", "sweep", "proxy", "bridge", "doctor", "report", "sim", "wireshark", "codegen"),
+    *("demo", "sniff", "record", "live", "info", "decode", "recover", "export"),
+    *(
+        "replay",
+        "inject",
+        "sweep",
+        "proxy",
+        "bridge",
+        "doctor",
+        "compare",
+        "report",
+        "sim",
+        "wireshark",
+        "codegen",
+    ),
     "structs",
 )
-"""Each is a function, or a group of commands, of that name in a module of that name."""
+"""Each is a function, or a group of commands, in a module of the same name."""
+
+
+class _Command(typer.core.TyperCommand):
+    """A command with options whose value may be left out: ``--sync`` is ``--sync=1s``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments."""
+        return super().parse_args(ctx, [_VALUE_LEFT_OUT.get(item, item) for item in args])
 
 
 def _show_version(wanted: bool) -> None:
@@ -42,14 +73,14 @@ def _edoras(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
-    """Hold the options of no command."""
+    """Options of ``edoras`` itself."""
 
 
 def program(*names: str) -> typer.Typer:
-    """Make ``edoras``.
+    """Make the ``edoras`` command line.
 
     Args:
-        names: commands to put in; all where none is named. Making one takes time, and most are not run.
+        names: commands to add; all if empty. Adding a command takes time, and most are not run.
     """
     made = typer.Typer(
         name="edoras",
@@ -66,7 +97,7 @@ def program(*names: str) -> typer.Typer:
         if isinstance(command, typer.Typer):
             made.add_typer(command)
         else:
-            made.command()(command)
+            made.command(cls=_Command)(command)
     return made
 
 
@@ -75,25 +106,26 @@ def _command(name: str) -> Any:
 
 
 def alone(name: str) -> typer.Typer:
-    """Make a program of one command."""
+    """Make a program with one command."""
     made = typer.Typer(
         name=f"edoras-{name}",
         add_completion=False,
         pretty_exceptions_enable=False,
         context_settings=_SETTINGS,
     )
-    made.command()(_command(name))
+    made.command(cls=_Command)(_command(name))
     return made
 
 
 def run(made: typer.Typer) -> NoReturn:
-    """Run a command line to its exit code: one clear line for what went wrong, never a traceback.
+    """Run a command line and return its exit code; an error is one clear line, never a traceback.
 
-    Exit codes: 0 fine, 1 failed, 2 usage, 3 finished but data was lost or found lost, 130 given up at Ctrl-C.
+    Exit codes: 0 success, 1 failed, 2 usage error, 3 finished but data was lost or found lost, 130 stopped by
+    Ctrl-C.
     """
     _open_streams()
     if isinstance(sys.stdout, TextIOWrapper):
-        # File names may hold bytes that are no text, and not every terminal has an arrow.
+        # File names may contain bytes that are not text, and not every terminal can show an arrow.
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         code = made(standalone_mode=False) or 0
@@ -103,11 +135,11 @@ def run(made: typer.Typer) -> NoReturn:
         _say(str(error))
     except _USAGE as error:
         code = error.exit_code
-        told = error.format_message().replace("Value error, ", "")  # the words of typer's own checks
+        told = error.format_message().replace("Value error, ", "")  # the prefix of typer's own checks
         command = error.ctx.command_path if error.ctx else made.info.name
-        _say(f"{told.removesuffix('.')}; {command} -h tells more" if told else "")
+        _say(f"{told.removesuffix('.')}; see {command} -h" if told else "")
     except SystemExit as error:
-        # Click's way out of a broken pipe: the reader of our output, as `head`, has seen enough.
+        # click ends this way at a broken pipe: the reader of the output, such as `head`, has closed it.
         code = 0 if isinstance(error.__context__, BrokenPipeError) else error.code
         _abandon_output()
     except BrokenPipeError:
@@ -116,27 +148,54 @@ def run(made: typer.Typer) -> NoReturn:
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
         _abandon_output()
-    except OSError as error:
-        # Files and sockets raise EdorasError: this is standard output.
+    except (OSError, MemoryError, RuntimeError, SystemError, ImportError, LookupError) as error:
         code = 1
-        _say(f"standard output cannot be written: {error.strerror or error}")
+        limit = _limit(error)
+        if not limit and not isinstance(error, OSError):
+            raise
+        # Files and sockets raise EdorasError: this is standard output.
+        _say(limit or f"standard output cannot be written: {getattr(error, 'strerror', None) or error}")
         _abandon_output()
     sys.exit(code)
 
 
+def _limit(error: BaseException) -> str:
+    """Return what to do when the system has no more memory or files; empty for other errors."""
+    number, text = getattr(error, "errno", None), str(error)
+    if error.__context__ is not None and (limit := _limit(error.__context__)):
+        return limit  # what came of it
+    if number in {errno.EMFILE, errno.ENFILE} or "cannot open shared object file: Error 2" in text:
+        return "too many open files: close other programs, or allow more with 'ulimit -n'"
+    if isinstance(error, MemoryError) or number == errno.ENOMEM or any(item in text for item in _NO_MEMORY):
+        return "out of memory: close other programs, allow more with 'ulimit -v', or read less at a time"
+    return ""
+
+
 def _open_streams() -> None:
-    """Give Python the streams that it goes without when their descriptors were closed, as by ``>&-``."""
+    """Open standard streams that the shell closed, as with ``>&-``: Python sets them to None."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
-            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  for good
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  never closed
 
 
 def _say(message: str) -> None:
     with suppress(OSError):
         for line in message.splitlines():
-            sys.stderr.write(f"edoras: {line}\n")
+            sys.stderr.write(f"edoras: {_harmless(line)}\n")
+
+
+def _harmless(line: str) -> str:
+    """Return a line without control characters for the terminal: it may contain text from a file."""
+    if line.isprintable():  # the import below may fail when there is no memory
+        return line
+    from edoras_tools.render.terminal.text import clean
+
+    return clean(line)
 
 
 def _abandon_output() -> None:
-    """Keep Python from writing at exit what could not be written before."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    """Stop Python from writing the failed output again at exit."""
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    except OSError:  # no more files
+        os.close(1)

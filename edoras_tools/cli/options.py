@@ -1,23 +1,33 @@
-"""Options that several commands share, and how their words become values."""
+"""Options that several commands share, and the parsers of their values.
+
+Options that go together are a ``NamedTuple``, which holds their names, help texts and defaults. ``grouped``
+lets a command take such a group as one value; a method of the group makes the value that pipelines take.
+"""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from functools import wraps
+import re
+from collections.abc import Callable, Iterator, Mapping
+from enum import StrEnum
+from functools import cache, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, get_type_hints
 
 import typer
 
+from edoras_tools.errors import ConfigError
+from edoras_tools.links import ROWS
+
 if TYPE_CHECKING:
     from edoras_tools.model import Link
+    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.reading import Limits
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sessions.faults import FaultPlan
+    from edoras_tools.sessions.faults.machine import FaultPlan
 
-Command = Callable[..., None]
-LINKS = ("ci", "to", "sbn", "other")
+LINKS = (*ROWS, "other")
 
 
 def number(text: str) -> int:
@@ -25,258 +35,388 @@ def number(text: str) -> int:
     try:
         return int(text, 0)
     except ValueError:
-        raise typer.BadParameter(f"{text!r} is no whole number; write 42 or 0x2a") from None
+        raise typer.BadParameter(f"{text!r} is not a whole number; write 42 or 0x2a") from None
 
 
 def counted(text: str) -> int:
-    """Read a number of things: 1 or more."""
+    """Read a count: 1 or more."""
     value = number(text)
     if value < 1:
-        raise typer.BadParameter(f"{text} is not 1 or more")
+        raise typer.BadParameter(f"{text} is less than 1")
     return value
 
 
 def msg_id(text: str) -> int:
-    """Read a MsgId: 16 bits, decimal or hex."""
+    """Read a MsgId: 16 bits, decimal or hex, or a name that tables show, e.g. ``TO_CMD``."""
+    if text[:1].isalpha():
+        return _named_msg_id(text)
     value = number(text)
     if not 0 <= value <= 0xFFFF:
         raise typer.BadParameter(f"MsgId {text} does not fit 16 bits (0x0000 to 0xFFFF)")
     return value
 
 
+def _named_msg_id(text: str) -> int:
+    from difflib import get_close_matches
+
+    from edoras_tools.cfs.names import MSG_ID_NAMES
+
+    ids = {name: value for value, name in MSG_ID_NAMES.items()}
+    name = text.upper()
+    if name not in ids:
+        near = get_close_matches(name, ids, 1)
+        hint = f"did you mean {near[0]}?" if near else "write 0x827, or a name, e.g. TO_CMD"
+        raise typer.BadParameter(f"no MsgId is named {text!r}; {hint}")
+    return ids[name]
+
+
 def size(text: str) -> int:
-    """Read a size in bytes: ``500000``, ``64k``, ``100M``, ``2G``."""
-    units = {"k": 10**3, "m": 10**6, "g": 10**9}
-    digits, unit = (text[:-1], units[text[-1].lower()]) if text[-1:].lower() in units else (text, 1)
+    """Read a size in bytes: ``500000``, ``64k``, ``100M``, ``2G``; ``100MB`` and ``4 KiB`` too."""
+    match = re.fullmatch(r"([\d.]+) ?([kMGT]?)(i?)B?", text, re.IGNORECASE)
     try:
-        value = float(digits) * unit
+        digits, prefix, binary = match.groups() if match else ("", "", "")
+        value = float(digits) * (1024 if binary else 1000) ** ["", *"kmgt"].index(prefix.lower())
     except ValueError:
         value = 0
     if not 1 <= value < 1 << 62:
-        raise typer.BadParameter(f"{text!r} is no size; write 500000, 64k, 100M or 2G")
+        raise typer.BadParameter(f"{text!r} is not a size; write 500000, 64k, 100M or 2G")
     return int(value)
 
 
 def duration(text: str) -> int:
-    """Read a length of time in ns: ``90``, ``1.5s``, ``10m``, ``2h``, ``250ms``."""
-    units = {"ms": 1e6, "s": 1e9, "m": 60e9, "h": 3600e9}
+    """Read a duration in ns: ``90``, ``1.5s``, ``10m``, ``5min``, ``2h``, ``250ms``."""
+    units = {"ms": 1e6, "s": 1e9, "min": 60e9, "m": 60e9, "h": 3600e9}
     name = next((unit for unit in units if text.endswith(unit)), "")
     try:
         value = float(text.removesuffix(name)) * units.get(name, 1e9)
     except ValueError:
         value = 0
     if not 1 <= value < 1 << 62:
-        raise typer.BadParameter(f"{text!r} is no length of time; write 90, 1.5s, 10m or 250ms")
+        raise typer.BadParameter(f"{text!r} is not a duration; write 90, 1.5s, 10m or 250ms")
     return int(value)
 
 
-def link_name(text: str) -> str:
+def link(text: str) -> Link:
     """Read a link's name."""
-    if text.lower() not in LINKS:
-        raise typer.BadParameter(f"{text!r} is no link; there are {', '.join(LINKS)}")
-    return text.lower()
+    from edoras_tools.links.table import named
+
+    try:
+        return named(text)
+    except ConfigError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 def where(text: str) -> str:
-    """Read a filter; that its names are fields is found out once the mission is known."""
-    from edoras_tools.decode.where_syntax import parse
+    """Read a filter; its field names are checked when the mission is known."""
+    from edoras_tools.decode.filters.syntax import parse_filter
 
-    parse(text)
+    parse_filter(text)
     return text
 
 
 def link_port(text: str) -> tuple[Link, int]:
-    """Read ``LINK:PORT``, as ``ci:5010``."""
-    from edoras_tools.model import Link
-
+    """Read ``LINK:PORT``, e.g. ``ci:5010``."""
     name, _, port = text.partition(":")
-    if name.lower() not in LINKS[:3] or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise typer.BadParameter(f"{text!r} is no LINK:PORT; write ci:5010, to:5011 or sbn:5012")
-    return Link[name.upper()], int(port)
+    if not port.isdecimal() or not 0 < int(port) < 65536 or name == "other":
+        raise typer.BadParameter(f"{text!r} is not LINK:PORT; write ci:5010, to:5011 or sbn:5012")
+    return link(name), int(port)
+
+
+def grouped(command: Callable[..., None]) -> Callable[..., None]:
+    """Let a command take options in groups: a parameter whose type is a ``NamedTuple`` stands for its fields.
+
+    Typer sees an option for each field, in place of the parameter, with the field's name, type and default. A
+    field may itself be a group.
+    """
+    options = list(_options(command))
+
+    @wraps(command)
+    def call(**given: Any) -> None:
+        _filled(command, given)
+
+    call.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    call.__annotations__ = {item.name: item.annotation for item in options}
+    return call
+
+
+def _options(holder: Callable[..., Any]) -> Iterator[inspect.Parameter]:
+    """Yield the options of a command or a group; nested groups are replaced by their options."""
+    for item in _parameters(holder):
+        if _is_group(item.annotation):
+            yield from _options(item.annotation)
+        else:
+            yield item
+
+
+def _filled(holder: Callable[..., Any], given: Mapping[str, Any]) -> Any:
+    """Call a command, or make a group, with the values of its options."""
+    return holder(
+        **{
+            item.name: _filled(item.annotation, given) if _is_group(item.annotation) else given[item.name]
+            for item in _parameters(holder)
+        }
+    )
+
+
+@cache
+def _parameters(holder: Callable[..., Any]) -> list[inspect.Parameter]:
+    """Return keyword parameters with evaluated annotations, as typer needs them."""
+    hints = get_type_hints(holder, include_extras=True)
+    return [
+        item.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[item.name])
+        for item in inspect.signature(holder).parameters.values()
+    ]
+
+
+def _is_group(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, tuple)
 
 
 Config = Annotated[
     list[Path] | None,
-    typer.Option("--config", "-c", metavar="FILE", help="EDORAS bridge YAML; repeat for several."),
-]
-Distro = Annotated[str, typer.Option(metavar="NAME", help="ROS 2 distribution whose messages hold.")]
-MsgPath = Annotated[
-    list[Path] | None,
-    typer.Option("--msg-path", metavar="DIR", help="Folder with further .msg or .idl files; repeatable."),
-]
-Port = Annotated[
-    list[Any] | None,  # pairs of Link and port; their type would cost the import of numpy
-    typer.Option(
-        "--port",
-        metavar="LINK:PORT",
-        parser=link_port,
-        help="Further UDP port of ci, to or sbn; repeatable.",
-    ),
-]
-Envelope = Annotated[
-    str, typer.Option(metavar="FORMAT", help="EDORAS envelope: 8/8, 4/4, 1/1, with le or be; or auto.")
-]
-ExtendedHeader = Annotated[bool, typer.Option(help="Packets carry cFE's extended (version 2) header.")]
-TelemetryHeader = Annotated[
-    int, typer.Option(metavar="BYTES", help="cFE telemetry header: 16, or 12 in older builds.")
-]
-StructsFile = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--structs", metavar="FILE", help="Layout of C structs, as 'edoras structs' writes it; repeatable."
-    ),
-]
-LinkChoice = Annotated[
-    list[str] | None,
-    typer.Option("--link", metavar="LINK", parser=link_name, help="Only ci, to, sbn or other; repeatable."),
-]
-MsgIdChoice = Annotated[
-    list[int] | None,
-    typer.Option("--msg-id", metavar="ID", parser=msg_id, help="Only this MsgId, as 0x827; repeatable."),
-]
-TopicChoice = Annotated[
-    list[str] | None,
-    typer.Option("--topic", metavar="PATTERN", help="Only topics that fit, as '/robot_*'; repeatable."),
-]
-Where = Annotated[
-    str | None,
-    typer.Option(
-        metavar="EXPR",
-        parser=where,
-        help="Only what a filter lets pass, as 'msg_id == 0x827 and pose.position.x > 1'.",
-    ),
-]
-Read = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--read", "-r", metavar="FILE", help="pcap, pcapng (.gz, .zst) or MCAP; - is stdin; repeatable."
-    ),
-]
-Interface = Annotated[
-    str | None, typer.Option("--interface", "-i", metavar="IFACE", help="Capture live from an interface.")
-]
-Listen = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--listen",
-        metavar="[HOST:]PORT",
-        help="Bind a UDP port and take what arrives: no privilege; repeatable.",
-    ),
-]
-Count = Annotated[
-    int | None, typer.Option("--count", "-n", metavar="N", parser=counted, help="Stop after N datagrams.")
+    typer.Option("--config", "-c", metavar="FILE", help="EDORAS bridge YAML; repeatable."),
 ]
 Duration = Annotated[
     int | None,
-    typer.Option("--duration", metavar="TIME", parser=duration, help="Stop after so long, as 30, 10m."),
+    typer.Option("--duration", metavar="TIME", parser=duration, help="Stop after this time, e.g. 30 or 10m."),
+]
+Start = Annotated[
+    int | None,
+    typer.Option(
+        "--start", metavar="TIME", parser=duration, help="Skip this much time at the start of the capture."
+    ),
+]
+End = Annotated[
+    int | None,
+    typer.Option(
+        "--end", metavar="TIME", parser=duration, help="Stop at this time after the start of the capture."
+    ),
+]
+Unproved = Annotated[
+    bool,
+    typer.Option("--unproved", help="Also keep readable messages of damaged chunks that no checksum covers."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no summary.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more on stderr.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more on stderr.")]
 
 
-def decoding(
-    config: Config = None,
-    distro: Distro = "humble",
-    msg_path: MsgPath = None,
-    port: Port = None,
-    envelope: Envelope = "8/8 le",
-    extended_header: ExtendedHeader = False,
-    telemetry_header: TelemetryHeader = 16,
-    structs: StructsFile = None,
-) -> Settings:
-    """Gather the options of missions, types and decoding."""
-    from edoras_tools.decode import Options
-    from edoras_tools.pipelines.workbench import Settings
+class LinkName(StrEnum):
+    """A link of this project."""
 
-    options = Options(
-        extended_header=extended_header,
-        telemetry_header=telemetry_header,
-        envelope=envelope,
-        ports=tuple(port or ()),
-    )
-    return Settings(tuple(config or ()), distro, tuple(msg_path or ()), options, tuple(structs or ()))
+    CI = "ci"
+    TO = "to"
+    SBN = "sbn"
 
 
-def choice(
-    link: LinkChoice = None, msg_id: MsgIdChoice = None, topic: TopicChoice = None, where: Where = None
-) -> Selection:
-    """Gather the options that choose datagrams."""
-    from edoras_tools.model import Link
-    from edoras_tools.pipelines.selection import Selection
-
-    return Selection(
-        tuple(Link[item.upper()] for item in link or ()),
-        tuple(msg_id or ()),
-        tuple(topic or ()),
-        where=where or "",
-    )
+DISTRO: Final = "jazzy"
+"""``ros.store.USUAL_DISTRO``, said again: importing that would import numpy."""
 
 
-def gathered(name: str, gather: Callable[..., object]) -> Callable[[Command], Command]:
-    """Let a command take a group of options as one value.
+class TypeOptions(NamedTuple):
+    """Where the definitions of ROS messages come from."""
 
-    Args:
-        name: the command's parameter that receives the value.
-        gather: a function whose parameters are the options, and whose result is the value.
+    distro: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME", envvar="ROS_DISTRO", help="ROS 2 distribution whose message definitions are used."
+        ),
+    ] = DISTRO
+    msg_path: Annotated[
+        list[Path] | None,
+        typer.Option("--msg-path", metavar="DIR", help="Folder with more .msg or .idl files; repeatable."),
+    ] = None
+
+
+class DecodingOptions(NamedTuple):
+    """Missions, types, and how packets are decoded."""
+
+    config: Config = None
+    types: TypeOptions = TypeOptions()
+    port: Annotated[
+        list[Any] | None,  # pairs of Link and port; the real type would need the import of numpy
+        typer.Option(
+            "--port",
+            metavar="LINK:PORT",
+            parser=link_port,
+            help=f"Another UDP port of {', '.join(ROWS)} or an installed link; repeatable.",
+        ),
+    ] = None
+    envelope: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FORMAT",
+            help="EDORAS envelope: 8/8, 4/4, 1/1, with le or be; or auto. Default: detected.",
+        ),
+    ] = None
+    extended_header: Annotated[
+        bool | None,
+        typer.Option(help="Whether packets have cFE's extended header. Default: detected."),
+    ] = None
+    telemetry_header: Annotated[
+        int | None,
+        typer.Option(
+            metavar="BYTES", help="cFE telemetry header: 16, or 12 in older builds. Default: detected."
+        ),
+    ] = None
+    structs: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--structs",
+            metavar="FILE",
+            help="Layout of C structs, written by 'edoras structs'; repeatable.",
+        ),
+    ] = None
+
+    def settings(self) -> Settings:
+        """Return these options in the form that pipelines take."""
+        from edoras_tools.decode import Options
+        from edoras_tools.pipelines.workbench import Settings
+
+        options = Options(
+            extended_header=self.extended_header,
+            telemetry_header=self.telemetry_header,
+            envelope=self.envelope,
+            ports=tuple(self.port or ()),
+        )
+        return Settings(
+            tuple(self.config or ()),
+            self.types.distro,
+            tuple(self.types.msg_path or ()),
+            options,
+            tuple(self.structs or ()),
+        )
+
+
+class SelectionOptions(NamedTuple):
+    """Which datagrams to select."""
+
+    link: Annotated[
+        list[Any] | None,  # of Link; the real type would need the import of numpy
+        typer.Option(
+            "--link",
+            metavar="LINK",
+            parser=link,
+            help=f"Only {', '.join(LINKS)} or an installed link; repeatable.",
+        ),
+    ] = None
+    msg_id: Annotated[
+        list[int] | None,
+        typer.Option(
+            "--msg-id", metavar="ID", parser=msg_id, help="Only this MsgId, e.g. 0x827 or TO_CMD; repeatable."
+        ),
+    ] = None
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--topic", metavar="PATTERN", help="Only topics that match, e.g. '/robot_*'; repeatable."
+        ),
+    ] = None
+    where: Annotated[
+        str | None,
+        typer.Option(
+            metavar="EXPR",
+            parser=where,
+            help="Only packets that pass a filter, e.g. 'msg_id == 0x827 and pose.position.x > 1'.",
+        ),
+    ] = None
+
+    def selection(self) -> Selection:
+        """Return these options in the form that pipelines take."""
+        from edoras_tools.pipelines.selection import Selection
+
+        return Selection(
+            tuple(self.link or ()), tuple(self.msg_id or ()), tuple(self.topic or ()), where=self.where or ""
+        )
+
+
+def _between(start: int | None, end: int | None) -> tuple[int, int]:
+    """Return both in the form that pipelines take.
+
+    Raises:
+        typer.BadParameter: the end is not after the start.
     """
-
-    def decorate(command: Command) -> Command:
-        grouped = [item.name for item in _parameters(gather)]
-        parameters = [item for item in _parameters(command) if item.name != name] + _parameters(gather)
-
-        @wraps(command)
-        def call(**given: object) -> None:
-            command(**{name: gather(**{option: given.pop(option) for option in grouped}), **given})
-
-        call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        call.__annotations__ = {item.name: item.annotation for item in parameters}
-        return call
-
-    return decorate
+    if end is not None and (start or 0) >= end:
+        raise typer.BadParameter("--end is not after --start; both count from the start of the capture")
+    return start or 0, end or 0
 
 
-def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:
-    """Return a function's parameters, by keyword, their annotations as values: as typer wants them."""
-    unimported = dict.fromkeys(("Settings", "Selection", "Orders", "FaultPlan"), object)
-    hints = get_type_hints(function, localns=unimported, include_extras=True)
-    return [
-        item.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[item.name])
-        for item in inspect.signature(function).parameters.values()
-    ]
+class ScopeOptions(NamedTuple):
+    """The part of a capture that is examined and shown."""
+
+    chosen: SelectionOptions
+    start: Start = None
+    end: End = None
+
+    def scope(self) -> Scope:
+        """Return these options in the form that pipelines take.
+
+        Raises:
+            typer.BadParameter: the end is not after the start.
+        """
+        from edoras_tools.pipelines.doctor.scope import Scope
+
+        return Scope(self.chosen.selection(), *_between(self.start, self.end))
 
 
-takes_decoding = gathered("settings", decoding)
-takes_choice = gathered("selection", choice)
+class PartOptions(NamedTuple):
+    """Which part of the input is read."""
+
+    datagrams: Annotated[
+        int | None, typer.Option("--count", "-n", metavar="N", parser=counted, help="Stop after N datagrams.")
+    ] = None
+    duration: Duration = None
+    start: Start = None
+    end: End = None
+
+    def limits(self) -> Limits:
+        """Return these options in the form that pipelines take.
+
+        Raises:
+            typer.BadParameter: the end is not after the start.
+        """
+        from edoras_tools.pipelines.reading import Limits
+
+        start_ns, end_ns = _between(self.start, self.end)
+        return Limits(self.datagrams or 0, self.duration or 0, start_ns=start_ns, end_ns=end_ns)
 
 
-FaultRule = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--fault",
-        metavar="RULE",
-        help="What goes wrong: drop:0.1, delay:200ms,msg_id=0x1827, corrupt:1%,from=10s; repeatable.",
-    ),
-]
-Profile = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Behave as a link of this kind: leo, geo, lunar or mars.")
-]
-Scenario = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Faults and their times from a YAML file.")
-]
-Seed = Annotated[
-    int | None,
-    typer.Option(metavar="N", parser=number, help="Chances hang on it: the same seed, the same faults; 0."),
-]
+class PrintOptions(NamedTuple):
+    """What is reported, and how."""
+
+    json: Json = False
+    quiet: Quiet = False
 
 
-def faults(
-    fault: FaultRule = None, profile: Profile = None, scenario: Scenario = None, seed: Seed = None
-) -> FaultPlan:
-    """Gather the options that say what goes wrong on purpose."""
-    from edoras_tools.pipelines.scenario import fault_plan
+class FaultOptions(NamedTuple):
+    """Faults that are injected on purpose."""
 
-    return fault_plan(fault or (), profile, scenario, seed)
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            metavar="RULE",
+            help="A fault, e.g. drop:0.1 or delay:200ms,msg_id=0x1827 or corrupt:1%,from=10s; repeatable.",
+        ),
+    ] = None
+    profile: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Simulate a link of this kind: leo, geo, lunar or mars."),
+    ] = None
+    scenario: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Read faults and their times from a YAML file.")
+    ] = None
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            parser=number,
+            help="Seed of the random numbers: the same seed gives the same faults; default 0.",
+        ),
+    ] = None
 
+    def plan(self) -> FaultPlan:
+        """Return these options in the form that pipelines take."""
+        from edoras_tools.pipelines.faults.scenario import fault_plan
 
-takes_faults = gathered("faults", faults)
+        return fault_plan(self.fault or (), self.profile, self.scenario, self.seed)

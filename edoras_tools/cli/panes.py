@@ -1,4 +1,4 @@
-"""``edoras sniff --tui``: the three-pane view on the terminal."""
+"""``edoras sniff --tui``: the three-pane view in the terminal."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from edoras_tools.cli.endings import nothing_shown
 from edoras_tools.errors import CaptureError, ConfigError
 
 if TYPE_CHECKING:
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.reading import Limits
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings, Workbench
-    from edoras_tools.sources import Source
 
 
 def check_terminal() -> None:
-    """Find out early whether the view can be shown.
+    """Check that the view can be shown.
 
     Raises:
-        ConfigError: there is no textual, or standard output is no terminal.
+        ConfigError: textual is not installed, or standard output is not a terminal.
     """
     if find_spec("textual") is None:
         raise ConfigError("--tui needs textual: pip install 'edoras-tools[tui]'")
     if not sys.stdout.isatty():
-        raise ConfigError("--tui needs a terminal, and standard output is none; leave --tui out")
+        raise ConfigError("--tui needs a terminal, and standard output is not one; leave --tui out")
 
 
 def show(
@@ -36,31 +37,30 @@ def show(
     settings: Settings,
     selection: Selection,
     time: str,
+    limits: Limits,
     *,
-    count: int | None,
-    duration_ns: int | None,
     verbose: bool,
 ) -> None:
     """Show packets until the user quits.
 
     Raises:
-        EdorasError: the filter or a topic is wrong, the source ended early, or held no UDP at all.
-        typer.Exit: with code 3, when the capture lost packets.
+        EdorasError: the filter or a topic is wrong, the source ended early, or contained no UDP at all.
+        typer.Exit: with code 3, if the capture lost packets.
     """
-    from edoras_tools.render.packet_list import TimeFormat
-    from edoras_tools.tui.viewer import Choice, Viewer
+    from edoras_tools.render.capture.packet_list import TimeFormat
+    from edoras_tools.tui.viewer import Viewer, ViewOptions
 
     live = hasattr(source, "stop")
     try:
         selection.over(bench)
         _take_keyboard()
-        choice = Choice(
+        choice = ViewOptions(
             selection,
             settings,
             time_format=TimeFormat(time),
             follow=live,
-            count=count or 0,
-            duration_ns=duration_ns or 0,
+            count=limits.count,
+            duration_ns=limits.duration_ns,
             verbose=verbose,
         )
         viewer = Viewer(source, bench, choice)
@@ -72,12 +72,12 @@ def show(
         raise typer.Exit(viewer.return_code)
     if viewer.failure:
         raise CaptureError(viewer.failure)
-    # A file that was not read to its end has not shown that there is nothing in it.
+    # Only a file that was read to its end is known to be empty.
     nothing_shown(source, viewer.ledger.datagrams, live=live or viewer.reading)
 
 
 def _take_keyboard() -> None:
-    """Make the terminal standard input where packets come from there, as in ``tcpdump -w - | ...``.
+    """Use the terminal as standard input if packets come from standard input, as in ``tcpdump -w - | ...``.
 
     Raises:
         ConfigError: there is no terminal.

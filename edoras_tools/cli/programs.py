@@ -1,11 +1,11 @@
-"""The programs that a shell starts: quick to start, quick to leave."""
+"""The entry points of the programs, which make start and end fast."""
 
 from __future__ import annotations
 
 import signal
 
 _HEEDED = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-if _HEEDED:  # at once: Ctrl-C while Python still reads modules ends it without a word
+if _HEEDED:  # set first: Ctrl-C while Python still loads modules ends the program without a message
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import gc  # noqa: E402
@@ -15,25 +15,31 @@ from contextlib import suppress  # noqa: E402
 from typing import Final, NoReturn  # noqa: E402
 
 _TURN_S: Final = 50e-6
-"""A thread that numpy let go of Python for gets it back at once, not after Python's 5 ms."""
+"""A thread that released Python's global lock in numpy gets it back after this time, not after 5 ms."""
 
 
 def _start(alone: str = "") -> NoReturn:
-    """Run ``edoras``, or one command as a program of its own.
+    """Run ``edoras``, or a program with one command.
 
-    Hardly anything made while starting up is garbage, nothing is left to tear down at the end, and numpy's
-    linear algebra, which nobody uses here, need not start threads.
+    Start-up creates hardly any garbage, nothing has to be cleaned up at the end, and numpy's linear algebra,
+    which is not used here, need not start threads.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(200_000)
     sys.setswitchinterval(_TURN_S)
-    from edoras_tools.cli import main
+    try:
+        from edoras_tools.cli import main
 
-    named = sys.argv[1:2]
-    if alone:
-        made = main.alone(alone)
-    else:
-        made = main.program(*named) if named and named[0] in main.COMMANDS else main.program()
+        named = sys.argv[1:2]
+        if alone:
+            made = main.alone(alone)
+        else:
+            made = main.program(*named) if named and named[0] in main.COMMANDS else main.program()
+    except ModuleNotFoundError:
+        raise
+    except (OSError, MemoryError, ImportError) as error:  # too many open files, or no memory
+        sys.stderr.write(f"edoras: cannot start: {str(error) or 'out of memory'}\n")
+        os._exit(1)
     try:
         if _HEEDED:
             signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,129 +1,135 @@
-"""``edoras proxy``: a relay in the middle."""
+"""``edoras proxy``: a relay between the two ends of a link."""
 
 from __future__ import annotations
 
 import sys
-from enum import StrEnum
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options
-from edoras_tools.cli.endings import LOST
-from edoras_tools.cli.live import Origins, Show, Shown, showing
-from edoras_tools.cli.sending import DryRun, Yes, endpoint
+from edoras_tools.cli.endings import LOST, lost_outputs, tell
+from edoras_tools.cli.listening import tell_reach
+from edoras_tools.cli.live import RelayOutputOptions, Show
+from edoras_tools.cli.output import print_json
+from edoras_tools.cli.sending import DryRun, Yes, confirm_targets, endpoint
+from edoras_tools.errors import EdorasError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from edoras_tools.errors import EdorasError
-    from edoras_tools.pipelines.proxy import Proxy
-    from edoras_tools.pipelines.proxy_plan import ProxyPlan
-    from edoras_tools.pipelines.workbench import Settings, Workbench
-    from edoras_tools.sessions.faults import FaultPlan
+    from edoras_tools.pipelines.capture.record import Target
+    from edoras_tools.pipelines.proxy.plan import ProxyPlan
+    from edoras_tools.pipelines.proxy.run import Proxy
+    from edoras_tools.pipelines.workbench import Workbench
 
 _IDLE_NS = 60_000_000_000
 
 
-class LinkName(StrEnum):
-    """A link that can be relayed."""
+class RelayOptions(NamedTuple):
+    """What is relayed, from where to where, and at which rates."""
 
-    CI = "ci"
-    TO = "to"
-    SBN = "sbn"
-
-
-@options.takes_decoding
-@options.takes_faults
-def proxy(
-    settings: Settings,
-    faults: FaultPlan,
-    link: Annotated[LinkName, typer.Argument(help="What is relayed.")],
+    link: Annotated[options.LinkName, typer.Argument(help="The link to relay.")]
     listen: Annotated[
         Any,
         typer.Option(
             "--listen",
             metavar="[HOST:]PORT",
             parser=endpoint,
-            help="Where to wait for clients; for to: for cFS.",
+            help="Where clients send to; for to: where cFS sends to. On loopback only unless HOST is given.",
         ),
-    ],
+    ]
     target: Annotated[
-        Any, typer.Option("--target", metavar="HOST:PORT", parser=endpoint, help="Where it all goes.")
-    ],
+        Any, typer.Option("--target", metavar="HOST:PORT", parser=endpoint, help="Where to send everything.")
+    ]
     further: Annotated[
         list[Any] | None,
         typer.Option(
             "--to",
             metavar="HOST:PORT",
             parser=endpoint,
-            help="And there, as to a second ground station; repeatable.",
+            help="Another target, e.g. a second ground station; repeatable.",
         ),
-    ] = None,
+    ] = None
     bind: Annotated[
         Any,
         typer.Option(
             "--bind",
             metavar="[HOST:]PORT",
             parser=endpoint,
-            help="Where the target sends to, as an SBN peer's port in cFS's table.",
+            help="Where the target sends to, e.g. an SBN peer's port in cFS's table.",
         ),
-    ] = None,
+    ] = None
     client: Annotated[
         Any,
         typer.Option(
             "--client",
             metavar="HOST:PORT",
             parser=endpoint,
-            help="With --bind: who gets it before anybody has spoken.",
+            help="With --bind: the client to use until one has sent something.",
         ),
-    ] = None,
+    ] = None
     limit: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[ROUTE=]HZ[,latest]",
-            help="No more a second of each MsgId, of a topic or MsgId, or of all=HZ; repeatable.",
+            help="Messages per second: for each MsgId, for one topic or MsgId, or for all=HZ; repeatable.",
         ),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Record to .mcap, .pcapng or .pcap.")
-    ] = None,
-    live: Shown = None,
-    allow_origin: Origins = None,
+    ] = None
+
+
+class TimeOptions(NamedTuple):
+    """How long clients are remembered, and how long the proxy runs."""
+
     idle: Annotated[
         int | None,
-        typer.Option(metavar="TIME", parser=options.duration, help="Forget clients silent for so long; 60s."),
-    ] = None,
-    duration: options.Duration = None,
+        typer.Option(
+            metavar="TIME",
+            parser=options.duration,
+            help="Forget clients that send nothing for this time; default 60s.",
+        ),
+    ] = None
+    duration: options.Duration = None
+
+
+@options.grouped
+def proxy(
+    *,
+    relayed: RelayOptions,
+    outputs: RelayOutputOptions,
+    times: TimeOptions,
     yes: Yes = False,
     dry_run: DryRun = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    printing: options.PrintOptions,
+    faults: options.FaultOptions,
+    decoding: options.DecodingOptions,
 ) -> None:
-    """Relay CI, TO or SBN: transparent, recorded, limited, to several stations, or wrong on purpose.
+    """Relay CI, TO or SBN: unchanged, recorded, with limited rates, to several stations, or with faults.
 
-    Send what was sent to the target to the proxy instead. Keys 1 to 9 switch faults, q ends.
+    Programs send to the proxy instead of the target. Keys 1 to 9 switch faults on and off, q quits.
     """
-    from dataclasses import replace
+    from edoras_tools.links.table import named
+    from edoras_tools.pipelines.proxy.plan import ProxyPlan, as_relayed, limit_rule
+    from edoras_tools.render.bridge.foxglove import served
+    from edoras_tools.render.sending import proxy as view
+    from edoras_tools.render.terminal.console import error_console, output_console
 
-    from edoras_tools.cli.output import print_json
-    from edoras_tools.model import Link
-    from edoras_tools.pipelines.proxy_plan import ProxyPlan, as_relayed, limit_rule
-    from edoras_tools.pipelines.safety import check_target
-    from edoras_tools.render import proxy as view
-    from edoras_tools.render.console import error_console, output_console
-    from edoras_tools.render.foxglove import served
-
-    relayed = Link[link.name]
-    bench = as_relayed(settings, relayed, target).workbench()
-    limits = tuple(limit_rule(text, bench.mission) for text in limit or ())
+    settings, injected = decoding.settings(), faults.plan()
+    (json, quiet), output = printing, outputs.output
+    link, target = named(relayed.link.value), relayed.target
+    bench = as_relayed(settings, link, target).workbench()
+    limits = tuple(limit_rule(text, bench.mission) for text in relayed.limit or ())
     plan = ProxyPlan(
-        link=relayed,
-        listen=listen,
-        targets=(target, *(further or ())),
-        bind=bind,
-        client=client,
-        faults=replace(faults, rules=(*faults.rules, *limits)),
-        idle_ns=idle or _IDLE_NS,
+        link=link,
+        listen=relayed.listen,
+        targets=(target, *(relayed.further or ())),
+        bind=relayed.bind,
+        client=relayed.client,
+        faults=replace(injected, rules=(*injected.rules, *limits)),
+        idle_ns=times.idle or _IDLE_NS,
     )
     if dry_run:
         if json:
@@ -131,11 +137,12 @@ def proxy(
         else:
             output_console().print(view.plan(plan.summary(), output))
         return
-    asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-    for item in plan.targets:
-        check_target(item, yes=yes, confirm=_confirm if asks else None)
-    relay = _opened(plan, bench, output, showing(bench, live, allow_origin))
-    failure = _run(relay, output, duration or 0, keyboard=asks, quiet=quiet or json)
+    asks = confirm_targets(*plan.targets, confirmed=yes)
+    relay = _opened(plan, bench, outputs.target(), outputs.shown(bench))
+    tell_reach(relayed.listen, f"send to {target} through it")
+    if relayed.bind:
+        tell_reach(relayed.bind, "answer as the target")
+    failure = _run(relay, output, times.duration or 0, keyboard=asks, quiet=quiet or json)
     summary = relay.summary()
     shown = relay.recorder.shown.summary() if relay.recorder and relay.recorder.shown else None
     if json:
@@ -147,42 +154,36 @@ def proxy(
             sys.stderr.write(f"{line}\n")
     if quiet or json:
         for line in view.notes(summary):
-            sys.stderr.write(f"edoras: {line}\n")
+            tell(line)
     if failure is not None:
         raise failure
+    lost_outputs(relay.recorder.losses if relay.recorder else ())
     if summary["lost"]:
         raise typer.Exit(LOST)
 
 
-def _opened(plan: ProxyPlan, bench: Workbench, output: Path | None, show: Show | None) -> Proxy:
-    """Bind the ports, then begin the recording, and to show it."""
-    from edoras_tools.pipelines.fault_where import compiler
-    from edoras_tools.pipelines.proxy import Proxy
+def _opened(plan: ProxyPlan, bench: Workbench, goal: Target | None, show: Show | None) -> Proxy:
+    """Bind the ports, then start the recording and the Foxglove server."""
+    from edoras_tools.pipelines.faults.where import compiler
+    from edoras_tools.pipelines.proxy.run import Proxy
 
-    if output is None and show is None:
+    if goal is None and show is None:
         return Proxy(plan, where=compiler(bench))
-    from edoras_tools.pipelines.proxy_recorder import Recorder
-    from edoras_tools.pipelines.record import Target, check_target
+    from edoras_tools.pipelines.recorder import RelayRecorder
 
-    goal = Target(output) if output else None
-    if goal:
-        check_target(goal, ())
     name = f"{plan.link.label} {plan.listen} to {plan.targets[0]}"
-    return Proxy(plan, recorder=lambda: Recorder(goal, bench, name, show=show), where=compiler(bench))
+    return Proxy(plan, recorder=lambda: RelayRecorder(goal, bench, name, show=show), where=compiler(bench))
 
 
 def _run(
     relay: Proxy, output: Path | None, duration_ns: int, *, keyboard: bool, quiet: bool
 ) -> EdorasError | None:
     """Relay until the end; return what ended it early, if anything did."""
-    from contextlib import ExitStack
-
-    from edoras_tools.errors import EdorasError
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.pipelines.keys import Keys
-    from edoras_tools.render.console import error_console
-    from edoras_tools.render.proxy import ProxyTable
-    from edoras_tools.render.terminal import look
+    from edoras_tools.pipelines.sending.keys import Keys
+    from edoras_tools.render.sending.proxy import live_table
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.terminal import look
 
     failure: EdorasError | None = None
     with ExitStack() as stack:
@@ -192,7 +193,7 @@ def _run(
         table = keys = None
         if not quiet and look(sys.stderr).interactive:
             keys = stack.enter_context(Keys()) if keyboard else None
-            table = stack.enter_context(ProxyTable(error_console(), output, keys=keyboard))
+            table = stack.enter_context(live_table(error_console(), output, keys=keyboard))
         try:
             relay.run(duration_ns=duration_ns, watcher=table, keys=keys)
         except EdorasError as error:
@@ -200,7 +201,3 @@ def _run(
         finally:
             relay.close()
     return failure or (relay.recorder.failure if relay.recorder else None)
-
-
-def _confirm(question: str) -> bool:
-    return typer.confirm(question, err=True)

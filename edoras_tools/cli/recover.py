@@ -1,36 +1,41 @@
-"""``edoras recover``: make a cut-off recording whole."""
+"""``edoras recover``: repair a damaged or cut-off recording."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from edoras_tools.cli import options
+from edoras_tools.cli import options, recordings
+from edoras_tools.cli.endings import LOST
+from edoras_tools.cli.output import print_json
+from edoras_tools.errors import ConfigError
+from edoras_tools.io.outputs import in_the_way
 
 
 def recover(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A cut-off MCAP recording.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A damaged or cut-off MCAP recording.")],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="What to write; FILE.recovered.mcap if not said."
-        ),
+        typer.Option("--output", "-o", metavar="FILE", help="Output file; default FILE.recovered.mcap."),
     ] = None,
+    force: recordings.Force = False,
+    unproved: options.Unproved = False,
     json: options.Json = False,
 ) -> None:
-    """Make a recording whole that was cut off, as by kill -9 or a full disk."""
-    from dataclasses import asdict
-
-    from edoras_tools.sinks.recover import recover as run
+    """Repair a recording that is cut off or damaged: keep what a checksum proves, count the rest."""
+    from edoras_tools.io.formats.mcap.recover import recover as run
 
     target = output or file.parent / f"{file.stem}.recovered.mcap"
-    report = run(file, target)
+    if in_the_way(target) and not force and not (file.exists() and target.samefile(file)):
+        raise ConfigError(f"{target} exists; name another output with -o, or replace it with --force")
+    report = run(file, target, unproved=unproved)
     if json:
-        from edoras_tools.cli.output import print_json
-
         print_json({**asdict(report), "output": None if report.whole else str(target)})
-        return
-    sys.stdout.write(f"{report}\n")
+    else:
+        sys.stdout.write(f"{report.text(written=True)}\n")
+    if report.lost:
+        raise typer.Exit(LOST)

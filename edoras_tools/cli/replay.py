@@ -1,154 +1,166 @@
-"""``edoras replay``: a recording sent again."""
+"""``edoras replay``: sends a recording again."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options, sending
+from edoras_tools.errors import ConfigError
+from edoras_tools.io.formats.table import READ
 
 if TYPE_CHECKING:
-    from edoras_tools.pipelines.orders import Orders
     from edoras_tools.pipelines.selection import Selection
-    from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sessions.faults import FaultPlan
+    from edoras_tools.pipelines.sending.replay import ReplaySelection
 
 
 def pair(text: str) -> tuple[str, str]:
     """Read ``A:=B``."""
     old, sign, new = text.partition(":=")
     if not (old and sign and new):
-        raise typer.BadParameter(f"{text!r} is no A:=B; write 0x1827:=0x1828 or /cmd_vel:=/robot_1/cmd_vel")
+        raise typer.BadParameter(f"{text!r} is not A:=B; write 0x1827:=0x1828 or /cmd_vel:=/robot_1/cmd_vel")
     return old, new
 
 
-@options.takes_decoding
-@options.takes_choice
-@sending.takes_sending
-@options.takes_faults
-def replay(
-    settings: Settings,
-    selection: Selection,
-    orders: Orders,
-    faults: FaultPlan,
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="pcap, pcapng or MCAP; with --from-topics also rosbag2.")
-    ],
+class SourceOptions(NamedTuple):
+    """What is sent, and where."""
+
+    file: Annotated[Path, typer.Argument(metavar="FILE", help=f"{READ}; with --from-topics also rosbag2.")]
     to: Annotated[
-        str, typer.Option("--to", metavar="TO", help="Into ci, as an sbn peer, or to the ground bridge.")
-    ],
+        str,
+        typer.Option("--to", metavar="TO", help="ci, sbn (as an SBN peer) or ground (the ground bridge)."),
+    ]
     from_topics: Annotated[
-        bool, typer.Option("--from-topics", help="Make packets of ROS messages that any tool recorded.")
-    ] = False,
+        bool, typer.Option("--from-topics", help="Make packets from recorded ROS messages of any tool.")
+    ] = False
+
+
+class PaceOptions(NamedTuple):
+    """How fast it is sent, and how often."""
+
     speed: Annotated[
         float | None,
-        typer.Option(metavar="X", parser=sending.positive, help="Times the recorded speed."),
-    ] = None,
+        typer.Option(metavar="X", parser=sending.positive, help="Send at X times the recorded speed."),
+    ] = None
     rate: Annotated[
         list[Any] | None,
         typer.Option(
             metavar="[ROUTE=]HZ",
             parser=sending.rate,
-            help="Even spacing, of everything or of a route, as /cmd_vel=30; repeatable.",
+            help="Send at even intervals, everything or one route, e.g. /cmd_vel=30; repeatable.",
         ),
-    ] = None,
-    fastest: Annotated[bool, typer.Option("--max", help="As fast as it goes.")] = False,
+    ] = None
+    fastest: Annotated[bool, typer.Option("--max", help="Send as fast as possible.")] = False
     loop: Annotated[
         int | None,
-        typer.Option(metavar="N", parser=sending.loops, help="Send it N times; 0 for no end."),
-    ] = None,
-    start: Annotated[
-        int | None,
-        typer.Option(
-            metavar="TIME", parser=options.duration, help="From so long after the recording's start."
-        ),
-    ] = None,
-    end: Annotated[
-        int | None,
-        typer.Option(
-            metavar="TIME", parser=options.duration, help="Up to so long after the recording's start."
-        ),
-    ] = None,
+        typer.Option(metavar="N", parser=sending.loops, help="Send it N times; 0: without end."),
+    ] = None
+
+
+class PartOptions(NamedTuple):
+    """Which part of the recording is sent."""
+
+    start: options.Start = None
+    end: options.End = None
     duration: Annotated[
         int | None,
-        typer.Option("--duration", metavar="TIME", parser=options.duration, help="So long from --start."),
-    ] = None,
-    count: Annotated[
+        typer.Option(
+            "--duration", metavar="TIME", parser=options.duration, help="Send this much time from --start on."
+        ),
+    ] = None
+    first: Annotated[
         int | None,
-        typer.Option("--count", "-n", metavar="N", parser=options.counted, help="The first N datagrams."),
-    ] = None,
+        typer.Option(
+            "--count", "-n", metavar="N", parser=options.counted, help="Send the first N datagrams."
+        ),
+    ] = None
     route: Annotated[
         list[str] | None,
-        typer.Option(metavar="PATTERN", help="Only MsgIds, topics or keys that fit, as '0x18*'; repeatable."),
-    ] = None,
+        typer.Option(
+            metavar="PATTERN", help="Only MsgIds, topics or keys that match, e.g. '0x18*'; repeatable."
+        ),
+    ] = None
+
+    def choice(self, selection: Selection) -> ReplaySelection:
+        """Return these options and the selection in the form that pipelines take.
+
+        Raises:
+            ConfigError: both --end and --duration are given.
+        """
+        from edoras_tools.pipelines.sending.replay import ReplaySelection
+
+        if self.end and self.duration:
+            raise ConfigError("--end and --duration both say when to stop; name one")
+        start = self.start or 0
+        end = self.end or (start + self.duration if self.duration else 0)
+        return ReplaySelection(selection, tuple(self.route or ()), start, end, self.first or 0)
+
+
+class ChangeOptions(NamedTuple):
+    """What is changed in the packets."""
+
     remap: Annotated[
         list[Any] | None,
         typer.Option(metavar="A:=B", parser=pair, help="Send MsgId, topic or key A as B; repeatable."),
-    ] = None,
-    restamp: Annotated[
-        bool, typer.Option("--restamp", help="Header stamps become the time of sending.")
-    ] = False,
-    output: sending.Output = None,
-    dry_run: sending.DryRun = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    ] = None
+    restamp: Annotated[bool, typer.Option("--restamp", help="Set header stamps to the time of sending.")] = (
+        False
+    )
+
+
+@options.grouped
+def replay(
+    source: SourceOptions,
+    pace: PaceOptions,
+    part: PartOptions,
+    change: ChangeOptions,
+    ending: sending.EndingOptions,
+    how: sending.SendingOptions,
+    chosen: options.SelectionOptions,
+    decoding: options.DecodingOptions,
 ) -> None:
-    """Send a recording again: into CI, as an SBN peer, or to a ground bridge; exactly, faster, or changed.
+    """Send a recording again: to CI, as an SBN peer, or to a ground bridge; unchanged, faster, or changed.
 
-    Every byte is as it was captured unless an option says otherwise. In a terminal: space pauses, n sends the
-    next one, q ends.
+    Bytes stay as captured unless an option changes them. In a terminal: space pauses, n sends the
+    next datagram, q quits.
     """
-    from dataclasses import replace
+    from edoras_tools.pipelines.sending import replay as pipeline
+    from edoras_tools.pipelines.sending.options import Receiver
+    from edoras_tools.pipelines.sending.run import Transmission
 
-    from edoras_tools.errors import ConfigError
-    from edoras_tools.pipelines import replay as pipeline
-    from edoras_tools.pipelines.orders import To
-    from edoras_tools.pipelines.transmission import Transmission
-
-    if end and duration:
-        raise ConfigError("--end and --duration both say when to stop; name one")
-    begin = start or 0
-    choice = pipeline.Choice(
-        selection, tuple(route or ()), begin, end or (begin + duration if duration else 0), count or 0
+    settings = decoding.settings()
+    send_options, faults = how.send_options(), how.faults.plan()
+    choice = part.choice(chosen.selection())
+    send_options = replace(
+        send_options,
+        to=sending.one_of(Receiver, source.to, "--to"),
+        speed=pace.speed or 1.0,
+        rates=tuple(pace.rate or ()),
+        unpaced=pace.fastest,
+        passes=1 if pace.loop is None else pace.loop,
     )
-    orders = replace(
-        orders,
-        to=sending.one_of(To, to, "--to"),
-        speed=speed or 1.0,
-        rates=tuple(rate or ()),
-        unpaced=fastest,
-        passes=1 if loop is None else loop,
-    )
-    pairs = list(remap or ())
-    if from_topics:
-        from edoras_tools.pipelines.topics import load_topics
-        from edoras_tools.sources.rosbag2 import open_rosbag
+    pairs = list(change.remap or ())
+    if source.from_topics:
+        from edoras_tools.io.formats.rosbag2.reader import open_rosbag
+        from edoras_tools.pipelines.sending.topics import load_topics
 
-        bag = open_rosbag(file)
+        bag = open_rosbag(source.file)
         bench = settings.workbench()
-        orders = orders.placed(bench.mission)
+        send_options = send_options.placed(bench.mission)
         renamed = {"/" + old.removeprefix("/"): new for old, new in pairs if not old[:1].isdigit()}
-        loaded = load_topics(bag, bench, orders, choice, renamed)
+        loaded = load_topics(bag, bench, send_options, choice, renamed)
         pairs = [(old, new) for old, new in pairs if old[:1].isdigit()]
     else:
         from edoras_tools.pipelines.workbench import open_files
 
-        source = open_files([file])
-        bench = settings.workbench(source.info)
-        orders = orders.placed(bench.mission)
-        loaded = pipeline.load(source, bench, orders, choice)
-    names = pipeline.remapped(pairs, bench.mission, extended=settings.options.extended_header)
-    changes = pipeline.changes_for(orders, names, bench.mission, bench.types, restamp=restamp)
-    transmission = Transmission.of(loaded, orders, bench.mission, changes)
-    sending.carry_out(
-        transmission,
-        bench,
-        faults,
-        inputs=(file,),
-        output=output,
-        dry_run=dry_run,
-        json=json,
-        quiet=quiet,
-    )
+        recording = open_files([source.file])
+        bench = settings.workbench(recording.info)
+        send_options = send_options.placed(bench.mission)
+        loaded = pipeline.load_datagrams(recording, bench, send_options, choice)
+    names = pipeline.remapped(pairs, bench.mission, extended=bool(settings.options.extended_header))
+    changes = pipeline.changes_for(send_options, names, bench.mission, bench.types, restamp=change.restamp)
+    transmission = Transmission.of(loaded, send_options, bench.mission, changes)
+    sending.carry_out(transmission, bench, faults, ending, inputs=(source.file,))

@@ -2,65 +2,73 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from time import time_ns
+from typing import Annotated
 
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.endings import LOST, no_datagrams
+from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
+from edoras_tools.cli.output import print_json
+from edoras_tools.errors import ConfigError
+from edoras_tools.words import plural
 
-if TYPE_CHECKING:
-    from edoras_tools.pipelines.workbench import Settings
 
-
-@options.takes_decoding
+@options.grouped
 def report(
-    settings: Settings,
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="pcap, pcapng or MCAP; - is stdin.")],
+    *,
+    inputs: FileOptions,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="What to write; FILE.html if not said."),
+        typer.Option("--output", "-o", metavar="FILE", help="Output file; default FILE.html."),
     ] = None,
     constant: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="A constant of your cFS, as app_msg_limit=8."),
+        typer.Option("--set", metavar="NAME=VALUE", help="A constant of your cFS, e.g. app_msg_limit=8."),
     ] = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    printing: options.PrintOptions,
+    part: options.ScopeOptions,
+    decoding: options.DecodingOptions,
 ) -> None:
-    """Write what the doctor finds as one HTML page: verdicts, then plots. It needs no network.
+    """Write the doctor's findings as one HTML page: verdicts, then plots. The page needs no network.
 
-    Exit code 3 tells that loss was found. With --json the diagnosis goes to stdout as well.
+    Exit code 3: a loss or an error was found. With --json the diagnosis is also printed on stdout.
     """
-    from edoras_tools.cli.endings import LOST, no_datagrams
-    from edoras_tools.cli.inputs import open_input
-    from edoras_tools.errors import ConfigError
-    from edoras_tools.pipelines.doctor import examine, profile_with
-    from edoras_tools.pipelines.report import write
-    from edoras_tools.render import units
+    from edoras_tools.diagnosis.verdict import group_verdicts
+    from edoras_tools.pipelines.doctor.doctor import examine, profile_with
+    from edoras_tools.pipelines.doctor.report import write_report
+    from edoras_tools.render.doctor.report import Made
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
 
+    files, scope, (json, quiet) = inputs.named(), part.scope(), printing
     profile = profile_with(constant or ())
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")
     if any(item.exists() and path.exists() and item.samefile(path) for item in files):
         raise ConfigError(f"{path}: would overwrite its own input; name another output")
-    source, bench = open_input(files, None, None, settings)
-    findings = examine(source, bench, profile=profile)
+    with FileProgress(", ".join(map(str, files)), console=error_console(), quiet=quiet or json) as bar:
+        source, bench = open_input(InputOptions(inputs), decoding.settings(), aligned=True, progress=bar)
+        findings = examine(source, bench, profile=profile, scope=scope, progress=bar)
     if findings.failure is None:
         no_datagrams(source)
     elif not findings.diagnosis.datagrams:
-        raise findings.failure  # a page of nothing would say that nothing is wrong
-    size = write(findings.diagnosis, source.info.name, path)
+        raise findings.failure  # an empty page would say that nothing is wrong
+    made = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
+    size = write_report(findings.diagnosis, source.info.name, path, made)
     if json:
-        from edoras_tools.cli.output import print_json
-
         print_json({**findings.summary(), "output": str(path)})
     elif not quiet:
         lost = findings.diagnosis.lost
-        told = f"{units.plural(lost, 'message')} lost" if lost else "no loss"
-        verdicts = units.plural(len(findings.diagnosis.verdicts), "verdict")
+        told = f"{plural(lost, 'message')} lost" if lost else "no loss found"
+        if not findings.diagnosis.datagrams:
+            told = "nothing was examined"
+        verdicts = plural(len(group_verdicts(findings.diagnosis.verdicts)), "verdict")
         sys.stderr.write(f"{path}: {told}, {verdicts}, {size / 1024:.0f} KiB\n")
     if findings.failure is not None:
         raise findings.failure
-    if findings.diagnosis.lost or findings.diagnosis.capture.drops:
+    if findings.diagnosis.bad:
         raise typer.Exit(LOST)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from enum import StrEnum
+from time import time_ns
 from typing import Annotated
 
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.listening import tell_reach
 
 
 class Scenario(StrEnum):
@@ -21,33 +24,36 @@ class Scenario(StrEnum):
 
 
 def sim(
-    scenario: Annotated[Scenario, typer.Argument(help="Which of the EDORAS demos.")] = Scenario.ROVER,
-    bridges: Annotated[bool, typer.Option(help="Play the operator, the bridges and the robots too.")] = True,
+    scenario: Annotated[Scenario, typer.Argument(help="The EDORAS demo to emulate.")] = Scenario.ROVER,
+    bridges: Annotated[
+        bool, typer.Option(help="Also emulate the operator, the bridges and the robots.")
+    ] = True,
     rate: Annotated[
-        float, typer.Option("--hz", metavar="HZ", min=0.01, max=1000, help="Commands a second.")
+        float, typer.Option("--hz", metavar="HZ", min=0.01, max=1000, help="Commands per second.")
     ] = 5.0,
     limit: Annotated[
         int,
-        typer.Option(metavar="N", min=1, max=255, help="Telemetry Output: how many of one MsgId may wait."),
+        typer.Option(
+            metavar="N", min=1, max=255, help="Telemetry Output: messages of one MsgId that may wait."
+        ),
     ] = 4,
-    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Where to bind.")] = "127.0.0.1",
+    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address to bind.")] = "127.0.0.1",
     duration: options.Duration = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Run an emulated cFS: CI, TO, SBN and a robot app on loopback, with the limits of the real one.
 
-    Its console goes to stdout. Look at it from another terminal: edoras sniff -i lo
+    Its console is printed on stdout. Watch it from another terminal: edoras sniff -i lo
     """
-    from dataclasses import replace
     from threading import Event
-    from time import time_ns
 
+    from edoras_tools.cfs.profile import TO_TABLE, SimProfile
+    from edoras_tools.emulator import Simulation, serve
+    from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.sessions.profile import TO_TABLE, SimProfile
-    from edoras_tools.sim import Simulation, serve
 
-    # Bound to every address, the parts still talk to each other on loopback.
-    address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  what was asked for
+    # When bound to every address, the parts still use loopback among themselves.
+    address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  the user asked for it
     profile = SimProfile()
     peers = tuple(replace(peer, address=address) for peer in profile.sbn_peers)
     limits = {
@@ -58,11 +64,12 @@ def sim(
         profile, scenario.value, start_ns=time_ns(), bridges=bridges, command_rate_hz=rate, state_rate_hz=rate
     )
     stop = Event()
-    # Telemetry's source is a port of the system's choice.
+    # The system chooses the source port of telemetry.
     bound = [item for item in simulation.endpoints if item != simulation.cfs.to_endpoint]
     ends = ", ".join(f"{item.port}" for item in bound)
 
     def ready() -> None:
+        tell_reach(Endpoint(host, profile.ci_port), "command the emulated cFS", instead="leave --host out")
         sys.stderr.write(f"emulated cFS ({scenario.value}) on {host}, UDP {ends}; Ctrl-C ends\n")
 
     def line(time_ns: int, text: str) -> None:

@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from edoras_tools.cli.endings import tell
+from edoras_tools.errors import ConfigError
+
 if TYPE_CHECKING:
     from edoras_tools.structs.shapes import Key
 
 
 def binding(text: str) -> tuple[Key, str]:
     """Read ``MSGID=STRUCT`` or ``MSGID/CODE=STRUCT``."""
-    from edoras_tools.errors import ConfigError
     from edoras_tools.structs.files import parse_key
 
     key, equals, name = text.partition("=")
     if not equals or not name:
-        raise typer.BadParameter(f"{text!r} binds nothing; write 0x0890=ROVER_HkTlm_t")
+        raise typer.BadParameter(f"{text!r} is not MSGID=STRUCT; write 0x0890=ROVER_HkTlm_t")
     try:
         return parse_key(key), name
     except ConfigError as error:
@@ -30,11 +32,12 @@ def structs(
     file: Annotated[
         Path | None,
         typer.Argument(
-            metavar="FILE", help="ELF file (.o, .so, program), C header, or layout; none: what is shipped."
+            metavar="FILE",
+            help="ELF file (.o, .so, program), C header, or layout; default: the built-in layouts.",
         ),
     ] = None,
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME...", help="Structs; none: a list of all there are.")
+        list[str] | None, typer.Argument(metavar="NAME...", help="Structs; default: a list of all.")
     ] = None,
     output: Annotated[
         Path | None,
@@ -47,33 +50,38 @@ def structs(
             "-b",
             metavar="ID=NAME",
             parser=binding,
-            help="The struct of a MsgId, as 0x0890=ROVER_HkTlm_t; 0x1890/2=X of a function code; repeatable.",
+            help="The struct of a MsgId, e.g. 0x0890=ROVER_HkTlm_t, or 0x1890/2=X for a function code; "
+            "repeatable.",
         ),
     ] = None,
     package: Annotated[
-        str | None, typer.Option(metavar="NAME", help="ROS package of the messages; cfs_msgs.")
+        str | None, typer.Option(metavar="NAME", help="ROS package of the messages; default: cfs_msgs.")
     ] = None,
     include: Annotated[
         list[Path] | None,
-        typer.Option("--include", "-I", metavar="DIR", help="Where a header's headers are; repeatable."),
+        typer.Option(
+            "--include",
+            "-I",
+            metavar="DIR",
+            help="Folder with the headers that the C header includes; repeatable.",
+        ),
     ] = None,
     cflag: Annotated[
         list[str] | None,
-        typer.Option(metavar="FLAG", help="For the compiler of a header, as -m32 or -DX=1; repeatable."),
+        typer.Option(metavar="FLAG", help="Compiler option for a C header, e.g. -m32 or -DX=1; repeatable."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over files that are there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
 ) -> None:
     """Turn C structs of flight software into ROS messages, from debug information or headers.
 
-    What is written is given to sniff, record and the others with --structs DIR.
+    Give the result to sniff, record and other commands with --structs DIR.
     """
-    from edoras_tools.errors import ConfigError
     from edoras_tools.pipelines import structs as run
     from edoras_tools.render import structs as view
     from edoras_tools.structs.files import is_package
 
     if package is not None and not is_package(package):
-        raise ConfigError(f"--package: {package!r} is no name of a ROS package, as rover_msgs")
+        raise ConfigError(f"--package: {package!r} is not a ROS package name; write a name like rover_msgs")
     source = run.open_types(file, include or (), cflag or ())
     bindings = run.bindings_of(bind or ())
     out = sys.stdout
@@ -83,7 +91,7 @@ def structs(
         return
     taken = run.take(source, names or (), bindings, package)
     for line in source.warnings:
-        sys.stderr.write(f"edoras: {line}\n")
+        tell(line)
     if output is None:
         for place, (name, message) in enumerate(taken.types.items()):
             out.write("\n" if place else "")
@@ -91,11 +99,11 @@ def structs(
                 f"{line}\n" for line in view.layout(taken.layout, taken.layout.structs[name], message)
             )
         return
-    written = run.write(taken, output, force=force)
+    written = run.write_definitions(taken, output, force=force)
     out.writelines(f"{path}\n" for path in written)
     unbound = [name for name in taken.types if name not in taken.layout.bindings.values()]
     if not taken.layout.bindings:
-        sys.stderr.write(
-            f"edoras: no packet is bound yet: say --bind 0x0890={unbound[0] if unbound else 'NAME'}, "
-            f"or write it into {output / 'structs.yaml'} under 'bind'\n"
+        tell(
+            f"no packet is bound yet: add --bind 0x0890={unbound[0] if unbound else 'NAME'}, "
+            f"or an entry under 'bind' in {output / 'structs.yaml'}"
         )

@@ -1,29 +1,26 @@
-"""``edoras sweep``: how much a route can carry."""
+"""``edoras sweep``: measures how much a route can carry."""
 
 from __future__ import annotations
 
-import sys
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options, sending
+from edoras_tools.cli.listening import tell_reach
+from edoras_tools.cli.output import print_json
 from edoras_tools.cli.sim import Scenario
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.mission import Route
+    from edoras_tools.model import Endpoint, Link
+    from edoras_tools.pipelines.sending.options import SendOptions
+    from edoras_tools.pipelines.sweep.plan import SweepPlan
 
 _LEAST_STEP_NS = 2_000_000_000
-
-
-class Way(StrEnum):
-    """The link that a route takes."""
-
-    CI = "ci"
-    TO = "to"
-    SBN = "sbn"
 
 
 def span(text: str) -> tuple[int, int]:
@@ -34,123 +31,170 @@ def span(text: str) -> tuple[int, int]:
     except ValueError:
         found = 0, 0
     if not 1 <= found[0] <= found[1] <= 65535:
-        raise typer.BadParameter(f"{text!r} is no FROM..TO; write 1..1000, in whole numbers from 1 to 65535")
+        raise typer.BadParameter(f"{text!r} is not FROM..TO; write 1..1000, in whole numbers from 1 to 65535")
     return found
 
 
-@options.takes_decoding
-def sweep(
-    settings: Settings,
-    route: Annotated[str, typer.Argument(metavar="ROUTE", help="A topic or a key of the mission; a MsgId.")],
-    to: Annotated[
-        Way | None,
-        typer.Option(metavar="LINK", help="Commands through ci, telemetry through to, either over sbn."),
-    ] = None,
+class StepOptions(NamedTuple):
+    """What to try, for how long, and where."""
+
     rate: Annotated[
         Any,
         typer.Option(
             metavar="FROM..TO",
             parser=span,
-            help="Messages a second, upward; 1..1000. With a range of sizes one rate; 2.",
+            help="Messages per second, rising; default 1..1000. With a range of sizes: one rate; default 2.",
         ),
-    ] = None,
+    ] = None
     size: Annotated[
         Any,
         typer.Option(
             metavar="FROM..TO",
             parser=span,
-            help="Bytes of the space packet, upward; or one size. The message's own if not said.",
+            help="Bytes of the space packet, rising; or one size. Default: the size of the message.",
         ),
-    ] = None,
+    ] = None
     step_time: Annotated[
         int | None,
-        typer.Option("--step-time", metavar="TIME", parser=options.duration, help="How long a step is; 8s."),
-    ] = None,
+        typer.Option(
+            "--step-time", metavar="TIME", parser=options.duration, help="Duration of a step; default 8s."
+        ),
+    ] = None
     sim: Annotated[
         Scenario | None,
-        typer.Option("--sim", metavar="SCENARIO", help="An emulated cFS, in simulated time: at once."),
-    ] = None,
+        typer.Option(
+            "--sim", metavar="SCENARIO", help="Use an emulated cFS in simulated time: takes a second."
+        ),
+    ] = None
     limit: Annotated[
         int | None,
         typer.Option(
             metavar="N",
             min=1,
             max=255,
-            help="With --sim: how many of the route's messages may wait in its pipe.",
+            help="With --sim: messages of the route that may wait in its pipe.",
         ),
-    ] = None,
-    watch: Annotated[bool, typer.Option("--watch", help="Publish nothing, look at what comes.")] = False,
-    duration: options.Duration = None,
-    target: sending.Target = None,
-    listen: sending.Ear = None,
-    sender: sending.As = None,
-    timeout: sending.Timeout = None,
-    allow: sending.Allow = None,
-    unlimited: sending.Unlimited = False,
-    yes: sending.Yes = False,
-    svg: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the chart as SVG.")] = None,
+    ] = None
+    watch: Annotated[bool, typer.Option("--watch", help="Publish nothing; only measure what arrives.")] = (
+        False
+    )
+    duration: options.Duration = None
+
+    @property
+    def by_size(self) -> bool:
+        """Whether to vary sizes instead of rates."""
+        return self.size is not None and self.size[0] != self.size[1]
+
+    def check(self, target: Endpoint | None) -> None:
+        """Refuse options that exclude each other.
+
+        Raises:
+            ConfigError: such options are given.
+        """
+        if self.by_size and self.rate is not None and self.rate[0] != self.rate[1]:
+            raise ConfigError(
+                "only one range can be given: --rate FROM..TO at one --size, or --size FROM..TO at one --rate"
+            )
+        if self.limit is not None and self.sim is None:
+            raise ConfigError("--limit configures the emulated cFS; it needs --sim")
+        if self.sim is not None and target is not None:
+            raise ConfigError("--sim needs no --target: the emulated cFS is inside this program")
+        if self.sim is not None and self.watch:
+            raise ConfigError("--watch measures what other programs publish; with --sim there are none")
+        if self.step_time is not None and self.step_time < _LEAST_STEP_NS:
+            raise ConfigError("--step-time must be at least 2s, so that cFS wakes up several times in a step")
+
+    def plan(self, route: Route, send_options: SendOptions) -> SweepPlan:
+        """Return these options in the form that pipelines take."""
+        from edoras_tools.pipelines.sweep.plan import SweepPlan
+
+        return SweepPlan(
+            route,
+            self.rate or ((2, 2) if self.by_size else (1, 1000)),
+            self.size or (0, 0),
+            self.step_time or 8 * SECOND,
+            send_options,
+            self.sim.value if self.sim else None,
+            self.limit,
+            self.watch,
+            self.duration or 60 * SECOND,
+        )
+
+
+class SendingOptions(NamedTuple):
+    """How to send."""
+
+    target: sending.Target = None
+    listen: sending.Listen = None
+    sender: sending.As = None
+    timeout: sending.Timeout = None
+    allow: sending.Allow = None
+    unlimited: sending.Unlimited = False
+    yes: sending.Yes = False
+
+    def send_options(self, link: Link) -> SendOptions:
+        """Return these options in the form that pipelines take, for a route of this link."""
+        from edoras_tools.pipelines.sending.options import SendOptions
+        from edoras_tools.pipelines.sweep.plan import command_receiver
+
+        return SendOptions(
+            to=command_receiver(link),
+            target=self.target,
+            listen=self.listen,
+            sender=self.sender,
+            wait_for=("peer" if link.peers else "to-enabled",),
+            timeout_ns=self.timeout or 10 * SECOND,
+            allow=tuple(self.allow or ()),
+            unlimited=self.unlimited,
+            confirmed=self.yes,
+        )
+
+
+class ChartOptions(NamedTuple):
+    """Files for the chart."""
+
+    svg: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the chart as SVG.")] = None
     png: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the chart as PNG; needs matplotlib.")
+    ] = None
+
+
+@options.grouped
+def sweep(
+    *,
+    route: Annotated[
+        str, typer.Argument(metavar="ROUTE", help="A topic or a key of the mission, or a MsgId.")
+    ],
+    to: Annotated[
+        options.LinkName | None,
+        typer.Option(metavar="LINK", help="ci for commands, to for telemetry, sbn for both."),
     ] = None,
+    steps: StepOptions,
+    how: SendingOptions,
+    charts: ChartOptions,
     dry_run: sending.DryRun = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    printing: options.PrintOptions,
+    decoding: options.DecodingOptions,
 ) -> None:
-    """Raise a route's rate, or size, until messages are lost: where the limit is, at which hop, and why.
+    """Raise a route's rate or size until messages are lost, to find the limit, its hop and its cause.
 
-    For example: edoras sweep /cmd_vel -c rover.yaml, or without any cFS with --sim rover
+    For example: edoras sweep /cmd_vel -c rover.yaml, or with an emulated cFS: --sim rover
     """
-    from edoras_tools.cli.output import print_json
-    from edoras_tools.errors import ConfigError
-    from edoras_tools.model import Link
-    from edoras_tools.pipelines.orders import Orders
-    from edoras_tools.pipelines.safety import check_target
-    from edoras_tools.pipelines.sweep import sweep as carry_out
-    from edoras_tools.pipelines.sweep_plan import Plan, receiver, route_of
+    from edoras_tools.links.table import named
+    from edoras_tools.pipelines.sweep.plan import route_of
+    from edoras_tools.pipelines.sweep.run import sweep as carry_out
     from edoras_tools.render import chart
-    from edoras_tools.render import sweep as view
-    from edoras_tools.render.console import output_console
-    from edoras_tools.sessions.profile import SECOND
+    from edoras_tools.render.sending import sweep as view
+    from edoras_tools.render.terminal.console import output_console
 
-    by_size = size is not None and size[0] != size[1]
-    if by_size and rate is not None and rate[0] != rate[1]:
-        raise ConfigError(
-            "one range at a time: --rate FROM..TO at one --size, or --size FROM..TO at one --rate"
-        )
-    if limit is not None and sim is None:
-        raise ConfigError("--limit sets up the emulated cFS; it needs --sim")
-    if sim is not None and target is not None:
-        raise ConfigError("--sim needs no --target: the emulated cFS is inside this program")
-    if sim is not None and watch:
-        raise ConfigError("--watch looks at what others publish, and nobody else is in --sim")
-    if step_time is not None and step_time < _LEAST_STEP_NS:
-        raise ConfigError("--step-time: 2s at the least, as long as cFS needs to wake up a few times")
-    if png is not None:
+    json, quiet = printing
+    steps.check(how.target)
+    if charts.png is not None:
         chart.need_png()
-    bench = settings.workbench()
-    chosen = route_of(route, Link[to.name] if to else None, bench.mission)
-    orders = Orders(
-        to=receiver(chosen.link),
-        target=target,
-        listen=listen,
-        sender=sender,
-        wait_for=("peer" if chosen.link is Link.SBN else "to-enabled",),
-        timeout_ns=timeout or 10 * SECOND,
-        allow=tuple(allow or ()),
-        unlimited=unlimited,
-        yes=yes,
-    ).placed(bench.mission)
-    plan = Plan(
-        chosen,
-        rate or ((2, 2) if by_size else (1, 1000)),
-        size or (0, 0),
-        step_time or 8 * SECOND,
-        orders,
-        sim.value if sim else None,
-        limit,
-        watch,
-        duration or 60 * SECOND,
-    )
+    bench = decoding.settings().workbench()
+    chosen = route_of(route, named(to.value) if to else None, bench.mission)
+    send_options = how.send_options(chosen.link).placed(bench.mission)
+    plan = steps.plan(chosen, send_options)
     plan.check(bench)
     if dry_run:
         summary = plan.as_json(bench)
@@ -159,11 +203,12 @@ def sweep(
         else:
             output_console().print(view.plan(summary))
         return
-    if sim is None:
-        assert orders.target is not None
-        asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-        check_target(orders.target, yes=yes, confirm=_confirm if asks else None)
-    with view.watching(quiet=quiet) as trying:
+    if steps.sim is None:
+        assert send_options.target is not None
+        sending.confirm_targets(send_options.target, confirmed=how.yes)
+        if send_options.listen is not None:
+            tell_reach(send_options.listen, "answer")
+    with view.step_status(quiet=quiet) as trying:
         found = carry_out(plan, bench, trying=trying)
     summary = found.summary()
     if json:
@@ -172,33 +217,29 @@ def sweep(
         console = output_console()
         console.print(view.outcome(summary, console.width))
     if found.steps:
-        _draw(summary, svg, png)
+        _draw(summary, charts)
     if found.failure is not None:
         raise found.failure
 
 
-def _confirm(question: str) -> bool:
-    return typer.confirm(question, err=True)
-
-
-def _draw(summary: dict[str, Any], svg: Path | None, png: Path | None) -> None:
+def _draw(summary: dict[str, Any], charts: ChartOptions) -> None:
     from io import BytesIO
 
-    from edoras_tools.errors import CaptureError
+    from edoras_tools.io.outputs import write_bytes
     from edoras_tools.render import chart
-    from edoras_tools.render.sweep import threshold
+    from edoras_tools.render.sending.sweep import threshold_line
 
     drawn = chart.Chart.of(summary)
-    subtitle = f"threshold {threshold(summary)}"
+    subtitle = f"threshold {threshold_line(summary)}"
     images: list[tuple[Path, bytes]] = []
-    if svg is not None:
-        images.append((svg, chart.svg(drawn, subtitle).encode()))
-    if png is not None:
+    if charts.svg is not None:
+        images.append((charts.svg, chart.svg(drawn, subtitle).encode()))
+    if charts.png is not None:
         image = BytesIO()
         chart.png(drawn, image, subtitle)
-        images.append((png, image.getvalue()))
+        images.append((charts.png, image.getvalue()))
     for path, content in images:
         try:
-            path.write_bytes(content)
+            write_bytes(path, content)
         except OSError as error:
             raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from None

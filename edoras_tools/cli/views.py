@@ -4,21 +4,31 @@ from __future__ import annotations
 
 import sys
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from edoras_tools.cli.output import print_json
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from edoras_tools.decode.where_rows import ColumnRows
+    from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.pipelines.workbench import Workbench
 
 
-class Layout(StrEnum):
-    """How fields are laid out."""
+class Time(StrEnum):
+    """Formats of the time column."""
+
+    RELATIVE = "relative"
+    DELTA = "delta"
+    UTC = "utc"
+    EPOCH = "epoch"
+
+
+class FieldFormat(StrEnum):
+    """The format of fields."""
 
     TABLE = "table"
     CSV = "csv"
@@ -26,7 +36,7 @@ class Layout(StrEnum):
 
 
 class Diagram(StrEnum):
-    """What draws a sequence diagram."""
+    """The format of a sequence diagram."""
 
     MERMAID = "mermaid"
     PLANTUML = "plantuml"
@@ -41,55 +51,77 @@ class Statistic(StrEnum):
     FINDINGS = "findings"
 
 
-Fields = Annotated[
-    str | None,
-    typer.Option(
-        metavar="A,B,C", help="Only these fields, a row a packet, as 'time,msg_id,pose.position.x'."
-    ),
-]
-Format = Annotated[
-    Layout, typer.Option("--format", metavar="FORMAT", help="How --fields is laid out: table, csv or tsv.")
-]
-Drawn = Annotated[
-    Diagram | None,
-    typer.Option(
-        "--sequence",
-        metavar="FORMAT",
-        help="The conversation as a sequence diagram, repeated packets folded: mermaid or plantuml.",
-    ),
-]
-Stat = Annotated[
-    list[Statistic] | None,
-    typer.Option(metavar="KIND", help="Only a table: routes, sbn, sizes or findings; repeatable."),
-]
+class ViewOptions(NamedTuple):
+    """How packets are shown."""
 
+    tree: Annotated[bool, typer.Option("-V", "--tree", help="All layers and fields of each packet.")] = False
+    hexdump: Annotated[bool, typer.Option("-x", "--hex", help="The bytes of each packet.")] = False
+    json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False
+    tui: Annotated[
+        bool, typer.Option("--tui", help="Packet list, layers and bytes in three panes; ? shows the keys.")
+    ] = False
+    time: Annotated[Time, typer.Option("--time", "-t", help="Format of the time.")] = Time.RELATIVE
+    findings: Annotated[bool, typer.Option("--findings", help="Only packets with a warning or an error.")] = (
+        False
+    )
+    fields: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B,C", help="Only these fields, one row per packet, e.g. 'time,msg_id,pose.position.x'."
+        ),
+    ] = None
+    layout: Annotated[
+        FieldFormat,
+        typer.Option("--format", metavar="FORMAT", help="Format of --fields: table, csv or tsv."),
+    ] = FieldFormat.TABLE
+    sequence: Annotated[
+        Diagram | None,
+        typer.Option(
+            "--sequence",
+            metavar="FORMAT",
+            help="A sequence diagram, with repeated packets on one line: mermaid or plantuml.",
+        ),
+    ] = None
+    stat: Annotated[
+        list[Statistic] | None,
+        typer.Option(metavar="KIND", help="Only a table: routes, sbn, sizes or findings; repeatable."),
+    ] = None
 
-def check_one(*views: tuple[str, object]) -> None:
-    """Refuse several views at once.
+    def check_one(self) -> None:
+        """Refuse several views at the same time.
 
-    Raises:
-        ConfigError: more than one is asked for.
-    """
-    asked = [name for name, wanted in views if wanted]
-    if len(asked) > 1:
-        raise ConfigError(f"{' and '.join(asked)} do not go together; choose one")
+        Raises:
+            ConfigError: more than one is given.
+        """
+        wanted = {
+            "--fields": self.fields,
+            "--sequence": self.sequence,
+            "--stat": self.stat,
+            "--json": self.json and not self.stat,
+            "-V": self.tree,
+            "-x": self.hexdump,
+            "--tui": self.tui,
+        }
+        asked = [name for name, value in wanted.items() if value]
+        if len(asked) > 1:
+            raise ConfigError(f"{' and '.join(asked)} exclude each other; choose one")
 
 
 def print_fields(
-    blocks: Iterable[ColumnRows], bench: Workbench, text: str, layout: Layout, *, flush: bool
+    blocks: Iterable[ColumnRows], bench: Workbench, text: str, layout: FieldFormat, *, flush: bool
 ) -> int:
-    """Print fields, a row a packet; return how many packets there were.
+    """Print fields, one row per packet; return the number of packets.
 
     Raises:
-        ConfigError: a name is no field.
+        ConfigError: a name is not a field.
     """
     import csv
 
-    from edoras_tools.decode.where import fields
-    from edoras_tools.pipelines.fields import cells, is_number
-    from edoras_tools.render.columns import ColumnLines
-    from edoras_tools.render.terminal import look
-    from edoras_tools.render.text import clean
+    from edoras_tools.decode.filters.filter import fields
+    from edoras_tools.pipelines.capture.fields import column_texts, is_number
+    from edoras_tools.render.capture.columns import ColumnLines
+    from edoras_tools.render.terminal.terminal import look
+    from edoras_tools.render.terminal.text import clean
 
     columns = fields(text, bench.columns.context)
     heads = [name for name, _ in columns]
@@ -103,10 +135,10 @@ def print_fields(
     )
     writer = csv.writer(out, lineterminator="\n")
     for rows in blocks:
-        block = cells(rows, columns, str if layout is Layout.CSV else clean)
-        if layout is Layout.TABLE:
+        block = column_texts(rows, columns, str if layout is FieldFormat.CSV else clean)
+        if layout is FieldFormat.TABLE:
             out.writelines(f"{line}\n" for line in table.lines(block))
-        elif layout is Layout.CSV:
+        elif layout is FieldFormat.CSV:
             writer.writerows([heads] * (not shown))
             writer.writerows(zip(*block, strict=True))
         else:
@@ -119,9 +151,9 @@ def print_fields(
 
 
 def print_sequence(blocks: Iterable[ColumnRows], bench: Workbench, diagram: Diagram) -> int:
-    """Print the conversation; return how many packets there were."""
-    from edoras_tools.pipelines.conversation import Conversation
-    from edoras_tools.render.sequence import DIAGRAMS
+    """Print the sequence diagram; return the number of packets."""
+    from edoras_tools.pipelines.capture.conversation import Conversation
+    from edoras_tools.render.capture.sequence import DIAGRAMS
 
     conversation, shown = Conversation(bench.columns.context), 0
     for rows in blocks:
@@ -135,19 +167,19 @@ def print_sequence(blocks: Iterable[ColumnRows], bench: Workbench, diagram: Diag
 def print_statistics(
     blocks: Iterable[ColumnRows], bench: Workbench, kinds: Sequence[Statistic], *, json: bool
 ) -> int:
-    """Print tables of counts; return how many packets there were."""
-    from edoras_tools.pipelines.statistics import Statistics
+    """Print tables of counts; return the number of packets."""
+    from edoras_tools.pipelines.capture.statistics import Statistics
 
     counted = Statistics(bench)
     for rows in blocks:
         counted.add(rows)
+    for note in counted.ledger.notes:
+        sys.stderr.write(f"edoras: {note}\n")
     if json:
-        from edoras_tools.cli.output import print_json
-
         print_json({kind.value: counted.table(kind.value) for kind in kinds})
         return counted.ledger.datagrams
-    from edoras_tools.render.console import output_console
-    from edoras_tools.render.statistics import statistics
+    from edoras_tools.render.capture.statistics import statistics
+    from edoras_tools.render.terminal.console import output_console
 
     console = output_console()
     for index, kind in enumerate(kinds):

@@ -2,13 +2,12 @@
 
 ``bounds`` says how long sequences and strings may be, ``plan`` what types look like in C (``sizes``: how long
 their longest CDR is), ``header``, ``codec``, ``tables`` and ``mission`` write one kind of file each,
-``generation`` puts the files of a library together with those of ``runtime/``, which are C as it is, and
-``folder`` puts them on disk; ``summary`` says what they are.
+``generation`` puts the files of a library together with those of ``runtime/``, which are C as it is;
+``summary`` says what they are.
 """
 
-from edoras_tools.codegen.bounds import Bounds, Rule
-from edoras_tools.codegen.folder import write
-from edoras_tools.codegen.generation import Generated, Order, generate
+from edoras_tools.codegen.bounds import BoundRule, Bounds
+from edoras_tools.codegen.generation import Generated, LibraryOrder, generate
 from edoras_tools.codegen.summary import summary
 
-__all__ = ["Bounds", "Generated", "Order", "Rule", "generate", "summary", "write"]
+__all__ = ["BoundRule", "Bounds", "Generated", "LibraryOrder", "generate", "summary"]

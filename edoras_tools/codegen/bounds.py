@@ -7,22 +7,22 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.schema import STRINGS, Shape, full_name
+from edoras_tools.ros.types.schema import STRINGS, Shape, full_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from edoras_tools.ros.schema import Definition, Field
+    from edoras_tools.ros.types.schema import Definition, MessageField
 
 STRINGS_DEFAULT: Final = 64
 SEQUENCES_DEFAULT: Final = 32
-MOST: Final = 1 << 24
+_LARGEST_BOUND: Final = 1 << 24
 """Largest bound of one field."""
 _RULE: Final = re.compile(r"(?P<type>[\w/]+)\.(?P<field>\w+)(?P<each>\[\])?=(?P<most>\w+)", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class BoundRule:
     """What the command line says of one field.
 
     Attributes:
@@ -40,7 +40,7 @@ class Rule:
     most: int
 
     @classmethod
-    def read(cls, text: str) -> Rule:
+    def read(cls, text: str) -> BoundRule:
         """Read ``TYPE.FIELD=MOST``, or ``TYPE.FIELD[]=MOST`` for the strings of a sequence.
 
         Raises:
@@ -48,9 +48,9 @@ class Rule:
         """
         match = _RULE.fullmatch(text.replace(" ", ""))
         most = _whole(match["most"]) if match else 0
-        if match is None or not 1 <= most <= MOST:
+        if match is None or not 1 <= most <= _LARGEST_BOUND:
             raise ConfigError(
-                f"--bound: {text!r} is no TYPE.FIELD=MOST with MOST from 1 to {MOST}; "
+                f"--bound: {text!r} is not TYPE.FIELD=MOST with MOST from 1 to {_LARGEST_BOUND}; "
                 "write sensor_msgs/msg/JointState.name=16, or .name[]=20 for the strings in it"
             )
         return cls(text, full_name(match["type"]), match["field"], match["each"] is not None, most)
@@ -68,7 +68,7 @@ class Bounds:
 
     strings: int = STRINGS_DEFAULT
     sequences: int = SEQUENCES_DEFAULT
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[BoundRule, ...] = ()
     _rules: Mapping[tuple[str, str, bool], int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -76,13 +76,13 @@ class Bounds:
             self, "_rules", {(rule.type, rule.field, rule.each): rule.most for rule in self.rules}
         )
 
-    def elements(self, owner: str, item: Field) -> int:
+    def elements(self, owner: str, item: MessageField) -> int:
         """Return the elements of an array, or the most of a sequence; 0 for a single value."""
         if item.shape is not Shape.SEQUENCE:
             return item.size
         return self._rules.get((owner, item.name, False)) or item.size or self.sequences
 
-    def characters(self, owner: str, item: Field) -> int:
+    def characters(self, owner: str, item: MessageField) -> int:
         """Return the most characters of a string, or of each in an array or sequence; 0 for other types."""
         if item.type not in STRINGS:
             return 0
@@ -106,7 +106,7 @@ class Bounds:
             raise ConfigError(*mistakes)
 
 
-def _refusal(rule: Rule, item: Field | None, *, known: bool) -> str:
+def _refusal(rule: BoundRule, item: MessageField | None, *, known: bool) -> str:
     """Return why a rule cannot be followed; empty where it can."""
     if item is None:
         return f"{rule.type} has no field {rule.field}" if known else f"{rule.type} is in none of the types"

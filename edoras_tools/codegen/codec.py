@@ -10,13 +10,13 @@ from edoras_tools.codegen.names import literal
 from edoras_tools.codegen.plan import utf16
 
 if TYPE_CHECKING:
-    from edoras_tools.codegen.plan import Library, Member, Message
+    from edoras_tools.codegen.plan import CLibrary, CMember, Message
 
 _ONE_BY_ONE: Final = frozenset({"bool", "string", "wstring", "message"})
 """Kinds of which many are not copied at once: any byte but 0 is true."""
 
 
-def codec(library: Library, package: str, command: str) -> str:
+def codec(library: CLibrary, package: str, command: str) -> str:
     """Return the text of a package's ``.c`` file."""
     messages = library.of(package)
     head = banner(command, f"The messages of {package}: default values, CDR to and fro.", messages)
@@ -51,7 +51,7 @@ def _init(message: Message) -> str:
     return function(heads(message.name)["init"], variables, body)
 
 
-def _default(member: Member) -> str:
+def _default(member: CMember) -> str:
     """Return what gives a field its default, once all is zero."""
     place, default = f"message->{member.name}", member.ros.default
     if member.message:
@@ -76,7 +76,7 @@ def _default(member: Member) -> str:
     return statement(f"{place} = {literal(member.ros.type, default)};")
 
 
-def _texts(member: Member) -> list[tuple[str, str]]:
+def _texts(member: CMember) -> list[tuple[str, str]]:
     """Return the default strings of a field, each with a name for it."""
     default = member.ros.default
     if not member.elements:
@@ -84,7 +84,7 @@ def _texts(member: Member) -> list[tuple[str, str]]:
     return [(f"{member.name}_{number}", item) for number, item in enumerate(default or [])]
 
 
-def _default_text(member: Member, place: str, name: str, value: str) -> str:
+def _default_text(member: CMember, place: str, name: str, value: str) -> str:
     if member.kind == "string":
         return statement(f"(void)EDORAS_SET_STRING({place}, {literal('string', value)});")
     copied = f"(void)memcpy({place}.data, {name}_default, sizeof({name}_default));"
@@ -97,7 +97,7 @@ def _read(message: Message) -> str:
     return function(head, ["uint32_t i"] * loops, "".join(map(_read_member, message.members)))
 
 
-def _read_member(member: Member) -> str:
+def _read_member(member: CMember) -> str:
     place = f"message->{member.name}"
     if not member.elements:
         return statement(_read_one(member, place))
@@ -111,7 +111,7 @@ def _read_member(member: Member) -> str:
     return text + loop(limit, _read_one(member, f"{data}[i]"))
 
 
-def _read_one(member: Member, place: str) -> str:
+def _read_one(member: CMember, place: str) -> str:
     if member.message:
         return f"{member.message.name}__read(reader, &{place});"
     if member.characters:
@@ -128,7 +128,7 @@ def _write(message: Message) -> str:
     return function(head, variables, "".join(map(_write_member, message.members)))
 
 
-def _write_member(member: Member) -> str:
+def _write_member(member: CMember) -> str:
     place = f"message->{member.name}"
     if not member.elements:
         return statement(_write_one(member, place))
@@ -142,7 +142,7 @@ def _write_member(member: Member) -> str:
     return text + loop(limit, _write_one(member, f"{data}[i]"))
 
 
-def _write_one(member: Member, place: str) -> str:
+def _write_one(member: CMember, place: str) -> str:
     if member.message:
         return f"{member.message.name}__write(writer, &{place});"
     if member.characters:
@@ -151,7 +151,7 @@ def _write_one(member: Member, place: str) -> str:
     return f"edoras_write_{member.kind}(writer, {place});"
 
 
-def _loops(member: Member) -> bool:
+def _loops(member: CMember) -> bool:
     return bool(member.elements) and member.kind in _ONE_BY_ONE
 
 
@@ -163,7 +163,7 @@ def _decode(message: Message) -> str:
 
         edoras_reader_open(&reader, cdr, length);
         {name}__read(&reader, message);
-        status = edoras_reader_close(&reader);
+        status = edoras_reader_close(&reader, {message.most_trailing}U);
         if (status != EDORAS_OK) {{
             {name}__init(message);
         }}

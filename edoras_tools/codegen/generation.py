@@ -1,4 +1,4 @@
-"""A whole library: which types, and the text of each of its files."""
+"""Generates a library: selects the types and makes the text of each file."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.codegen.bounds import SEQUENCES_DEFAULT, STRINGS_DEFAULT, Bounds
 from edoras_tools.codegen.codec import codec
-from edoras_tools.codegen.header import file_name, header, umbrella
+from edoras_tools.codegen.header import file_name, package_header, umbrella
 from edoras_tools.codegen.layout import banner, guarded
 from edoras_tools.codegen.mission import side_files
-from edoras_tools.codegen.plan import Library, plan
+from edoras_tools.codegen.plan import CLibrary, plan_messages
 from edoras_tools.codegen.tables import tables
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.mission import Mission
-from edoras_tools.ros.schema import full_name
+from edoras_tools.ros.store import USUAL_DISTRO
+from edoras_tools.ros.types.schema import full_name
 from edoras_tools.wire.envelope import EnvelopeFormat
 
 if TYPE_CHECKING:
@@ -28,15 +29,14 @@ RUNTIME: Final = Path(__file__).parent / "runtime"
 """C that is the same for every library: CDR, and the functions of edoras_core."""
 POOL_DEFAULT: Final = 4
 MOST_POOLED: Final = 1024
-DISTRO_DEFAULT: Final = "humble"
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """What a library is to be.
+class LibraryOrder:
+    """The options of a library.
 
     Attributes:
-        types: names, as ``geometry_msgs/msg/Twist`` or ``geometry_msgs/Twist``; or packages, for all theirs.
+        types: names, as ``geometry_msgs/msg/Twist`` or ``geometry_msgs/Twist``, or whole packages.
         bounds: of sequences and strings.
         mission: its types are added, and its tables for cFS.
         pool: messages of a type that may be in use at once, where edoras_core takes them from a heap.
@@ -59,11 +59,11 @@ class Generated:
         files: their texts by name.
     """
 
-    library: Library
+    library: CLibrary
     files: dict[str, str]
 
 
-def generate(types: TypeStore, order: Order) -> Generated:
+def generate(types: TypeStore, order: LibraryOrder) -> Generated:
     """Make a library.
 
     Raises:
@@ -75,12 +75,12 @@ def generate(types: TypeStore, order: Order) -> Generated:
         raise ConfigError("no message type is named: give types, packages, or a mission with -c")
     if not 1 <= order.pool <= MOST_POOLED:
         raise ConfigError(f"--pool: {order.pool} is not from 1 to {MOST_POOLED}")
-    library, command = plan(types, wanted, order.bounds), _command(types, order)
+    library, command = plan_messages(types, wanted, order.bounds), _command(types, order)
     files = {
         path.relative_to(RUNTIME).as_posix(): banner(command) + path.read_text(encoding="utf-8")
         for path in sorted(RUNTIME.rglob("*.[ch]"))
     }
-    files["edoras_config.h"] = _config(types, order, command)
+    files["edoras_config.h"] = _config(order, command)
     files["edoras_msgs.h"] = umbrella(library, command)
     files["edoras_types.c"] = tables(library, command)
     files |= side_files(order.mission, command)
@@ -90,13 +90,13 @@ def generate(types: TypeStore, order: Order) -> Generated:
             raise ConfigError(
                 f"package {package}: its files would be called as others of the library; rename it"
             )
-        files[f"{name}.h"] = header(library, package, command)
+        files[f"{name}.h"] = package_header(library, package, command)
         files[f"{name}.c"] = codec(library, package, command)
     return Generated(library, files)
 
 
-def _command(types: TypeStore, order: Order) -> str:
-    """Return the command line that makes the same files, but for folders."""
+def _command(types: TypeStore, order: LibraryOrder) -> str:
+    """Return the command line that makes the same files, without the folders."""
     words = ["edoras", "codegen", *order.types]
     words += [word for name in sorted(order.mission.files) for word in ("-c", name)]
     words += [word for rule in order.bounds.rules for word in ("--bound", rule.text)]
@@ -105,13 +105,13 @@ def _command(types: TypeStore, order: Order) -> str:
         ("--sequences", order.bounds.sequences, SEQUENCES_DEFAULT),
         ("--pool", order.pool, POOL_DEFAULT),
         ("--envelope", str(order.envelope), str(EnvelopeFormat())),
-        ("--distro", types.distro, DISTRO_DEFAULT),
+        ("--distro", types.distro, USUAL_DISTRO),
     ):
         words += [option, str(value)] if value != default else []
     return shlex.join(words)
 
 
-def _config(types: TypeStore, order: Order, command: str) -> str:
+def _config(order: LibraryOrder, command: str) -> str:
     body = f"""\
 /** Messages, and buffers, of each type that create_msg and its like hand out in turn. */
 #define EDORAS_POOL {order.pool}U
@@ -119,15 +119,12 @@ def _config(types: TypeStore, order: Order, command: str) -> str:
 /** Bytes of each of the two lengths of the EDORAS envelope, and whether their first byte is the highest. */
 #define EDORAS_ENVELOPE_WORD {order.envelope.width}
 #define EDORAS_ENVELOPE_BIG_ENDIAN {int(order.envelope.byte_order == "big")}
-
-/** Bytes that a unit of a wide string takes in the CDR of ROS 2 {types.distro}. */
-#define EDORAS_WSTRING_UNIT {types.wide}
 """
     return banner(command, "What the library was made for.") + guarded("edoras_config.h", body)
 
 
 def _chosen(types: TypeStore, names: Iterable[str]) -> list[str]:
-    """Return the types that names and packages mean.
+    """Return the types of some names and packages.
 
     Raises:
         RouteError: a package has none.

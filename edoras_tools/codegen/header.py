@@ -8,7 +8,7 @@ from edoras_tools.codegen.layout import banner, for_cpp, guarded, statement
 from edoras_tools.codegen.names import comment, constant_name, literal
 
 if TYPE_CHECKING:
-    from edoras_tools.codegen.plan import Library, Member, Message
+    from edoras_tools.codegen.plan import CLibrary, CMember, Message
 
 _ABOUT: Final = """\
 /**
@@ -33,7 +33,7 @@ def file_name(package: str) -> str:
     return f"edoras_{package}"
 
 
-def header(library: Library, package: str, command: str) -> str:
+def package_header(library: CLibrary, package: str, command: str) -> str:
     """Return the text of a package's header."""
     messages = library.of(package)
     name = f"{file_name(package)}.h"
@@ -43,14 +43,14 @@ def header(library: Library, package: str, command: str) -> str:
     return banner(command, f"The messages of {package}.", messages) + guarded(name, body)
 
 
-def umbrella(library: Library, command: str) -> str:
+def umbrella(library: CLibrary, command: str) -> str:
     """Return the text of the header that includes all others."""
     body = _ABOUT + "".join(f'#include "{file_name(package)}.h"\n' for package in library.packages)
     return banner(command, "Every message.") + guarded("edoras_msgs.h", body)
 
 
 def heads(name: str) -> dict[str, str]:
-    """Return what each function of a message returns, is called and takes."""
+    """Return the declaration of each function of a message."""
     return {
         "init": f"void {name}__init({name} *message)",
         "encode": f"edoras_status_t {name}__encode(const {name} *message, uint8_t *buffer, size_t size, "
@@ -62,7 +62,7 @@ def heads(name: str) -> dict[str, str]:
 
 
 def _message(message: Message) -> str:
-    """Return all that a header says of one message."""
+    """Return the part of a header for one message."""
     name = message.name
     members = "".join(f"    {_member(member)}\n" for member in message.members)
     constants = "".join(
@@ -83,14 +83,14 @@ typedef struct {{
 {declared}"""
 
 
-def c_type(member: Member) -> str:
+def c_type(member: CMember) -> str:
     """Return the C type of a number or a nested message."""
     if member.message:
         return member.message.name
     return _C_TYPES.get(member.kind) or f"{member.kind}_t"
 
 
-def _member(member: Member) -> str:
+def _member(member: CMember) -> str:
     one = f"{c_type(member)} {{}};"
     if member.characters:
         unit = "char" if member.kind == "string" else "uint16_t"

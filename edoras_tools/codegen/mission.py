@@ -1,4 +1,4 @@
-"""What cFS wants to know of a mission: message ids, packets that fit, what Telemetry Output sends."""
+"""Generates what cFS needs of a mission: MsgIds, packet structs and the table of Telemetry Output."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.codegen.layout import banner, guarded
-from edoras_tools.codegen.names import comment, type_name
-from edoras_tools.model import Link
+from edoras_tools.codegen.names import c_type_name, comment
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,8 +15,8 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
 
 MSGIDS: Final = "edoras_app_msgids.h"
-PACKETS: Final = "edoras_app_msg.h"
-SUBSCRIPTIONS: Final = "edoras_to_lab_subs.inc"
+_PACKETS_FILE: Final = "edoras_app_msg.h"
+_SUBSCRIPTIONS_FILE: Final = "edoras_to_lab_subs.inc"
 _LIMIT: Final = 4
 """Messages of one MsgId that may wait in TO_LAB's pipe, as in its own table."""
 
@@ -29,13 +28,13 @@ def side_files(mission: Mission, command: str) -> dict[str, str]:
     routes = _named(mission.routes)
     return {
         MSGIDS: _msgids(routes, command),
-        PACKETS: _packets(routes, command),
-        SUBSCRIPTIONS: _subscriptions(routes, command),
+        _PACKETS_FILE: _packets(routes, command),
+        _SUBSCRIPTIONS_FILE: _subscriptions(routes, command),
     }
 
 
 def _named(routes: Sequence[Route]) -> dict[str, Route]:
-    """Return each route under its own name: key, side, and the MsgId where two would be called the same."""
+    """Return each route under a unique name: key, side, and the MsgId where two names would be equal."""
     plain = [_plain(route) for route in routes]
     often = Counter(plain)
     return {
@@ -45,7 +44,7 @@ def _named(routes: Sequence[Route]) -> dict[str, Route]:
 
 
 def _plain(route: Route) -> str:
-    side = "FLIGHT" if route.link is Link.SBN else "GROUND"
+    side = route.link.bridge.upper()
     return f"EDORAS_APP_{re.sub(r'[^A-Za-z0-9]+', '_', route.key).strip('_').upper()}_{side}"
 
 
@@ -67,8 +66,7 @@ def _msgids(routes: dict[str, Route], command: str) -> str:
 
 
 def _about(route: Route) -> str:
-    link = {Link.CI: "CI", Link.TO: "TO", Link.SBN: "SBN"}[route.link]
-    way = f"from {link}" if route.to_cfs else f"to {link}"
+    way = f"from {route.link.name}" if route.to_cfs else f"to {route.link.name}"
     return comment(f"{way}: {route.topic}, {route.type}")
 
 
@@ -82,14 +80,14 @@ def _packets(routes: dict[str, Route], command: str) -> str:
 typedef struct
 {{
     CFE_MSG_{kind}Header_t {head};
-    uint8_t data[(2U * EDORAS_ENVELOPE_WORD) + {type_name(route.type)}__MAX_CDR];
+    uint8_t data[(2U * EDORAS_ENVELOPE_WORD) + {c_type_name(route.type)}__MAX_CDR];
 }} {_camel(name)}_t;
 """
     about = (
         "The packets that the app sends, with space for the longest message. A packet that is sent whole\n"
         "takes that space on the link; CFE_MSG_SetSize before CFE_SB_TransmitMsg makes it as long as it is."
     )
-    return banner(command, about) + guarded(PACKETS, body)
+    return banner(command, about) + guarded(_PACKETS_FILE, body)
 
 
 def _camel(name: str) -> str:
@@ -97,7 +95,7 @@ def _camel(name: str) -> str:
 
 
 def _subscriptions(routes: dict[str, Route], command: str) -> str:
-    sent = [name for name, route in routes.items() if route.link is Link.TO and not route.to_cfs]
+    sent = [name for name, route in routes.items() if route.link.only_from_cfs and not route.to_cfs]
     rows = "".join(f"{{CFE_SB_MSGID_WRAP_VALUE({name}_MID), {{0, 0}}, {_LIMIT}}},\n" for name in sent)
     about = (
         f'Entries of TO_LAB\'s table: #include "{MSGIDS}" on top of to_lab_sub.c, and this file\n'

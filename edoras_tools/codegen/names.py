@@ -1,4 +1,4 @@
-"""ROS names and values as C spells them."""
+"""ROS names and values in C."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _KEYWORDS: Final = frozenset(
     try typeid typename using virtual wchar_t xor linux unix
     """.split()  # noqa: SIM905  read as a text
 )
-"""Words of C and C++, and what compilers define beside them."""
+"""Keywords of C and C++, and macros that compilers define."""
 _TAKEN: Final = frozenset({"init", "read", "write", "encode", "decode", "MAX_CDR"})
-"""What stands behind a type's name in C."""
+"""The suffix of a type's name in C."""
 
 
-def type_name(ros: str) -> str:
+def c_type_name(ros: str) -> str:
     """Return a message type's C name, as rosidl makes it: ``geometry_msgs__msg__Twist``."""
     return ros.replace("/", "__")
 
 
 def member_name(ros: str, others: Collection[str] = ()) -> str:
-    """Return a field's C name: its own, but words of the language have as many ``_`` behind as it takes.
+    """Return a field's C name: its own; keywords get as many ``_`` behind as needed.
 
     Args:
         ros: its own name.
@@ -45,13 +45,13 @@ def member_name(ros: str, others: Collection[str] = ()) -> str:
 
 def constant_name(owner: str, ros: str) -> str:
     """Return a constant's C name, as rosidl makes it."""
-    return f"{type_name(owner)}__{ros}{'_' if ros in _TAKEN else ''}"
+    return f"{c_type_name(owner)}__{ros}{'_' if ros in _TAKEN else ''}"
 
 
 def literal(ros_type: str, value: Any) -> str:
     """Return a primitive or a string as a C constant of exactly its type."""
     if ros_type == "string":
-        return text(value)
+        return string_literal(value)
     if ros_type == "bool":
         return "true" if value else "false"
     if ros_type.startswith("float"):
@@ -59,8 +59,8 @@ def literal(ros_type: str, value: Any) -> str:
     return _integer(ros_type, value)
 
 
-def text(value: str) -> str:
-    """Return a string literal; what is not plain ASCII in octal, which cannot run into what follows."""
+def string_literal(value: str) -> str:
+    """Return a string literal; other characters than printable ASCII are octal escapes of three digits."""
     return (
         '"'
         + "".join(
@@ -72,7 +72,7 @@ def text(value: str) -> str:
 
 
 def comment(value: str) -> str:
-    """Return a text that may stand inside a comment."""
+    """Return a text that is safe inside a comment."""
     return value.replace("*/", "* /").replace("/*", "/ *")
 
 

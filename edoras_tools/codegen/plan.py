@@ -1,4 +1,4 @@
-"""Message types as C sees them: in the order that C wants, each with the space that its fields take."""
+"""Message types for C: in the order that C requires, each with the maximum size of its fields."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.codegen import sizes
-from edoras_tools.codegen.names import member_name, type_name
+from edoras_tools.codegen.names import c_type_name, member_name
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.schema import PLACEHOLDER, PRIMITIVES, STRINGS, Field, Shape
+from edoras_tools.ros.cdr.plan import WIDE_UNIT
+from edoras_tools.ros.cdr.reader import ENCAPSULATION_BYTES
+from edoras_tools.ros.types.schema import PLACEHOLDER, PRIMITIVES, STRINGS, MessageField, Shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,16 +24,14 @@ if TYPE_CHECKING:
 
     from edoras_tools.codegen.bounds import Bounds
     from edoras_tools.ros import TypeStore
-    from edoras_tools.ros.schema import Constant, Definition
+    from edoras_tools.ros.types.schema import Constant, Definition
 
-ENCAPSULATION: Final = 4
-"""Bytes before every body."""
-LARGEST: Final = 1 << 26
-"""Most bytes of one message: nobody means a static array larger than this."""
+_LARGEST_MESSAGE: Final = 1 << 26
+"""Most bytes of one message; a larger static array is a mistake."""
 
 
 @dataclass(frozen=True, slots=True)
-class Member:
+class CMember:
     """One field of a message.
 
     Attributes:
@@ -42,7 +42,7 @@ class Member:
         message: the type of a nested message.
     """
 
-    ros: Field
+    ros: MessageField
     name: str
     elements: int
     characters: int
@@ -68,12 +68,12 @@ class Message:
     Attributes:
         definition: what it was made from.
         members: in wire order; an empty message has the placeholder that ROS 2 sends.
-        wide: bytes of a ``wstring`` unit.
+        most_trailing: bytes that writers of ROS 2 may leave behind the last field.
     """
 
     definition: Definition
-    members: tuple[Member, ...]
-    wide: int
+    members: tuple[CMember, ...]
+    most_trailing: int
 
     @property
     def ros_name(self) -> str:
@@ -83,7 +83,7 @@ class Message:
     @property
     def name(self) -> str:
         """The C type, and what its functions start with."""
-        return type_name(self.ros_name)
+        return c_type_name(self.ros_name)
 
     @property
     def package(self) -> str:
@@ -110,13 +110,13 @@ class Message:
         """Its longest CDR, see ``sizes``."""
         matrix = sizes.nothing()
         for member in self.members:
-            matrix = sizes.then(matrix, _matrix(member, self.wide))
+            matrix = sizes.then(matrix, _matrix(member))
         return matrix
 
     @cached_property
     def most_bytes(self) -> int:
         """Bytes of its longest CDR, encapsulation included."""
-        return ENCAPSULATION + sizes.longest(self.matrix)
+        return ENCAPSULATION_BYTES + sizes.longest(self.matrix)
 
     @cached_property
     def has_defaults(self) -> bool:
@@ -128,12 +128,12 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True)
-class Library:
+class CLibrary:
     """All messages that are generated together.
 
     Attributes:
         messages: those that others use before them.
-        wanted: those that were asked for, by type, sorted; the others are there because these nest them.
+        wanted: those that were asked for, by type, sorted; the others are nested in them.
     """
 
     messages: tuple[Message, ...]
@@ -156,7 +156,7 @@ class Library:
         return tuple(sorted(used - {package}))
 
 
-def plan(types: TypeStore, wanted: Iterable[str], bounds: Bounds) -> Library:
+def plan_messages(types: TypeStore, wanted: Iterable[str], bounds: Bounds) -> CLibrary:
     """Plan the messages for some types, and for all that they nest.
 
     Args:
@@ -171,21 +171,20 @@ def plan(types: TypeStore, wanted: Iterable[str], bounds: Bounds) -> Library:
     names = sorted(set(wanted))
     definitions = {item.name: item for name in names for item in types.definitions(name)}
     bounds.check(definitions.values())
-    wide = types.wide
     messages: dict[str, Message] = {}
     for name in _ordered(definitions):
         members = _members(definitions[name], bounds, messages)
-        message = messages[name] = Message(definitions[name], members, wide)
-        if message.most_bytes > LARGEST:
+        message = messages[name] = Message(definitions[name], members, types.most_trailing(name))
+        if message.most_bytes > _LARGEST_MESSAGE:
             raise ConfigError(
-                f"{name}: {message.most_bytes:,} bytes at these bounds, {LARGEST:,} are the most; "
+                f"{name}: {message.most_bytes:,} bytes at these bounds, {_LARGEST_MESSAGE:,} are the most; "
                 "lower --sequences, --strings or a --bound"
             )
-    return Library(tuple(messages.values()), tuple(messages[name] for name in names))
+    return CLibrary(tuple(messages.values()), tuple(messages[name] for name in names))
 
 
 def _ordered(definitions: dict[str, Definition]) -> list[str]:
-    """Return the types, package by package, so that each stands behind all that it nests."""
+    """Return the types, package by package, each after all that it nests."""
     graph = {
         name: sorted({field.type for field in item.fields if "/" in field.type})
         for name, item in sorted(definitions.items())
@@ -204,10 +203,10 @@ def _ordered(definitions: dict[str, Definition]) -> list[str]:
     return sorted(TopologicalSorter(graph).static_order(), key=lambda name: ranks[packages[name]])
 
 
-def _members(definition: Definition, bounds: Bounds, messages: dict[str, Message]) -> tuple[Member, ...]:
+def _members(definition: Definition, bounds: Bounds, messages: dict[str, Message]) -> tuple[CMember, ...]:
     owner, names = definition.name, {item.name for item in definition.fields}
     members = tuple(
-        Member(
+        CMember(
             item,
             member_name(item.name, names),
             bounds.elements(owner, item),
@@ -218,12 +217,12 @@ def _members(definition: Definition, bounds: Bounds, messages: dict[str, Message
     )
     for member in members:
         _check_default(owner, member)
-    placeholder = Field(PLACEHOLDER, "uint8")
-    return members or (Member(placeholder, PLACEHOLDER, 0, 0, None),)
+    placeholder = MessageField(PLACEHOLDER, "uint8")
+    return members or (CMember(placeholder, PLACEHOLDER, 0, 0, None),)
 
 
-def _check_default(owner: str, member: Member) -> None:
-    """See that a default value fits the bounds."""
+def _check_default(owner: str, member: CMember) -> None:
+    """Check that a default value fits the bounds."""
     default = member.ros.default
     if default is None:
         return
@@ -239,7 +238,7 @@ def _check_default(owner: str, member: Member) -> None:
             )
 
 
-def _characters(member: Member, value: str) -> bytes | tuple[int, ...]:
+def _characters(member: CMember, value: str) -> bytes | tuple[int, ...]:
     """Return the characters of a string as they count towards its bound."""
     return value.encode() if member.ros.type == "string" else utf16(value)
 
@@ -250,13 +249,13 @@ def utf16(value: str) -> tuple[int, ...]:
     return struct.unpack(f"<{len(data) // 2}H", data)
 
 
-def _matrix(member: Member, wide: int) -> NDArray[np.int64]:
+def _matrix(member: CMember) -> NDArray[np.int64]:
     """Return the longest CDR of a field."""
     if member.message:
         one = member.message.matrix
     elif member.ros.type in STRINGS:
         narrow = member.ros.type == "string"
-        unit = sizes.aligned(1 if narrow else wide)
+        unit = sizes.aligned(1 if narrow else WIDE_UNIT)
         most = member.characters + narrow
         one = sizes.then(sizes.aligned(4), sizes.up_to(unit, most))
     else:

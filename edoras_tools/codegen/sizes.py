@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _PLACES: Final = 8
 _NEVER: Final = -(1 << 60)
 _MOST: Final = 1 << 50
-"""More is as much: sums stay far from the end of 64 bits."""
+"""Larger sizes are cut to this, so that sums do not overflow 64 bits."""
 
 
 def nothing() -> NDArray[np.int64]:
@@ -42,7 +42,7 @@ def then(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int6
 
 
 def times(matrix: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Return the matrix of a value so many times."""
+    """Return the matrix of a value repeated ``count`` times."""
     result = nothing()
     while count:
         if count & 1:
@@ -53,7 +53,7 @@ def times(matrix: NDArray[np.int64], count: int) -> NDArray[np.int64]:
 
 
 def up_to(matrix: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """Return the matrix of a value from no times to so many."""
+    """Return the matrix of a value repeated 0 to ``most`` times."""
     return times(np.maximum(matrix, nothing()), most)
 
 

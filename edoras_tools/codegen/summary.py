@@ -18,7 +18,7 @@ def summary(made: Generated, folder: Path, removed: Sequence[str]) -> list[str]:
     Args:
         made: the library.
         folder: where its files are.
-        removed: files of an earlier library that are there no more.
+        removed: files of an earlier library that were deleted.
     """
     rows = [
         (message.ros_name, f"{message.most_bytes:,}", ", ".join(_bounded(message, "")) or "always")
@@ -38,7 +38,7 @@ def summary(made: Generated, folder: Path, removed: Sequence[str]) -> list[str]:
 
 
 def _bounded(message: Message, prefix: str) -> Iterator[str]:
-    """Yield what makes a message longer or shorter: paths and their bounds."""
+    """Yield the fields of variable length: paths and their bounds."""
     for member in message.members:
         path = prefix + member.ros.name
         parts = [str(member.elements)] * member.is_sequence + [str(member.characters)] * bool(

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.codegen.layout import WIDTH, banner
+from edoras_tools.codegen.layout import LINE_WIDTH, banner
 
 if TYPE_CHECKING:
-    from edoras_tools.codegen.plan import Library, Member, Message
+    from edoras_tools.codegen.plan import CLibrary, CMember, Message
 
 _INCLUDES: Final = '#include "edoras_msgs.h"\n#include "edoras_tables.h"\n'
 
 
-def tables(library: Library, command: str) -> str:
+def tables(library: CLibrary, command: str) -> str:
     """Return the text of the file that holds the tables."""
     about = "Every field by its name, for the functions of edoras_core, and the pools behind create_msg."
     wanted = {message.ros_name for message in library.wanted}
@@ -54,11 +54,11 @@ static const TypeInfo_t {name}__type = {{
 """
 
 
-def _row(owner: str, member: Member) -> str:
+def _row(owner: str, member: CMember) -> str:
     shape = "EDORAS_SEQUENCE" if member.is_sequence else "EDORAS_ARRAY" if member.elements else "EDORAS_ONE"
     nested = f"&{member.message.name}__type" if member.message else "NULL"
     length = member.characters + 1 if member.characters else 0
     head = f'    {{"{member.ros.name}", EDORAS_KIND_{member.kind.upper()}, '
     head += f"{'true' if member.is_sequence else 'false'}, {length}U, {nested},"
     where = f"{shape}({owner}, {member.name})}},\n"
-    return f"{head} {where}" if len(head) + len(where) < WIDTH else f"{head}\n     {where}"
+    return f"{head} {where}" if len(head) + len(where) < LINE_WIDTH else f"{head}\n     {where}"

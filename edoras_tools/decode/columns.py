@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_columns
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, Finding, Link, PacketBatch
-from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.envelope import DEFAULT, FORMATS, EnvelopeFormat
-from edoras_tools.wire.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, CI_BUFFER, SOFTWARE_BUS_MAXIMUM
+from edoras_tools.decode.variants import Variants
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Columns, Finding, PacketBatch
+from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.cdr import ROUNDED
+from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
 from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import any_nonzero, gather, xor_bytes
 
@@ -26,12 +28,13 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
 
-_SBN_WINDOW: Final = 64
-"""Bytes that hold an SBN header, and a subscription's $Id and count."""
 _PACKET_WINDOW: Final = 24
 """Bytes that hold every header of a space packet."""
-_IDENT: Final = np.frombuffer(sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0"), np.uint64)
-_KNOWN_TYPES: Final = np.isin(np.arange(256), list(sbn.MsgType))
+_BYTES: Final = np.array(
+    [[getattr(item, name) for item in cfe.HEADERS] for name in ("command_bytes", "telemetry_bytes", "start")],
+    np.uint8,
+)
+"""Header bytes of a command and of telemetry, and where that header starts, by ``Columns.headers``."""
 _BLANK: Final = {
     "sbn_msg_type": -1,
     "packet_offset": -1,
@@ -50,6 +53,7 @@ _PACKET_COLUMNS: Final = (
     "function_code",
     "mission_time_ns",
     "header_length",
+    "headers",
     "route",
 )
 _TYPES: Final = {
@@ -65,6 +69,7 @@ _TYPES: Final = {
     "function_code": "i2",
     "mission_time_ns": "i8",
     "header_length": "u1",
+    "headers": "u1",
     "cdr_offset": "i8",
     "cdr_length": "i4",
     "route": "i2",
@@ -76,15 +81,18 @@ class ColumnDecoder:
     """Decodes batches, in the order they were captured.
 
     Args:
-        context: shared with the :class:`~edoras_tools.decode.stack.Dissector` that looks at single packets.
+        context: shared with the :class:`~edoras_tools.decode.stack.Dissector` that reads single packets.
     """
 
     def __init__(self, context: Context) -> None:
         self.context = context
+        self._variants = Variants(context)
 
     def decode(self, batch: PacketBatch) -> Columns:
         """Read a batch; nothing in it can make this raise."""
         link = link_columns(batch, self.context)
+        if not self._variants.settled:
+            self._variants.look(batch, link)
         rows = np.flatnonzero(link)
         if len(rows) == len(batch):
             return _Pass(self.context, batch, link).columns()
@@ -92,7 +100,7 @@ class ColumnDecoder:
         whole = _blank(len(batch))
         for item in fields(Columns):
             whole[item.name][rows] = getattr(part, item.name)
-        outside = link == Link.OTHER
+        outside = link == OTHER
         whole["findings"][outside] = batch.capture_findings[outside]
         return Columns(**whole)
 
@@ -106,7 +114,7 @@ def _blank(count: int, leave_out: Collection[str] = ()) -> dict[str, NDArray[Any
 
 
 class _Pass:
-    """One batch on its way through the layers; every array has the batch's length."""
+    """Reads the layers of one batch; every array has the batch's length."""
 
     def __init__(self, context: Context, batch: PacketBatch, link: NDArray[np.uint8]) -> None:
         self.context = context
@@ -118,9 +126,10 @@ class _Pass:
     def columns(self) -> Columns:
         """Go through the layers, outermost first."""
         link, length = self.out["link"], self.batch.length
-        self.mark(Finding.OVER_CI_BUFFER, (link == Link.CI) & (length > CI_BUFFER))
-        self.mark(Finding.OVER_BRIDGE_BUFFER, (link == Link.TO) & (length > BRIDGE_BUFFER))
-        self.space_packet(self.software_bus_network())
+        for item in self.context.links:
+            if item.receive_buffer:
+                self.mark(item.over_receive_buffer, (link == item) & (length > item.receive_buffer))
+        self.space_packet(self.locate())
         cut = (self.batch.capture_findings & Finding.CAPTURE_CUT) != 0
         self.out["findings"][cut] &= np.uint32(~UNKNOWABLE & 0xFFFFFFFF)
         return Columns(**self.out)
@@ -131,127 +140,28 @@ class _Pass:
             self.out["findings"][rows[chosen]] |= np.uint32(finding)
 
     def mark(self, finding: Finding, chosen: NDArray[np.bool_]) -> None:
-        """Set a finding's bit where a mask over the whole batch says so."""
+        """Set a finding's bit in the rows of a mask over the whole batch."""
         if chosen.any():
             self.out["findings"] |= chosen * np.uint32(finding)
 
-    def software_bus_network(self) -> NDArray[np.int32]:
-        """Read SBN headers; return where in each datagram a space packet starts, -1 where none does."""
+    def locate(self) -> NDArray[np.int32]:
+        """Read the links' own headers; return where each space packet starts, -1 where none does."""
         start = np.zeros(len(self.batch), np.int32)
-        rows = np.flatnonzero(self.out["link"] == Link.SBN)
-        if not len(rows):
-            return start
-        start[rows] = -1
-        length, head = self.batch.length[rows], gather(self.batch.data, self.batch.offset[rows], _SBN_WINDOW)
-        legacy = self._legacy(head, length)
-        header = np.where(legacy, sbn.LEGACY_HEADER.size, sbn.HEADER.size).astype(np.int32)
-        whole = length >= header
-        self.flag(Finding.TRUNCATED, rows, ~whole)
-        self.flag(Finding.SBN_LEGACY_HEADER, rows, legacy)
-        dropped = (length >= sbn.HEADER.size) & (length % BRIDGE_LENGTH_MODULUS < sbn.HEADER.size)
-        dropped &= self.context.bridge_ports[self.batch.destination_port[rows]]
-        self.flag(Finding.BRIDGE_DROPS_LENGTH, rows, dropped)
-
-        if not whole.all():
-            rows, head, length = rows[whole], head[whole], length[whole]
-            header, legacy = header[whole], legacy[whole]
-        kind = sbn.HEADER.column("msg_type", head)
-        payload = length - header
-        mismatch = sbn.HEADER.column("msg_size", head) != payload
-        self.out["sbn_msg_type"][rows] = kind
-        self.out["processor_id"][rows] = sbn.HEADER.column("processor_id", head)
-        self.out["spacecraft_id"][rows] = np.where(legacy, 0, sbn.HEADER.column("spacecraft_id", head))
-        self.flag(Finding.SBN_SIZE_MISMATCH, rows, mismatch)
-        self.flag(Finding.SBN_UNKNOWN_TYPE, rows, ~_KNOWN_TYPES[kind])
-        self.flag(Finding.SBN_NO_MESSAGE, rows, kind == sbn.MsgType.NO_MSG)
-        self._identities(rows, trusted=_KNOWN_TYPES[kind] & ~mismatch)
-
-        proto = kind == sbn.MsgType.PROTO
-        version = np.where(legacy, head[:, sbn.LEGACY_HEADER.size], head[:, sbn.HEADER.size])
-        told = payload >= sbn.PROTO.size
-        self.flag(Finding.TRUNCATED, rows, proto & ~told)
-        self.flag(Finding.SBN_VERSION_MISMATCH, rows, proto & told & (version != sbn.PROTOCOL_VERSION))
-        listed = np.flatnonzero((kind == sbn.MsgType.SUB) | (kind == sbn.MsgType.UNSUB))
-        self._subscriptions(rows[listed], head[listed], payload[listed], legacy[listed])
-        app = kind == sbn.MsgType.APP
-        start[rows[app]] = header[app]
-        return start
-
-    @staticmethod
-    def _legacy(head: NDArray[np.uint8], length: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Tell the older 7-byte header: its size fits, and so does what then follows it."""
-        at = sbn.LEGACY_HEADER.size
-        fits: NDArray[np.bool_] = (length >= at) & (sbn.HEADER.column("msg_size", head) == length - at)
-        rows = np.flatnonzero(fits)
-        if not len(rows):
-            return fits
-        head, length = head[rows], length[rows]
-        kind = sbn.HEADER.column("msg_type", head)
-        packet = ccsds.PRIMARY.column("packet_data_length", head, at).astype(np.int32) + ccsds.LENGTH_BIAS
-        app = kind == sbn.MsgType.APP
-        proto = kind == sbn.MsgType.PROTO
-        listed = (kind == sbn.MsgType.SUB) | (kind == sbn.MsgType.UNSUB)
-        follows = np.select(
-            [app, proto, listed],
-            [packet == length - at, length == at + sbn.PROTO.size, head[:, at] == ord("$")],
-            length == at,
-        )
-        fits[rows] = _KNOWN_TYPES[kind] & follows
-        return fits
-
-    def _identities(self, rows: NDArray[np.intp], trusted: NDArray[np.bool_]) -> None:
-        """Compare every sender's identity with the one its endpoint is known by."""
-        batch, peers = self.batch, self.context.peers
-        identity = self.out["spacecraft_id"][rows].astype(np.uint64) << 32 | self.out["processor_id"][rows]
-        endpoint = (
-            batch.source_address[rows].astype(np.uint64) << 24
-            | batch.source_port[rows].astype(np.uint64) << 8
-        )
-        endpoint |= batch.ip_version[rows]
-        foreign = np.zeros(len(rows), bool)
-        for _, members in by_value(endpoint):
-            first = int(rows[members[0]])
-            key = (batch.address(int(batch.source_address[first]), first), int(batch.source_port[first]))
-            known = peers.known(key, int(batch.number[first]))
-            if known is None:
-                # Nothing is foreign before someone has introduced himself.
-                after = members[np.logical_or.accumulate(trusted[members])]
-                if not len(after):
-                    continue
-                introduction = int(batch.number[rows[after[0]]])
-                known = peers.introduce(key, divmod(int(identity[after[0]]), 1 << 32), introduction)
-            else:
-                after = members
-            foreign[after] = identity[after] != np.uint64(known[0] << 32 | known[1])
-        for spacecraft, processor in self.context.identities:
-            foreign &= identity != np.uint64(spacecraft << 32 | processor)
-        self.flag(Finding.SBN_ID_MISMATCH, rows, foreign)
-
-    def _subscriptions(
-        self,
-        rows: NDArray[np.intp],
-        head: NDArray[np.uint8],
-        payload: NDArray[np.int32],
-        legacy: NDArray[np.bool_],
-    ) -> None:
-        """Judge SUB and UNSUB: the $Id, and whether all entries are there."""
-        whole = payload >= sbn.SUBSCRIPTIONS.size
-        self.flag(Finding.TRUNCATED, rows, ~whole)
-        for old, at in ((False, sbn.HEADER.size), (True, sbn.LEGACY_HEADER.size)):
-            pick = whole & (legacy == old)
-            if not pick.any():
+        for link in self.context.with_headers:
+            rows = np.flatnonzero(self.out["link"] == link)
+            if not len(rows):
                 continue
-            ident = np.ascontiguousarray(head[pick, at : at + sbn.IDENT_BYTES]).view(np.uint64)
-            foreign = (ident != _IDENT).any(axis=1)
-            self.flag(Finding.SBN_ID_MISMATCH, rows[pick], foreign)
-            count = sbn.SUBSCRIPTIONS.column("count", head[pick], at).astype(np.int32)
-            short = payload[pick] < sbn.SUBSCRIPTIONS.size + count * sbn.SUBSCRIPTION.size
-            self.flag(Finding.TRUNCATED, rows[pick], short)
+            found = link.locate(self.batch, rows, self.context)
+            start[rows] = found.start
+            self.out["findings"][rows] |= found.findings
+            for name, values in found.columns.items():
+                self.out[name][rows] = values
+        return start
 
     def space_packet(self, start: NDArray[np.int32]) -> None:
         """Read the primary header, and all that lies behind it.
 
-        Every row is read, whole columns at a time; those that hold no packet are blanked afterwards.
+        Whole columns are read, for every row; rows without a packet are cleared afterwards.
         """
         length = self.batch.length - start
         packet = (start >= 0) & (length >= ccsds.PRIMARY.size)
@@ -264,10 +174,10 @@ class _Pass:
         word = head[:, :2].view(">u2")[:, 0].astype(np.int32)
         sequence = head[:, 2:4].view(">u2")[:, 0].astype(np.uint16)
         command = (word & cfe.COMMAND_BIT) != 0
-        msg_id = self._msg_id(word, head, length)
+        msg_id = word
         link = self.out["link"]
         valid = (msg_id > 0) & (msg_id <= cfe.HIGHEST_MSG_ID)
-        against = ((link == Link.CI) & ~command) | ((link == Link.TO) & command)
+        against = self.context.against[command.view(np.uint8), link]
         self.mark(Finding.LENGTH_MISMATCH, packet & (total != length))
         self.mark(Finding.SEQUENCE_UNSET, packet & (sequence == 0))
         self.mark(Finding.OVER_SOFTWARE_BUS, packet & (total > SOFTWARE_BUS_MAXIMUM))
@@ -280,22 +190,15 @@ class _Pass:
             "msg_id": msg_id,
             "sequence_flags": (sequence >> 14).astype(np.uint8),
             "sequence_count": sequence & np.uint16(0x3FFF),
-            "route": self.context.route_of[link, msg_id],
+            "route": self.context.route_of[self.context.route_row[link], msg_id],
         }
-        self._secondary(packet, head, total, command)
+        build = self.context.builds.of_batch(self.batch, offset, length)
+        self.out["headers"] = np.full(len(packet), build, np.uint8)
+        self._secondary(packet, head, total, command, build)
         for name in _PACKET_COLUMNS:
             self.out[name][absent] = _BLANK.get(name, 0)
         self._envelopes(packet)
         self._structs()
-
-    def _msg_id(
-        self, word: NDArray[np.int32], head: NDArray[np.uint8], length: NDArray[np.int32]
-    ) -> NDArray[np.int32]:
-        if not self.context.options.extended_header:
-            return word
-        subsystem = cfe.EXTENDED.column("subsystem_id", head, ccsds.PRIMARY.size).astype(np.int32)
-        extended = (word & 0x7F) | (word >> 12 & 1) << 7 | (subsystem & 0xFF) << 8
-        return np.where(length >= ccsds.PRIMARY.size + cfe.EXTENDED.size, extended, word)
 
     def _secondary(
         self,
@@ -303,21 +206,27 @@ class _Pass:
         head: NDArray[np.uint8],
         total: NDArray[np.int32],
         command: NDArray[np.bool_],
+        build: Any,
     ) -> None:
-        """Read the cFE command and telemetry headers."""
+        """Read the cFE command and telemetry headers, those of one build, or of each packet's own."""
         length = self.out["packet_length"]
-        extra = cfe.EXTENDED.size if self.context.options.extended_header else 0
-        as_command = cfe.COMMAND_HEADER_BYTES + extra
-        as_telemetry = self.context.options.telemetry_header + extra
-        bare = ~command & (length == as_command) & (total == length)
+        as_command, as_telemetry, start = (column[build] for column in _BYTES)
+        at = int(start) if not np.ndim(build) else 0
+        if np.ndim(
+            build
+        ):  # what is behind the extended header, and behind the primary header where there is none
+            plain, extended = cfe.STANDARD.start, cfe.WITH_EXTENDED.start
+            head = np.where(
+                (start == extended)[:, None], head[:, extended:], head[:, plain : plain - extended]
+            )
+        bare = ~command & (length == as_command) & (total == length) & (as_command < as_telemetry)
         short = command | bare
-        header = np.where(short, np.uint8(as_command), np.uint8(as_telemetry))
+        header = np.where(short, as_command, as_telemetry)
         whole = length >= header
         self.mark(Finding.HEADER_ONLY, packet & bare)
         self.mark(Finding.TRUNCATED, packet & ~whole)
         self.out["header_length"] = np.where(whole, header, np.uint8(ccsds.PRIMARY.size))
 
-        at = ccsds.PRIMARY.size + extra
         seconds = cfe.TELEMETRY.column("seconds", head, at).astype(np.int64)
         subseconds = cfe.TELEMETRY.column("subseconds", head, at).astype(np.int64)
         time_ns = seconds * 1_000_000_000 + (subseconds * 1_000_000_000 >> 16)
@@ -332,7 +241,9 @@ class _Pass:
         self.flag(Finding.CHECKSUM_BAD, rows, bad & present)
         self.flag(Finding.CHECKSUM_ABSENT, rows, bad & ~present)
         unknown, misfit = self.context.command_table.judge(
-            self.out["msg_id"][rows], code[rows], length - extra
+            self.out["msg_id"][rows],
+            code[rows],
+            length - np.broadcast_to(as_command, short.shape)[rows] + cfe.COMMAND_HEADER_BYTES,
         )
         self.flag(Finding.UNKNOWN_FUNCTION_CODE, rows, unknown)
         self.flag(Finding.COMMAND_LENGTH, rows, misfit)
@@ -370,8 +281,8 @@ class _Pass:
             self._bodies(route, rows, offset, have, head, chosen)
             return
         left = np.ones(len(rows), bool)
-        for item in FORMATS:
-            fits = left & _fits(head, have, item)
+        for item in ENVELOPE_FORMATS:
+            fits = left & holds(head, have, item)
             self._bodies(route, rows[fits], offset[fits], have[fits], head[fits], item)
             left &= ~fits
         self._bodies(route, rows[left], offset[left], have[left], head[left], DEFAULT)
@@ -388,7 +299,7 @@ class _Pass:
         """Read envelopes of one format, and judge the CDR that they hold.
 
         Args:
-            route: whose type the CDR has.
+            route: gives the type of the CDR.
             rows: (n,) rows of the batch.
             offset: (n,) where the envelope starts in the batch's data.
             have: (n,) bytes from there to the end of the packet.
@@ -413,22 +324,13 @@ class _Pass:
         valid = known
         types, name = self.context.types, self.context.mission.routes[route].type
         if types is not None and types.has(name):
-            valid = known & types.valid(name, self.batch.data, offset, length)
+            left = types.trailing(name, self.batch.data, offset, length)
+            valid = known & (left >= 0)
+            if (more := left > ROUNDED).any():
+                over = left > types.most_trailing(name)
+                self.flag(Finding.CDR_TRAILING, rows, more & ~over)
+                self.flag(Finding.CDR_TOO_LONG, rows, over)
         self.flag(Finding.CDR_INVALID, rows, ~valid)
         self.flag(Finding.CDR_BIG_ENDIAN, rows, known & (head[:, size + 1] == 0))
         stale = any_nonzero(self.batch.data, offset + length, space - length)
         self.flag(Finding.STALE_TAIL, rows, stale)
-
-
-def _fits(head: NDArray[np.uint8], have: NDArray[np.int32], envelope: EnvelopeFormat) -> NDArray[np.bool_]:
-    """Tell where an envelope of this format holds: as :func:`edoras_tools.wire.envelope.detect`, for many."""
-    size = envelope.size
-    length = envelope.layout.column("buffer_length", head).astype(np.uint64)
-    capacity = envelope.layout.column("buffer_capacity", head).astype(np.uint64)
-    space = np.maximum(have - size, 0).astype(np.uint64)
-    start = head[:, size : size + 4]
-    encapsulated = (start[:, 0] == 0) & (start[:, 1] <= 1) & (start[:, 2] == 0) & (start[:, 3] == 0)
-    fits: NDArray[np.bool_] = (
-        (have >= size + 4) & (length >= 4) & (length <= capacity) & (length <= space) & encapsulated
-    )
-    return fits

@@ -1,18 +1,24 @@
-"""What a decode needs to know besides the bytes: the mission, the options and who has spoken so far."""
+"""What a decoder needs besides the bytes: the mission, the options and the peers seen so far."""
 
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.cfs import names
+from edoras_tools.decode.builds import Builds
+from edoras_tools.decode.commands import CommandTable
 from edoras_tools.errors import ConfigError
+from edoras_tools.links import table
+from edoras_tools.links.protocol import Peers
+from edoras_tools.links.sbn import BRIDGE_PORT
 from edoras_tools.mission import FlightLink, GroundLink, Mission
-from edoras_tools.model import NO_ROUTE, Link
-from edoras_tools.structs import Structs, shipped
-from edoras_tools.wire import cfe, names
+from edoras_tools.model import NO_ROUTE, OTHER
+from edoras_tools.structs import Structs, shipped_structs
+from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 
 if TYPE_CHECKING:
@@ -20,15 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import Endpoint
+    from edoras_tools.model import Endpoint, Link
     from edoras_tools.ros import TypeStore
-
-CI_PORTS: Final = (1234, 1235, 1236, 1237)
-"""1234 + (CPU number - 1)."""
-TO_PORTS: Final = (1235,)
-SBN_PORTS: Final = (2234, 2235, 2236)
-BRIDGE_PORT: Final = 2236
-"""Where the demos' flight bridge listens."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,15 +35,17 @@ class Options:
     """How to read what the bytes do not say themselves.
 
     Attributes:
-        extended_header: packets carry cFE's extended ("version 2") header.
-        telemetry_header: bytes of the telemetry header, primary header included: 16, or 12 in older builds.
-        envelope: format of every route that names none: ``8/8`` and the like, or ``auto``.
+        extended_header: packets have cFE's extended header; None to detect it.
+        telemetry_header: bytes of the telemetry header, primary header included: 16, or 12 in older builds;
+            None to detect it.
+        envelope: format of every route that names none: ``8/8`` and the like, ``auto`` where each packet may
+            have its own; None to detect it from the first packets of each route.
         ports: further UDP ports by link.
     """
 
-    extended_header: bool = False
-    telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES
-    envelope: str = str(DEFAULT)
+    extended_header: bool | None = None
+    telemetry_header: int | None = None
+    envelope: str | None = None
     ports: tuple[tuple[Link, int], ...] = ()
 
     def __post_init__(self) -> None:
@@ -53,69 +54,46 @@ class Options:
         Raises:
             ConfigError: the envelope or the header length is not known.
         """
-        if self.telemetry_header not in {12, 16}:
+        if self.telemetry_header not in {None, 12, 16}:
             raise ConfigError(
                 f"telemetry header of {self.telemetry_header} bytes is not known; there are 12 and 16"
             )
-        if self.envelope != "auto":
-            EnvelopeFormat.named(self.envelope)
+        if self.envelope not in {None, "auto"}:
+            EnvelopeFormat.named(str(self.envelope))
 
+    @property
+    def headers(self) -> cfe.Headers | None:
+        """The headers of the options; None to detect them."""
+        if self.extended_header:
+            return cfe.WITH_EXTENDED
+        if self.telemetry_header == cfe.SHORT.telemetry_bytes:
+            return cfe.SHORT
+        return None if self.extended_header is self.telemetry_header is None else cfe.STANDARD
 
-class Peers:
-    """Who speaks from where on the Software Bus Network: the first identity an endpoint gives is its own.
+    def described(self) -> dict[str, str]:
+        """Return what was named, in the words of a recording; :meth:`over` reads them."""
+        said = {} if self.headers is None else {"headers": self.headers.name}
+        if self.envelope is not None:
+            said["envelope"] = self.envelope
+        if self.ports:
+            said["ports"] = " ".join(f"{link.label}:{port}" for link, port in self.ports)
+        return said
 
-    Peers are told apart by identity, never by address; a second identity from one endpoint is what a receiver
-    reports as an unknown peer.
-    """
-
-    def __init__(self) -> None:
-        self._first: dict[tuple[str, int], tuple[tuple[int, int], int]] = {}
-
-    def introduce(self, endpoint: tuple[str, int], identity: tuple[int, int], number: int) -> tuple[int, int]:
-        """Return the identity an endpoint is known by, which is this one if it has none yet.
-
-        Args:
-            endpoint: address as text and port.
-            identity: SpacecraftID and ProcessorID.
-            number: of the datagram that gives it.
-        """
-        return self._first.setdefault(endpoint, (identity, number))[0]
-
-    def known(self, endpoint: tuple[str, int], number: int) -> tuple[int, int] | None:
-        """Return the identity an endpoint was known by when a datagram came, or None."""
-        identity, since = self._first.get(endpoint, ((0, 0), number + 1))
-        return identity if since <= number else None
-
-
-class CommandTable:
-    """What apps take, as arrays: for many commands at once.
-
-    Args:
-        commands: function codes and their commands by MsgId.
-    """
-
-    def __init__(self, commands: Mapping[int, Mapping[int, names.Command]]) -> None:
-        self._app = np.zeros(65536, np.uint8)
-        self._taken = np.zeros((len(commands) + 1, 128), bool)
-        self._lengths = np.zeros((2, len(commands) + 1, 128), np.int32)
-        for app, (msg_id, codes) in enumerate(commands.items(), 1):
-            self._app[msg_id] = app
-            for code, command in codes.items():
-                self._taken[app, code] = True
-                for choice, length in enumerate(
-                    command.lengths * 2 if len(command.lengths) == 1 else command.lengths
-                ):
-                    self._lengths[choice, app, code] = length
-
-    def judge(
-        self, msg_id: NDArray[np.int32], code: NDArray[np.int16], length: NDArray[np.int32]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Tell which commands have a function code that their app refuses, and which have a wrong length."""
-        app = self._app[msg_id]
-        one, other = self._lengths[:, app, code]
-        unknown: NDArray[np.bool_] = (app != 0) & ~self._taken[app, code]
-        misfit: NDArray[np.bool_] = (one != 0) & (length != one) & (length != other)
-        return unknown, misfit
+    def over(self, recorded: Mapping[str, str]) -> Options:
+        """Return these options, and where they name nothing those that a recording was made with."""
+        kinds = {item.name: item for item in cfe.HEADERS}
+        headers = kinds.get(recorded.get("headers", "")) if self.headers is None else None
+        chosen = self
+        if headers is not None:
+            chosen = replace(
+                chosen, extended_header=headers.extended, telemetry_header=headers.telemetry_bytes
+            )
+        if self.envelope is None and recorded.get("envelope"):
+            chosen = replace(chosen, envelope=recorded["envelope"])
+        links = {link.label: link for link in table.links()}
+        pairs = [item.partition(":") for item in recorded.get("ports", "").split()]
+        known = [(links[name], int(port)) for name, _, port in pairs if name in links and port.isdecimal()]
+        return replace(chosen, ports=tuple(dict.fromkeys((*self.ports, *known))))
 
 
 class Context:
@@ -127,15 +105,29 @@ class Context:
         options: as given.
         structs: the C structs that packets without a route hold.
         peers: grows as datagrams are decoded, in order.
-        port_links: u8 (65536,), bit ``1 << link`` for every link that a UDP port may belong to.
+        links: every link there is.
+        ports: the UDP ports of each link, bool (65536,).
+        claimants: the sets of links that claim a port.
+        claim: u8 (65536,), index into ``claimants`` by port.
+        decided: u8, the link of a set of ``claimants`` that the port alone decides; 0 for the others.
+        by_sender: u8, the link of a set that the source port alone decides; 0 for the others.
+        with_headers: the links whose datagrams do not begin with a space packet.
+        header_bytes: i64 (256,), bytes in front of the space packet, by link.
+        against: bool (2, 256), whether a packet goes the wrong way: by type bit and link.
         cfs_addresses: IPv4 addresses of the cFS of ground missions, as numbers.
         bridge_ports: bool (65536,), ports of flight bridges.
         identities: (SpacecraftID, ProcessorID) that missions name.
-        route_of: i16 (4, 65536), route by link and MsgId.
+        route_of: i16 (rows, 65536), route by ``route_row[link]`` and MsgId.
+        route_row: u8 (256,), row of ``route_of`` by link; 0, which is empty, for those without routes.
         any_route_of: i16 (65536,), a route of any link by MsgId: what a packet seen on another link carries.
         known: bool (65536,), MsgIds that cFE or the mission names.
-        envelopes: the envelope format of each route, None where the bytes shall tell.
-        command_table: what apps take, for columns.
+        headers: those behind the primary header; :mod:`edoras_tools.decode.variants` may change them.
+        builds: the headers of conversations that have others.
+        envelopes: the envelope format of each route, None where each packet has its own.
+        unrouted: the envelope format of telemetry and of commands that no route claims.
+        notes: what was detected from the bytes, a line each, for users.
+        described: how packets are read, as text for the metadata of a recording.
+        command_table: the commands of the apps, for columns.
     """
 
     def __init__(
@@ -148,13 +140,21 @@ class Context:
         self.mission = mission or Mission()
         self.types = types
         self.options = options or Options()
-        self.structs = (structs or shipped()).unclaimed(route.msg_id for route in self.mission.routes)
+        self.structs = (structs or shipped_structs()).unclaimed(route.msg_id for route in self.mission.routes)
         self.peers = Peers()
-        self.port_links = self._ports()
+        self.links = table.links()
+        self.ports = self._ports()
+        self._settle_ports()
+        self.with_headers = tuple(link for link in self.links if link.layouts or not link.packets)
+        self.header_bytes = np.zeros(256, np.int64)
+        self.against = np.zeros((2, 256), bool)
+        for link in self.links:
+            self.header_bytes[link] = link.header_bytes
+            self.against[:, link] = link.to_cfs != link.from_cfs and [link.to_cfs, link.from_cfs]
         self.cfs_addresses = frozenset(
-            int(ipaddress.IPv4Address(link.fsw_ip))
-            for link in self.mission.links
-            if isinstance(link, GroundLink)
+            int(ipaddress.IPv4Address(bridge.fsw_ip))
+            for bridge in self.mission.links
+            if isinstance(bridge, GroundLink)
         ) - {0}
         self.bridge_ports = np.zeros(65536, bool)
         flights = [link for link in self.mission.links if isinstance(link, FlightLink)]
@@ -167,25 +167,39 @@ class Context:
                 (link.peer_spacecraft_id, link.peer_processor_id),
             )
         )
-        self.route_of: NDArray[np.int16] = np.full((len(Link), 65536), NO_ROUTE, np.int16)
+        routed = sorted({int(route.link) for route in self.mission.routes})
+        self.route_row = np.zeros(256, np.uint8)
+        self.route_row[routed] = range(1, len(routed) + 1)
+        self.route_of: NDArray[np.int16] = np.full((len(routed) + 1, 65536), NO_ROUTE, np.int16)
         self.any_route_of: NDArray[np.int16] = np.full(65536, NO_ROUTE, np.int16)
         self.known = np.zeros(65536, bool)
         self.known[list(names.MSG_ID_NAMES)] = True
         self.known |= self.structs.has
         for index, route in reversed(list(enumerate(self.mission.routes))):
-            self.route_of[route.link, route.msg_id] = index
+            self.route_of[self.route_row[route.link], route.msg_id] = index
             self.any_route_of[route.msg_id] = index
             self.known[route.msg_id] = True
-        chosen = [route.envelope or self.options.envelope for route in self.mission.routes]
+        self.headers = self.options.headers or cfe.STANDARD
+        usual = "" if self.options.envelope == "auto" else self.options.envelope
+        self.unrouted = [EnvelopeFormat.named(usual) if usual else DEFAULT] * 2
+        self.notes: list[str] = []
+        self.described = self.options.described()
+        chosen = [route.envelope or self.options.envelope or str(DEFAULT) for route in self.mission.routes]
         self.envelopes = [None if text == "auto" else EnvelopeFormat.named(text) for text in chosen]
         named = {*names.COMMANDS, *(route.msg_id for route in self.mission.routes)}
         self.command_table = CommandTable(
             {msg_id: commands for msg_id in named if (commands := self.commands(msg_id)) is not None}
         )
+        self.builds = Builds(self.structs, self.command_table, self.headers)
+
+    def routes_on(self, link: Link) -> NDArray[np.int16]:
+        """Return the route of each MsgId on a link, i16 (65536,); ``NO_ROUTE`` where there is none."""
+        routes: NDArray[np.int16] = self.route_of[self.route_row[link]]
+        return routes
 
     def capture_ports(self) -> tuple[int, ...]:
         """Return every UDP port that belongs to a link, for a filter in the kernel."""
-        return tuple(int(port) for port in np.flatnonzero(self.port_links))
+        return tuple(int(port) for port in np.flatnonzero(self.claim))
 
     def is_cfs(self, endpoint: Endpoint) -> bool:
         """Tell whether an endpoint's address is that of a cFS that a ground mission names."""
@@ -201,17 +215,27 @@ class Context:
             return names.ROUTE_COMMANDS
         return None
 
-    def _ports(self) -> NDArray[np.uint8]:
-        ports = np.zeros(65536, np.uint8)
-        claims = [(Link.CI, port) for port in CI_PORTS]
-        claims += [(Link.TO, port) for port in TO_PORTS]
-        claims += [(Link.SBN, port) for port in SBN_PORTS]
-        claims += self.options.ports
-        for link in self.mission.links:
-            if isinstance(link, GroundLink):
-                claims += [(Link.CI, link.fsw_port), (Link.TO, link.bridge_port)]
-            else:
-                claims += [(Link.SBN, link.peer_port), (Link.SBN, link.udp_receive_port)]
-        for kind, port in claims:
-            ports[port] |= 1 << kind
+    def _ports(self) -> dict[Link, NDArray[np.bool_]]:
+        ports: dict[Link, NDArray[np.bool_]] = {link: np.zeros(65536, bool) for link in self.links}
+        for link, claimed in ports.items():
+            claimed[list(link.transport.ports)] = True
+            claimed[[port for other, port in self.options.ports if other == link]] = True
+            for bridge in self.mission.links:
+                if bridge.kind == link.bridge:
+                    claimed[[getattr(bridge, name) for name in link.bridge_ports]] = True
         return ports
+
+    def _settle_ports(self) -> None:
+        """Find the sets of links that claim a port, and what is decided for each of them."""
+        bits = sum(claimed.astype(np.int64) << index for index, claimed in enumerate(self.ports.values()))
+        sets, claim = np.unique(np.append(bits, 0), return_inverse=True)  # the first set is empty
+        self.claim: NDArray[np.uint8] = claim[:-1].astype(np.uint8)
+        self.claimants = tuple(
+            tuple(link for index, link in enumerate(self.links) if int(item) >> index & 1) for item in sets
+        )
+        self.decided = np.zeros(len(sets), np.uint8)
+        self.by_sender = np.zeros(len(sets), np.uint8)
+        for index, links in enumerate(self.claimants):
+            if len(links) == 1 and links[0].port_decides:
+                self.decided[index] = links[0]
+            self.by_sender[index] = next((link for link in links if link.sender_port), OTHER)

@@ -13,6 +13,8 @@ UNKNOWABLE: Final = (
     | Finding.CHECKSUM_ABSENT
     | Finding.ENVELOPE_OVERRUN
     | Finding.CDR_INVALID
+    | Finding.CDR_TRAILING
+    | Finding.CDR_TOO_LONG
     | Finding.SBN_SIZE_MISMATCH
     | Finding.COMMAND_LENGTH
     | Finding.HEADER_ONLY

@@ -1,92 +1,119 @@
-"""Which link a datagram belongs to: by the mission's endpoints, then by port and content.
+"""Which link a datagram belongs to: of the links that claim its port, the one that is surest.
 
-On the demos' single host cpu2's CI port equals TO's destination port (both 1235): a port alone does not tell.
+On the demos' single host cpu2's CI port equals TO's destination port (both 1235): the port is not enough.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from edoras_tools.model import Finding, Link
-from edoras_tools.wire import ccsds
+from edoras_tools.links import table
+from edoras_tools.model import OTHER, Finding, Link
+from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
     from edoras_tools.model import Datagram, PacketBatch
-
-_TYPE_BIT: Final = ccsds.TELECOMMAND << 4
-_CI, _TO, _SBN = (1 << link for link in (Link.CI, Link.TO, Link.SBN))
+    from edoras_tools.wire.layout import Layout
 
 
-def settle(claims: int, sender_claims: int, *, command: bool, to_cfs: bool, from_cfs: bool) -> Link:
-    """Choose the link of a datagram.
+class _Datagram:
+    """One datagram as a :class:`~edoras_tools.links.protocol.Seen`."""
 
-    Args:
-        claims: bit ``1 << link`` for every link that the destination port may belong to.
-        sender_claims: the same of the source port.
-        command: the first byte has the CCSDS type bit, or there is none: TO never sends an empty datagram.
-        to_cfs: the destination is a cFS that the mission names.
-        from_cfs: the source is one.
-    """
-    if claims & _SBN:
-        return Link.SBN
-    if claims & _CI and claims & _TO:
-        ingest = to_cfs if to_cfs != from_cfs else command
-        return Link.CI if ingest else Link.TO
-    if claims & _CI:
-        return Link.CI
-    if claims & _TO:
-        return Link.TO
-    return Link.SBN if sender_claims & _SBN else Link.OTHER
+    def __init__(self, datagram: Datagram, context: Context) -> None:
+        self._payload = datagram.payload
+        self._have = len(datagram.payload)
+        # Bytes that the capture cut off count.
+        self.length = self._have + max(datagram.original_length - len(datagram.frame), 0)
+        self.destination_port = datagram.destination.port
+        self.to_cfs = context.is_cfs(datagram.destination)
+        self.from_cfs = context.is_cfs(datagram.source)
+
+    def field(self, layout: Layout, name: str, at: int = 0) -> Any:
+        """Return a number of a header at byte ``at``; -1 where it is not there."""
+        slot = layout.by_name[name]
+        return layout.read(slot, self._payload, at) if at + slot.end <= self._have else -1
 
 
-_TABLE: Final = np.array(
-    [
-        settle(
-            index & 0b1110,
-            _SBN * (index & 1),
-            command=bool(index & 16),
-            to_cfs=bool(index & 32),
-            from_cfs=bool(index & 64),
-        )
-        for index in range(128)
-    ],
-    np.uint8,
-)
+class _Rows:
+    """Some datagrams of a batch as a :class:`~edoras_tools.links.protocol.Seen`: an array of each number."""
+
+    def __init__(self, batch: PacketBatch, rows: NDArray[np.intp], context: Context) -> None:
+        self._batch, self._rows, self._context = batch, rows, context
+        self._fields: dict[tuple[str, str, int], NDArray[Any]] = {}
+        self._have = batch.length[rows]
+        cut = batch.original_length[rows] - batch.frame_length[rows]
+        self.length = self._have + np.maximum(cut, 0)
+        self.destination_port = batch.destination_port[rows]
+
+    @cached_property
+    def to_cfs(self) -> NDArray[np.bool_]:
+        return self._is_cfs(self._batch.destination_address[self._rows])
+
+    @cached_property
+    def from_cfs(self) -> NDArray[np.bool_]:
+        return self._is_cfs(self._batch.source_address[self._rows])
+
+    def _is_cfs(self, address: NDArray[np.uint32]) -> NDArray[np.bool_]:
+        found = np.zeros(len(address), bool)
+        for known in self._context.cfs_addresses:
+            found |= address == known
+        found &= self._batch.ip_version[self._rows] == 4
+        return found
+
+    def field(self, layout: Layout, name: str, at: int = 0) -> Any:
+        """Return a number of a header at byte ``at`` of each payload; -1 where it is not there."""
+        key = layout.name, name, at
+        if key not in self._fields:
+            self._fields[key] = self._read(layout, name, at)
+        return self._fields[key]
+
+    def _read(self, layout: Layout, name: str, at: int) -> NDArray[Any]:
+        slot = layout.by_name[name]
+        offset = self._batch.offset[self._rows] + at + slot.start
+        absent = self._have < at + slot.end
+        some = absent.any()
+        if some:
+            offset[absent] = 0
+        window = gather(self._batch.data, offset, slot.end - slot.start)
+        values = layout.column(name, window, -slot.start)
+        return np.where(absent, -1, values.astype(np.int64)) if some else values
 
 
 def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
     """Return the link of every datagram of a batch, u8 (n,). Fragments without a payload belong to none."""
-    empty = batch.length <= 0
-    first = (
-        batch.data[np.minimum(batch.offset, max(len(batch.data) - 1, 0))] if len(batch.data) else np.uint8(0)
-    )
-    ipv4 = batch.ip_version == 4
-    index = (
-        context.port_links[batch.destination_port]
-        | (context.port_links[batch.source_port] & _SBN) >> Link.SBN
-    )
-    index |= (((first & _TYPE_BIT) != 0) | empty) * np.uint8(16)
-    for address in context.cfs_addresses:
-        index |= (ipv4 & (batch.destination_address == address)) * np.uint8(32)
-        index |= (ipv4 & (batch.source_address == address)) * np.uint8(64)
-    link: NDArray[np.uint8] = _TABLE[index]
-    link[(batch.capture_findings & Finding.FRAGMENT) != 0] = Link.OTHER
+    claim = context.claim[batch.destination_port]
+    link = context.decided[claim]
+    for index in np.flatnonzero(context.decided == 0).tolist():
+        rows = np.flatnonzero(claim == index)
+        if context.claimants[index] and len(rows):
+            seen, best = _Rows(batch, rows, context), np.zeros(len(rows), np.int8)
+            for item in context.claimants[index]:
+                sure = np.asarray(item.recognise(seen))
+                better = (sure > 0) & (sure >= best)
+                link[rows[better]] = item
+                best[better] = sure[better]
+    if context.by_sender.any():
+        link = np.where(link == 0, context.by_sender[context.claim[batch.source_port]], link)
+    link[(batch.capture_findings & Finding.FRAGMENT) != 0] = OTHER
     return link
 
 
 def link_of(datagram: Datagram, context: Context) -> Link:
     """Return the link of one datagram: the same answer as :func:`link_columns`."""
     if Finding.FRAGMENT in datagram.findings:
-        return Link.OTHER
-    return settle(
-        int(context.port_links[datagram.destination.port]),
-        int(context.port_links[datagram.source.port]),
-        command=not datagram.payload or bool(datagram.payload[0] & _TYPE_BIT),
-        to_cfs=context.is_cfs(datagram.destination),
-        from_cfs=context.is_cfs(datagram.source),
-    )
+        return OTHER
+    claim = context.claim[datagram.destination.port]
+    link, best = table.link(context.decided[claim]), 0
+    if link is OTHER and context.claimants[claim]:
+        seen = _Datagram(datagram, context)
+        for item in context.claimants[claim]:
+            sure = int(item.recognise(seen))
+            if sure and sure >= best:
+                link, best = item, sure
+    return link if link is not OTHER else table.link(context.by_sender[context.claim[datagram.source.port]])

@@ -6,21 +6,33 @@ are the same as :mod:`edoras_tools.decode.columns` gives for a batch.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
+from edoras_tools.cfs import names
+from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_of
 from edoras_tools.decode.summary import summarise
 from edoras_tools.errors import EdorasError, TruncatedError, WireError
-from edoras_tools.model import NO_ROUTE, Datagram, Decoded, Finding, Layer, LayerField, Link, RosMessage
-from edoras_tools.wire import ccsds, cfe, names, sbn
-from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION
+from edoras_tools.links.reading import Reading
+from edoras_tools.links.table import protocol
+from edoras_tools.model import (
+    NO_ROUTE,
+    OTHER,
+    Datagram,
+    Decoded,
+    Finding,
+    Layer,
+    LayerField,
+    Link,
+    RosMessage,
+)
+from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION, ROUNDED
 from edoras_tools.wire.envelope import DEFAULT, detect
-from edoras_tools.wire.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, CI_BUFFER, SOFTWARE_BUS_MAXIMUM
 
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
-    from edoras_tools.wire.layout import Layout
 
 _OWN_LAYERS: Final = frozenset({cfe.EVENT.name, cfe.SOFTWARE_BUS_HOUSEKEEPING.name})
 """Layers that show a struct already."""
@@ -43,7 +55,7 @@ class Dissector:
         link = link_of(datagram, self.context)
         work = _Dissection(self.context, datagram, link, detail=self.detail)
         stop: EdorasError | None = None
-        if link is not Link.OTHER:
+        if link is not OTHER:
             try:
                 work.run()
             except WireError as error:
@@ -55,153 +67,34 @@ class Dissector:
         return summarise(decoded)
 
 
-class _Dissection:
+class _Dissection(Reading):
     """The state of one dissection: what was read so far."""
 
     def __init__(self, context: Context, datagram: Datagram, link: Link, *, detail: bool) -> None:
+        super().__init__(datagram)
         self.context = context
-        self.datagram = datagram
-        self.data = datagram.payload
         self.link = link
         self.detail = detail
-        self.findings = datagram.findings
-        self.layers: list[Layer] = []
         self.message: RosMessage | None = None
+        self.headers = context.headers
 
     def run(self) -> None:
         """Go through the layers, outermost first."""
-        length = len(self.data)
-        if self.link is Link.CI and length > CI_BUFFER:
-            self.findings |= Finding.OVER_CI_BUFFER
-        if self.link is Link.TO and length > BRIDGE_BUFFER:
-            self.findings |= Finding.OVER_BRIDGE_BUFFER
-        if self.link is not Link.SBN:
-            self.space_packet(0)
-            return
-        start = self.software_bus_network()
+        if self.link.receive_buffer and len(self.data) > self.link.receive_buffer:
+            self.findings |= self.link.over_receive_buffer
+        start = protocol(self.link).dissect(self, self.context)
         if start is not None:
             self.space_packet(start)
 
-    def read(self, layout: Layout, at: int, *, extra: tuple[LayerField, ...] = ()) -> dict[str, Any]:
-        """Read a header, add its layer and return its values.
-
-        Raises:
-            TruncatedError: it is not whole; ``TRUNCATED`` is noted.
-        """
-        if len(self.data) - at < layout.size:
-            self.truncated(layout.name, at, layout.size)
-        values = layout.parse(self.data, at)
-        fields = tuple(
-            LayerField(
-                slot.field.name,
-                values[slot.field.name],
-                at + slot.start,
-                at + slot.end,
-                slot.field.text(values[slot.field.name]),
-                slot.field.doc,
-            )
-            for slot in layout.slots
-        )
-        self.layers.append(Layer(layout.name, layout.title, at, at + layout.size, extra + fields))
-        return values
-
-    def truncated(self, layer: str, at: int, need: int) -> None:
-        """Note that a layer is cut, and stop.
-
-        Raises:
-            TruncatedError: always.
-        """
-        self.findings |= Finding.TRUNCATED
-        raise TruncatedError(layer, at, need, max(0, len(self.data) - at))
-
-    def software_bus_network(self) -> int | None:
-        """Read the SBN header and what is its own; return where a space packet starts, if one does."""
-        length = len(self.data)
-        layout = sbn.LEGACY_HEADER if self._legacy() else sbn.HEADER
-        if layout is sbn.LEGACY_HEADER:
-            self.findings |= Finding.SBN_LEGACY_HEADER
-        if (
-            length >= sbn.HEADER.size
-            and length % BRIDGE_LENGTH_MODULUS < sbn.HEADER.size
-            and self.context.bridge_ports[self.datagram.destination.port]
-        ):
-            self.findings |= Finding.BRIDGE_DROPS_LENGTH
-        head = self.read(layout, 0)
-        payload = length - layout.size
-        known = head["msg_type"] in sbn.MSG_TYPE_NAMES
-        if head["msg_size"] != payload:
-            self.findings |= Finding.SBN_SIZE_MISMATCH
-        if not known:
-            self.findings |= Finding.SBN_UNKNOWN_TYPE
-        if head["msg_type"] == sbn.MsgType.NO_MSG:
-            self.findings |= Finding.SBN_NO_MESSAGE
-        self._identity(
-            (head.get("spacecraft_id", 0), head["processor_id"]),
-            trusted=known and head["msg_size"] == payload,
-        )
-        if head["msg_type"] in {sbn.MsgType.SUB, sbn.MsgType.UNSUB}:
-            self._subscriptions(layout.size)
-        elif head["msg_type"] == sbn.MsgType.PROTO:
-            version = self.read(sbn.PROTO, layout.size)["protocol_version"]
-            if version != sbn.PROTOCOL_VERSION:
-                self.findings |= Finding.SBN_VERSION_MISMATCH
-        return layout.size if head["msg_type"] == sbn.MsgType.APP else None
-
-    def _legacy(self) -> bool:
-        data, at = self.data, sbn.LEGACY_HEADER.size
-        if len(data) < at:
-            return False
-        size, kind = int.from_bytes(data[:2], "big", signed=True), data[2]
-        if size != len(data) - at or kind not in sbn.MSG_TYPE_NAMES:
-            return False
-        if kind == sbn.MsgType.APP:
-            return (
-                int.from_bytes(data[at + 4 : at + 6], "big") + ccsds.LENGTH_BIAS == size
-                and size >= ccsds.PRIMARY.size
-            )
-        if kind == sbn.MsgType.PROTO:
-            return size == sbn.PROTO.size
-        if kind in {sbn.MsgType.SUB, sbn.MsgType.UNSUB}:
-            return data[at : at + 1] == b"$"
-        return size == 0
-
-    def _identity(self, identity: tuple[int, int], *, trusted: bool) -> None:
-        source = (self.datagram.source.address, self.datagram.source.port)
-        peers, number = self.context.peers, self.datagram.number
-        if trusted:
-            peers.introduce(source, identity, number)
-        known = peers.known(source, number)
-        if known is not None and known != identity and identity not in self.context.identities:
-            self.findings |= Finding.SBN_ID_MISMATCH
-
-    def _subscriptions(self, at: int) -> None:
-        head = self.read(sbn.SUBSCRIPTIONS, at)
-        if self.data[at : at + sbn.IDENT_BYTES] != sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0"):
-            self.findings |= Finding.SBN_ID_MISMATCH
-        first, need = at + sbn.SUBSCRIPTIONS.size, head["count"] * sbn.SUBSCRIPTION.size
-        whole = min(head["count"], (len(self.data) - first) // sbn.SUBSCRIPTION.size)
-        entries = [
-            sbn.SUBSCRIPTION.parse(self.data, first + index * sbn.SUBSCRIPTION.size) for index in range(whole)
-        ]
-        end = first + whole * sbn.SUBSCRIPTION.size
-        wanted = [entry["msg_id"] for entry in entries]
-        text = ", ".join(f"0x{item:04x}" for item in wanted)
-        doc = "the MsgIds wanted, or no longer wanted"
-        listed = LayerField("msg_ids", wanted, first, end, text, doc)
-        layer = self.layers[-1]
-        self.layers[-1] = Layer(layer.name, layer.title, layer.start, end, (*layer.fields, listed))
-        if len(self.data) - first < need:
-            self.truncated("sbn_subscription", first, need)
-
     def space_packet(self, start: int) -> None:
-        """Read the primary header, and all that lies behind it."""
+        """Read the primary header and everything behind it."""
         data = self.data
         length = len(data) - start
         if length < ccsds.PRIMARY.size:
             self.truncated("ccsds", start, ccsds.PRIMARY.size)
         word = int.from_bytes(data[start : start + 2], "big")
-        extra = cfe.EXTENDED.size if self.context.options.extended_header else 0
-        msg_id = self._msg_id(word, start)
+        headers = self.headers = self.context.builds.of_packet(self.datagram, data[start:])
+        msg_id = word
         name = self._name(msg_id)
         self.read(
             ccsds.PRIMARY,
@@ -229,40 +122,32 @@ class _Dissection:
             self.findings |= Finding.INVALID_MSG_ID
         elif not self.context.known[msg_id]:
             self.findings |= Finding.UNKNOWN_MSG_ID
-        if (self.link is Link.CI and not command) or (self.link is Link.TO and command):
+        if self.context.against[int(command), self.link]:
             self.findings |= Finding.WRONG_DIRECTION
 
-        as_command = cfe.COMMAND_HEADER_BYTES + extra
-        bare = not command and length == as_command == total
-        header = as_command if command or bare else self.context.options.telemetry_header + extra
+        as_command = headers.command_bytes
+        bare = not command and length == as_command == total and as_command < headers.telemetry_bytes
+        header = as_command if command or bare else headers.telemetry_bytes
         if bare:
             self.findings |= Finding.HEADER_ONLY
-        if extra and length >= ccsds.PRIMARY.size + extra:
+        if headers.extended and length >= headers.start:
             self.read(cfe.EXTENDED, start + ccsds.PRIMARY.size)
         if length < header:
             self.truncated(
                 "cfe_command" if command else "cfe_telemetry", start + ccsds.PRIMARY.size, header - 6
             )
-        at = start + ccsds.PRIMARY.size + extra
+        at = start + headers.start
         if command or bare:
-            code = self.read(cfe.COMMAND, at)["function_code"]
+            code = self.read(headers.command, at)["function_code"]
         else:
             code = None
-            short = self.context.options.telemetry_header == 12
-            self.read(cfe.TELEMETRY_SHORT if short else cfe.TELEMETRY, at)
+            self.read(headers.telemetry, at)
         if command:
-            self._command(msg_id, code or 0, start, min(length, total), extra)
+            self._command(msg_id, code or 0, start, min(length, total))
         if bare:
             self._struct(msg_id, start, header, code)
             return
         self._payload(msg_id, start, header, code)
-
-    def _msg_id(self, word: int, start: int) -> int:
-        after = start + ccsds.PRIMARY.size
-        if not self.context.options.extended_header or len(self.data) < after + cfe.EXTENDED.size:
-            return word
-        subsystem = cfe.EXTENDED.parse(self.data, after)["subsystem_id"]
-        return cfe.extended_msg_id(word & 0x7FF, word >> 12 & 1, subsystem)
 
     def _name(self, msg_id: int) -> str:
         route = int(self.context.any_route_of[msg_id])
@@ -270,11 +155,11 @@ class _Dissection:
             return names.message_name(msg_id) or self.context.mission.routes[route].topic
         return names.message_name(msg_id) or self.context.structs.name(msg_id)
 
-    def _command(self, msg_id: int, code: int, start: int, length: int, extra: int) -> None:
+    def _command(self, msg_id: int, code: int, start: int, length: int) -> None:
         """Judge a command's checksum and function code."""
         packet = self.data[start : start + length]
         if cfe.checksum(packet) != 0:
-            absent = self.data[start + ccsds.PRIMARY.size + extra + 1] == 0
+            absent = self.data[start + self.headers.start + 1] == 0
             self.findings |= Finding.CHECKSUM_ABSENT if absent else Finding.CHECKSUM_BAD
         commands = self.context.commands(msg_id)
         if commands is None:
@@ -282,13 +167,17 @@ class _Dissection:
         command = commands.get(code)
         if command is None:
             self.findings |= Finding.UNKNOWN_FUNCTION_CODE
-        elif command.lengths and len(self.data) - start - extra not in command.lengths:
+        elif command.lengths and self._as_standard(len(self.data) - start) not in command.lengths:
             self.findings |= Finding.COMMAND_LENGTH
 
+    def _as_standard(self, length: int) -> int:
+        """Return how long a command would be with the usual header."""
+        return length - self.headers.command_bytes + cfe.COMMAND_HEADER_BYTES
+
     def _payload(self, msg_id: int, start: int, header: int, code: int | None) -> None:
-        """Read what lies behind the cFE header: an event, housekeeping, or a route's envelope."""
+        """Read the payload behind the cFE header: an event, housekeeping, or a route's envelope."""
         at, length = start + header, len(self.data) - start
-        exact = int(self.context.route_of[self.link, msg_id])
+        exact = int(self.context.routes_on(self.link)[msg_id])
         route = exact if exact != NO_ROUTE else int(self.context.any_route_of[msg_id])
         if route == NO_ROUTE:
             for known, layout in (
@@ -316,7 +205,7 @@ class _Dissection:
         if not bound.fits(length):
             self.findings |= Finding.STRUCT_LENGTH
             return
-        peer = self.layers[0].values() if self.link is Link.SBN else {}
+        peer = self.layers[0].values() if self.link.peers else {}
         sequence = ccsds.PRIMARY.parse(self.data, start)["packet_sequence_count"]
         origin = (peer.get("processor_id", 0), msg_id, sequence, code or 0, self.link)
         cdr = bound.encode_one(self.data[start + header :], origin)
@@ -374,6 +263,11 @@ class _Dissection:
             return
         cdr = self.data[start:end]
         self.message = RosMessage(name, topic, types.decode(name, cdr), cdr)
+        left = len(cdr) - types.extent(name, cdr)
+        if left > types.most_trailing(name):
+            self.findings |= Finding.CDR_TOO_LONG
+        elif left > ROUNDED:
+            self.findings |= Finding.CDR_TRAILING
         if self.detail:
             fields = tuple(
                 LayerField(path, value, start + low, start + high)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.wire import names, sbn
+from edoras_tools.cfs import names
+from edoras_tools.links.table import protocol
+from edoras_tools.model import OTHER
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -35,27 +37,11 @@ def _text(decoded: Decoded) -> str:
             f"no subscribers {values['no_subscribers_counter']}"
         )
     if decoded.message is not None:
-        bare = decoded.layer("edoras") is None  # a C struct's header says what the line says already
+        bare = decoded.layer("edoras") is None  # the header of a C struct is already in the line
         return short_values({k: v for k, v in decoded.message.values.items() if not bare or k != "header"})
-    head = decoded.layer("sbn")
-    if head is not None and head.values()["msg_type"] != sbn.MsgType.APP:
-        return _network(decoded)
+    if decoded.link is not OTHER and (text := protocol(decoded.link).summary(decoded)):
+        return text
     return _packet(decoded)
-
-
-def _network(decoded: Decoded) -> str:
-    head = decoded.layer("sbn")
-    values = head.values() if head else {}
-    sender = f"from {values.get('spacecraft_id', '?')}:{values.get('processor_id', '?')}"
-    listed, proto = decoded.layer("sbn_sub"), decoded.layer("sbn_proto")
-    if listed is not None:
-        wanted = listed.values().get("msg_ids", [])
-        some = ", ".join(f"0x{item:04x}" for item in wanted[:_MOST_ITEMS])
-        more = f" and {len(wanted) - _MOST_ITEMS} more" if len(wanted) > _MOST_ITEMS else ""
-        return f"{some}{more} {sender}".strip()
-    if proto is not None:
-        return f"protocol version {proto.values()['protocol_version']} {sender}"
-    return sender
 
 
 def _packet(decoded: Decoded) -> str:

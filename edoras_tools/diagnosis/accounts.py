@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from edoras_tools.diagnosis.budget import limit
-from edoras_tools.diagnosis.instances import NOBODY
-from edoras_tools.diagnosis.matching import summary
-from edoras_tools.diagnosis.spans import comb
-from edoras_tools.model import NO_ROUTE, Link
-from edoras_tools.sessions.profile import SECOND
-from edoras_tools.wire.names import MSG_ID_NAMES, message_name
+from edoras_tools.cfs.names import MSG_ID_NAMES, message_name
+from edoras_tools.diagnosis.accounting.budget import limit
+from edoras_tools.diagnosis.accounting.fates import Fate
+from edoras_tools.diagnosis.accounting.losses import PIPE_EVENTS
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.matching.crossing import latency_of
+from edoras_tools.diagnosis.matching.spans import comb
+from edoras_tools.model import NO_ROUTE
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.matching import Latency
-    from edoras_tools.diagnosis.streams import Stream
+    from edoras_tools.diagnosis.matching.crossing import Hop, Latency
+    from edoras_tools.diagnosis.matching.streams import Stream
 
-_ROUND = 10
+_ROUND: Final = 10
 """A period within a tenth of a task's is that task's."""
+_OVER: Final = 1.1
+"""What gets through at a rate so many times the assumed limit shows that there is another."""
 
 
 def accounts(case: Case) -> list[dict[str, Any]]:
@@ -40,9 +44,9 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     lost = sum(loss.lost for loss in losses)
     seconds = float(times[-1] - times[0]) / SECOND
     to_cfs = route.to_cfs if route else bool(stream.msg_id & 0x1000)
-    clean, _, _ = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
+    clean_hz, told_by = clean_rate(case, stream)
     rounds = comb(times)
-    behind = stream.link is Link.CI or (stream.link is Link.SBN and to_cfs)
+    behind = stream.link.only_to_cfs or (stream.link.peers and to_cfs)
     return {
         "topic": route.topic if route else None,
         "type": route.type if route else None,
@@ -56,7 +60,8 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "seen": len(stream),
         "lost": lost,
         "rate_hz": round((len(stream) - 1) / seconds, 3) if seconds > 0 else 0.0,
-        "limit_hz": clean or None,
+        "limit_hz": clean_hz,
+        "limit_from": told_by,
         "counted": stream.counted,
         "gaps": stream.gaps,
         "duplicates": stream.duplicates,
@@ -71,8 +76,8 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
                 "from_link": hop.into.link.label,
                 "of": hop.of,
                 "matched": hop.matched,
-                "superseded": hop.superseded,
-                "missing": len(hop.missing),
+                "superseded": _fates(case, hop).superseded,
+                "missing": _fates(case, hop).unaccounted,
                 "latency": _json(hop.latency),
             }
             for hop in case.hops
@@ -81,21 +86,50 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     }
 
 
+def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measured", "assumed"] | None]:
+    """Return to what rate a stream gets through, in Hz, and what tells; None where nothing does.
+
+    Measured: messages of it were lost at Telemetry Output's pipe, and it comes in rounds. Else constants of
+    cFS are assumed, unless the capture shows that they are others: more of it got through without a loss.
+    """
+    lost_at_pipe = any(loss.stream is stream and loss.kind in PIPE_EVENTS for loss in case.losses)
+    if lost_at_pipe and stream.link.only_from_cfs:
+        rounds = comb(case.rows.time_ns[stream.rows])
+        if _is_period(rounds.period_ns, case.profile.to_wake_ns) and 2 * rounds.share >= 1:
+            return rounds.most * SECOND / case.profile.to_wake_ns, "measured"
+    route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
+    to_cfs = route.to_cfs if route else bool(stream.msg_id & 0x1000)
+    assumed_hz, _, _ = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
+    fate = case.commands.fates.get(id(stream))
+    arrives = fate.seen if fate is not None else stream.link.only_from_cfs
+    fastest_hz = max((span.offered_hz for span in case.known.spans(stream)), default=0.0)
+    if not assumed_hz or (arrives and not lost_at_pipe and fastest_hz > _OVER * assumed_hz):
+        return None, None
+    return assumed_hz, "assumed"
+
+
+def _fates(case: Case, hop: Hop) -> Fate:
+    """Return what became of what went in."""
+    return case.commands.fates.get(id(hop.into)) or Fate.nothing(hop.into)
+
+
 def _named(case: Case, period_ns: int) -> bool:
     """Tell whether a period is that of a task that wakes up now and then."""
-    return any(
-        abs(period_ns - own) < own // _ROUND for own in (case.profile.to_wake_ns, case.profile.sbn_wake_ns)
-    )
+    return any(_is_period(period_ns, own) for own in (case.profile.to_wake_ns, case.profile.sbn_wake_ns))
+
+
+def _is_period(period_ns: int, own_ns: int) -> bool:
+    return abs(period_ns - own_ns) < own_ns // _ROUND
 
 
 def _delay(case: Case, stream: Stream) -> Latency | None:
     """Return how long telemetry waited between publication and the wire, more than its luckiest packet."""
     mission = case.rows.mission_time_ns[stream.rows]
     timed = (case.instances.of_row[stream.rows] == stream.instance) & (mission > 0)
-    if stream.link is Link.CI or stream.instance == NOBODY or not timed.any():
+    if stream.link.only_to_cfs or stream.instance == NOBODY or not timed.any():
         return None
     offset = case.instances.items[stream.instance].offset_ns
-    return summary(np.asarray(case.rows.time_ns[stream.rows][timed] - mission[timed] - offset))
+    return latency_of(np.asarray(case.rows.time_ns[stream.rows][timed] - mission[timed] - offset))
 
 
 def _json(latency: Latency | None) -> dict[str, Any] | None:

@@ -2,33 +2,47 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.diagnosis.app_losses import app_losses
-from edoras_tools.diagnosis.clocks import steadied
-from edoras_tools.diagnosis.counters import Track, tracks
-from edoras_tools.diagnosis.events import Culprit, Said, culprits
-from edoras_tools.diagnosis.instances import NOBODY, Instances
-from edoras_tools.diagnosis.losses import Known, Loss, telemetry_losses
-from edoras_tools.diagnosis.matching import Hop, find_hops
-from edoras_tools.diagnosis.peers import Network
-from edoras_tools.diagnosis.streams import Stream, find_streams
-from edoras_tools.model import NO_ROUTE, Link
-from edoras_tools.sessions.profile import SECOND, SimProfile
-from edoras_tools.wire.names import message_name
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs.names import message_name
+from edoras_tools.diagnosis.accounting.bus import Telemetry
+from edoras_tools.diagnosis.accounting.claims import Counts
+from edoras_tools.diagnosis.accounting.commands import Commands, Refused
+from edoras_tools.diagnosis.accounting.ingest import Ingest, Sources, ingests
+from edoras_tools.diagnosis.accounting.losses import Known, Loss
+from edoras_tools.diagnosis.accounting.unheard import Unheard, unheard
+from edoras_tools.diagnosis.evidence.clocks.steady import steadied
+from edoras_tools.diagnosis.evidence.counters import Track, tracks
+from edoras_tools.diagnosis.evidence.events import Culprit, Said, culprits
+from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
+from edoras_tools.diagnosis.evidence.peers import Network
+from edoras_tools.diagnosis.evidence.preparation import prepare
+from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
+from edoras_tools.diagnosis.matching.streams import Stream, find_robots, find_streams
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.table import among
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
+    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
-    from edoras_tools.diagnosis.payloads import EventRecord, Payloads
-    from edoras_tools.diagnosis.table import Recorder, Rows
+    from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
+    from edoras_tools.diagnosis.evidence.proxied import Proxied, RouteWay
+    from edoras_tools.diagnosis.evidence.table import Recorder, Rows
+    from edoras_tools.diagnosis.verdict import Verdict
     from edoras_tools.mission import Mission, Route
-    from edoras_tools.model import Endpoint
+    from edoras_tools.model import Endpoint, InterfaceOutage
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,35 +52,68 @@ class Capture:
     Attributes:
         drops: frames that the kernel or a full queue lost before they were captured.
         warnings: what its source has to say.
+        zero_ns: its first datagram, where what is judged begins later; None where that is the first.
+        cut: datagrams that were left out for their time.
+        outages: when the interface was away.
     """
 
     drops: int = 0
     warnings: tuple[str, ...] = ()
+    zero_ns: int | None = None
+    cut: int = 0
+    outages: tuple[InterfaceOutage, ...] = ()
+
+    @property
+    def away(self) -> list[tuple[int, int]]:
+        """From when to when the interface was away; the largest time where it was not back."""
+        never = int(np.iinfo(np.int64).max)
+        return [(item.start_ns, item.end_ns or never) for item in self.outages]
 
 
 class Case:
     """A capture, laid out for judgement.
 
     Attributes:
+        prepared: what was left out, put in order or counted once before anything was judged.
         rows: a row a datagram.
         jumps: clocks that were set meanwhile; times are as if they had not been.
+        instances: the cFS instances.
         payloads: counters, events, subscriptions, TO commands.
         endpoints: what ``source`` and ``destination`` of the rows index.
         samples: (link, MsgId) to some CDR messages by length.
         context: mission, types and options.
         profile: the constants of cFS.
         capture: what is known of the capture itself.
+        proxied: what a proxy did on purpose.
+        verdicts: what the rules have said so far.
+        refused: messages that came to nothing by what they are, each judged by itself.
     """
 
-    def __init__(self, recorder: Recorder, profile: SimProfile, capture: Capture) -> None:
-        rows, self.jumps = steadied(recorder.rows(), recorder.payloads.events)
+    def __init__(
+        self,
+        recorder: Recorder,
+        profile: SimProfile,
+        capture: Capture,
+        proxied: Mapping[RouteWay, Proxied] | None = None,
+    ) -> None:
+        self.proxied: Mapping[RouteWay, Proxied] = proxied or {}
+        self.prepared = prepare(recorder, self.proxied)
+        payloads = self.prepared.payloads
+        rows, self.jumps, self.instances = steadied(self.prepared.rows, payloads.events, recorder.endpoints)
+        payloads = payloads.timed(rows.time_ns) if self.jumps else payloads
+        if (np.diff(rows.time_ns) < 0).any():  # a few ms out of order, beside a clock that was set
+            order = np.argsort(rows.time_ns, kind="stable")
+            rows, payloads = rows.take(order), payloads.over(order, len(rows))
+            self.instances = Instances(rows, payloads.events, recorder.endpoints)
         self.rows: Rows = rows
-        self.payloads: Payloads = recorder.payloads.timed(rows.time_ns) if self.jumps else recorder.payloads
+        self.payloads: Payloads = payloads
         self.endpoints: Sequence[Endpoint] = recorder.endpoints
         self.samples = recorder.samples
         self.context: Context = recorder.context
         self.profile = profile
         self.capture = capture
+        self.refused: list[Refused] = []
+        self.verdicts: list[Verdict] = []
 
     @property
     def mission(self) -> Mission:
@@ -78,15 +125,15 @@ class Case:
         """The first datagram."""
         return int(self.rows.time_ns.min()) if len(self.rows) else 0
 
+    @property
+    def zero_ns(self) -> int:
+        """What times that people are told count from."""
+        return self.start_ns if self.capture.zero_ns is None else self.capture.zero_ns
+
     @cached_property
     def end_ns(self) -> int:
         """The last datagram."""
         return int(self.rows.time_ns.max()) if len(self.rows) else 0
-
-    @cached_property
-    def instances(self) -> Instances:
-        """The cFS instances."""
-        return Instances(self.rows, self.payloads.events)
 
     @cached_property
     def streams(self) -> list[Stream]:
@@ -106,19 +153,21 @@ class Case:
     @cached_property
     def network(self) -> Network:
         """The Software Bus Network."""
-        return Network(self.rows, self.payloads, self.instances, self.profile)
+        return Network(self.rows, self.payloads, self.instances, self.profile, self.capture.away)
 
     @cached_property
     def hops(self) -> list[Hop]:
         """Streams that come out again as others."""
-        return find_hops(self.streams, self.rows, self._follows)
+        return find_hops([*self.streams, *find_robots(self.rows)], self.rows, self._follows)
 
     def _follows(self, into: Stream, out: Stream) -> bool:
         """Tell whether what arrives as one stream may leave as another: of the same cFS, not its sibling."""
-        if into.link is Link.CI:
+        if self._of_another(into, out):
+            return False
+        if into.link.only_to_cfs or out.link == ROBOT:
             return True
         arrives = self.network.identity_of.get(into.receiver, "")
-        if out.link is Link.TO:
+        if out.link.only_from_cfs:
             owner = self.instances.owner(out.sender, int(self.rows.time_ns[out.rows[0]]))
             leaves = self.instances.items[owner].name if owner != NOBODY else ""
         else:
@@ -127,35 +176,86 @@ class Case:
             return arrives == leaves
         return f"{into.processor[0]}:{into.processor[1]}" != leaves
 
+    def _of_another(self, into: Stream, out: Stream) -> bool:
+        """Tell whether one goes to an address, and the other leaves one with a receiver of its own."""
+        hosts, name = self.instances.hosts, self.network.identity_of.get
+        return hosts[into.receiver] != hosts[out.sender] and any(
+            hosts[item.receiver] == hosts[out.sender]
+            for item in self.streams
+            if item.link is into.link and name(item.receiver) == name(into.receiver)
+        )
+
     @cached_property
     def known(self) -> Known:
         """What losses are told from."""
-        upstream = {id(hop.out): hop for hop in self.hops if not hop.rewritten}
         return Known(
             self.rows,
+            self.payloads,
+            self.endpoints,
             self.streams,
             self.instances,
             self.tracks,
             self.culprits,
             self.network,
-            upstream,
+            self.hops,
             self.profile,
+            {item.endpoint: item.system for item in self.ingests},
+            self.proxied,
+            self.capture.away,
         )
 
     @cached_property
+    def ingests(self) -> list[Ingest]:
+        """The account of every CI."""
+        arrived: dict[int, list[NDArray[np.int64]]] = {}
+        first_out: dict[int, tuple[int, int]] = {}
+        for hop in self.hops:
+            if hop.into.link.only_to_cfs:
+                sent = self.rows.time_ns[hop.into.rows[hop.arrived]]
+                arrived.setdefault(hop.into.receiver, []).append(sent)
+                if hop.first is not None:
+                    known = first_out.setdefault(hop.into.receiver, hop.first)
+                    first_out[hop.into.receiver] = min(known, hop.first)
+        times = {endpoint: np.sort(np.concatenate(parts)) for endpoint, parts in arrived.items()}
+        return ingests(
+            Sources(self.rows, self.payloads, self.instances, self.endpoints, self.profile, times, first_out)
+        )
+
+    @cached_property
+    def telemetry(self) -> Telemetry:
+        """What is missing from sequence counts."""
+        return Telemetry(self.known, self._counts)
+
+    @cached_property
+    def unheard(self) -> dict[int, Unheard]:
+        """What was sent to SBN peers that were silent, by the id of its stream."""
+        return unheard(self.known)
+
+    @cached_property
+    def commands(self) -> Commands:
+        """What became of everything that went into cFS."""
+        telemetry = self.telemetry  # it takes its share of the counters first
+        return Commands(self.known, self._counts, self.ingests, self.refused, telemetry)
+
+    @cached_property
+    def _counts(self) -> dict[int, Counts]:
+        return {instance: Counts.of(track) for instance, track in self.tracks.items() if len(track.times) > 1}
+
+    @cached_property
     def losses(self) -> list[Loss]:
-        """All that was lost, as far as it can be told."""
-        telemetry = telemetry_losses(self.known)
-        return [*telemetry, *app_losses(self.known, telemetry)]
+        """All that was lost, each message in one of them."""
+        return [*self.telemetry.losses, *self.commands.losses]
 
     @cached_property
     def has_telemetry(self) -> bool:
         """Whether anything that a cFS sends is in the capture."""
-        return bool(self.instances.items) or bool(np.any(self.rows.link == Link.TO))
+        return bool(self.instances.items) or bool(
+            among(self.rows.link, lambda link: link.only_from_cfs).any()
+        )
 
     def route(self, msg_id: int, link: Link | None = None) -> Route | None:
         """Return the configured route of a MsgId, on a link or on any."""
-        table = self.context.any_route_of if link is None else self.context.route_of[link]
+        table = self.context.any_route_of if link is None else self.context.routes_on(link)
         index = int(table[msg_id]) if 0 <= msg_id < len(table) else NO_ROUTE
         return self.mission.routes[index] if index != NO_ROUTE else None
 
@@ -166,29 +266,48 @@ class Case:
 
     def name(self, msg_id: int) -> str:
         """Return how people are told of a MsgId: ``0x1827 (/cmd_vel)``."""
+        if msg_id == NO_MSG_ID:
+            return "an unknown MsgId"
         told = self.topic(msg_id) or message_name(msg_id)
         return f"0x{msg_id:04x} ({told})" if told else f"0x{msg_id:04x}"
+
+    @cached_property
+    def _event_times(self) -> list[int]:
+        return [item.time_ns for item in self.payloads.events]
 
     def said(
         self, start_ns: int, end_ns: int, app: str = "", event_ids: Iterable[int] = ()
     ) -> list[EventRecord]:
         """Return the events of an application in a span of time."""
         wanted = set(event_ids)
+        times = self._event_times
+        between = slice(bisect_left(times, start_ns), bisect_right(times, end_ns))
         return [
             item
-            for item in self.payloads.events
-            if start_ns <= item.time_ns <= end_ns
-            and (not app or item.app == app)
-            and (not wanted or item.event_id in wanted)
+            for item in self.payloads.events[between]
+            if (not app or item.app == app) and (not wanted or item.event_id in wanted)
         ]
+
+    def suppressed(self, span: tuple[int, int]) -> EventRecord | None:
+        """Return the event by which Telemetry Output says that its socket failed, and it sends no more."""
+        said = self.said(span[0] - SECOND, span[1] + SECOND, telemetry_output.NAME)
+        return next((item for item in said if telemetry_output.SUPPRESSED.phrase in item.message), None)
 
     def at(self, time_ns: int) -> str:
         """Return a time as people are told of it: seconds into the capture."""
-        return f"{max(0, time_ns - self.start_ns) / SECOND:.1f} s"
+        return f"{max(0, time_ns - self.zero_ns) / SECOND:.1f} s"
 
     def label(self, instance: int) -> str:
         """Return how people are told of an instance."""
-        return "cFS" if instance == NOBODY else self.instances.items[instance].label
+        return "cFS" if instance == NOBODY else self.instances.label(instance)
+
+    def receiver_label(self, stream: Stream) -> str | None:
+        """Return how people are told of the cFS that a stream goes into; None where there is but one."""
+        systems = self.instances.systems
+        into = [index for index in range(len(systems)) if self.known.goes_to(stream, index)]
+        if len(set(systems)) < 2 or len({systems[index] for index in into}) != 1:
+            return None
+        return self.label(into[0])
 
     def drops_text(self) -> tuple[str, ...]:
         """Return what has to be said before cFS is blamed."""

@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.accounting.commands import Refused
 from edoras_tools.diagnosis.accounts import accounts
+from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, summed
 from edoras_tools.diagnosis.case import Capture, Case
+from edoras_tools.diagnosis.evidence.proxied import proxied
+from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.rules import (
     RULES,
-    capture_drops,
+    SINGLE,
+    not_cfs,
+    not_examined,
     older_losses,
-    to_pipe_overflow,
+    out_of_order,
     topic_never_seen,
 )
-from edoras_tools.diagnosis.table import Recorder
-from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.sessions.profile import SimProfile
+from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, Severity, Verdict
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
     from edoras_tools.decode import Context
+    from edoras_tools.diagnosis.choice import Choice
     from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.sessions.faults.machine import Fault
 
 CHAPTER: Final = 1_000_000
 """Datagrams that are judged together: 100 MB. What crosses from one chapter into the next is not matched."""
+MOST_SCATTERED: Final = 4
+"""Chapters that are judged together where records of any time stand anywhere in the capture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +51,11 @@ class Diagnosis:
         end_ns: the last.
         capture: what is known of the capture itself.
         case: what it was judged by, for plots; of a long capture the last chapter.
-        aside: messages that went down with those that verdicts are of.
+        balance: what became of the messages of every route at every hop.
+        left_out: datagrams that belong to no link, are another program's, or were left out for their time.
+        topics: index of a configured route to its topic.
+        choice: what is shown of it; None for all.
+        whole: the diagnosis of which this shows a part, or None.
     """
 
     verdicts: tuple[Verdict, ...]
@@ -52,13 +67,79 @@ class Diagnosis:
     end_ns: int
     capture: Capture = field(default_factory=Capture)
     case: Case | None = None
-    aside: int = 0
+    balance: tuple[Row, ...] = ()
+    left_out: int = 0
+    topics: Mapping[int, str] = field(default_factory=dict)
+    choice: Choice | None = None
+    whole: Diagnosis | None = None
+
+    @property
+    def zero_ns(self) -> int:
+        """What times that people are told count from."""
+        return self.start_ns if self.capture.zero_ns is None else self.capture.zero_ns
 
     @property
     def lost(self) -> int:
-        """Messages found lost, of all verdicts; frames that the capture itself lost are none of them."""
-        told = sum(verdict.lost or 0 for verdict in self.verdicts if verdict.rule != capture_drops.ID)
-        return told + self.aside
+        """Messages found lost, each once; frames that the capture itself lost are none of them."""
+        return sum(row.all_lost for row in self.balance)
+
+    @property
+    def superseded(self) -> int:
+        """Messages that gave way to a newer one."""
+        return sum(row.superseded for row in self.balance)
+
+    @property
+    def unaccounted(self) -> int:
+        """Messages that are missing without a cause that the capture shows."""
+        return sum(row.unaccounted for row in self.balance)
+
+    @property
+    def headlines(self) -> list[Headline]:
+        """What became of each route, a line each."""
+        return headlines(self.balance, self.topics)
+
+    @property
+    def worst(self) -> Severity:
+        """How grave the gravest verdict is."""
+        return max((item.severity for item in self.verdicts), default=Severity.HABIT)
+
+    @property
+    def bad(self) -> bool:
+        """Whether exit code 3 is due: loss, something not accounted for, an error, or nothing examined."""
+        found = self.lost or self.unaccounted or self.capture.drops or not self.datagrams
+        return bool(found) or self.worst is Severity.ERROR
+
+    def limited(self, choice: Choice) -> Diagnosis:
+        """Return what is chosen of it; what qualifies all the rest stays."""
+
+        def shown(verdicts: Iterable[Verdict]) -> tuple[Verdict, ...]:
+            return tuple(
+                item
+                for item in verdicts
+                if item.rule in CAPTURE_RULES or choice.takes(item.link, item.msg_id)
+            )
+
+        return replace(
+            self,
+            verdicts=shown(self.verdicts),
+            habits=shown(self.habits),
+            routes=[row for row in self.routes if choice.takes(row["link"], int(row["msg_id"], 0))],
+            peers=self.peers if choice.takes("sbn", None) else [],
+            balance=tuple(row for row in self.balance if choice.takes(row.link or None, row.msg_id)),
+            choice=choice,
+            whole=self,
+        )
+
+    @property
+    def not_shown(self) -> dict[str, int] | None:
+        """How much of the whole diagnosis is not shown; None where all is."""
+        if self.whole is None:
+            return None
+        return {
+            "verdicts": len(self.whole.verdicts) - len(self.verdicts),
+            "routes": len(self.whole.routes) - len(self.routes),
+            "lost": self.whole.lost - self.lost,
+        }
 
     def as_json(self) -> dict[str, Any]:
         """Return the diagnosis in the shape of ``doctor --json``."""
@@ -67,17 +148,49 @@ class Diagnosis:
             "start_ns": self.start_ns,
             "end_ns": self.end_ns,
             "capture_drops": self.capture.drops,
+            "outages": [outage.as_json() for outage in self.capture.outages],
+            "examined": self.datagrams,
+            "not_examined": self.left_out,
+            "choice": self.choice.text if self.choice else None,
+            "not_shown": self.not_shown,
             "lost": self.lost,
+            "superseded": self.superseded,
+            "unaccounted": self.unaccounted,
             "verdicts": [verdict.as_json() for verdict in self.verdicts],
             "habits": [verdict.as_json() for verdict in self.habits],
+            "balance": [row.as_json(self.topics.get(row.route)) for row in self.balance],
             "routes": self.routes,
             "peers": self.peers,
         }
 
 
-def judge(case: Case) -> list[Verdict]:
-    """Ask every rule."""
-    return [verdict for rule in RULES for verdict in rule.judge(case)] if len(case.rows) else []
+def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: None) -> list[Verdict]:
+    """Ask every rule: first those about single messages, whose figures the balance needs.
+
+    Where nothing is left to judge, only those about what was left out are asked.
+
+    Args:
+        case: the capture.
+        progress: told how many rules were asked, of how many.
+    """
+    if not len(case.rows):
+        return [verdict for rule in (not_examined, not_cfs) for verdict in rule.judge(case)]
+    found: dict[str, list[Verdict]] = {}
+    for rule in (rule for rule in RULES if rule.ID in SINGLE):
+        progress(len(found), len(RULES))
+        found[rule.ID] = list(rule.judge(case))
+    case.refused = [
+        Refused(item.rule, item.link, item.msg_id, item.hop, item.start_ns, item.end_ns, item.lost, item.of)
+        for members in found.values()
+        for item in members
+        if item.lost
+    ]
+    for rule in RULES:
+        if rule.ID not in found:
+            found[rule.ID] = list(rule.judge(case))
+            progress(len(found), len(RULES))
+        case.verdicts += found[rule.ID]
+    return case.verdicts
 
 
 class Examination:
@@ -86,33 +199,66 @@ class Examination:
     Args:
         context: mission, types and options, shared with the decoder.
         profile: the constants of the cFS on the link.
+
+    Attributes:
+        zero_ns: what times that people are told count from; None for the first datagram that is added.
+        progress: see ``judge``.
+        faults: what a proxy or a replay did on purpose, as the recording says.
     """
 
     def __init__(self, context: Context, profile: SimProfile | None = None) -> None:
+        self.zero_ns: int | None = None
+        self.progress: Callable[[int, int], None] = lambda _done, _of: None
+        self.faults: Sequence[Fault] = ()
         self.context = context
         self.profile = profile or SimProfile()
         self._recorder = Recorder(context)
         self._before: list[Diagnosis] = []
+        self._scattered = False
 
     def __len__(self) -> int:
         return sum(part.datagrams for part in self._before) + len(self._recorder)
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch and its columns."""
-        if len(self._recorder) >= CHAPTER:
-            self._before.append(self._chapter(Capture(), keep=False))
-            self._recorder = Recorder(self.context)
+        if len(self._recorder) >= CHAPTER and not self._goes_on():
+            self.separate()
         self._recorder.add(batch, columns)
+
+    def _goes_on(self) -> bool:
+        """Tell whether a chapter that is full has to take more: what belongs together is not in it yet."""
+        if not self._recorder.scattered:
+            return False
+        self._scattered = len(self._recorder) >= MOST_SCATTERED * CHAPTER
+        return not self._scattered
+
+    def separate(self) -> None:
+        """Judge what was taken by itself: nothing of what follows is matched with it."""
+        if len(self._recorder):
+            self._before.append(self._chapter(Capture(), keep=False))
+            self._recorder = Recorder(self.context, self._recorder.conversations)
 
     def diagnose(self, capture: Capture | None = None) -> Diagnosis:
         """Judge all that was taken."""
         capture = capture or Capture()
         last = self._chapter(capture, keep=True)
-        return _joined([*self._before, last], capture) if self._before else last
+        found = _joined([*self._before, last], capture) if self._before else last
+        if self._scattered:
+            told = out_of_order.too_many(found.start_ns, found.end_ns, MOST_SCATTERED * CHAPTER)
+            found = replace(found, verdicts=(told, *found.verdicts))
+        return found
 
     def _chapter(self, capture: Capture, *, keep: bool) -> Diagnosis:
-        case = Case(self._recorder, self.profile, capture)
-        found = judge(case)
+        if capture.zero_ns is None:
+            zero_ns = self._before[0].zero_ns if self._before else self.zero_ns
+            capture = replace(capture, zero_ns=zero_ns)
+        # A chapter has what was done up to its end; the last has the rest.
+        until_ns = None if keep else self._recorder.last_ns
+        faults = [item for item in self.faults if until_ns is None or item.time_ns <= until_ns]
+        if not keep:
+            self.faults = [item for item in self.faults if item.time_ns > self._recorder.last_ns]
+        case = Case(self._recorder, self.profile, capture, proxied(faults))
+        found = judge(case, self.progress)
         return Diagnosis(
             verdicts=_sorted(item for item in found if item.severity is not Severity.HABIT),
             habits=tuple(item for item in found if item.severity is Severity.HABIT),
@@ -123,12 +269,25 @@ class Examination:
             end_ns=case.end_ns,
             capture=capture,
             case=case if keep else None,
-            aside=to_pipe_overflow.aside(case) if len(case.rows) else 0,
+            balance=tuple(balance(case)) if len(case.rows) else (),
+            left_out=self._recorder.left_out + case.prepared.foreign + capture.cut,
+            topics={index: route.topic for index, route in enumerate(case.mission.routes)},
         )
 
 
 def _sorted(verdicts: Any) -> tuple[Verdict, ...]:
-    return tuple(sorted(verdicts, key=lambda item: (-item.severity, -(item.lost or 0), item.start_ns)))
+    return tuple(
+        sorted(
+            verdicts,
+            key=lambda item: (
+                item.rule not in CAPTURE_RULES,
+                -item.severity,
+                item.rule == QUOTING_RULE,
+                -(item.lost or 0),
+                item.start_ns,
+            ),
+        )
+    )
 
 
 def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
@@ -137,11 +296,15 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
     silent = [{item.topic for item in part.verdicts if item.rule == topic_never_seen.ID} for part in parts]
     never = set.intersection(*silent)
     first = {id(item) for item in parts[0].verdicts}
+    last = parts[-1]
+    # Conversations are counted from the beginning: what the last chapter says of them is all.
+    whole = {id(item) for item in last.verdicts}
     kept = [
         item
         for item in verdicts
         if (item.rule != older_losses.ID or id(item) in first)
         and (item.rule != topic_never_seen.ID or (item.topic in never and id(item) in first))
+        and (item.rule not in {not_examined.ID, not_cfs.ID} or id(item) in whole)
     ]
     routes: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in (row for part in parts for row in part.routes):
@@ -151,18 +314,19 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
             known[name] += row[name]
         known["bytes_max"] = max(known["bytes_max"], row["bytes_max"])
     habits = {(item.rule, item.msg_id, item.hop): item for part in parts for item in part.habits}
-    last = parts[-1]
     return Diagnosis(
         verdicts=_sorted(kept),
         habits=tuple(habits.values()),
         routes=list(routes.values()),
         peers=[row for part in parts for row in part.peers],
         datagrams=sum(part.datagrams for part in parts),
-        start_ns=parts[0].start_ns,
-        end_ns=last.end_ns,
+        start_ns=min(part.start_ns for part in parts),
+        end_ns=max(part.end_ns for part in parts),
         capture=capture,
         case=last.case,
-        aside=sum(part.aside for part in parts),
+        balance=summed(row for part in parts for row in part.balance),
+        left_out=sum(part.left_out for part in parts),
+        topics=last.topics,
     )
 
 

@@ -7,17 +7,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.budget import limit
-from edoras_tools.model import NO_ROUTE, Link
-from edoras_tools.sessions.profile import SECOND
-from edoras_tools.wire.limits import BRIDGE_BUFFER
-from edoras_tools.wire.names import MSG_ID_NAMES
+from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.diagnosis.accounts import clean_rate
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.model import NO_ROUTE
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.streams import Stream
+    from edoras_tools.diagnosis.choice import Choice
+    from edoras_tools.diagnosis.matching.crossing import Hop
+    from edoras_tools.diagnosis.matching.streams import Stream
 
 _BINS: Final = 240
 _MOST_POINTS: Final = 1500
@@ -26,12 +29,13 @@ _MOST_EVENTS: Final = 400
 
 @dataclass(frozen=True, slots=True)
 class Plots:
-    """All of them, times in s from the start of the capture.
+    """All of them, times in s from the first datagram that is examined.
 
     Attributes:
-        seconds: length of the capture.
+        begin: where they are 0, s from the start of the capture; more than 0 where only a part is examined.
+        seconds: length of what is examined.
         bin_s: width of a bin of the rates.
-        rates: a row a route: label, link, seen and missing a second by bin, clean rate.
+        rates: a row a route: label, link, arrived (of telemetry: seen) and lost a second by bin, clean rate.
         delays: a row a way through cFS: label, times, delays in ms.
         sizes: a row a route: label, largest datagram, and the buffer that it has to fit.
         counters: a row a cFS: label, times, messages lost over a limit, and by full pipes.
@@ -39,6 +43,7 @@ class Plots:
         peers: a row a connection: label, and its states as (from, to, state).
     """
 
+    begin: float
     seconds: float
     bin_s: float
     rates: list[dict[str, Any]]
@@ -49,18 +54,26 @@ class Plots:
     peers: list[dict[str, Any]]
 
 
-def plots(case: Case) -> Plots:
-    """Work out what there is to draw."""
+def plots(case: Case, choice: Choice | None = None) -> Plots:
+    """Work out what there is to draw.
+
+    Args:
+        case: the capture.
+        choice: of which links and MsgIds; None for all.
+    """
     seconds = max((case.end_ns - case.start_ns) / SECOND, 1e-3)
     bin_s = max(1.0, seconds / _BINS)
     shown = [
         item for item in case.streams if item.route != NO_ROUTE or item.msg_id not in MSG_ID_NAMES
     ] or case.streams
+    if choice is not None:
+        shown = [item for item in case.streams if choice.takes(item.link.label, item.msg_id)]
     return Plots(
+        begin=(case.start_ns - case.zero_ns) / SECOND,
         seconds=seconds,
         bin_s=bin_s,
         rates=[_rate(case, item, bin_s, seconds) for item in shown],
-        delays=[_delay(case, item) for item in range(len(case.hops)) if _shows(case, item)],
+        delays=[_delay(case, item) for item in case.hops if _shows(item, choice)],
         sizes=[_size(case, item) for item in shown],
         counters=_counters(case),
         events=[
@@ -76,7 +89,7 @@ def _at(case: Case, time_ns: int) -> float:
 
 
 def _label(case: Case, stream: Stream) -> str:
-    return case.name(stream.msg_id)
+    return "the robot" if stream.link == ROBOT else case.name(stream.msg_id)
 
 
 def _rate(case: Case, stream: Stream, bin_s: float, seconds: float) -> dict[str, Any]:
@@ -84,26 +97,60 @@ def _rate(case: Case, stream: Stream, bin_s: float, seconds: float) -> dict[str,
     count = int(seconds / bin_s) + 1
     index = np.clip((times / bin_s).astype(np.int64), 0, count - 1)
     seen = np.bincount(index, minlength=count) / bin_s
-    missing = np.where(stream.pauses, 0, stream.missing)
+    fate = case.commands.fates.get(id(stream))
+    missing = _never_came(case, stream) if fate is None else _not_arrived(case, fate)
     gone = np.bincount(index, weights=missing, minlength=count) / bin_s
-    to_cfs = bool(stream.msg_id & 0x1000)
-    clean, _, _ = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
+    if fate is not None:  # what is lost behind the capture was seen in it
+        seen -= gone
+    clean_hz, told_by = clean_rate(case, stream)
     return {
         "label": _label(case, stream),
         "link": stream.link.label,
         "seen": np.round(seen, 2).tolist(),
         "missing": np.round(gone, 2).tolist(),
-        "limit": clean or None,
+        "limit": clean_hz,
+        "limit_from": told_by,
     }
 
 
-def _shows(case: Case, index: int) -> bool:
-    hop = case.hops[index]
+def _never_came(case: Case, stream: Stream) -> NDArray[np.int64]:
+    """Return how much telemetry is drawn as lost behind each row: gaps in counts, and what counters add.
+
+    What is missing over a pause is drawn where a loss holds it: the way may have been closed.
+    """
+    times = case.rows.time_ns[stream.rows]
+    found = np.where(stream.pauses, 0, stream.missing).astype(np.int64)
+    for loss in case.losses:
+        if loss.stream is stream:
+            rows = np.flatnonzero((times >= loss.start_ns) & (times <= loss.end_ns))
+            found[rows] = stream.missing[rows]
+            if len(rows):
+                found[rows[-1]] += max(0, loss.lost - int(found[rows].sum()))
+    return found
+
+
+def _not_arrived(case: Case, fate: Fate) -> NDArray[np.bool_]:
+    """Tell which commands are drawn as lost: of those that did not arrive, as many as the losses say.
+
+    Where the way out cannot be seen they are spread over all that were sent meanwhile.
+    """
+    times = case.rows.time_ns[fate.stream.rows]
+    left = ~fate.arrived
+    for loss in case.losses:
+        if loss.stream is fate.stream:
+            rows = np.flatnonzero(left & (times >= loss.start_ns) & (times <= loss.end_ns))
+            number = min(loss.lost, len(rows))
+            left[rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)]] = False
+    return ~left & ~fate.arrived
+
+
+def _shows(hop: Hop, choice: Choice | None) -> bool:
+    if choice is not None and not choice.takes(hop.into.link.label, hop.into.msg_id):
+        return False
     return bool(len(hop.delays_ns)) and hop.out.msg_id not in MSG_ID_NAMES
 
 
-def _delay(case: Case, index: int) -> dict[str, Any]:
-    hop = case.hops[index]
+def _delay(case: Case, hop: Hop) -> dict[str, Any]:
     step = max(1, len(hop.delays_ns) // _MOST_POINTS)
     times: NDArray[Any] = (hop.out_ns[::step] - case.start_ns) / SECOND
     return {
@@ -116,7 +163,7 @@ def _delay(case: Case, index: int) -> dict[str, Any]:
 
 def _size(case: Case, stream: Stream) -> dict[str, Any]:
     largest = int(case.rows.length[stream.rows].max())
-    room = {Link.CI: case.profile.ci_buffer, Link.TO: BRIDGE_BUFFER}.get(stream.link, 4096)
+    room = case.profile.ci_buffer if stream.link.only_to_cfs else stream.link.receive_buffer or 4096
     return {"label": _label(case, stream), "link": stream.link.label, "bytes": largest, "room": room}
 
 
@@ -136,6 +183,8 @@ def _peers(case: Case, seconds: float) -> list[dict[str, Any]]:
     rows = []
     for connection in case.network.connections.values():
         changes = connection.changes
+        if not changes:
+            continue
         ends = [_at(case, change.time_ns) for change in changes[1:]] + [seconds]
         rows.append(
             {

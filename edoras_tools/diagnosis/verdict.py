@@ -18,14 +18,16 @@ class Severity(IntEnum):
     """What these senders always do; nothing is wrong with this link."""
     NOTE = 1
     """Worth knowing; nothing is lost by it."""
-    WARNING = 2
+    SECURITY = 2
+    """Nothing is wrong with the link: who may do what on it is. A group of its own, without an exit code."""
+    WARNING = 3
     """Odd, refused, or lost at some receivers only."""
-    ERROR = 3
+    ERROR = 4
     """Data was lost or garbled."""
 
     @property
     def label(self) -> str:
-        """``habit``, ``note``, ``warning`` or ``error``."""
+        """``habit``, ``note``, ``security``, ``warning`` or ``error``."""
         return self.name.lower()
 
 
@@ -43,6 +45,7 @@ class Verdict:
         hop: where it happened: a pipe, a process, a stretch of network.
         lost: messages lost; None where that cannot be counted from here.
         of: messages sent, as far as they are known.
+        estimated: messages that are missing by an estimate, which no figure of the balance has; or None.
         start_ns: first sign of it, capture time.
         end_ns: last sign of it.
         evidence: what was seen, a line each.
@@ -64,6 +67,7 @@ class Verdict:
     evidence: tuple[str, ...] = ()
     remedy: str = ""
     confidence: Confidence = "high"
+    estimated: int | None = None
 
     @property
     def key(self) -> tuple[str, int | None, str | None, str | None]:
@@ -80,18 +84,23 @@ class Verdict:
         }
 
 
+QUOTING_RULE: Final = "cfs_errors"
+"""What a rule knows comes before what cFS is only quoted with."""
+CAPTURE_RULES: Final = frozenset({"not_examined", "capture_drops", "cut_frames", "out_of_order"})
+"""Rules about the capture itself: what they say goes for everything below."""
 ONE_BY_ONE: Final = frozenset({"bad_command", "bad_network_message"})
 """Rules whose verdicts are about single datagrams, and are never shown together."""
 
 
-def grouped(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
+def group_verdicts(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
     """Return the verdicts as people read them: the gravest first, spans of one trouble together."""
 
     def order(verdict: Verdict) -> tuple[Any, ...]:
         single = verdict.lost is None or verdict.rule in ONE_BY_ONE
         return (
+            verdict.rule not in CAPTURE_RULES,
             -verdict.severity,
-            verdict.rule != "capture_drops",
+            verdict.rule == QUOTING_RULE,
             verdict.lost is None,
             verdict.rule,
             verdict.link or "",
@@ -103,4 +112,13 @@ def grouped(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
 
     ordered = sorted(verdicts, key=order)
     groups = [list(members) for _, members in groupby(ordered, key=order)]
+    groups.sort(key=lambda members: (*order(members[0])[:4], -sum(item.lost or 0 for item in members)))
     return [sorted(members, key=lambda item: item.start_ns) for members in groups]
+
+
+def alike(groups: Iterable[list[Verdict]]) -> list[list[list[Verdict]]]:
+    """Join the groups of one rule and severity, in the same order."""
+    found: dict[tuple[Severity, str], list[list[Verdict]]] = {}
+    for members in groups:
+        found.setdefault((members[0].severity, members[0].rule), []).append(members)
+    return list(found.values())

@@ -1,12 +1,15 @@
-"""What a bridge asks of a ROS 2 middleware: hear topics, speak on topics, as CDR and nothing else."""
+"""The interface of a ROS 2 middleware for a bridge: subscribe and publish, as CDR only."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+MOST_DOMAIN: Final = 232
+"""The highest ROS_DOMAIN_ID: DDS has no ports for more (RTPS 9.6.1.1)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +31,7 @@ class Graph(Protocol):
     """One node in a ROS 2 graph.
 
     Topics are fully qualified (``/cmd_vel``), types ROS names (``geometry_msgs/msg/Twist``). A message is its
-    CDR with the four bytes of encapsulation, never decoded on the way. A node never hears itself.
+    CDR with the four bytes of encapsulation, never decoded. A node does not receive its own messages.
     """
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
@@ -46,7 +49,7 @@ class Graph(Protocol):
         """
 
     def notes(self) -> list[str]:
-        """Return what people should know and were not told yet: who cannot be heard, where to connect to."""
+        """Return new notes for the user: incompatible peers, where to connect to."""
 
     def close(self) -> None:
         """Leave the graph. Nothing is heard after this returns; calling it again does nothing."""

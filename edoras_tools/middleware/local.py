@@ -1,6 +1,6 @@
 """A ROS 2 graph inside one process, for tests and demos: heard is at once what is published.
 
-Quality of service is matched as DDS does: a subscription that asks for more than is offered hears nothing.
+Quality of service is matched as DDS does: a subscription that asks for more than is offered receives nothing.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.schema import full_name
+from edoras_tools.ros.types.schema import full_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -29,7 +29,7 @@ def check_name(name: str, what: str) -> str:
     """
     if not _NAME.fullmatch(name) or "__" in name:
         raise ConfigError(
-            f"{what} {name!r} is no ROS name; write /NAME/NAME, of letters, digits and single _, "
+            f"{what} {name!r} is not a ROS name; write /NAME/NAME, of letters, digits and single _, "
             "no digit first"
         )
     return name
@@ -39,7 +39,7 @@ def node_name(node: str) -> tuple[str, str]:
     """Return the namespace, ``/`` or ``/robot``, and the name of a node given as ``NAME`` or ``/robot/NAME``.
 
     Raises:
-        ConfigError: it is no name for a node.
+        ConfigError: it is not a name for a node.
     """
     full = check_name(node if node.startswith("/") else "/" + node, "node")
     namespace, _, name = full.rpartition("/")
@@ -50,6 +50,13 @@ def dds_name(type_name: str) -> str:
     """Return the DDS name of a ROS type: ``geometry_msgs::msg::dds_::Twist_``."""
     package, kind, name = full_name(type_name).split("/")
     return f"{package}::{kind}::dds_::{name}_"
+
+
+def ros_name(dds_type: str) -> str:
+    """Return the ROS name of a DDS type; the name itself where it is of no ROS type."""
+    parts = dds_type.split("::")
+    is_ros = len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_")
+    return f"{parts[0]}/{parts[1]}/{parts[3].removesuffix('_')}" if is_ros else dds_type
 
 
 def unknown_options(ros: str, options: Iterable[str], known: Sequence[str]) -> list[str]:

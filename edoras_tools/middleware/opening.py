@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.graph import MOST_DOMAIN
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,15 +16,20 @@ if TYPE_CHECKING:
     from edoras_tools.middleware.graph import Graph
     from edoras_tools.ros import TypeStore
 
-MIDDLEWARES: Final = ("zenoh", "dds", "rclpy", "foxglove", "local")
-"""Each is a module of this folder with an ``open_graph``."""
+MIDDLEWARES: Final = {
+    "zenoh": "zenoh.graph",
+    "dds": "dds.joining",
+    "rclpy": "rclpy",
+    "foxglove": "foxglove",
+    "local": "local",
+}
+"""Name to the module of this folder that has its ``open_graph``."""
 _EXTRAS: Final = {"zenoh": "zenoh", "dds": "dds", "foxglove": "live"}
 _BY_RMW: Final = {"rmw_zenoh_cpp": "zenoh"}
-_MOST_DOMAIN: Final = 232
 
 
 def usual(environ: Mapping[str, str] | None = None) -> str:
-    """Return the middleware that the nodes of this environment speak: ROS 2's own is a DDS."""
+    """Return the middleware that the environment selects: DDS unless it names Zenoh."""
     environ = os.environ if environ is None else environ
     return _BY_RMW.get(environ.get("RMW_IMPLEMENTATION", ""), "dds")
 
@@ -32,11 +38,11 @@ def usual_domain(environ: Mapping[str, str] | None = None) -> int:
     """Return ``ROS_DOMAIN_ID``, 0 where it is not set.
 
     Raises:
-        ConfigError: it is no domain.
+        ConfigError: it is not a domain.
     """
     text = (os.environ if environ is None else environ).get("ROS_DOMAIN_ID", "").strip() or "0"
-    if not text.isascii() or not text.isdecimal() or int(text) > _MOST_DOMAIN:
-        raise ConfigError(f"ROS_DOMAIN_ID {text!r} is no domain; 0 to {_MOST_DOMAIN}")
+    if not text.isascii() or not text.isdecimal() or int(text) > MOST_DOMAIN:
+        raise ConfigError(f"ROS_DOMAIN_ID {text!r} is not a domain; 0 to {MOST_DOMAIN}")
     return int(text)
 
 
@@ -63,7 +69,7 @@ def open_graph(
     if ros not in MIDDLEWARES:
         raise ConfigError(f"--ros {ros!r} is not known; there are {', '.join(MIDDLEWARES)}")
     try:
-        module = import_module(f"edoras_tools.middleware.{ros}")
+        module = import_module(f"edoras_tools.middleware.{MIDDLEWARES[ros]}")
         graph: Graph = module.open_graph(store, node, domain=domain, options=options)
     except ImportError as error:
         raise ConfigError(_absent(ros, error)) from error
@@ -74,5 +80,8 @@ def _absent(ros: str, error: ImportError) -> str:
     extra, why = _EXTRAS.get(ros), str(error).partition("\n")[0]
     if extra is None:
         python = f"{sys.version_info.major}.{sys.version_info.minor}"
-        return f"--ros {ros} needs a sourced ROS 2 of Python {python} ({why}); source its setup.bash"
+        return (
+            f"--ros {ros} needs a ROS 2 of Python {python} ({why}); source its setup.bash, or: "
+            "pip install ros-rclpy ros-rmw-fastrtps-cpp"
+        )
     return f"--ros {ros} needs an extra ({why}): pip install 'edoras-tools[{extra}]'"

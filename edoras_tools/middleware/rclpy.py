@@ -1,4 +1,4 @@
-"""A node of a sourced ROS 2, whatever its middleware, through ``rclpy``; see docs/zenoh.md."""
+"""A node of an installed ROS 2, whatever its middleware, through ``rclpy``; see docs/zenoh.md."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.names import check_name, node_name, unknown_options
-from edoras_tools.ros.schema import full_name
+from edoras_tools.ros.types.schema import full_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -24,7 +24,6 @@ _MODULES: Final = (
     "rclpy.context",
     "rclpy.executors",
     "rclpy.qos",
-    "rosidl_runtime_py.utilities",
 )
 _ECHO_SECONDS: Final = 1.0
 _MOST_ECHOES: Final = 10_000
@@ -100,7 +99,7 @@ class RclpyGraph:
         return publish
 
     def notes(self) -> list[str]:
-        """See ``Graph``: ROS 2 logs by itself who cannot be heard."""
+        """See ``Graph``: ROS 2 itself logs incompatible peers."""
         return []
 
     def close(self) -> None:
@@ -127,18 +126,18 @@ class RclpyGraph:
         check_name(topic, "topic")
         if why := self._store.check(type_name):
             raise ConfigError(f"{topic}: {why}")
-        get_message = import_module("rosidl_runtime_py.utilities").get_message
+        package, kind, name = full_name(type_name).split("/")
         try:
-            return get_message(full_name(type_name))
-        except (ValueError, AttributeError, ImportError) as error:
+            return getattr(import_module(f"{package}.{kind}"), name)
+        except (AttributeError, ImportError) as error:
             raise ConfigError(
-                f"{topic}: the sourced ROS 2 has no {full_name(type_name)}: {_line(error)}; "
-                "source the workspace that has it"
+                f"{topic}: this ROS 2 has no {full_name(type_name)}: {_line(error)}; "
+                "source the workspace that has it, or install its package"
             ) from error
 
 
 class _Echoes:
-    """What a subscription will hear of what its own node published: rclpy cannot leave it out.
+    """Messages of its own node that a subscription is going to receive: rclpy cannot exclude them.
 
     An echo is told by its bytes. Where another node says just the same, it does not matter which of the two
     is left out.

@@ -1,9 +1,9 @@
-"""EDORAS bridge YAML to a frozen mission: which topic, type, MsgId and link belong together.
+"""Reads EDORAS bridge YAML into a frozen mission: which topic, type, MsgId and link belong together.
 
 ``scalars`` holds rcl's rules for numbers and words, ``parameters`` reads a ROS 2 parameter file into dotted
-names, ``bridges`` makes a link and its routes of one node, ``handling`` reads the keys that are ours alone,
-``loading`` puts files together. Every mistake of every file is reported at once, each with its file, line
-and key.
+names, ``bridges`` makes a link and its routes from one node, ``handling`` reads the keys that only
+edoras-tools knows, ``loading`` joins several files. Every mistake of every file is reported at once, each
+with its file, line and key.
 """
 
 from edoras_tools.mission.loading import load, loads

@@ -1,4 +1,4 @@
-"""One node's parameters to a link and its routes, checked as the bridges use them."""
+"""Makes a link and its routes from one node's parameters, with the checks that the bridges make."""
 
 from __future__ import annotations
 
@@ -7,21 +7,30 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.links.table import carrying
 from edoras_tools.mission.fields import Fields, suggestion
-from edoras_tools.mission.handling import BRIDGE_KEYS, GROUP, TOPIC_KEYS, read_handling, warn_of_unknown
+from edoras_tools.mission.handling import (
+    BRIDGE_KEYS,
+    HANDLING_GROUP,
+    TOPIC_KEYS,
+    read_handling,
+    warn_of_unknown,
+)
 from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Handling, Route
 from edoras_tools.mission.report import printable
-from edoras_tools.model import Link
+from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import EnvelopeFormat
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from edoras_tools.mission.parameters import Node
-    from edoras_tools.mission.report import Report
+    from edoras_tools.mission.parameters import NodeParameters
+    from edoras_tools.mission.report import Mistakes
 
     CheckType = Callable[[str], str | None]
-    Claims = dict[tuple[Link, int], tuple[Node, Route]]
+    from edoras_tools.model import Link
+
+    Claims = dict[tuple[Link, int], tuple[NodeParameters, Route]]
 
 # An address, or the limits of an integer.
 _ADDRESS: Final = None
@@ -49,9 +58,6 @@ _FLIGHT: Final[dict[str, tuple[int, int] | None]] = {
 _ROUTE_KEYS: Final = ("type", "topic", "mid", "envelope", *TOPIC_KEYS)
 _DIRECTIONS: Final[tuple[Literal["command", "telemetry"], ...]] = ("command", "telemetry")
 
-HIGHEST_MSG_ID = 0x1FFF
-"""cFE refuses MsgIds above this one (``CFE_PLATFORM_SB_HIGHEST_VALID_MSGID`` as built for the demos)."""
-_COMMAND_BIT = 0x1000
 _SECONDARY_HEADER_BIT = 0x0800
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
@@ -59,24 +65,24 @@ _OTHER_SPELLING = re.compile(r"([a-z][a-z0-9_]*)(?:/|::|\.)(?:msg(?:/|::|\.))?([
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
-def find_bridges(nodes: list[Node]) -> list[Node]:
-    """Return the nodes that are bridges; others may share their file, and even their ``communication``."""
+def find_bridges(nodes: list[NodeParameters]) -> list[NodeParameters]:
+    """Return the nodes that are bridges; other nodes may be in the same file, even with ``communication``."""
 
-    def having(*names: str) -> list[Node]:
+    def having(*names: str) -> list[NodeParameters]:
         return [node for node in nodes if not {*names}.isdisjoint(node.lines)]
 
     return having(*_DIRECTIONS) or having("communication")
 
 
 def read_bridge(
-    node: Node, report: Report, claims: Claims, check_type: CheckType | None
+    node: NodeParameters, report: Mistakes, claims: Claims, check_type: CheckType | None
 ) -> tuple[Bridge | None, list[Route]]:
-    """Return a bridge as far as it is right, and its routes that no other has; the rest goes to ``report``.
+    """Return the valid part of a bridge, without routes that another bridge has; mistakes go to ``report``.
 
     Args:
         node: its parameters.
         report: of its file.
-        claims: who holds which MsgId on which link, over all bridges; added to.
+        claims: the owner of each MsgId on each link, over all bridges; this call adds to it.
         check_type: tells what is wrong with a ROS type, None where nothing is.
     """
     fields = Fields(node, report)
@@ -84,13 +90,13 @@ def read_bridge(
     reader = _Routes(fields, flight, claims, check_type)
     for direction in _DIRECTIONS:
         for item in fields.keys(direction):
-            # The bridge passes over a key without a mapping; [''] is how an empty list is written for ROS 2.
+            # The bridge ignores a key without a mapping; [''] is ROS 2's spelling of an empty list.
             if item.value:
                 reader.listed(str(item.value), item.line, direction)
     reader.warn_of_unlisted()
-    total = fields.rate(f"{GROUP}.max_rate_total")
-    size = fields.count(f"{GROUP}.max_size", _LARGEST)
-    warn_of_unknown(fields, GROUP, BRIDGE_KEYS)
+    total = fields.rate(f"{HANDLING_GROUP}.max_rate_total")
+    size = fields.count(f"{HANDLING_GROUP}.max_size", _LARGEST)
+    warn_of_unknown(fields, HANDLING_GROUP, BRIDGE_KEYS)
     if link is None:
         return None, reader.routes
     return Bridge(node.name, link, tuple(reader.whole), total, size), reader.routes
@@ -125,7 +131,7 @@ def _communication(fields: Fields) -> tuple[bool, GroundLink | FlightLink | None
 
 
 class _Routes:
-    """The routes of one bridge, taken up key by key."""
+    """Collects the routes of one bridge, key by key."""
 
     def __init__(self, fields: Fields, flight: bool, claims: Claims, check_type: CheckType | None) -> None:
         self.fields = fields
@@ -134,12 +140,12 @@ class _Routes:
         self.check_type = check_type
         self.routes: list[Route] = []
         self.whole: list[Route] = []
-        self.defaults = read_handling(fields, GROUP, Handling())
+        self.defaults = read_handling(fields, HANDLING_GROUP, Handling())
         self.keys: dict[str, int] = {}
         self.topics: dict[str, tuple[str, int]] = {}
 
     def listed(self, key: str, line: int, direction: Literal["command", "telemetry"]) -> None:
-        """Take up a key that ``command`` or ``telemetry`` lists on ``line``."""
+        """Add the route of a key that ``command`` or ``telemetry`` lists on ``line``."""
         fields, node = self.fields, self.fields.node
         if key in self.keys:
             fields.report.mistake(
@@ -157,13 +163,13 @@ class _Routes:
             return
         type_name, topic, msg_id = self._type(key), self._topic(key), self._msg_id(key)
         envelope = self._envelope(key)
-        # A bridge's own rate is what spares its cFS: it holds back nothing that comes from there.
+        # The rate of a bridge protects its cFS: messages from cFS are not limited by it.
         defaults = self.defaults if direction == "command" else replace(self.defaults, max_rate=None)
         handling = read_handling(fields, key, defaults)
         warn_of_unknown(fields, key, _ROUTE_KEYS)
         if msg_id is None:
             return
-        link = Link.SBN if self.flight else Link.CI if direction == "command" else Link.TO
+        link = carrying("flight" if self.flight else "ground", to_cfs=direction == "command")
         route = Route(
             topic or "",
             type_name or "",
@@ -192,7 +198,7 @@ class _Routes:
         if not _TYPE.fullmatch(text):
             other = _OTHER_SPELLING.fullmatch(text)
             allowed = f"write {other[1]}/msg/{other[2]}" if other else f"the bridge needs {form}"
-            self.fields.mistake(name, f'"{printable(text)}" is no {form}; {allowed}')
+            self.fields.mistake(name, f'"{printable(text)}" is not of the form {form}; {allowed}')
             return None
         wrong = self.check_type(text) if self.check_type else None
         if wrong is not None:
@@ -209,7 +215,7 @@ class _Routes:
             allowed = (
                 "letters, digits and _ between single slashes are allowed, no part starting with a digit"
             )
-            self.fields.mistake(name, f'"{printable(text)}" is no topic; {allowed}')
+            self.fields.mistake(name, f'"{printable(text)}" is not a topic; {allowed}')
             return None
         topic = "/" + text.removeprefix("/")
         if topic in self.topics:
@@ -222,9 +228,9 @@ class _Routes:
 
     def _msg_id(self, key: str) -> int | None:
         name = f"{key}.mid"
-        allowed = f"a MsgId from 0x1 to 0x{HIGHEST_MSG_ID:X} is needed"
+        allowed = f"a MsgId from 0x1 to 0x{cfe.HIGHEST_MSG_ID:X} is needed"
         msg_id = self.fields.integer(name, allowed=allowed)
-        if msg_id is None or 1 <= msg_id <= HIGHEST_MSG_ID:
+        if msg_id is None or 1 <= msg_id <= cfe.HIGHEST_MSG_ID:
             return msg_id
         what = "is refused by cFE" if 0 <= msg_id <= 0xFFFF else "does not fit 16 bits"
         self.fields.mistake(name, f"{msg_id:#x} {what}; {allowed}")
@@ -241,11 +247,11 @@ class _Routes:
             return str(EnvelopeFormat.named(text))
         except ConfigError:
             allowed = "auto, 8/8, 4/4 and 1/1 are allowed, the first numbers with le or be behind"
-            self.fields.mistake(name, f'"{printable(text)}" is no envelope; {allowed}')
+            self.fields.mistake(name, f'"{printable(text)}" is not an envelope; {allowed}')
             return None
 
     def _claim(self, route: Route) -> bool:
-        """Take the MsgId; False where it is another topic's, or another bridge has the very same route."""
+        """Claim the MsgId; False if another topic has it, or another bridge has the same route."""
         node, other = self.claims.setdefault((route.link, route.msg_id), (self.fields.node, route))
         if other is route:
             return True
@@ -259,7 +265,7 @@ class _Routes:
         return False
 
     def _warn_of_msg_id(self, route: Route) -> None:
-        name, command = f"{route.key}.mid", bool(route.msg_id & _COMMAND_BIT)
+        name, command = f"{route.key}.mid", bool(route.msg_id & cfe.COMMAND_BIT)
         if not route.msg_id & _SECONDARY_HEADER_BIT:
             what = f"0x{route.msg_id:04X} lacks 0x0800, the secondary header bit that cFE messages have"
             self.fields.warn(name, f"{what}; is it hexadecimal, written without 0x?")
@@ -269,13 +275,13 @@ class _Routes:
             self.fields.warn(name, f"{what}; a ground bridge's {route.direction} is {usual} as a rule")
 
     def warn_of_unlisted(self) -> None:
-        """Warn of mappings that neither list names."""
+        """Warn of mappings that are in neither list."""
         for key in _mappings(self.fields.node):
             if key not in self.keys:
                 self.fields.warn(key, "ignored; a bridge reads what command or telemetry lists")
 
 
-def _mappings(node: Node) -> list[str]:
+def _mappings(node: NodeParameters) -> list[str]:
     """Return the groups that look like a route."""
     return [
         key for key in node.lines if key in node.groups and {"type", "topic", "mid"} & {*node.children(key)}

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+import difflib
+import ipaddress
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from edoras_tools.mission.report import printable
 from edoras_tools.mission.scalars import read_scalar
-from edoras_tools.mission.tree import Scalar
+from edoras_tools.mission.tree import ScalarNode
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from edoras_tools.mission.parameters import Node
-    from edoras_tools.mission.report import Report
+    from edoras_tools.mission.parameters import NodeParameters
+    from edoras_tools.mission.report import Mistakes
 
 
 def suggestion(word: str, choices: Iterable[str]) -> str:
     """Return ``did you mean ...? `` for the nearest choice, or nothing."""
-    import difflib
-
     near = difflib.get_close_matches(word, list(choices), n=1)
     return f"did you mean {near[0]}? " if near else ""
 
@@ -29,23 +29,23 @@ def suggestion(word: str, choices: Iterable[str]) -> str:
 class Fields:
     """The parameters of one node and the report of its file."""
 
-    node: Node
-    report: Report
+    node: NodeParameters
+    report: Mistakes
 
     def mistake(self, name: str, what: str) -> None:
-        """Report a mistake where the parameter, or what is around it, stands."""
+        """Report a mistake at the line of the parameter, or of the nearest group around it."""
         self.report.mistake(self.node.line_of(name), name, what)
 
     def warn(self, name: str, what: str) -> None:
-        """Report a warning where the parameter stands."""
+        """Report a warning at the line of the parameter."""
         self.report.warn(self.node.line_of(name), name, what)
 
     def has(self, name: str) -> bool:
-        """Tell whether the file gives the parameter, rightly or not."""
+        """Tell whether the file has the parameter, valid or not."""
         return name in self.node.values or name in self.node.groups
 
     def text(self, name: str, allowed: str) -> str | None:
-        """Return a string. The bridges throw at any other kind."""
+        """Return a string. The bridges throw for any other type."""
         scalar = self._scalar(name, allowed)
         if scalar is None:
             return None
@@ -59,7 +59,7 @@ class Fields:
     def integer(
         self, name: str, lowest: int = -(2**63), highest: int = 2**63 - 1, allowed: str = ""
     ) -> int | None:
-        """Return an integer within limits. The bridges throw at a string, a float or a boolean."""
+        """Return an integer within limits. The bridges throw for a string, a float or a boolean."""
         allowed = allowed or f"an integer from {lowest} to {highest} is needed"
         scalar = self._scalar(name, allowed)
         if scalar is None:
@@ -91,7 +91,7 @@ class Fields:
         return float(value)
 
     def word(self, name: str, choices: Sequence[str]) -> str | None:
-        """Return one of some words; None where it is absent or wrong."""
+        """Return one of the given words; None where it is absent or wrong."""
         if not self.has(name):
             return None
         allowed = f"{' or '.join(choices)} is needed"
@@ -106,24 +106,22 @@ class Fields:
         return self.integer(name, 1, highest) if self.has(name) else None
 
     def address(self, name: str) -> str | None:
-        """Return a dotted IPv4 address. The bridges hand it to ``inet_addr``, which resolves no names."""
-        import ipaddress
-
+        """Return a dotted IPv4 address. The bridges pass it to ``inet_addr``, which resolves no names."""
         text = self.text(name, allowed="an IPv4 address is needed, as 127.0.0.1")
         if text is None:
             return None
         try:
             return str(ipaddress.IPv4Address(text))
         except ValueError:
-            what = "is no IPv4 address; the bridges resolve no host names: write it as 127.0.0.1"
+            what = "is not an IPv4 address; the bridges resolve no host names: write it as 127.0.0.1"
             self.mistake(name, f'"{printable(text)}" {what}')
             return None
 
-    def keys(self, name: str) -> list[Scalar]:
+    def keys(self, name: str) -> list[ScalarNode]:
         """Return a list of strings, each with its line."""
         allowed = "a list of keys is needed, as ['cmd_twist']"
         value = self.node.values.get(name)
-        if isinstance(value, Scalar):
+        if isinstance(value, ScalarNode):
             self.mistake(name, f"{value.described}; {allowed}")
         elif value is None:
             self._absent(name, allowed)
@@ -135,9 +133,9 @@ class Fields:
             return list(value)
         return []
 
-    def _scalar(self, name: str, allowed: str) -> Scalar | None:
+    def _scalar(self, name: str, allowed: str) -> ScalarNode | None:
         value = self.node.values.get(name)
-        if isinstance(value, Scalar):
+        if isinstance(value, ScalarNode):
             return value
         if value is None:
             self._absent(name, allowed)

@@ -1,7 +1,7 @@
-"""The keys of ours in a bridge's file: rates, quality of service.
+"""The keys that edoras-tools adds to a bridge's file: rates and quality of service.
 
-They stand below a topic's own key, or for all topics below ``edoras``. The public bridges declare whatever
-parameters the file holds and look theirs up by name, so that these are passed over.
+They are below a topic's own key, or below ``edoras`` for all topics. The public bridges declare every
+parameter of the file and look theirs up by name, so they ignore these.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission.fields import Fields
 
-GROUP: Final = "edoras"
-"""What holds for all topics of a bridge, and for the bridge itself, stands below this name."""
+HANDLING_GROUP: Final = "edoras"
+"""The group of the keys for all topics of a bridge, and for the bridge itself."""
 TOPIC_KEYS: Final = ("max_rate", "keep", "to_limit")
 BRIDGE_KEYS: Final = ("max_rate", "keep", "max_rate_total", "max_size")
 _QOS: Final = ("reliability", "durability", "depth")
@@ -27,12 +27,12 @@ _TO_MOST: Final = 0xFF
 
 
 def read_handling(fields: Fields, group: str, defaults: Handling) -> Handling:
-    """Return what a group says of how to treat topics, mistakes to the report.
+    """Read the handling of topics from a group; mistakes go to the report.
 
     Args:
         fields: the node.
-        group: a topic's key, or ``GROUP``.
-        defaults: hold where it says nothing.
+        group: a topic's key, or ``HANDLING_GROUP``.
+        defaults: the values of missing keys.
     """
     keep: Any = fields.word(f"{group}.keep", ("latest", "first"))
     reliability = fields.word(f"{group}.qos.reliability", ("reliable", "best_effort"))
@@ -44,12 +44,12 @@ def read_handling(fields: Fields, group: str, defaults: Handling) -> Handling:
         reliable=reliability == "reliable" if reliability else defaults.reliable,
         transient_local=durability == "transient_local" if durability else defaults.transient_local,
         depth=fields.count(f"{group}.qos.depth", _MOST) or defaults.depth,
-        to_limit=fields.count(f"{group}.to_limit", _TO_MOST) if group != GROUP else None,
+        to_limit=fields.count(f"{group}.to_limit", _TO_MOST) if group != HANDLING_GROUP else None,
     )
 
 
 def warn_of_unknown(fields: Fields, group: str, known: Sequence[str]) -> None:
-    """Warn of the keys of a group that nobody reads."""
+    """Warn of unknown keys in a group."""
     for name in fields.node.children(group):
         if name not in known:
             words = ", ".join(known)

@@ -1,4 +1,4 @@
-"""Mission files, from disk or from a recording's attachments, to one mission."""
+"""Reads mission files, from disk or from a recording's attachments, into one mission."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.mission.bridges import find_bridges, read_bridge
 from edoras_tools.mission.model import Mission
 from edoras_tools.mission.parameters import read_nodes
-from edoras_tools.mission.report import Report
+from edoras_tools.mission.report import Mistakes
+from edoras_tools.mission.tree import LARGEST_FILE, yaml_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from edoras_tools.mission.bridges import CheckType, Claims
     from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Route
-
-_LARGEST = 1 << 18  # a mission file is a few KiB; a capture given by mistake is not read whole
 
 
 def load(
@@ -54,7 +53,7 @@ def _read(path: str | os.PathLike[str]) -> bytes | str:
     """Return a file's bytes, or why there are none."""
     try:
         with Path(path).open("rb") as file:
-            return file.read(_LARGEST + 1)
+            return file.read(LARGEST_FILE + 1)
     except FileNotFoundError:
         return "no such file; give the YAML file of a bridge"
     except IsADirectoryError:
@@ -74,7 +73,7 @@ def _mission(contents: list[tuple[str, bytes | str]], check_type: CheckType | No
     for name, content in contents:
         if content in files.values():
             continue  # the same file given twice
-        report = Report(name)
+        report = Mistakes(name)
         reports.append(report)
         if isinstance(content, bytes):
             files[_free_name(PurePath(name).name, files)] = content
@@ -99,23 +98,15 @@ def _mission(contents: list[tuple[str, bytes | str]], check_type: CheckType | No
 
 
 def _in_order(found: Iterable[list[tuple[int, str]]]) -> list[str]:
-    """Return what was said of each file by line; once, though a wildcard may stand behind several nodes."""
+    """Return the messages of each file, sorted by line, each once: a wildcard may apply to several nodes."""
     return list(dict.fromkeys(text for lines in found for _, text in sorted(lines, key=itemgetter(0))))
 
 
-def _text(content: bytes | str, report: Report) -> str | None:
+def _text(content: bytes | str, report: Mistakes) -> str | None:
     if isinstance(content, str):
         report.mistake(0, "", content)
         return None
-    if len(content) > _LARGEST:
-        report.mistake(0, "", f"larger than {_LARGEST >> 10} KiB; give the YAML file of a bridge")
-        return None
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        report.mistake(line, "", f"not UTF-8 at byte {error.start}; give the YAML file of a bridge")
-        return None
+    return yaml_text(content, report, "give the YAML file of a bridge")
 
 
 def _free_name(name: str, taken: Mapping[str, bytes]) -> str:

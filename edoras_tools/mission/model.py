@@ -1,10 +1,10 @@
-"""The values that a mission file becomes."""
+"""The content of mission files as values."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.scalars import read_scalar
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Handling:
-    """How ``edoras bridge`` treats a topic; the public bridges pass over it. None: the file says nothing.
+    """How ``edoras bridge`` treats a topic; the public bridges ignore it. None: not in the file.
 
     Attributes:
         max_rate: messages a second at the most.
-        keep: of what is too much, the ``latest`` waits for its turn, or the ``first`` has gone already.
+        keep: above the rate, ``latest`` sends the newest message when its time comes; ``first`` drops it.
         reliable: quality of service: lost samples are sent again.
         transient_local: quality of service: late subscribers get the last samples.
         depth: quality of service: samples kept.
-        to_limit: have Telemetry Output send it, so many of it waiting at the most.
+        to_limit: have Telemetry Output send it, with this many waiting at the most.
     """
 
     max_rate: float | None = None
@@ -43,13 +43,13 @@ class Route:
         topic: with a leading slash.
         type: ROS type name, ``package/msg/Name``.
         msg_id: cFE MsgId, 1 to 0x1FFF.
-        link: ``CI`` for a ground command, ``TO`` for ground telemetry, ``SBN`` for both of a flight bridge.
+        link: the one that carries messages of this kind of bridge in this direction.
         direction: named from the bridge's side, as in the file.
         key: the name that the file gives the mapping.
         file: the file, as it was named when loaded.
         line: where the mapping starts, from 1.
         envelope: ``auto`` or the name of a ``wire.envelope.EnvelopeFormat``; None where not given.
-        handling: what the file says of it to our bridge, its bridge's defaults filled in.
+        handling: for ``edoras bridge``, with the defaults of its bridge filled in.
     """
 
     topic: str
@@ -82,6 +82,8 @@ class GroundLink:
         file: the file, as it was named when loaded.
         line: where ``communication`` starts, from 1.
     """
+
+    kind: ClassVar = "ground"
 
     bridge_port: int
     fsw_port: int
@@ -119,6 +121,8 @@ class FlightLink:
         line: where ``communication`` starts, from 1.
     """
 
+    kind: ClassVar = "flight"
+
     peer_ip: str
     peer_port: int
     peer_processor_id: int
@@ -143,7 +147,7 @@ class FlightLink:
 
 @dataclass(frozen=True, slots=True)
 class Bridge:
-    """One bridge, whole: what a process that takes its place does.
+    """One bridge: link, routes and limits, all that is needed to run in its place.
 
     Attributes:
         name: of its node, fully qualified; empty where the file gives none.
@@ -162,13 +166,13 @@ class Bridge:
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """All that the mission files say; ``Mission()`` is valid and says nothing.
+    """The content of all mission files; ``Mission()`` is valid and empty.
 
     Attributes:
         routes: in the order of the files; of one link no two have the same MsgId.
         links: one a bridge.
         files: raw contents by base name, for attachments.
-        warnings: one line each: what a bridge accepts and nobody can mean.
+        warnings: one line each: what a bridge accepts but is probably a mistake.
         bridges: link and routes of each bridge together.
     """
 

@@ -1,8 +1,8 @@
-"""ROS 2 parameter files to dotted names, as ``rcl_yaml_param_parser`` flattens them.
+"""Reads ROS 2 parameter files into dotted names, as ``rcl_yaml_param_parser`` flattens them.
 
 ``NODE: ros__parameters: {a: {b: 1}}`` is the parameter ``a.b`` of ``NODE``. Node names may be nested (a
 namespace a level), hold slashes, or be wildcards; several nodes and several documents may share a file.
-Figure 19 of the EDORAS paper has no node name on top: it is read too, with a warning, though rcl refuses it.
+Figure 19 of the EDORAS paper has no node name on top: it is read too, with a warning; rcl refuses it.
 """
 
 from __future__ import annotations
@@ -11,17 +11,25 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from edoras_tools.mission.tree import FORM, Alias, Mapping, Scalar, Sequence, Tree, parse
+from edoras_tools.mission.tree import (
+    BRIDGE_FILE_FORM,
+    AliasNode,
+    MappingNode,
+    ScalarNode,
+    SequenceNode,
+    Tree,
+    parse_yaml,
+)
 
 if TYPE_CHECKING:
-    from edoras_tools.mission.report import Report
+    from edoras_tools.mission.report import Mistakes
 
 PARAMETERS_KEY = "ros__parameters"
 _NODE_NAME = re.compile(r"(/(\*\*?|[A-Za-z_][A-Za-z0-9_]*))+")
 
 
 @dataclass(frozen=True, slots=True)
-class Node:
+class NodeParameters:
     """The parameters of one node.
 
     Attributes:
@@ -34,7 +42,7 @@ class Node:
 
     name: str
     line: int
-    values: dict[str, Scalar | tuple[Scalar, ...] | None] = field(default_factory=dict)
+    values: dict[str, ScalarNode | tuple[ScalarNode, ...] | None] = field(default_factory=dict)
     groups: set[str] = field(default_factory=set)
     lines: dict[str, int] = field(default_factory=dict)
 
@@ -44,27 +52,27 @@ class Node:
         return [last for above, _, last in names if above == group]
 
     def line_of(self, name: str) -> int:
-        """Return where a parameter, or the nearest group around it, stands."""
+        """Return the line of a parameter, or of the nearest group around it."""
         while name and name not in self.lines:
             name = name.rpartition(".")[0]
         return self.lines[name] if name else self.line
 
 
-def read_nodes(text: str, report: Report) -> list[Node]:
-    """Return the nodes of a parameter file, wildcards put into the nodes that they match.
+def read_nodes(text: str, report: Mistakes) -> list[NodeParameters]:
+    """Return the nodes of a parameter file, with the parameters of matching wildcards.
 
-    What is wrong goes to ``report``; what can be read is returned all the same.
+    Mistakes go to ``report``; everything that can be read is returned.
     """
-    documents = parse(text, report)
+    documents = parse_yaml(text, report)
     if not documents:
         if not report.mistakes:
-            report.mistake(1, "", f"the file is empty; {FORM}")
+            report.mistake(1, "", f"the file is empty; {BRIDGE_FILE_FORM}")
         return []
     reader = _Reader(report)
     for document in documents:
         reader.names((), document)
     if not reader.nodes:
-        report.mistake(1, "", f"there is no {PARAMETERS_KEY}; {FORM}")
+        report.mistake(1, "", f"there is no {PARAMETERS_KEY}; {BRIDGE_FILE_FORM}")
     else:
         for line, key in reader.strays:
             report.mistake(line, key, f"a value outside {PARAMETERS_KEY}; indent it below, or remove it")
@@ -74,13 +82,13 @@ def read_nodes(text: str, report: Report) -> list[Node]:
 class _Reader:
     """Walks the names of nodes, then the names of parameters."""
 
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: Mistakes) -> None:
         self.report = report
-        self.nodes: dict[str, Node] = {}
+        self.nodes: dict[str, NodeParameters] = {}
         self.strays: list[tuple[int, str]] = []
 
     def names(self, path: tuple[str, ...], tree: Tree) -> None:
-        if not isinstance(tree, Mapping):
+        if not isinstance(tree, MappingNode):
             self.strays.append((tree.line, "/".join(path)))
             return
         for key, line, child in self.entries(tree, "/".join(path)):
@@ -90,7 +98,7 @@ class _Reader:
             else:
                 self.names((*path, key), child)
 
-    def node(self, path: tuple[str, ...], line: int) -> Node:
+    def node(self, path: tuple[str, ...], line: int) -> NodeParameters:
         name = "/" + "/".join(path).removeprefix("/") if path else ""
         if not path:
             self.report.warn(
@@ -99,18 +107,18 @@ class _Reader:
         elif not _NODE_NAME.fullmatch(name):
             allowed = "letters, digits and _ between slashes, or the wildcards * and **"
             self.report.mistake(line, "/".join(path), f"not the name of a node; allowed are {allowed}")
-        return self.nodes.setdefault(name, Node(name, line))
+        return self.nodes.setdefault(name, NodeParameters(name, line))
 
-    def parameters(self, node: Node, name: str, tree: Tree) -> None:
+    def parameters(self, node: NodeParameters, name: str, tree: Tree) -> None:
         match tree:
-            case Mapping():
+            case MappingNode():
                 for key, line, child in self.entries(tree, name):
                     path = f"{name}.{key}" if name else key
                     node.lines.setdefault(path, line)
                     for above in (path[: dot.start()] for dot in re.finditer(r"\.", path)):
                         node.groups.add(above)
                         node.lines.setdefault(above, line)
-                    if isinstance(child, Mapping):
+                    if isinstance(child, MappingNode):
                         node.groups.add(path)
                     self.parameters(node, path, child)
             case _ if not name:
@@ -119,9 +127,9 @@ class _Reader:
                     PARAMETERS_KEY,
                     "no parameters below it; communication, command and telemetry are needed",
                 )
-            case Scalar():
+            case ScalarNode():
                 node.values[name] = self.scalar(name, tree)
-            case Sequence():
+            case SequenceNode():
                 items = [self.scalar(name, item) for item in tree.items]
                 known = tuple(item for item in items if item is not None)
                 if len({type(item.value) for item in known}) > 1:
@@ -130,48 +138,48 @@ class _Reader:
                     )
                     known = ()
                 node.values[name] = known if len(known) == len(items) else None
-            case Alias():
+            case AliasNode():
                 node.values[name] = self.scalar(name, tree)
 
-    def scalar(self, name: str, tree: Tree) -> Scalar | None:
+    def scalar(self, name: str, tree: Tree) -> ScalarNode | None:
         match tree:
-            case Scalar(missing=False):
+            case ScalarNode(missing=False):
                 return tree
-            case Scalar():
+            case ScalarNode():
                 what = "no value; write one, or '' for an empty string"
-            case Alias():
+            case AliasNode():
                 what = "an alias (*); ROS 2 takes none: write the value out"
             case _:
                 what = "a list or mapping inside a list; ROS 2 takes plain values there"
         self.report.mistake(tree.line, name, what)
         return None
 
-    def entries(self, tree: Mapping, above: str) -> list[tuple[str, int, Tree]]:
+    def entries(self, tree: MappingNode, above: str) -> list[tuple[str, int, Tree]]:
         """Return key, line and value of each entry that can be used: keys are plain text, each once."""
         seen: dict[str, int] = {}
         usable = []
         for key, child in tree.entries:
-            if not isinstance(key, Scalar) or not key.text:
-                self.report.mistake(key.line, above, "a key that is no name; write NAME: VALUE")
+            if not isinstance(key, ScalarNode) or not key.text:
+                self.report.mistake(key.line, above, "a key that is not a name; write NAME: VALUE")
             elif key.text in seen:
                 what = f"written twice, on line {seen[key.text]} before; keep one"
                 self.report.mistake(key.line, f"{above}.{key.text}" if above else key.text, what)
             else:
                 seen[key.text] = key.line
-                # An empty value has its mark where the next token starts.
-                if isinstance(child, Scalar) and child.missing:
-                    child = Scalar("", "", key.line, missing=True)  # noqa: PLW2901
+                # The parser gives an empty value the position of the next token.
+                if isinstance(child, ScalarNode) and child.missing:
+                    child = ScalarNode("", "", key.line, missing=True)  # noqa: PLW2901
                 usable.append((key.text, key.line, child))
         return usable
 
 
-def _with_wildcards(nodes: list[Node]) -> list[Node]:
+def _with_wildcards(nodes: list[NodeParameters]) -> list[NodeParameters]:
     """Give each named node the parameters of the wildcards that match it; as in rclcpp the last wins."""
     named = [node for node in nodes if "*" not in node.name]
     used: set[str] = set()
     result = []
     for node in named:
-        merged = Node(node.name, node.line)
+        merged = NodeParameters(node.name, node.line)
         for other in nodes:
             if other is node or ("*" in other.name and _matches(other.name, node.name)):
                 used.add(other.name)
@@ -183,7 +191,7 @@ def _with_wildcards(nodes: list[Node]) -> list[Node]:
 
 
 def _matches(pattern: str, name: str) -> bool:
-    """Tell whether a wildcard fits: ``*`` is one part of a name, ``**`` any number of them."""
+    """Tell whether a wildcard matches: ``*`` is one part of a name, ``**`` any number of parts."""
     parts = name.split("/")[1:]
     ends = {0}
     for part in pattern.split("/")[1:]:

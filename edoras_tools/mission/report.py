@@ -1,4 +1,4 @@
-"""Mistakes and warnings, gathered while files are read so that all can be told at once."""
+"""Mistakes and warnings, collected while files are read and reported together."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ def printable(text: str, limit: int = 60) -> str:
 
 
 @dataclass(slots=True)
-class Report:
+class Mistakes:
     """What is wrong with one file.
 
     Attributes:
-        file: its name, as people know it.
+        file: its name, for messages.
         mistakes: line number and ``FILE:LINE: KEY: what is wrong; what is allowed``, in the order found.
-        warnings: the same of what works and was hardly meant.
+        warnings: in the same form, what works but is probably a mistake.
     """
 
     file: str
@@ -26,11 +26,11 @@ class Report:
     warnings: list[tuple[int, str]] = field(default_factory=list)
 
     def mistake(self, line: int, key: str, what: str) -> None:
-        """Note something that cannot be honoured. ``line`` counts from 1; 0 is the file as a whole."""
+        """Add a mistake. ``line`` counts from 1; 0 is the whole file."""
         self.mistakes.append((line, self._text(line, key, what)))
 
     def warn(self, line: int, key: str, what: str) -> None:
-        """Note something that works and was hardly meant."""
+        """Add a warning: something that works but is probably a mistake."""
         self.warnings.append((line, self._text(line, key, what)))
 
     def _text(self, line: int, key: str, what: str) -> str:

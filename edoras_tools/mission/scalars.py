@@ -1,8 +1,9 @@
-"""What a YAML scalar means to a ROS 2 node.
+"""The value that a ROS 2 node gives to a YAML scalar.
 
 ROS 2 does not use YAML's own schema: ``rcl_yaml_param_parser`` tries a list of words, then C's ``strtol``
-with base 0, then ``strtod``, and takes the rest for a string. ``0x1827`` is an integer, ``010`` is 8, ``08``
-and ``1e3`` are floats, ``yes`` is true, ``0o17`` and ``1_000`` are strings, and so is anything in quotes.
+with base 0, then ``strtod``, and takes everything else as a string. ``0x1827`` is an integer, ``010`` is 8,
+``08`` and ``1e3`` are floats, ``yes`` is true, ``0o17`` and ``1_000`` are strings, and so is anything in
+quotes.
 """
 
 from __future__ import annotations

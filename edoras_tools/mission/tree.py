@@ -1,4 +1,4 @@
-"""YAML text to a tree that keeps what ROS 2's rules need: lines, and whether quotes stood there."""
+"""Parses YAML into a tree that keeps what ROS 2's rules need: line numbers and quotes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from edoras_tools.mission.scalars import read_scalar
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.mission.report import Report
+    from edoras_tools.mission.report import Mistakes
 
-FORM = "a bridge's file is NODE: ros__parameters: ..."
-"""What a file that is nothing of the kind is told."""
+BRIDGE_FILE_FORM = "a bridge's file is NODE: ros__parameters: ..."
+"""The hint for a file of another kind."""
 
+LARGEST_FILE = 1 << 18
+"""Bytes. A mission file is a few KiB; a capture that is given by mistake is not read whole."""
 _DEEPEST = 50
 _QUOTES = {"'", '"'}
 _STRING_TAG = "tag:yaml.org,2002:str"
@@ -24,8 +26,8 @@ _INNER_TABS = re.compile(r"(?<=\S)[ \t]*\t[ \t]*")
 
 
 @dataclass(frozen=True, slots=True)
-class Scalar:
-    """A plain value: what rcl takes it for, as written, and the line, from 1. An empty one is missing."""
+class ScalarNode:
+    """A plain value: as rcl reads it, as written, and its line, from 1. An empty one counts as missing."""
 
     value: bool | int | float | str
     text: str
@@ -34,7 +36,7 @@ class Scalar:
 
     @property
     def described(self) -> str:
-        """What it is, for people, as ``"0x827" is a string``."""
+        """The value and its type for messages, as ``"0x827" is a string``."""
         text = printable(self.text)
         match self.value:
             case bool():
@@ -47,7 +49,7 @@ class Scalar:
 
 
 @dataclass(frozen=True, slots=True)
-class Sequence:
+class SequenceNode:
     """A list."""
 
     items: tuple[Tree, ...]
@@ -55,7 +57,7 @@ class Sequence:
 
 
 @dataclass(frozen=True, slots=True)
-class Mapping:
+class MappingNode:
     """Keys and values in the order of the file, repeated keys included."""
 
     entries: tuple[tuple[Tree, Tree], ...]
@@ -63,19 +65,38 @@ class Mapping:
 
 
 @dataclass(frozen=True, slots=True)
-class Alias:
+class AliasNode:
     """``*name``, which rcl refuses."""
 
     line: int
 
 
-Tree: TypeAlias = Scalar | Sequence | Mapping | Alias
+Tree: TypeAlias = ScalarNode | SequenceNode | MappingNode | AliasNode
 
 
-def parse(text: str, report: Report, form: str = FORM) -> list[Tree]:
+def yaml_text(content: bytes, report: Mistakes, form: str) -> str | None:
+    """Return the text of a YAML file; None, with a mistake in the report, where it is too large or not UTF-8.
+
+    Args:
+        content: the file's bytes, ``LARGEST_FILE`` + 1 at most.
+        report: of the file.
+        form: what to give instead.
+    """
+    if len(content) > LARGEST_FILE:
+        report.mistake(0, "", f"larger than {LARGEST_FILE >> 10} KiB; {form}")
+        return None
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        report.mistake(line, "", f"not UTF-8 at byte {error.start}; {form}")
+        return None
+
+
+def parse_yaml(text: str, report: Mistakes, form: str = BRIDGE_FILE_FORM) -> list[Tree]:
     """Return the documents of a YAML text; empty, with a mistake in the report, where it is not YAML.
 
-    ``form`` is what the file should look like, for people.
+    ``form`` is the hint of what the file should look like.
     """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError
@@ -110,7 +131,7 @@ def parse(text: str, report: Report, form: str = FORM) -> list[Tree]:
 
 
 def _step(event: Any) -> int:
-    """Return how much deeper the events after this one are."""
+    """Return the change of nesting depth after this event: 1, 0 or -1."""
     name = type(event).__name__
     if name in {"MappingStartEvent", "SequenceStartEvent"}:
         return 1
@@ -127,21 +148,23 @@ def _tree(event: Any, events: Iterator[Any]) -> Tree:
     line = event.start_mark.line + 1
     match type(event).__name__:
         case "AliasEvent":
-            return Alias(line)
+            return AliasNode(line)
         case "ScalarEvent":
             quoted = event.style in _QUOTES
             value = read_scalar(event.value, quoted=quoted or event.tag == _STRING_TAG)
-            return Scalar(value, event.value, line, missing=not quoted and not event.value)
+            return ScalarNode(value, event.value, line, missing=not quoted and not event.value)
         case "SequenceStartEvent":
-            return Sequence(tuple(_tree(item, events) for item in _until("SequenceEndEvent", events)), line)
-    return Mapping(
+            return SequenceNode(
+                tuple(_tree(item, events) for item in _until("SequenceEndEvent", events)), line
+            )
+    return MappingNode(
         tuple((_tree(key, events), _tree(next(events), events)) for key in _until("MappingEndEvent", events)),
         line,
     )
 
 
 def _until(end: str, events: Iterator[Any]) -> Iterator[Any]:
-    """Yield events up to the one that ends a collection; who takes one reads all that belongs to it."""
+    """Yield events up to the end of a collection; the caller consumes all events of an element it takes."""
     for event in events:
         if type(event).__name__ == end:
             return

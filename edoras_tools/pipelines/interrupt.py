@@ -1,46 +1,77 @@
-"""Ctrl-C that ends work cleanly: what was captured is written, what was counted is shown."""
+"""Ends work cleanly at Ctrl-C: what was captured is written, what was counted is shown.
+
+A signal handler runs in the main thread, between any two of its steps: if that thread holds a lock, a
+handler that needs the same lock waits for ever. ``stop`` may take locks (of an ``Event``, of a socket), so
+it is called in a thread of its own.
+
+When its terminal is closed, a process gets SIGHUP, and every later write to the terminal fails. Output to
+the terminal is then discarded, so that the work can still end normally.
+"""
 
 from __future__ import annotations
 
+import _thread
+import errno
+import os
 import signal
 import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from edoras_tools.io.signals import ENDING
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import FrameType
 
+    from edoras_tools.io import Source
     from edoras_tools.model import PacketBatch
-    from edoras_tools.sources import Source
+
+
+_HANG_UP = getattr(signal, "SIGHUP", None)
 
 
 @contextmanager
-def on_interrupt(stop: Callable[[], None], *, patient: bool = False) -> Iterator[threading.Event]:
-    """Call ``stop`` at the first Ctrl-C or SIGTERM; a second one interrupts at once.
+def on_interrupt(
+    stop: Callable[[], None], *, patient: bool = False, here: bool = False
+) -> Iterator[threading.Event]:
+    """Call ``stop`` at the first Ctrl-C, SIGTERM or SIGHUP; a second Ctrl-C interrupts at once.
+
+    SIGTERM and SIGHUP ask for a clean end, however often they are sent. A SIGHUP that is ignored, as under
+    ``nohup``, stays ignored.
 
     Args:
-        stop: ends the work.
-        patient: a second one says nothing new: a program that others end gets Ctrl-C from the terminal and
-            SIGTERM from them.
+        stop: ends the work; called in a thread of its own.
+        patient: ignore a second Ctrl-C: a program that another one ends gets Ctrl-C from the terminal and
+            SIGTERM from the other program.
+        here: call ``stop`` inside the handler instead: it must take no lock, and may raise.
 
     Yields:
-        an event that is set once it was called. Outside the main thread signals stay as they are.
+        An event that is set once ``stop`` was called. Outside the main thread, signals are not handled.
     """
     asked = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield asked
         return
 
-    def handle(_signal: int, _frame: FrameType | None) -> None:
+    def handle(number: int, _frame: FrameType | None) -> None:
+        if number == _HANG_UP:
+            _leave_terminal()
         if asked.is_set():
-            if patient:
+            if patient or number != signal.SIGINT:
                 return
             raise KeyboardInterrupt
         asked.set()
-        stop()
+        if here:
+            stop()
+        else:
+            _thread.start_new_thread(stop, ())
 
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: signal.signal(number, handle)
+        for number in ENDING
+        if number != _HANG_UP or signal.getsignal(number) is not signal.SIG_IGN
+    }
     try:
         yield asked
     finally:
@@ -48,18 +79,36 @@ def on_interrupt(stop: Callable[[], None], *, patient: bool = False) -> Iterator
             signal.signal(number, handler)
 
 
+def _leave_terminal() -> None:
+    """Redirect output to a closed terminal to the null device."""
+    import termios
+
+    for fileno in (1, 2):
+        try:
+            termios.tcgetattr(fileno)
+        except termios.error as error:
+            if error.args[0] == errno.EIO:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), fileno)
+
+
 @contextmanager
-def interruptible(source: Source) -> Iterator[tuple[Iterator[PacketBatch], threading.Event]]:
-    """Let Ctrl-C end the batches of a source: a live one's after all that arrived, a file's or a pipe's now.
+def interruptible(
+    source: Source, *, patient: bool = False
+) -> Iterator[tuple[Iterator[PacketBatch], threading.Event]]:
+    """Let Ctrl-C end the batches of a source: a live one after all that has arrived, a file or pipe at once.
+
+    Args:
+        source: what is read.
+        patient: see ``on_interrupt``.
 
     Yields:
-        the batches, and an event that is set once they were interrupted.
+        The batches, and an event that is set once they were interrupted.
     """
     stop = getattr(source, "stop", None)
     waiting = False
 
     def interrupt() -> None:
-        # Only the wait for more may be cut short, never the work on what came.
+        # Interrupt only the wait for more, never the work on a batch.
         if waiting:
             raise KeyboardInterrupt
 
@@ -80,5 +129,5 @@ def interruptible(source: Source) -> Iterator[tuple[Iterator[PacketBatch], threa
                 return
             yield batch
 
-    with on_interrupt(stop or interrupt) as asked:
+    with on_interrupt(stop or interrupt, patient=patient, here=stop is None) as asked:
         yield source.batches() if stop else batches(), asked

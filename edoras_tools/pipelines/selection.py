@@ -1,4 +1,4 @@
-"""Which datagrams a command looks at: by link, MsgId, topic and filter, over columns."""
+"""Which datagrams a command reads: by link, MsgId, topic and filter, over columns."""
 
 from __future__ import annotations
 
@@ -8,30 +8,31 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.errors import RouteError
+from edoras_tools.structs.shapes import Key
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from edoras_tools.decode.where import Where
+    from edoras_tools.decode.filters.filter import Where
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.structs.shapes import Key
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """A choice of datagrams; an empty choice is all of them.
+    """A selection of datagrams; an empty one selects all.
 
     Attributes:
-        links: of these links.
-        msg_ids: with these MsgIds.
-        topics: of these topics; shell patterns hold.
-        notable: with one of these finding bits.
-        where: that this filter lets pass; it takes effect in what :meth:`over` returns.
+        links: only these links.
+        msg_ids: only these MsgIds.
+        topics: only these topics; shell patterns are allowed.
+        notable: only datagrams with one of these finding bits.
+        where: only datagrams that pass this filter; it is applied by what :meth:`over` returns.
     """
 
     links: Sequence[Link] = ()
@@ -53,39 +54,40 @@ class Selection:
         return " ".join(words + [f"where={self.where}"] * bool(self.where))
 
     def over(self, bench: Workbench) -> Selection:
-        """Return the choice made ready for a workbench, or find out early what is wrong with it.
+        """Return the selection prepared for a workbench; errors in it are raised here.
 
         Raises:
-            RouteError: a topic pattern fits no configured topic.
-            ConfigError: the filter has a mistake.
+            RouteError: a topic pattern matches no configured topic.
+            ConfigError: the filter has an error.
         """
         context, chosen = bench.columns.context, self
         if self.topics:
             structs = {
-                pattern: [item.key for item in context.structs.all if _fits(item.topic, pattern)]
+                pattern: [item.key for item in context.structs.all if fits_topic(item.topic, pattern)]
+                + [Key(value) for value, name in MSG_ID_NAMES.items() if fnmatchcase(name, pattern)]
                 for pattern in self.topics
             }
             chosen = replace(self, _structs=structs)
         chosen.check(bench.mission)
         if not self.where:
             return chosen
-        from edoras_tools.decode.where import Where
+        from edoras_tools.decode.filters.filter import Where
 
         return replace(chosen, _filter=Where(self.where, context))
 
     def check(self, mission: Mission) -> None:
-        """Find out early whether a mission has what is chosen.
+        """Check early whether a mission has the selected topics.
 
         Raises:
-            RouteError: a topic pattern fits no configured topic.
+            RouteError: a topic pattern matches no configured topic.
         """
         self._routes(mission)
 
     def mask(self, columns: Columns, mission: Mission) -> NDArray[np.bool_]:
-        """Return which rows are chosen by anything but the filter.
+        """Return which rows are selected, without regard to the filter.
 
         Raises:
-            RouteError: a topic pattern fits no configured topic.
+            RouteError: a topic pattern matches no configured topic.
         """
         chosen = np.ones(len(columns), bool)
         if self.links:
@@ -102,14 +104,34 @@ class Selection:
             chosen &= (columns.findings & np.uint32(self.notable)) != 0
         return chosen
 
+    def about(self, link: str | None, msg_id: int | None, mission: Mission) -> bool:
+        """Return whether a link's label and a MsgId are selected, without regard to the filter.
+
+        Args:
+            link: None if it is not about a single link.
+            msg_id: None if it is not about a single MsgId.
+            mission: for the topics.
+
+        Raises:
+            RouteError: a topic pattern matches no configured topic.
+        """
+        if self.links and link not in {item.label for item in self.links}:
+            return False
+        if self.msg_ids and msg_id not in self.msg_ids:
+            return False
+        if not self.topics:
+            return True
+        ids = {mission.routes[index].msg_id for index in self._routes(mission)}
+        return msg_id in ids | {key.msg_id for keys in self._structs.values() for key in keys}
+
     def rows(self, batch: PacketBatch, columns: Columns, mission: Mission) -> NDArray[np.int64]:
-        """Return the indices of the chosen rows."""
+        """Return the indices of the selected rows."""
         rows = np.flatnonzero(self.mask(columns, mission))
-        assert not self.where or self._filter is not None, "a filter takes effect in what over() returns"
+        assert not self.where or self._filter is not None, "only what over() returns applies the filter"
         return rows if self._filter is None else rows[self._filter.mask(batch, columns, rows)]
 
     def apply(self, batch: PacketBatch, columns: Columns, mission: Mission) -> tuple[PacketBatch, Columns]:
-        """Return the chosen rows of both."""
+        """Return the selected rows of both."""
         if not self:
             return batch, columns
         rows = self.rows(batch, columns, mission)
@@ -118,14 +140,15 @@ class Selection:
     def _routes(self, mission: Mission) -> list[int]:
         routes = []
         for pattern in self.topics:
-            fits = [index for index, route in enumerate(mission.routes) if _fits(route.topic, pattern)]
+            fits = [index for index, route in enumerate(mission.routes) if fits_topic(route.topic, pattern)]
             if not fits and not self._structs.get(pattern):
                 there = ", ".join(route.topic for route in mission.routes) or "none; name a mission with -c"
-                raise RouteError(f"no configured topic fits {pattern!r}; there are: {there}")
+                raise RouteError(f"no configured topic matches {pattern!r}; there are: {there}")
             routes += fits
         return routes
 
 
-def _fits(topic: str, pattern: str) -> bool:
+def fits_topic(topic: str, pattern: str) -> bool:
+    """Return whether a topic matches a shell pattern, with or without its leading slash."""
     wanted = pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
     return fnmatchcase(topic, wanted)

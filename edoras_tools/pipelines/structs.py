@@ -1,4 +1,4 @@
-"""C structs out of ELF files, headers and layout files, into message definitions and a layout."""
+"""Turns C structs from ELF files, headers and layout files into message definitions and a layout."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.io.outputs import write_bytes
 from edoras_tools.structs import cfe
 from edoras_tools.structs.bindings import Bindings
-from edoras_tools.structs.dwarf import DebugInfo, Listed
-from edoras_tools.structs.files import NAME, load
-from edoras_tools.structs.shapes import Layout
+from edoras_tools.structs.debug_info.compiler import SOURCE_SUFFIXES, compiled
+from edoras_tools.structs.debug_info.dwarf import DebugInfo, Listed
+from edoras_tools.structs.files import LAYOUT_FILE, load_layout
+from edoras_tools.structs.shapes import StructLayout
 from edoras_tools.structs.writing import dumps
 
 if TYPE_CHECKING:
@@ -25,28 +27,28 @@ _ARCHIVE: Final = b"!<arch>\n"
 
 
 class LayoutFile:
-    """A layout as a place to take structs from.
+    """A layout file as a source of structs.
 
     Args:
         layout: the layout.
 
     Attributes:
-        warnings: none.
+        warnings: always empty.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: StructLayout) -> None:
         self._layout = layout
         self.warnings: list[str] = []
 
     def list(self) -> list[Listed]:
-        """Return every struct, in the order of their names."""
+        """Return every struct, sorted by name."""
         return [
             Listed(item.name, item.size, item.header, len(item.members))
             for item in sorted(self._layout.structs.values(), key=lambda item: item.name)
         ]
 
     def bound(self) -> dict[str, str]:
-        """Return the packets that structs lie in, by the structs' names."""
+        """Return the packets that contain structs, by the structs' names."""
         found: dict[str, list[str]] = {}
         for key, name in self._layout.bindings.items():
             found.setdefault(name, []).append(str(key))
@@ -54,8 +56,8 @@ class LayoutFile:
 
     def layout(
         self, names: Iterable[str], bindings: Mapping[Key, str], package: str | None
-    ) -> tuple[Layout, dict[str, str]]:
-        """Return some structs, all that they use, and the packets they lie in; as ``DebugInfo.layout``."""
+    ) -> tuple[StructLayout, dict[str, str]]:
+        """Return some structs, all that they use, and their packets; see ``DebugInfo.layout``."""
         found = self._layout
         bound = {**found.bindings, **{key: self._find(name) for key, name in bindings.items()}}
         called = {name: self._find(name) for name in [*names, *bindings.values()]}
@@ -89,16 +91,14 @@ class LayoutFile:
 
 
 def open_types(path: Path | None, include: Sequence[Path], flags: Sequence[str]) -> DebugInfo | LayoutFile:
-    """Open a place that describes structs: an ELF file, a C header, a layout file; none: what is shipped.
+    """Open a source of structs: an ELF file, a C header, a layout file; None: the built-in layouts.
 
     Raises:
         ConfigError: it cannot be read.
     """
-    from edoras_tools.structs.compiler import SUFFIXES, compiled
-
-    if path is None or (str(path) == cfe.NAME and not path.exists()):
-        return LayoutFile(cfe.shipped())
-    if path.suffix.lower() in SUFFIXES:
+    if path is None or (str(path) == cfe.LAYOUT_NAME and not path.exists()):
+        return LayoutFile(cfe.shipped_layout())
+    if path.suffix.lower() in SOURCE_SUFFIXES:
         return compiled(path, include, flags)
     try:
         with path.open("rb") as file:
@@ -107,18 +107,18 @@ def open_types(path: Path | None, include: Sequence[Path], flags: Sequence[str])
         start = b""
     except OSError as error:
         raise ConfigError(
-            f"{path}: cannot be read ({error.strerror}); give an ELF file, a C header or a layout file"
+            f"{path}: cannot be read ({error.strerror}); name an ELF file, a C header or a layout file"
         ) from error
     if start == _ARCHIVE:
-        raise ConfigError(f"{path}: an archive; take its objects out with 'ar x {path}', and give one")
-    return DebugInfo(path) if start.startswith(_ELF) else LayoutFile(load(path))
+        raise ConfigError(f"{path}: is an archive; extract its objects with 'ar x {path}', and name one")
+    return DebugInfo(path) if start.startswith(_ELF) else LayoutFile(load_layout(path))
 
 
 def bindings_of(pairs: Iterable[tuple[Key, str]]) -> dict[Key, str]:
-    """Return the packets that structs are said to lie in.
+    """Return the packets that are assigned to structs.
 
     Raises:
-        ConfigError: two in the same.
+        ConfigError: one packet is assigned to two structs.
     """
     found: dict[Key, str] = {}
     for key, name in pairs:
@@ -128,21 +128,21 @@ def bindings_of(pairs: Iterable[tuple[Key, str]]) -> dict[Key, str]:
 
 
 def bound(source: DebugInfo | LayoutFile) -> dict[str, str]:
-    """Return the packets that structs are known to lie in, by the structs' names."""
+    """Return the packets that contain structs, by the structs' names."""
     return source.bound() if isinstance(source, LayoutFile) else {}
 
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """Structs that were asked for.
+    """The requested structs.
 
     Attributes:
-        layout: they, and all that they use.
-        messages: theirs.
-        types: the type of each that was asked for, in full, by name.
+        layout: the structs, and all that they use.
+        messages: their messages.
+        types: full message type of each requested struct, by the struct's name.
     """
 
-    layout: Layout
+    layout: StructLayout
     messages: Bindings
     types: Mapping[str, str]
 
@@ -150,16 +150,16 @@ class Taken:
 def take(
     source: DebugInfo | LayoutFile, names: Sequence[str], bindings: Mapping[Key, str], package: str | None
 ) -> Taken:
-    """Take structs out of a file; where none is named, all that begin with a cFE header or lie in a packet.
+    """Take structs from a source; if none is named, all that start with a cFE header or are in a packet.
 
     Raises:
-        ConfigError: there is none of that name, or it cannot become a message.
+        ConfigError: a struct is not found, or cannot become a message.
     """
     if not names and not bindings:
         listed = source.list()
         names = [item.name for item in listed if item.header] or [item.name for item in listed]
     if isinstance(source, DebugInfo):
-        layout, called = source.layout(names, bindings, package or Layout({}).package)
+        layout, called = source.layout(names, bindings, package or StructLayout({}).package)
     else:
         layout, called = source.layout(names, bindings, package)
     messages = Bindings([layout])
@@ -172,26 +172,25 @@ def take(
     return Taken(layout, messages, types)
 
 
-def write(taken: Taken, folder: Path, *, force: bool = False) -> list[Path]:
+def write_definitions(taken: Taken, folder: Path, *, force: bool = False) -> list[Path]:
     """Write the definitions, ``PACKAGE/msg/NAME.msg``, and the layout, ``structs.yaml``.
 
-    Nothing is written where a file that is not the same is there already.
+    Nothing is written if a file exists with other contents.
 
     Raises:
-        ConfigError: it is, and ``force`` was not given; or a file cannot be written.
+        ConfigError: such a file exists, and ``force`` was not given; or a file cannot be written.
     """
     contents = {folder / f"{name}.msg": text for name, text in taken.messages.texts.items()}
-    contents[folder / NAME] = dumps(taken.layout)
+    contents[folder / LAYOUT_FILE] = dumps(taken.layout)
     others = [path for path, text in contents.items() if not _same(path, text)]
     there = [path for path in others if path.exists()]
     if there and not force:
         raise ConfigError(
-            f"{there[0]}: is there already and differs, the first of {len(there)}; --force writes over such"
+            f"{there[0]}: exists and differs, the first of {len(there)}; overwrite with --force"
         )
     for path in others:
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(contents[path], encoding="utf-8")
+            write_bytes(path, contents[path].encode(), folders=True)
         except OSError as error:
             raise ConfigError(f"{path}: cannot be written ({error.strerror}); name another folder") from error
     return sorted(contents)

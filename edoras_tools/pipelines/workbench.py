@@ -1,4 +1,4 @@
-"""What every pipeline is set up with: the mission, the types and the decoders that share them."""
+"""What every pipeline needs: the mission, the types and the decoders that share them."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.io.formats.open import open_file
 from edoras_tools.mission import Mission, load, loads
 from edoras_tools.ros import TypeStore
-from edoras_tools.sources import open_file
-from edoras_tools.structs import Structs, shipped
+from edoras_tools.ros.store import USUAL_DISTRO
+from edoras_tools.structs import Structs, shipped_structs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from edoras_tools.io import Source
     from edoras_tools.model import SourceInfo
-    from edoras_tools.sources import Source
 
 _LAYOUTS: Final = "structs/"
-"""What the names of layouts begin with in a recording, where mission files lie beside them."""
+"""Prefix of the names of layouts in a recording, which also contains the mission files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,31 +43,31 @@ class Workbench:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the command line says of missions, types and decoding.
+    """The command line's settings for missions, types and decoding.
 
     Attributes:
         configs: mission files.
-        distro: ROS distribution whose message definitions hold.
-        msg_paths: folders with further ``.msg`` and ``.idl`` files.
+        distro: ROS distribution whose message definitions are used.
+        msg_paths: folders with more ``.msg`` and ``.idl`` files.
         options: how to read the bytes.
-        structs: layouts of C structs, before those of cFE itself.
+        structs: layouts of C structs; they take precedence over cFE's own.
     """
 
     configs: Sequence[Path] = ()
-    distro: str = "humble"
+    distro: str = USUAL_DISTRO
     msg_paths: Sequence[Path] = ()
     options: Options = Options()  # noqa: RUF009  frozen, and the same for all
     structs: Sequence[Path] = ()
 
     def workbench(self, info: SourceInfo | None = None) -> Workbench:
-        """Set up.
+        """Load the mission, the types and the layouts.
 
         Args:
-            info: of the source. A recording's mission files hold where no mission is named, its layouts of
-                C structs where none is, its message definitions before the distribution's.
+            info: of the source. A recording's mission files and struct layouts are used if none are named,
+                its decoding options if none are given, its message definitions before the distribution's.
 
         Raises:
-            ConfigError: a mission, a type folder or an option has mistakes.
+            ConfigError: a mission, a type folder or an option has errors.
         """
         attached = info.attachments if info else {}
         types = TypeStore(self.distro, self.msg_paths, info.definitions if info else None)
@@ -76,19 +77,20 @@ class Settings:
             bridges = {name: data for name, data in attached.items() if not name.startswith(_LAYOUTS)}
             mission = loads(bridges, check_type=types.check) if bridges else Mission()
         carried = {name: data for name, data in attached.items() if name.startswith(_LAYOUTS)}
-        structs = shipped()
+        structs = shipped_structs()
         if self.structs or carried:
-            from edoras_tools.structs.files import loads as loads_layout
-            from edoras_tools.structs.files import read
+            from edoras_tools.structs.files import parse_layout as loads_layout
+            from edoras_tools.structs.files import read_layout
 
-            given = [read(path) for path in self.structs]
+            given = [read_layout(path) for path in self.structs]
             contents = [(str(file), data) for file, data in given] or list(carried.items())
             layouts = [loads_layout(data, name) for name, data in contents]
             structs = Structs([*layouts, *structs.layouts])
             names = [f"{_LAYOUTS}{place}_{file.name}" for place, (file, _) in enumerate(given, 1)]
             files = dict(zip(names or carried, (data for _, data in contents), strict=True))
             mission = replace(mission, files={**mission.files, **files})
-        context = Context(mission, types, self.options, structs)
+        options = self.options.over(info.read_with) if info else self.options
+        context = Context(mission, types, options, structs)
         return Workbench(mission, types, ColumnDecoder(context), Dissector(context))
 
 
@@ -100,9 +102,9 @@ def open_files(paths: Sequence[Path]) -> Source:
     """
     if len(paths) == 1:
         return open_file(paths[0])
-    from edoras_tools.sources.merge import merge
+    from edoras_tools.io.formats.merge import merge_sources
 
     with ExitStack() as opened:
         sources = [opened.enter_context(closing(open_file(path))) for path in paths]
         opened.pop_all()
-    return merge(sources)
+    return merge_sources(sources)

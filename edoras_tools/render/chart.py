@@ -1,17 +1,18 @@
-"""What got through against what was asked for, as a chart: in terminal cells, as SVG, as PNG."""
+"""A chart of delivered against requested rate or size: for the terminal, as SVG, as PNG."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from html import escape
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.render import palette
-from edoras_tools.render.severity import Severity
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal import palette
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -73,9 +74,11 @@ class Chart:
         )
 
 
-def ticks(end: float) -> list[float]:
-    """Return round numbers from 0 up to ``end``, six at most."""
-    rough = end / (_MOST_TICKS - 1)
+def ticks(end: float, most: int = _MOST_TICKS) -> list[float]:
+    """Return round numbers from 0 up to ``end``, at most ``most``."""
+    if end <= 0:
+        return [0.0]
+    rough = end / (most - 1)
     unit = 10.0 ** math.floor(math.log10(rough))
     step = next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= rough * (1 - 1e-9))
     return [step * index for index in range(int(end / step + 1e-9) + 1)]
@@ -103,7 +106,7 @@ def terminal(chart: Chart, width: int, height: int = 12) -> list[Text]:
         share = column / (room - 1)
         field[place(x0 + (x1 - x0) * share, y0 + (y1 - y0) * share)] = (_IDEAL, palette.DIM)
     for x, y, lossy in chart.points:
-        field[place(x, y)] = (_LOSSY, Severity.ERROR.style) if lossy else (_CLEAN, "green")
+        field[place(x, y)] = (_LOSSY, Level.ERROR.style) if lossy else (_CLEAN, "green")
     lines = [Text(chart.up, palette.DIM)]
     for row in range(height - 1, -1, -1):
         line = Text(labels.get(row, "").rjust(margin) + (" ┤" if row in labels else " │"), palette.DIM)
@@ -175,8 +178,6 @@ def need_png() -> Any:
     Raises:
         ConfigError: matplotlib is not installed, or not wholly.
     """
-    from importlib import import_module
-
     try:
         return import_module("matplotlib.figure")
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""What each finding means, and how much it matters."""
+"""The meaning of each finding, and its severity."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Final
 from edoras_tools.model import Finding
 
 
-class Severity(IntEnum):
-    """How much a finding matters to whoever sent the datagram."""
+class Level(IntEnum):
+    """How much a finding matters to the sender of the datagram."""
 
     NOTE = 1
-    """Usual with these senders; nothing is lost by it."""
+    """Usual for these senders; nothing is lost."""
     WARNING = 2
-    """Odd, or lost at some receivers only."""
+    """Unusual, or lost only at some receivers."""
     ERROR = 3
-    """Refused, lost or garbled, or not readable at all."""
+    """Refused, lost, corrupted or unreadable."""
 
     @property
     def label(self) -> str:
@@ -31,13 +31,13 @@ class Severity(IntEnum):
 
     @property
     def mark(self) -> str:
-        """One character that tells the severity without colour."""
+        """One character that shows the severity without colour."""
         return (" ", "·", "!", "✗")[self]
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What people are told of a finding.
+    """The explanation of a finding.
 
     Attributes:
         severity: how much it matters.
@@ -45,29 +45,29 @@ class Explanation:
         meaning: one sentence: what it is, and what the receiver does with it.
     """
 
-    severity: Severity
+    severity: Level
     short: str
     meaning: str
 
 
-_NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
+_NOTE, _WARNING, _ERROR = Level.NOTE, Level.WARNING, Level.ERROR
 
 EXPLANATIONS: Final = {
     Finding.TRUNCATED: Explanation(
         _ERROR,
         "truncated",
-        "A layer needs more bytes than the datagram holds; CI drops commands below 8 bytes, and an app "
-        "that gets a cut one fails to read it or reads what its buffer held before.",
+        "A layer needs more bytes than the datagram has; CI drops commands shorter than 8 bytes, and an app "
+        "that gets a cut one cannot read it, or reads old bytes of its buffer.",
     ),
     Finding.LENGTH_MISMATCH: Explanation(
         _WARNING,
         "length field",
-        "The packet data length field disagrees with the bytes that came; CI accepts that silently.",
+        "The packet data length field differs from the number of bytes received; CI accepts that silently.",
     ),
     Finding.CHECKSUM_BAD: Explanation(
         _WARNING,
         "checksum",
-        "The command's checksum is neither 0 nor right; no cFS app here checks it, so the command is obeyed.",
+        "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed.",
     ),
     Finding.CHECKSUM_ABSENT: Explanation(
         _NOTE,
@@ -77,18 +77,18 @@ EXPLANATIONS: Final = {
     Finding.SEQUENCE_UNSET: Explanation(
         _NOTE,
         "no sequence",
-        "The sequence word is 0x0000, as the EDORAS bridges send it, so a loss leaves no gap to see.",
+        "The sequence word is 0x0000, as the EDORAS bridges send it, so a loss leaves no visible gap.",
     ),
     Finding.ENVELOPE_OVERRUN: Explanation(
         _ERROR,
         "envelope overrun",
-        "buffer_length reaches past the end of the packet, so there is no whole message; a receiver that "
+        "buffer_length exceeds the bytes in the packet, so there is no complete message; a receiver that "
         "trusts it reads beyond the data.",
     ),
     Finding.STALE_TAIL: Explanation(
         _NOTE,
         "stale tail",
-        "The bytes after the CDR are not zero: a fixed-size struct kept them of an earlier, longer "
+        "The bytes after the CDR are not zero: a fixed-size struct still has them from an earlier, longer "
         "message; readers ignore them.",
     ),
     Finding.CDR_INVALID: Explanation(
@@ -105,19 +105,19 @@ EXPLANATIONS: Final = {
     Finding.SBN_SIZE_MISMATCH: Explanation(
         _WARNING,
         "MsgSz",
-        "MsgSz is not the size of the payload that came; the receiver ignores that up to 32767 and "
-        "refuses more.",
+        "MsgSz differs from the size of the payload; the receiver ignores that up to 32767 and refuses "
+        "larger values.",
     ),
     Finding.SBN_UNKNOWN_TYPE: Explanation(
         _ERROR,
         "unknown SBN type",
-        "MsgType is none of SBN's; the receiver reports an error and drops the datagram.",
+        "MsgType is not an SBN message type; the receiver reports an error and drops the datagram.",
     ),
     Finding.SBN_ID_MISMATCH: Explanation(
         _ERROR,
         "SBN identity",
-        "Not the peer that is known here: another $Id in SUB or UNSUB, or SpacecraftID and ProcessorID of "
-        "an unknown peer; the receiver refuses it.",
+        "Not a known peer: another $Id in SUB or UNSUB, or the SpacecraftID and ProcessorID of an unknown "
+        "peer; the receiver refuses it.",
     ),
     Finding.OVER_CI_BUFFER: Explanation(
         _ERROR,
@@ -139,7 +139,7 @@ EXPLANATIONS: Final = {
     Finding.HEADER_ONLY: Explanation(
         _NOTE,
         "header only",
-        "The packet ends with its header: a scheduler's wake-up or a request, not a message.",
+        "The packet ends after its header: a scheduler's wake-up or a request, not a message.",
     ),
     Finding.INVALID_MSG_ID: Explanation(
         _ERROR,
@@ -149,7 +149,7 @@ EXPLANATIONS: Final = {
     Finding.WRONG_DIRECTION: Explanation(
         _WARNING,
         "direction",
-        "The MsgId's type bit does not suit the link: telemetry sent to CI, or a command from TO; CI "
+        "The MsgId's type bit is wrong for the link: telemetry sent to CI, or a command from TO; CI "
         "accepts it.",
     ),
     Finding.UNKNOWN_FUNCTION_CODE: Explanation(
@@ -160,8 +160,8 @@ EXPLANATIONS: Final = {
     Finding.COMMAND_LENGTH: Explanation(
         _ERROR,
         "command length",
-        "The command's length is not what its function code takes; apps refuse it with an event, all but "
-        "TO's enable, which reads what is there.",
+        "The command's length is wrong for its function code; apps refuse it with an event, except TO's "
+        "enable command, which reads the bytes that exist.",
     ),
     Finding.OVER_SOFTWARE_BUS: Explanation(
         _ERROR,
@@ -171,7 +171,7 @@ EXPLANATIONS: Final = {
     Finding.SBN_VERSION_MISMATCH: Explanation(
         _ERROR,
         "SBN version",
-        "PROTO names another protocol version than 11; the receiver refuses it.",
+        "PROTO has a protocol version other than 11; the receiver refuses it.",
     ),
     Finding.SBN_NO_MESSAGE: Explanation(
         _NOTE,
@@ -181,62 +181,72 @@ EXPLANATIONS: Final = {
     Finding.SBN_LEGACY_HEADER: Explanation(
         _WARNING,
         "7-byte header",
-        "The SBN header has 7 bytes and no SpacecraftID, as older sources write it; a current peer takes "
-        "the next 4 bytes for one.",
+        "The SBN header has 7 bytes and no SpacecraftID, as in older versions; a current peer reads the "
+        "next 4 bytes as one.",
     ),
     Finding.CDR_BIG_ENDIAN: Explanation(
         _NOTE,
         "big-endian",
         "The CDR is big-endian, which no EDORAS sender on a little-endian machine writes; it is decoded "
-        "all the same.",
+        "nevertheless.",
     ),
     Finding.FRAGMENT: Explanation(
         _NOTE,
         "fragments",
-        "The datagram came in IP fragments and was put together from several frames.",
+        "The datagram came in IP fragments and was reassembled from several frames.",
     ),
     Finding.CAPTURE_CUT: Explanation(
         _WARNING,
         "capture cut",
-        "The capture's snap length cut the frame: the bytes are missing here, not on the wire.",
+        "The capture's snap length cut the frame: bytes are missing in the capture, not on the wire.",
     ),
     Finding.STRUCT_LENGTH: Explanation(
         _WARNING,
         "struct length",
-        "The payload is not as long as the C struct that is known for this MsgId, so it is not read by it: "
-        "another build; --structs names its own layout.",
+        "The payload has another length than the C struct known for this MsgId, so it is not decoded with "
+        "it: another build; name its layout with --structs.",
+    ),
+    Finding.CDR_TRAILING: Explanation(
+        _NOTE,
+        "trailing bytes",
+        "A few bytes follow the message's last field: rmw_serialize leaves them, mostly behind empty "
+        "sequences; readers ignore them.",
+    ),
+    Finding.CDR_TOO_LONG: Explanation(
+        _WARNING,
+        "CDR too long",
+        "More bytes follow the message's last field than ROS 2 leaves there; receivers ignore them, but "
+        "often it is a message of another type.",
     ),
 }
 """Every finding; :func:`explain` looks one up."""
 
-NOTABLE: Final = Finding(
-    sum(item for item, told in EXPLANATIONS.items() if told.severity >= Severity.WARNING)
-)
+NOTABLE: Final = Finding(sum(item for item, told in EXPLANATIONS.items() if told.severity >= Level.WARNING))
 """Every finding that is more than a note."""
 
 _BY_LABEL: Final = {item.label: item for item in Finding}
 
 
 def explain(finding: Finding | str) -> Explanation:
-    """Return what people are told of one finding.
+    """Return the explanation of one finding.
 
     Args:
-        finding: one bit, or its label as in JSON; a label that is not known is a warning that says so.
+        finding: one bit, or its label as in JSON; an unknown label gives a warning that says so.
     """
     if isinstance(finding, str):
         if finding not in _BY_LABEL:
-            return Explanation(_WARNING, finding, "This version does not know the finding.")
+            return Explanation(_WARNING, finding, "This version does not know this finding.")
         finding = _BY_LABEL[finding]
     return EXPLANATIONS[finding]
 
 
-def ranked(findings: Finding, *, at_least: Severity = Severity.NOTE) -> list[Finding]:
-    """Return the bits that are set, the gravest first."""
+def ranked(findings: Finding, *, at_least: Level = Level.NOTE) -> list[Finding]:
+    """Return the bits that are set, the most severe first."""
     known = [item for item in findings if item in EXPLANATIONS and EXPLANATIONS[item].severity >= at_least]
     return sorted(known, key=lambda item: -EXPLANATIONS[item].severity)
 
 
-def worst(findings: Finding) -> Severity | None:
-    """Return the gravest severity among the bits that are set, or None where there are none."""
+def worst(findings: Finding) -> Level | None:
+    """Return the highest severity among the bits that are set, or None if no bit is set."""
     first = ranked(findings)[:1]
     return EXPLANATIONS[first[0]].severity if first else None

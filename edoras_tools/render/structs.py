@@ -1,4 +1,4 @@
-"""Structs for people: what there is, and where the members of one lie."""
+"""Listing of C structs, and the layout of one."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from edoras_tools.structs.writing import type_text
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from edoras_tools.structs.dwarf import Listed
-    from edoras_tools.structs.shapes import Layout, Member, Struct
+    from edoras_tools.structs.debug_info.dwarf import Listed
+    from edoras_tools.structs.shapes import Member, Struct, StructLayout
 
 
 def listing(items: Sequence[Listed], bound: dict[str, str]) -> Iterator[str]:
-    """Yield a line a struct, those that begin with a cFE header or lie in a packet first.
+    """Yield one line for each struct, first those that begin with a cFE header or are bound to a packet.
 
     Args:
         items: the structs.
@@ -28,7 +28,7 @@ def listing(items: Sequence[Listed], bound: dict[str, str]) -> Iterator[str]:
         yield f"{item.name:<{width}}  {item.size:>6}  {item.members:>7}  {packet}".rstrip()
 
 
-def layout(made: Layout, struct: Struct, message: str) -> Iterator[str]:
+def layout(made: StructLayout, struct: Struct, message: str) -> Iterator[str]:
     """Yield where the members of a struct lie, what fills up between them, and its message's fields.
 
     Args:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _FONTS: Final = re.compile(r"\s*@font-face \{.*?\}", re.DOTALL)
 
 
-def picture(views: Iterable[str | RenderableType], *, width: int, title: str) -> str:
+def terminal_picture(views: Iterable[str | RenderableType], *, width: int, title: str) -> str:
     """Return an SVG of a terminal that shows views one below the other.
 
     It loads nothing from elsewhere and is the same for the same views.

@@ -1,4 +1,4 @@
-"""Figures as people read them."""
+"""Numbers with units, as text."""
 
 from __future__ import annotations
 
@@ -44,6 +44,11 @@ def milliseconds(value: float | None) -> str:
     )
 
 
+def microseconds(value: float | None) -> str:
+    """Return ``420 µs``, then as milliseconds; ``-`` where there is none."""
+    return NONE if value is None else f"{value:.0f} µs" if value < 999.5 else milliseconds(value / 1000)
+
+
 def size(octets: float) -> str:
     """Return ``840 B``, ``12.4 MiB``."""
     if abs(octets) < 1023.5:
@@ -75,8 +80,3 @@ def utc(time_ns: int, *, digits: int = 6) -> str:
         return f"{time_ns / 1e9:.{digits}f} s"
     text = f"{moment:%Y-%m-%d %H:%M:%S.%f}"
     return text[: len(text) - 6 + digits] if digits else text[:-7]
-
-
-def plural(number: int, noun: str) -> str:
-    """Return ``1 packet``, ``1,827 packets``."""
-    return f"{number:,} {noun}" + ("" if number == 1 else "s")

@@ -1,4 +1,4 @@
-"""Decoded values as people read them, however large."""
+"""Decoded values as text, cut where they are long."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST_TEXT: Final = 1024
 def field_text(item: LayerField) -> str:
     """Return a field's value: its text where it has one, the plain number behind it in brackets.
 
-    The result is not yet safe for a terminal: see :func:`edoras_tools.render.text.clean`.
+    The result is not yet safe for a terminal: see :func:`edoras_tools.render.terminal.text.clean`.
     """
     plain = value_text(item.value)
     if not item.text or item.text == plain or isinstance(item.value, (str, bytes)):

@@ -6,19 +6,19 @@ import string
 import struct
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.ros.schema import PRIMITIVES, STRINGS, Shape
+from edoras_tools.ros.types.schema import PRIMITIVES, STRINGS, Shape
 
 if TYPE_CHECKING:
     from random import Random
 
-    from edoras_tools.ros.schema import Field
     from edoras_tools.ros.store import TypeStore
+    from edoras_tools.ros.types.schema import MessageField
 
 _MOST_ITEMS: Final = 4
 _MOST_CHARACTERS: Final = 12
 _LETTERS: Final = string.ascii_letters + string.digits + "_"
 _REACH: Final = 1000.0
-"""Floating-point values lie within this of 0: finite, and of a size that robots know."""
+"""Floating-point values lie within this of 0: finite, and of a size that is usual for robots."""
 
 
 def arbitrary(types: TypeStore, type_name: str, dice: Random) -> dict[str, Any]:
@@ -27,12 +27,12 @@ def arbitrary(types: TypeStore, type_name: str, dice: Random) -> dict[str, Any]:
     Args:
         types: knows the type.
         type_name: of the message.
-        dice: where chance comes from.
+        dice: the random generator.
     """
     return {field.name: _values(types, field, dice) for field in types.fields(type_name)}
 
 
-def _values(types: TypeStore, field: Field, dice: Random) -> Any:
+def _values(types: TypeStore, field: MessageField, dice: Random) -> Any:
     if field.shape is Shape.SCALAR:
         return _value(types, field, dice)
     most = min(field.size or _MOST_ITEMS, _MOST_ITEMS)
@@ -40,7 +40,7 @@ def _values(types: TypeStore, field: Field, dice: Random) -> Any:
     return [_value(types, field, dice) for _ in range(count)]
 
 
-def _value(types: TypeStore, field: Field, dice: Random) -> Any:
+def _value(types: TypeStore, field: MessageField, dice: Random) -> Any:
     if field.type in STRINGS:
         most = min(field.string_bound or _MOST_CHARACTERS, _MOST_CHARACTERS)
         return "".join(dice.choices(_LETTERS, k=dice.randint(1, most)))

@@ -1,16 +1,17 @@
-"""The one place to ask about ROS messages: types, their definitions, CDR to values and back, one or many."""
+"""The interface to ROS messages: types, definitions, and CDR to values and back, for one message or many."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.ros import columns, reader, validity
-from edoras_tools.ros.extent import extent
-from edoras_tools.ros.library import Library
-from edoras_tools.ros.plan import Compiler
-from edoras_tools.ros.schema import complete_text, full_name
-from edoras_tools.ros.writer import Writer
+from edoras_tools.ros.cdr import columns, reader, validity
+from edoras_tools.ros.cdr.extent import extent
+from edoras_tools.ros.cdr.plan import Compiler
+from edoras_tools.ros.cdr.writer import Writer
+from edoras_tools.ros.types.library import Library
+from edoras_tools.ros.types.schema import complete_text, full_name
 
 if TYPE_CHECKING:
     import os
@@ -19,30 +20,29 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from edoras_tools.ros.columns import MessageColumns
-    from edoras_tools.ros.plan import Plan
-    from edoras_tools.ros.reader import Span
-    from edoras_tools.ros.schema import Definition, Field
+    from edoras_tools.ros.cdr.columns import MessageColumns
+    from edoras_tools.ros.cdr.plan import CdrPlan
+    from edoras_tools.ros.cdr.reader import ValueSpan
+    from edoras_tools.ros.types.schema import Definition, MessageField
 
-_WIDE_OF_OLD = frozenset({"dashing", "eloquent", "foxy", "galactic", "humble", "iron"})
-"""Distributions whose Fast CDR sends a ``wstring`` as 4 bytes a UTF-16 unit; later ones send 2."""
+USUAL_DISTRO: Final = "jazzy"
+"""The distribution where none is named: that of EDORAS's own images."""
 
 
 class TypeStore:
     """Knows message types, and reads and writes their CDR.
 
-    Cheap to create: a distribution's messages are loaded when the first type is asked for. ``pkg/Name`` may
-    be written for ``pkg/msg/Name``. Methods that take a type raise ``RouteError`` where it is not known, with
+    Fast to create: a distribution's messages are loaded when the first type is used. ``pkg/Name`` is accepted
+    for ``pkg/msg/Name``. Methods that take a type raise ``RouteError`` where it is not known, with
     the nearest names, and ``ConfigError`` where its definition holds mistakes.
 
     Args:
-        distro: ROS 2 distribution, as ``humble``; ``rolling`` and ``latest`` are the newest known.
+        distro: ROS 2 distribution, as ``jazzy``; ``rolling`` and ``latest`` are the newest known.
         msg_paths: folders or files with more definitions, laid out ``PACKAGE/msg/NAME.msg`` or ``.idl``.
         definitions: complete ``ros2msg`` texts by type, as an MCAP's schemas.
 
     Attributes:
         distro: as given.
-        wide: bytes of a ``wstring`` unit in this distribution's CDR, 4 or 2.
 
     Raises:
         ConfigError: the distribution or a folder does not exist, or a folder holds no definition.
@@ -50,23 +50,22 @@ class TypeStore:
 
     def __init__(
         self,
-        distro: str = "humble",
+        distro: str = USUAL_DISTRO,
         msg_paths: Iterable[str | os.PathLike[str]] = (),
         definitions: Mapping[str, str] | None = None,
     ) -> None:
         self.distro = distro
         self._library = Library(distro, msg_paths, definitions or {})
-        self.wide = 4 if distro in _WIDE_OF_OLD else 2
-        self._compiler = Compiler(self._definition, self.wide)
-        self._writers = tuple(Writer(self._definition, self.wide, big_endian=big) for big in (False, True))
-        self._plans: dict[str, tuple[str, Plan]] = {}
+        self._compiler = Compiler(self._definition)
+        self._writers = tuple(Writer(self._definition, big_endian=big) for big in (False, True))
+        self._plans: dict[str, tuple[str, CdrPlan]] = {}
 
     def has(self, type_name: str) -> bool:
         """Tell whether a type is known and, with all that it uses, free of mistakes."""
         return self.check(type_name) is None
 
     def check(self, type_name: str) -> str | None:
-        """Return why a type cannot be used, in one sentence; None where it can."""
+        """Return why a type cannot be used, in one sentence; None if it can."""
         try:
             self.plan(type_name)
         except (ConfigError, RouteError) as error:
@@ -75,8 +74,6 @@ class TypeStore:
 
     def nearest(self, type_name: str) -> list[str]:
         """Return the most similar names that are known, best first, three at most."""
-        from difflib import get_close_matches
-
         package, _, last = type_name.rpartition("/")
         by_last: dict[str, list[str]] = {}
         for name in self.types():
@@ -92,7 +89,7 @@ class TypeStore:
         return self._library.names()
 
     def definition(self, type_name: str) -> str:
-        """Return a type's ``ros2msg`` text, complete with the types that it uses, as MCAP wants it."""
+        """Return a type's ``ros2msg`` text, complete with the types that it uses, as in an MCAP schema."""
         return complete_text(self.definitions(type_name))
 
     def definitions(self, type_name: str) -> tuple[Definition, ...]:
@@ -102,7 +99,7 @@ class TypeStore:
         self._collect(full_name(type_name), found)
         return tuple(found.values())
 
-    def fields(self, type_name: str) -> tuple[Field, ...]:
+    def fields(self, type_name: str) -> tuple[MessageField, ...]:
         """Return a type's fields, in wire order; those of a type that it uses are asked for by its name."""
         self.plan(type_name)
         return self._definition(full_name(type_name)).fields
@@ -121,7 +118,7 @@ class TypeStore:
         value: dict[str, Any] = reader.decode(name, plan, bytes(cdr))
         return value
 
-    def spans(self, type_name: str, cdr: bytes) -> list[Span]:
+    def spans(self, type_name: str, cdr: bytes) -> list[ValueSpan]:
         """Return every leaf of a message as (dotted path, value, start, end).
 
         Offsets count from the start of ``cdr``. An array of primitives is one leaf; its count belongs to it.
@@ -129,12 +126,12 @@ class TypeStore:
         Raises:
             WireError: as ``decode``.
         """
-        return reader.spans(*self.plan(type_name), bytes(cdr))
+        return reader.value_spans(*self.plan(type_name), bytes(cdr))
 
     def encode(self, type_name: str, values: Mapping[str, Any], *, big_endian: bool = False) -> bytes:
         """Return a message from plain values, encapsulation included.
 
-        Missing fields take their defaults. Tuples and arrays do as lists, and bytes where bytes are meant.
+        Missing fields take their defaults. Tuples and arrays are accepted as lists, bytes as lists of bytes.
 
         Raises:
             FieldError: a value does not fit or a field does not exist; names the path and what it takes.
@@ -145,15 +142,15 @@ class TypeStore:
     def fixed_size(self, type_name: str) -> int | None:
         """Return the bytes of every message of a type, encapsulation included; None where they vary."""
         size = self.plan(type_name)[1].fixed_size
-        return None if size is None else reader.ENCAPSULATION + size
+        return None if size is None else reader.ENCAPSULATION_BYTES + size
 
     def extent(self, type_name: str, cdr: bytes) -> int:
-        """Return the bytes of one message, encapsulation included, padding that follows its last field not.
+        """Return the bytes of one message with its encapsulation, without what follows its last field.
 
-        Its values are not looked at; ``decode`` tells whether they are valid.
+        Its values are not checked; ``decode`` does that.
 
         Raises:
-            WireError: the message ends before its last field does, or is no CDR.
+            WireError: the message ends before its last field does, or is not CDR.
         """
         return extent(*self.plan(type_name), cdr)
 
@@ -168,7 +165,20 @@ class TypeStore:
             offset: i64, first byte of each message, encapsulation included; any value is safe.
             length: i32, bytes of each message; any value is safe.
         """
-        return validity.valid(self.plan(type_name)[1], data, offset, length)
+        return self.trailing(type_name, data, offset, length) >= 0
+
+    def trailing(
+        self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+    ) -> NDArray[np.int32]:
+        """Return how many bytes follow the last field of many messages, -1 for those that are not valid.
+
+        Arguments as ``valid``. How many of them are usual, ``most_trailing`` says.
+        """
+        return validity.trailing(self.plan(type_name)[1], data, offset, length)
+
+    def most_trailing(self, type_name: str) -> int:
+        """Return the most bytes that a writer of ROS 2 leaves behind the last field of a type."""
+        return self.plan(type_name)[1].most_trailing
 
     def columns(
         self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
@@ -176,7 +186,7 @@ class TypeStore:
         """Return many messages as columns, one a field; arguments as ``valid``."""
         return columns.columns(*self.plan(type_name), data, offset, length)
 
-    def plan(self, type_name: str) -> tuple[str, Plan]:
+    def plan(self, type_name: str) -> tuple[str, CdrPlan]:
         """Return a type's name in full, and what all of its readers are made from.
 
         Raises:

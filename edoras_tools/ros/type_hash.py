@@ -1,7 +1,7 @@
-"""RIHS01, the hash that ROS 2 tells definitions of one type name apart by (REP-2016).
+"""RIHS01, the hash by which ROS 2 tells apart definitions of one type name (REP-2016).
 
 It is the SHA-256 of a JSON text that describes a message and all that it uses: names and types of the fields,
-without comments, constants and defaults. Distributions before Iron know no such hash.
+without comments, constants and defaults. Distributions before Iron do not have it.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import hashlib
 import json
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.ros.schema import PLACEHOLDER, Field, Shape, full_name
+from edoras_tools.ros.types.schema import PLACEHOLDER, MessageField, Shape, full_name
 
 if TYPE_CHECKING:
     from edoras_tools.ros.store import TypeStore
 
-PREFIX: Final = "RIHS01_"
-"""What every hash of this version of the standard starts with; 64 hexadecimal digits follow."""
+HASH_VERSION: Final = "RIHS01_"
+"""The start of every hash of this version of the standard; 64 hexadecimal digits follow."""
 
 _NESTED: Final = 1
 _TYPES: Final = {
@@ -48,7 +48,7 @@ _SEQUENCE: Final = 144
 def type_hash(types: TypeStore, type_name: str) -> str:
     """Return the hash of a message type, ``RIHS01_`` and 64 digits.
 
-    It is that of the definition in the store: a type that a distribution changed has another hash there.
+    It is computed from the definition in the store: a type that a distribution changed has another hash.
 
     Raises:
         RouteError: the type, or one that it uses, is not known.
@@ -67,15 +67,15 @@ def type_hash(types: TypeStore, type_name: str) -> str:
             "referenced_type_descriptions": [_description(types, item) for item in sorted(used)],
         }
     )
-    return PREFIX + hashlib.sha256(text.encode()).hexdigest()
+    return HASH_VERSION + hashlib.sha256(text.encode()).hexdigest()
 
 
 def _description(types: TypeStore, name: str) -> dict[str, Any]:
-    fields = types.fields(name) or (Field(PLACEHOLDER, "uint8"),)
+    fields = types.fields(name) or (MessageField(PLACEHOLDER, "uint8"),)
     return {"type_name": name, "fields": [_field(field) for field in fields]}
 
 
-def _field(field: Field) -> dict[str, Any]:
+def _field(field: MessageField) -> dict[str, Any]:
     nested = "/" in field.type
     number = _NESTED if nested else _TYPES[field.type]
     if field.string_bound:

@@ -1,4 +1,4 @@
-"""Where something begins to fail: upward in doubling steps until it does, then halving what lies between."""
+"""Search of the highest good number: doubling until one fails, then bisection."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Bisection:
     Attributes:
         first: where it begins.
         last: where it ends, if nothing fails.
-        precision: how close good and bad have to come, as a share of the good one; never closer than 1.
+        precision: largest distance between good and bad at the end, as a share of the good one; at least 1.
         good: the highest that was good so far; None where none was.
         bad: the lowest that was bad so far; None where none was.
     """
@@ -41,11 +41,11 @@ class Bisection:
             ConfigError: it does not begin at 1 or more, or ends before it begins.
         """
         if not 1 <= self.first <= self.last:
-            raise ConfigError(f"{self.first}..{self.last} is no range upward from 1 or more")
+            raise ConfigError(f"{self.first}..{self.last} is not a rising range from 1 or more")
 
     @property
     def next(self) -> int | None:
-        """What to try next; None when it is known well enough."""
+        """The next value to try; None when the result is precise enough."""
         if self.good is None:
             return self.first if self.bad is None else None
         if self.bad is None:
@@ -54,7 +54,7 @@ class Bisection:
         return self.good + apart // 2 if apart > max(1, int(self.good * self.precision)) else None
 
     def tell(self, value: int, *, good: bool) -> None:
-        """Take note of how ``next`` did."""
+        """Note whether ``value`` was good."""
         if good:
             self.good = value
         else:

@@ -1,6 +1,11 @@
-"""Datagrams that are to be sent, in columns, and what may be changed in their headers on the way.
+"""Datagrams to send, in columns, and the changes of their headers before they are sent.
 
-Every change works on all of them at once, in a buffer that is theirs alone.
+Rules that it keeps:
+
+1. Columns only: each change works on all datagrams at once, on a copy.
+2. Changes act in this order: MsgId and sender, time stamps, sequence counts, checksums.
+3. What is the same in every pass is changed once (``Changes.once``), the rest in each (``Changes.each``).
+4. A datagram without the field in question stays as it is.
 """
 
 from __future__ import annotations
@@ -12,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link, Peer
+from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import copy_rows, put_rows, xor_bytes
@@ -116,7 +121,7 @@ class Outgoing:
         )
 
     @classmethod
-    def packets(cls, link: Link, rows: Sequence[Packet], *, sender: sbn.Peer | None = None) -> Outgoing:
+    def packets(cls, link: Link, rows: Sequence[Packet], *, sender: Peer | None = None) -> Outgoing:
         """Lay out space packets, one a datagram.
 
         Args:
@@ -179,8 +184,8 @@ def _moved(place: NDArray[np.int64], shift: NDArray[np.int64]) -> NDArray[np.int
     return np.where(place < 0, -1, place + shift)
 
 
-def join(parts: Sequence[Outgoing]) -> Outgoing:
-    """Put datagrams end to end; at least one part."""
+def join_datagrams(parts: Sequence[Outgoing]) -> Outgoing:
+    """Concatenate datagrams; at least one part."""
     if len(parts) == 1:
         return parts[0]
     starts = np.cumsum([0, *(len(part.data) for part in parts[:-1])])
@@ -197,35 +202,35 @@ def join(parts: Sequence[Outgoing]) -> Outgoing:
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What is changed in the datagrams before they leave; nothing by default.
+    """What is changed in the datagrams before they are sent; nothing by default.
 
     Attributes:
-        msg_ids: a MsgId to the one that takes its place.
+        msg_ids: MsgId to its replacement.
         sequence: of every space packet.
-        checksum: of every command; what else changes comes first.
-        restamp: bool (routes,), routes whose messages start with a header whose time becomes the time of
-            sending; None leaves all times alone.
-        sender: whom every SBN datagram calls its sender; None keeps what was captured.
+        checksum: of every command; computed after all other changes.
+        restamp: bool (routes,), routes whose messages start with a ``std_msgs/Header``: its stamp becomes the
+            time of sending; None changes no stamp.
+        sender: identity in every SBN header; None keeps what was captured.
     """
 
     msg_ids: Mapping[int, int] = field(default_factory=dict)
     sequence: SequenceRule = SequenceRule.KEEP
     checksum: ChecksumRule = ChecksumRule.KEEP
     restamp: NDArray[np.bool_] | None = None
-    sender: sbn.Peer | None = None
+    sender: Peer | None = None
 
     @property
     def differ(self) -> bool:
-        """Whether each pass over the datagrams changes them anew."""
+        """Whether each pass over the datagrams changes them again."""
         return self.sequence is SequenceRule.COUNT or self.restamp is not None
 
     def once(self, out: Outgoing) -> Outgoing:
-        """Return the datagrams with what is the same in every pass."""
+        """Return the datagrams with the changes that are the same in every pass."""
         if not self.msg_ids and self.sender is None:
             return out if self.differ else self.each(out)
         out = out.copy()
-        if self.sender is not None and out.link is Link.SBN:
-            self._introduce(out, self.sender)
+        if self.sender is not None and out.link.peers:
+            self._write_sender(out, self.sender)
         if self.msg_ids:
             msg_id = out.msg_id.copy()
             for old, new in self.msg_ids.items():
@@ -258,7 +263,7 @@ class Changes:
         return out
 
     @staticmethod
-    def _introduce(out: Outgoing, sender: sbn.Peer) -> None:
+    def _write_sender(out: Outgoing, sender: Peer) -> None:
         """Write the sender into every SBN header that is whole."""
         whole = out.offset[out.length >= sbn.HEADER.size]
         slot = sbn.HEADER.by_name["processor_id"]

@@ -1,7 +1,11 @@
 """When each message is due: absolute deadlines from a recording's own times, a speed or rates.
 
-A deadline counts from the start of the run and never from the message before it, so lateness never adds up.
-Whole recordings are planned at once; nothing here waits, and no clock is read.
+Rules that it keeps:
+
+1. A deadline counts from the start of the pass, never from the message before: lateness does not add up.
+2. A whole recording is planned at once, in columns; nothing here waits, and no clock is read.
+3. Each deadline is rounded from its exact value, so rounding does not add up either.
+4. A pass ends one mean interval after its last message: the next pass continues at the same rate.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -52,8 +56,8 @@ class Pacing:
         speed: of the recording's own times; 2 is twice as fast.
         rate_hz: send all messages evenly at this rate instead; 0 keeps their own times.
         stream_rates: a stream to its own rate in Hz; the others are not touched by it.
-        unpaced: nothing is ever too early: as fast as it goes.
-        cap_hz: no two messages closer than this rate allows; 0 for no cap.
+        unpaced: no deadlines: as fast as possible.
+        cap_hz: most messages a second; 0 for no limit.
     """
 
     speed: float = 1.0
@@ -80,7 +84,7 @@ class Pacing:
         """Plan one pass.
 
         Args:
-            time_ns: i64 (n,), when each message was recorded; where time steps back it stands still.
+            time_ns: i64 (n,), when each message was recorded; a step back in time counts as no step.
             stream: (n,) what ``stream_rates`` goes by; needed only where there are some.
         """
         count = len(time_ns)
@@ -128,7 +132,7 @@ def _at(index: int, rate_hz: float) -> int:
 
 
 class Lateness:
-    """How late messages left, on a logarithmic scale: any number of them in bounded memory."""
+    """How late messages were sent, on a logarithmic scale, in bounded memory."""
 
     def __init__(self) -> None:
         self._count = self._max_ns = 0
@@ -169,7 +173,7 @@ class Lateness:
         return self._max_ns
 
     def percentile_ns(self, percent: float) -> int | None:
-        """Return what so many percent were not later than, to 1.1 %; None without messages."""
+        """Return a percentile of the lateness, to 1.1 %; None without messages."""
         if not self.count:
             return None
         step = int(np.searchsorted(np.cumsum(self._steps), self.count * percent / 100))

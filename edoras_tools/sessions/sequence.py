@@ -1,140 +1,700 @@
-"""Following a packet sequence count: what is missing, repeated or late, and who is whose.
+"""Following packet sequence counts: what is missing, repeated, late, or restarted.
 
-One stream may carry the packets of several senders that count each for themselves, as Telemetry Output does
-with what another processor sends through it. Their counts interleave; read as one they would look like a gap
-at every packet. So a stream is followed as strands: a packet belongs to the strand that it continues.
+The rules:
+
+1. A stream is one MsgId of one sender on one link. The sender is its SBN identity where the link has one, and
+   then each receiver has a stream of its own, because each is sent a copy; elsewhere it is its endpoint.
+2. A sequence word of 0 is not a count; nor is a count that never changes. Nothing is reported of a stream
+  whose count jumps beyond the window, or restarts, at more than every fourth packet.
+3. One stream may carry packets of several senders that count each for themselves, as Telemetry Output does
+   with what another processor sends through it. Each count is followed as a strand. A packet that has a time
+   belongs to a strand of the same boot: capture time less packet time is then the same, within 3 s.
+4. A packet is the first of these that fits; among strands, the one that moved last comes first:
+
+   a. a duplicate of the packet before: the same count, the same bytes;
+   b. the next of a strand;
+   c. late: it fills a hole of a strand, within the window. It was reordered, and is not missing;
+   d. a duplicate: of a packet at most 128 counts back, with the same bytes;
+   e. ahead of the nearest strand, within the window: the counts between are missing, and are a hole;
+   f. late, within the window before the first packet of a strand;
+   g. ahead of the nearest strand by less than half the range: as (e). But one of the first 64 counts, of a
+      packet without a time, is (h);
+   h. the first of a new strand: a restart, or another sender where the strand before it goes on afterwards.
+
+5. What looked like a jump was another sender's packet if counts go on at the beginning of the hole: by three
+   packets while the strand goes on behind the hole too, or by one packet where the hole is larger than the
+   window. The hole then lies between two strands, and nothing is missing in it. Three such packets also tell
+   that (f) was (h).
+6. How packets are cut into batches changes nothing.
+
+Counts that go up by one are taken as runs; Python looks at a packet only where the count jumps.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from bisect import bisect_right
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final
+from zlib import crc32
 
 import numpy as np
 
+from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.units import SECOND
+from edoras_tools.wire import fingerprint
+from edoras_tools.wire.order import order_by
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns, PacketBatch
 
 MODULUS: Final = 1 << 14
 """CCSDS 133.0-B 4.1.3.4.3: the packet sequence count has 14 bits."""
 FORWARD: Final = MODULUS // 2
-"""A step of half the range or more is a step back: reordering, or a count begun anew."""
+"""A step of half the range or more is a step back."""
+WINDOW: Final = 1024
+"""How far behind the highest count a late packet is told."""
+REPEATED: Final = 128
+"""How far behind the highest count a repeated packet is told."""
+BOOT_APART_NS: Final = 3 * SECOND
+"""No packet is delayed this long on its way; boots that are closer than this are not distinguished."""
+_FIRST_COUNTS: Final = 64
+_REMEMBERED: Final = FORWARD // 2
+"""For how many counts a hole larger than the window, or a strand that does not move, is remembered."""
+_GOES_ON: Final = 3
+_LEAST_HOLE: Final = 16
+"""A smaller hole is not taken for the distance between two senders: the first sender soon fills it."""
 _MOST_STRANDS: Final = 8
+_MOST_STREAMS: Final = 1 << 14
+"""Random bytes could name any number of streams; more than these are not followed."""
+_NO_BOOT: Final = np.iinfo(np.int64).min
+_NOT_MISSED: Final = -1
+
+
+@dataclass(slots=True, eq=False)
+class _Hole:
+    """Counts that did not come yet: positions from ``first`` up to ``end``.
+
+    ``row`` is the row that jumped over them; ``_NOT_MISSED`` for those before the first packet of a strand.
+    """
+
+    first: int
+    end: int
+    row: int
+
+
+_BY_FIRST = attrgetter("first")
 
 
 @dataclass(slots=True, eq=False)
 class _Strand:
-    """One sender's count.
+    """One sender's count. A position is a count that does not wrap: modulo ``MODULUS`` it is the count.
 
     Attributes:
-        last: the count it is at.
-        before: the count before its last jump.
-        jumped: counts that this jump left out; 0 where there was none, or it was told from another sender.
-        lone: begun by a step back, and not continued yet: perhaps only a late packet.
+        last: its highest position.
+        boot: capture time less packet time of its newest packet that has one, ns; else ``_NO_BOOT``.
+        prints: fingerprints of the newest packets, by position modulo ``REPEATED``.
+        holes: what did not come yet and may still come, by position.
+        place: how many packets of the stream had come when it moved last.
+        follows: the strand that moved last when this one began, until that one moves again.
+        moved: whether it ever went on.
+        front: packets by which it went on since ``behind_steps`` was 1.
+        behind: position of the packet with which another sender's count would go on at a hole.
+        behind_steps: late packets that went on so, one after the other.
     """
 
     last: int
-    before: int = 0
-    jumped: int = 0
-    lone: bool = False
+    boot: int
+    prints: NDArray[np.uint32]
+    holes: list[_Hole]
+    place: int = 0
+    follows: _Strand | None = None
+    moved: bool = False
+    front: int = 0
+    behind: int = 0
+    behind_steps: int = 0
+
+    def position(self, count: int) -> int:
+        """Return the position that has a count and is nearest to ``last``."""
+        return self.last + (count - self.last + FORWARD) % MODULUS - FORWARD
+
+    def hole(self, position: int) -> _Hole | None:
+        """Return the hole that a position is in."""
+        index = bisect_right(self.holes, position, key=_BY_FIRST) - 1
+        return self.holes[index] if index >= 0 and position < self.holes[index].end else None
+
+    def may_have(self, boot: int) -> bool:
+        """Tell whether a packet of a boot may be one of its."""
+        return _NO_BOOT in {boot, self.boot} or abs(boot - self.boot) <= BOOT_APART_NS
+
+    def advance(self, prints: NDArray[np.uint32], boot: int) -> None:
+        """Go on by as many packets as have fingerprints; the newest that has a time is of a boot."""
+        self.last += len(prints)
+        kept = prints[-REPEATED:]
+        begin = (self.last - len(kept) + 1) % REPEATED
+        self.prints[begin : begin + len(kept)] = kept[: REPEATED - begin]
+        self.prints[: max(begin + len(kept) - REPEATED, 0)] = kept[REPEATED - begin :]
+        if boot != _NO_BOOT:
+            self.boot = boot
+        self.front += len(prints)
+        self.forget()
+
+    def fill(self, hole: _Hole, position: int) -> None:
+        """Take a position out of one of its holes."""
+        if position == hole.first:
+            hole.first += 1
+        else:
+            if position + 1 < hole.end:
+                self.holes.insert(self.holes.index(hole) + 1, replace(hole, first=position + 1))
+            hole.end = position
+        if hole.first == hole.end:
+            self.holes.remove(hole)
+
+    def forget(self) -> None:
+        """Close holes that nothing may fill any more."""
+        while self.holes:
+            oldest = self.holes[0]
+            if oldest.end > self.last - (_REMEMBERED if oldest.end - oldest.first > WINDOW else WINDOW):
+                break
+            del self.holes[0]
 
 
-class SequenceTracker:
-    """Follows one stream of sequence counts.
+@dataclass(frozen=True, slots=True)
+class SequenceRows:
+    """What the sequence counts say of each row of a batch: columns, i32 (rows,), and ``found_row``, i64.
+
+    Summed over the rows of a stream they are what its ``SequenceStream`` has.
 
     Attributes:
-        gaps: counts that never came.
-        duplicates: packets that came twice.
-        reordered: packets that came late.
-        moved: whether any count ever went on: where none does, the sender does not count.
+        stream: index into ``SequenceCounts.streams``; -1 where the row has no count.
+        missing: counts that are missing between the row and the one before it.
+        found: counts taken for missing before, that are not.
+        found_row: before which row they were taken for missing, counted over all batches from 0.
+        duplicates: 1 where the row repeats another.
+        reordered: 1 where the row came late; less where the row tells that earlier ones did not.
+        restarts: 1 where the count begins anew; -1 where the row tells that another sender's began.
+    """
+
+    stream: NDArray[np.int32]
+    missing: NDArray[np.int32]
+    found: NDArray[np.int32]
+    found_row: NDArray[np.int64]
+    duplicates: NDArray[np.int32]
+    reordered: NDArray[np.int32]
+    restarts: NDArray[np.int32]
+
+
+@dataclass(slots=True)
+class _Run:
+    """Packets of one stream whose counts go up by one.
+
+    Attributes:
+        count: of the first.
+        rows: theirs, of the batch.
+        place: how many packets of the stream came before the first.
+        prints: their fingerprints.
+        time_ns: capture times of the batch.
+        mission_time_ns: packet times of the batch; 0 or less for none.
+    """
+
+    count: int
+    rows: NDArray[np.int64]
+    place: int
+    prints: NDArray[np.uint32]
+    time_ns: NDArray[np.int64]
+    mission_time_ns: NDArray[np.int64]
+
+    def boots(self) -> NDArray[np.int64]:
+        """Return capture time less packet time of each packet; ``_NO_BOOT`` without one."""
+        mission = self.mission_time_ns[self.rows]
+        return np.where(mission > 0, self.time_ns[self.rows] - mission, _NO_BOOT)
+
+    def newest_boot(self) -> int:
+        """Return the boot of the newest packet that has a time."""
+        row = self.rows[-1]
+        mission = int(self.mission_time_ns[row])
+        return int(self.time_ns[row]) - mission if mission > 0 else _newest(self.boots())
+
+
+@dataclass(slots=True, eq=False)
+class SequenceStream:
+    """What the sequence counts of one stream say.
+
+    Attributes:
+        packets: packets that have a count.
+        missing: counts that never came.
+        repeated: packets that came twice.
+        late: packets that came after a later one.
+        restarts: times the count began anew.
+        leaps: times it jumped beyond the window, or began anew.
+        moved: whether it ever moved.
+        last_count: of the newest packet.
+        last_print: its fingerprint.
+    """
+
+    packets: int = 0
+    missing: int = 0
+    repeated: int = 0
+    late: int = 0
+    restarts: int = 0
+    leaps: int = 0
+    moved: bool = False
+    last_count: int = -1
+    last_print: int = 0
+    _strands: list[_Strand] = field(default_factory=list)
+
+    @property
+    def counted(self) -> bool:
+        """Whether its sender counts."""
+        return self.moved and self.leaps * 4 <= self.packets + 4
+
+    @property
+    def gaps(self) -> int:
+        """Counts that never came; 0 where the sender does not count, as for the two below."""
+        return self.missing if self.counted else 0
+
+    @property
+    def duplicates(self) -> int:
+        """Packets that came twice."""
+        return self.repeated if self.counted else 0
+
+    @property
+    def reordered(self) -> int:
+        """Packets that came late."""
+        return self.late if self.counted else 0
+
+    def take(self, run: _Run, out: _Told) -> None:
+        """Take a run; what it tells goes to ``out``."""
+        if len(self._strands) == 1 and (self._strands[0].last + 1) % MODULUS == run.count:
+            # One strand goes on whatever the boots are.
+            self._strands[0].advance(run.prints, run.newest_boot())
+            self._went_on(self._strands[0], run.place + len(run.rows) - 1, out)
+            return
+        at, boots = 0, run.boots()
+        while at < len(run.rows):
+            count, out.row = (run.count + at) % MODULUS, int(run.rows[at])
+            boot = int(boots[at])
+            strands = [item for item in self._strands if item.may_have(boot)]
+            # The boot is not known: perhaps a clock was set, so the next count of a strand still belongs to
+            # it.
+            ready = [item for item in strands or self._strands if (item.last + 1) % MODULUS == count]
+            if ready:
+                # The boot of each packet chooses among several strands.
+                end = len(run.rows) if len(self._strands) == 1 else _same_boot(boots, at)
+                ready[0].advance(run.prints[at:end], _newest(boots[at:end]))
+                self._went_on(ready[0], run.place + end - 1, out)
+                at = end
+                continue
+            self._jumped(strands, _Packet(count, run.place + at, boot, int(run.prints[at])), out)
+            at += 1
+
+    def _jumped(self, strands: list[_Strand], packet: _Packet, out: _Told) -> None:
+        """Take a packet that is not the next of any strand."""
+        told = (
+            self._late(strands, packet, out, missed=True)
+            or self._again(strands, packet, out)
+            or self._ahead(strands, packet, out, WINDOW)
+            or self._late(strands, packet, out, missed=False)
+            or self._ahead(strands, packet, out, FORWARD)
+        )
+        if not told:
+            self._begin(_begun(packet, packet.count), packet.place, out)
+
+    def _late(self, strands: list[_Strand], packet: _Packet, out: _Told, *, missed: bool) -> bool:
+        for strand in strands:
+            position = strand.position(packet.count)
+            hole = strand.hole(position)
+            if hole is None or (hole.row != _NOT_MISSED) != missed:
+                continue
+            if position <= strand.last - WINDOW:
+                if hole.end - hole.first > WINDOW:
+                    strand.behind_steps = 0
+                    self._divide(strand, hole, position, packet, out)
+                    return True
+                continue
+            if position == hole.first or not missed:
+                again = strand.behind_steps and position == strand.behind
+                strand.behind_steps = strand.behind_steps + 1 if again else 1
+                strand.front = strand.front if again else 0
+            else:
+                strand.behind_steps = 0
+            strand.behind = position + 1
+            goes_on = strand.behind_steps >= _GOES_ON and (not missed or strand.front >= _GOES_ON - 1)
+            if goes_on and hole.end - position > _LEAST_HOLE:
+                self._divide(strand, hole, position, packet, out)
+                return True
+            if position > strand.last - REPEATED:
+                strand.prints[position % REPEATED] = packet.print_
+            strand.fill(hole, position)
+            self._find(hole, 1, out)
+            self.moved = True
+            self.late += 1
+            out.add("reordered", 1)
+            return True
+        return False
+
+    def _divide(self, strand: _Strand, hole: _Hole, position: int, packet: _Packet, out: _Told) -> None:
+        """Make the packets in front of a hole another sender's: a strand that is now at ``position``."""
+        taken_back = max(strand.behind_steps - 1, 0)
+        self.late -= taken_back
+        out.add("reordered", -taken_back)
+        strand.behind_steps = 0
+        other = replace(_begun(packet, position), follows=strand.follows, moved=True, behind=strand.behind)
+        if hole.row == _NOT_MISSED:
+            other.holes = [_unknown(position - taken_back)]
+            self._begin(other, packet.place, out)
+            return
+        self._find(hole, hole.end - position, out)
+        index = strand.holes.index(hole)
+        left = [replace(hole, end=position)] if position > hole.first else []
+        other.holes = [*strand.holes[:index], *left]
+        strand.holes = [_unknown(hole.end), *strand.holes[index + 1 :]]
+        self._add(other)
+        self._went_on(other, packet.place, out)
+
+    def _again(self, strands: list[_Strand], packet: _Packet, out: _Told) -> bool:
+        for strand in strands:
+            position = strand.position(packet.count)
+            if not strand.last - REPEATED < position <= strand.last or strand.hole(position):
+                continue
+            if strand.prints[position % REPEATED] == packet.print_:
+                self.repeated += 1
+                out.add("duplicates", 1)
+                return True
+            if not strand.moved and position == strand.last:
+                strand.prints[position % REPEATED] = packet.print_
+                return True  # it does not count
+        return False
+
+    def _ahead(self, strands: list[_Strand], packet: _Packet, out: _Told, reach: int) -> bool:
+        steps = [(item.position(packet.count) - item.last, item) for item in strands]
+        step, strand = min(
+            (item for item in steps if item[0] > 0), key=lambda item: item[0], default=(0, None)
+        )
+        if strand is None or step > reach:
+            return False
+        if step > WINDOW:
+            if packet.count < _FIRST_COUNTS and _NO_BOOT in {packet.boot, strand.boot}:
+                return False
+            self.leaps += 1
+        strand.holes.append(_Hole(strand.last + 1, strand.last + step, out.first_row + out.row))
+        self.missing += step - 1
+        out.add("missing", step - 1)
+        strand.last += step - 1
+        strand.advance(np.array([packet.print_], np.uint32), packet.boot)
+        strand.behind_steps = 0
+        self._went_on(strand, packet.place, out)
+        return True
+
+    def _begin(self, strand: _Strand, place: int, out: _Told) -> None:
+        if self._strands:
+            strand.follows = self._strands[0]
+            self.moved = True
+            self.leaps += 1
+            self.restarts += 1
+            out.add("restarts", 1)
+        strand.place = place
+        self._add(strand)
+
+    def _add(self, strand: _Strand) -> None:
+        """Put a strand first; forget those that did not move for long."""
+        known = [item for item in self._strands if strand.place - item.place <= _REMEMBERED]
+        self._strands = [strand, *known[: _MOST_STRANDS - 1]]
+
+    def _went_on(self, strand: _Strand, place: int, out: _Told) -> None:
+        """Put a strand first; what began after it did not take its place."""
+        strand.place = place
+        strand.moved = self.moved = True
+        if len(self._strands) == 1:
+            return
+        self._strands.remove(strand)
+        self._strands.insert(0, strand)
+        for other in self._strands:
+            if other.follows is strand:
+                other.follows = None
+                self.restarts -= 1
+                out.add("restarts", -1)
+
+    def _find(self, hole: _Hole, count: int, out: _Told) -> None:
+        """Note that counts of a hole are not missing after all."""
+        if hole.row != _NOT_MISSED:
+            self.missing -= count
+            out.add("found", count)
+            out.columns["found_row"][out.row] = hole.row
+
+
+@dataclass(frozen=True, slots=True)
+class _Packet:
+    """A packet: its count, its place in the stream, boot and fingerprint."""
+
+    count: int
+    place: int
+    boot: int
+    print_: int
+
+
+@dataclass(slots=True)
+class _Told:
+    """The columns of a batch that is followed.
+
+    Attributes:
+        columns: as in ``SequenceRows``.
+        first_row: rows of the batches before.
+        row: that is followed now.
+    """
+
+    columns: dict[str, NDArray[Any]]
+    first_row: int
+    row: int = 0
+
+    def add(self, column: str, number: int) -> None:
+        """Add to a column of ``row``."""
+        self.columns[column][self.row] += number
+
+
+def _unknown(position: int) -> _Hole:
+    """Return what may come late before the first packet of a strand."""
+    return _Hole(position - WINDOW, position, _NOT_MISSED)
+
+
+def _begun(packet: _Packet, position: int) -> _Strand:
+    prints = np.zeros(REPEATED, np.uint32)
+    strand = _Strand(position, packet.boot, prints, [_unknown(position)], packet.place)
+    strand.prints[position % REPEATED] = packet.print_
+    return strand
+
+
+class SequenceCounts:
+    """Follows the sequence counts of all streams, a batch at a time.
+
+    Attributes:
+        streams: what the counts of each stream say so far.
     """
 
     def __init__(self) -> None:
-        self.gaps = 0
-        self.duplicates = 0
-        self.reordered = 0
-        self.moved = False
-        self._strands: list[_Strand] = []
+        self.streams: list[SequenceStream] = []
+        self._index: dict[int, int] = {}
+        self._rows = 0
 
-    def follow(self, first: int, last: int) -> None:
-        """Take a run of packets whose counts go up by one.
+    def follow(
+        self, batch: PacketBatch, columns: Columns, order: NDArray[np.int64] | None = None
+    ) -> SequenceRows:
+        """Follow the counts of a batch's packets that have one; return what they say of its rows.
 
         Args:
-            first: count of the first, 0 to 16383.
-            last: count of the last; ``first`` for a single packet.
+            batch: the packets.
+            columns: what was decoded of them.
+            order: all rows, those of one link, sender and MsgId side by side as far as possible, where the
+                caller has them so already.
         """
-        strand = self._continued(first) or self._repeated(first) or self._late(first) or self._jumped(first)
-        # The strand that moved last comes first: it is the one that a run goes on with.
-        self._strands.remove(strand)
-        self._strands.insert(0, strand)
-        if first != last:
-            self._continue(strand)
-        strand.last = last
+        out = _Told(
+            {
+                name: np.zeros(len(batch), np.int64 if name == "found_row" else np.int32)
+                for name in SequenceRows.__slots__
+            },
+            self._rows,
+        )
+        out.columns["stream"] -= 1
+        self._rows += len(batch)
+        counted = (columns.msg_id != NO_MSG_ID) & (
+            (columns.findings & np.uint32(Finding.SEQUENCE_UNSET)) == 0
+        )
+        if order is None:
+            order = order_by(columns.msg_id.astype(np.uint32), columns.processor_id, columns.link)
+        rows = order[counted[order]]
+        if len(rows):
+            self._follow(batch, columns, _ordered(batch, columns, rows), out)
+        return SequenceRows(**out.columns)
 
-    def _continue(self, strand: _Strand) -> _Strand:
-        self.moved = True
-        self.reordered -= strand.lone
-        strand.lone = False
-        return strand
+    def whole(self, parts: Sequence[SequenceRows]) -> SequenceRows:
+        """Join what ``follow`` said of all batches so far, as it is known now.
 
-    def _continued(self, first: int) -> _Strand | None:
-        for strand in self._strands:
-            if (strand.last + 1) % MODULUS == first:
-                return self._continue(strand)
-        return None
+        What was found is taken off ``missing``. A row whose sender does not count is as one without a count.
+        """
+        joined = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in SequenceRows.__slots__
+        }
+        later = np.flatnonzero(joined["found"])
+        np.subtract.at(joined["missing"], joined["found_row"][later], joined["found"][later])
+        counted = np.array([*(stream.counted for stream in self.streams), False])
+        silent = ~counted[joined["stream"]]
+        for name, column in joined.items():
+            column[silent] = -1 if name == "stream" else 0
+        return SequenceRows(**joined)
 
-    def _repeated(self, first: int) -> _Strand | None:
-        for strand in self._strands:
-            if strand.last == first:
-                self.duplicates += 1
-                return strand
-        return None
+    def _follow(self, batch: PacketBatch, columns: Columns, groups: _Groups, out: _Told) -> None:
+        rows, begins = groups.rows, groups.begins
+        sizes = np.diff(begins, append=len(rows))
+        known = np.array([self._stream(item) for item in groups.keys.tolist()])
+        out.columns["stream"][rows] = np.repeat(known, sizes)
+        if (known < 0).any():
+            kept = known >= 0
+            if kept.any():
+                begins = np.cumsum(sizes[kept]) - sizes[kept]
+                followed = _Groups(rows[np.repeat(kept, sizes)], begins, groups.keys[kept])
+                self._follow(batch, columns, followed, out)
+            return
+        count = columns.sequence_count[rows].astype(np.uint16)
+        ends = begins + sizes - 1
+        streams = [self.streams[item] for item in known.tolist()]
+        jumps = _jumps(count, begins)
+        step = (count[jumps] - count[jumps - 1]) & np.uint16(MODULUS - 1)
+        inside = np.ones(len(jumps), np.bool_)
+        inside[np.searchsorted(jumps, begins)] = False
+        prints = _prints(batch, columns, groups, jumps[inside & ((step == 0) | (step > WINDOW))])
+        same = jumps[inside & (step == 0)]
+        last = np.array([(item.last_count, item.last_print) for item in streams])
+        at_begin = (count[begins] == last[:, 0]) & (prints[begins] == last[:, 1])
+        again = np.append(same[prints[same] == prints[same - 1]], begins[at_begin])
+        place = np.array([item.packets for item in streams]) - begins
+        for stream, size, newest, print_ in zip(
+            streams, sizes.tolist(), count[ends].tolist(), prints[ends].tolist(), strict=True
+        ):
+            stream.packets += size
+            stream.last_count, stream.last_print = newest, print_
+        left = np.arange(len(rows))
+        if len(again):
+            out.columns["duplicates"][rows[again]] = 1
+            repeated = np.bincount(groups.owner(again), minlength=len(streams))
+            for stream, more in zip(streams, repeated.tolist(), strict=True):
+                stream.repeated += more
+            left = np.delete(left, again)
+            if not len(left):
+                return
+            count, rows, prints = count[left], rows[left], prints[left]
+            jumps = _jumps(count, np.searchsorted(left, begins))
+        owners = groups.owner(left[jumps])
+        for owner, first, end in zip(
+            owners.tolist(), jumps.tolist(), [*jumps[1:].tolist(), len(rows)], strict=True
+        ):
+            streams[owner].take(
+                _Run(
+                    int(count[first]),
+                    rows[first:end],
+                    int(left[first] + place[owner]),
+                    prints[first:end],
+                    batch.time_ns,
+                    columns.mission_time_ns,
+                ),
+                out,
+            )
 
-    def _late(self, first: int) -> _Strand | None:
-        """Tell a packet out of what was taken for a gap: it came late, or the jump was another sender's."""
-        for strand in self._strands:
-            if 0 < (since := (first - strand.before) % MODULUS) <= strand.jumped:
-                self.gaps += since - 1 - strand.jumped
-                strand.jumped = 0
-                return self._begin(lone=True)
-        return None
-
-    def _jumped(self, first: int) -> _Strand:
-        steps = [((first - strand.last) % MODULUS, strand) for strand in self._strands]
-        step, strand = min(steps, key=lambda item: item[0], default=(MODULUS, None))
-        if strand is None or step >= FORWARD:
-            return self._begin(lone=bool(steps))
-        self.moved = True
-        strand.before, strand.jumped = strand.last, step - 1
-        self.gaps += strand.jumped
-        return strand
-
-    def _begin(self, *, lone: bool) -> _Strand:
-        self.reordered += lone
-        self.moved |= bool(self._strands)
-        strand = _Strand(0, lone=lone)
-        self._strands = [strand, *self._strands[: _MOST_STRANDS - 1]]
-        return strand
+    def _stream(self, key: int) -> int:
+        index = self._index.get(key)
+        if index is None:
+            if len(self.streams) == _MOST_STREAMS:
+                return -1
+            index = self._index[key] = len(self.streams)
+            self.streams.append(SequenceStream())
+        return index
 
 
-def runs(counts: NDArray[np.uint16], begins: NDArray[np.integer]) -> Iterator[tuple[int, int, int, int]]:
-    """Yield the runs of counts that go up by one: what ``SequenceTracker.follow`` takes.
+@dataclass(frozen=True, slots=True)
+class _Groups:
+    """Rows of a batch, those of one stream side by side, as they came; where each stream begins; its key."""
 
-    Args:
-        counts: u16 (n,), of at least one packet; those of one stream side by side, in the order they came.
-        begins: where each stream begins, increasing, 0 first.
+    rows: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    keys: NDArray[np.uint64]
 
-    Yields:
-        the stream's place in ``begins``, the run's first packet, and its first and last count.
+    def owner(self, at: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return which stream each place in ``rows`` belongs to."""
+        return np.searchsorted(self.begins, at, side="right") - 1
+
+
+def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _Groups:
+    """Put the rows of each stream side by side (rule 1); most are so already."""
+    breaks = np.zeros(len(rows) - 1, np.bool_)
+    for column in (
+        columns.link,
+        columns.msg_id,
+        columns.processor_id,
+        columns.spacecraft_id,
+        batch.source_address,
+        batch.source_port,
+        batch.destination_address,
+        batch.destination_port,
+        *((batch.ip_version,) if batch.ipv6 else ()),
+    ):
+        if (column != column[0]).any():
+            own = column[rows]
+            breaks |= own[1:] != own[:-1]
+    begins = np.append(0, np.flatnonzero(breaks) + 1)
+    first = rows[begins]
+    identity = columns.spacecraft_id[first].astype(np.uint64) << np.uint64(32)
+    identity |= columns.processor_id[first]
+    source = _endpoints(batch, batch.source_address, batch.source_port, first)
+    receiver = _endpoints(batch, batch.destination_address, batch.destination_port, first)
+    what = columns.link[first].astype(np.uint64) << 32 | columns.msg_id[first].astype(np.uint64)
+    sender = np.where(identity, identity, source).astype(np.uint64)
+    keys = fingerprint.stirred(what + sender * fingerprint.MIX)
+    keys = fingerprint.stirred(keys + receiver * (identity != 0))
+    unique, which = np.unique(keys, return_inverse=True)
+    if len(unique) == len(keys):
+        return _Groups(rows, begins, keys)
+    group = np.full(len(batch), len(unique), np.min_scalar_type(len(unique)))
+    group[rows] = np.repeat(which, np.diff(begins, append=len(rows)))
+    sizes = np.bincount(group[rows], minlength=len(unique))
+    return _Groups(np.argsort(group, kind="stable")[: len(rows)], np.cumsum(sizes) - sizes, unique)
+
+
+def _endpoints(
+    batch: PacketBatch, address: NDArray[np.uint32], port: NDArray[np.uint16], rows: NDArray[np.int64]
+) -> NDArray[np.uint64]:
+    """Return a number for an endpoint of each row, the same in every batch."""
+    number = address[rows].astype(np.uint64)
+    if batch.ipv6:
+        wide = batch.ip_version[rows] == 6
+        table = np.array([crc32(item) | 1 << 32 for item in batch.ipv6], np.uint64)
+        number[wide] = table[number[wide]]
+    return np.asarray(number << 16 | port[rows], np.uint64)
+
+
+def _prints(
+    batch: PacketBatch, columns: Columns, groups: _Groups, odd: NDArray[np.int64]
+) -> NDArray[np.uint32]:
+    """Return the fingerprints of those rows that another may be compared with; 0 for the others.
+
+    They are the first and the newest of each stream, and all of a stream that has an ``odd`` row: one whose
+    count is not a little ahead of the one before.
     """
-    counts = counts.astype(np.int64)
-    breaks = np.diff(counts) & (MODULUS - 1) != 1
-    breaks[begins[1:] - 1] = True
-    firsts = np.append(0, np.flatnonzero(breaks) + 1)
-    lasts = np.append(firsts[1:], len(counts)) - 1
-    owners = np.searchsorted(begins, firsts, side="right") - 1
-    yield from zip(
-        owners.tolist(), firsts.tolist(), counts[firsts].tolist(), counts[lasts].tolist(), strict=True
+    ends = np.append(groups.begins[1:], len(groups.rows))
+    kept = np.maximum(groups.begins, ends - REPEATED)
+    whole = groups.owner(odd)
+    kept[whole] = groups.begins[whole]
+    chosen = np.zeros(len(groups.rows), np.bool_)
+    chosen[groups.begins] = True
+    for first, end in zip(kept.tolist(), ends.tolist(), strict=True):
+        chosen[first:end] = True
+    own = groups.rows[chosen]
+    prints = np.zeros(len(groups.rows), np.uint32)
+    prints[chosen] = (
+        fingerprint.of_bytes(batch.data, columns.packet_offset[own], columns.packet_length[own]) >> 32
     )
+    return prints
+
+
+def _jumps(count: NDArray[np.uint16], begins: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where a stream begins, or its count does not go up by one."""
+    jump = np.ones(len(count), np.bool_)
+    jump[1:] = (count[1:] - count[:-1]) & np.uint16(MODULUS - 1) != 1
+    jump[begins[begins < len(count)]] = True
+    return np.flatnonzero(jump)
+
+
+def _newest(boots: NDArray[np.int64]) -> int:
+    """Return the last one that is known, else ``_NO_BOOT``."""
+    known = boots[boots != _NO_BOOT]
+    return int(known[-1]) if len(known) else _NO_BOOT
+
+
+def _same_boot(boots: NDArray[np.int64], at: int) -> int:
+    """Return the end of the packets from ``at`` on that are of one boot, or all without a time."""
+    boots = boots[at:]
+    known = boots != _NO_BOOT
+    breaks = (known[1:] != known[:-1]) | (np.abs(np.diff(boots)) > BOOT_APART_NS)
+    return at + (int(breaks.argmax()) + 1 if breaks.any() else len(boots))

@@ -1,5 +1,5 @@
 """cFS's own C structs: where their members lie, and their bytes as named values."""
 
-from edoras_tools.structs.table import Structs, shipped
+from edoras_tools.structs.table import Structs, shipped_structs
 
-__all__ = ["Structs", "shipped"]
+__all__ = ["Structs", "shipped_structs"]

@@ -1,4 +1,4 @@
-"""Where a C compiler puts the members of a struct: for layouts that people write without offsets."""
+"""Computes the offsets of struct members as a C compiler does, for layouts written without offsets."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A member that is to be given a place.
+    """A member whose offset is to be computed.
 
     Attributes:
         member: its offset and bit count only where it is ``placed``.
         size: bytes of one element.
         alignment: what its offset must be a multiple of.
-        placed: whether its offset was written down.
+        placed: whether the layout gives its offset.
     """
 
     member: Member
@@ -32,7 +32,7 @@ class Wanted:
 def arrange(
     wanted: Iterable[Wanted], *, union: bool = False, packed: bool = False
 ) -> tuple[list[Member], int, int]:
-    """Give every member its place, as the System V ABI does.
+    """Compute the offset of every member, as the System V ABI does.
 
     Args:
         wanted: in the order of the declaration.
@@ -43,7 +43,7 @@ def arrange(
         the members, the bytes of the struct with its padding, and its alignment.
     """
     members: list[Member] = []
-    bit, end, widest = 0, 0, 1  # the next free bit, and how far the members reach
+    bit, end, widest = 0, 0, 1  # the next free bit, and the end of the members so far
     for item in wanted:
         alignment = 1 if packed else item.alignment
         widest = max(widest, alignment)

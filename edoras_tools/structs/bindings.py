@@ -1,4 +1,4 @@
-"""Which struct lies in which packets, and the definitions of their messages."""
+"""Binds structs to packets, and makes the definitions of their messages."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from typing import TYPE_CHECKING
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.bound import Bound
 from edoras_tools.structs.messages import (
-    HEADER,
+    HEADER_TYPE,
     definition,
+    definition_text,
     described,
     header_definition,
+    message_type_name,
     parts,
-    text,
-    type_name,
     unique,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.ros.schema import Definition
-    from edoras_tools.structs.shapes import Key, Layout, Struct
+    from edoras_tools.ros.types.schema import Definition
+    from edoras_tools.structs.shapes import Key, Struct, StructLayout
 
 
 class Bindings:
     """The structs of some layouts bound to packets, each named once.
 
     Args:
-        layouts: of those that name the same packets the first holds.
+        layouts: where several name the same packets, the first applies.
 
     Attributes:
         all: every struct that is bound, by MsgId and function code.
@@ -41,8 +41,8 @@ class Bindings:
         ConfigError: a struct cannot become a message.
     """
 
-    def __init__(self, layouts: Sequence[Layout]) -> None:
-        taken: dict[Key, Layout] = {}
+    def __init__(self, layouts: Sequence[StructLayout]) -> None:
+        taken: dict[Key, StructLayout] = {}
         for layout in layouts:
             for key in layout.bindings:
                 if not any(
@@ -67,22 +67,22 @@ class Bindings:
         for item in sorted(bound, key=lambda item: item.key.function_code is None):
             self.by_id.setdefault(item.key.msg_id, []).append(item)
 
-    def define(self, layout: Layout, struct: Struct, *, whole: bool) -> str:
+    def define(self, layout: StructLayout, struct: Struct, *, whole: bool) -> str:
         """Make the definition of a struct's message, and of all that it uses; return its type in full."""
         return self._define(layout, struct, whole, ())
 
-    def _define(self, layout: Layout, struct: Struct, whole: bool, within: tuple[str, ...]) -> str:
+    def _define(self, layout: StructLayout, struct: Struct, whole: bool, within: tuple[str, ...]) -> str:
         key = (id(layout), struct.name, whole)
         if key in self._names:
             return self._names[key]
         if struct.name in within:
             raise ConfigError(f"{layout.origin}: {struct.name} contains itself")
         package = f"{layout.package}/msg/"
-        name = self._names[key] = package + self._free(package, type_name(struct.name))
+        name = self._names[key] = package + self._free(package, message_type_name(struct.name))
         names = {}
         if whole:
-            names[HEADER] = package + HEADER
-            self._taken.add(names[HEADER])
+            names[HEADER_TYPE] = package + HEADER_TYPE
+            self._taken.add(names[HEADER_TYPE])
         inside = (*within, struct.name)
         for part in parts(layout, struct, whole=whole):
             nested = layout.structs.get(str(part.member.type))
@@ -90,13 +90,13 @@ class Bindings:
                 names[nested.name] = self._define(layout, nested, False, inside)
         fields = described(layout, struct, names, whole=whole)
         self.definitions[name] = definition(name, fields)
-        self.texts[name] = text(struct, fields)
-        if whole and names[HEADER] not in self.definitions:
-            self.definitions[names[HEADER]] = header = header_definition(names[HEADER])
-            self.texts[names[HEADER]] = "# what the packet was, and where it came from\n" + header.text
+        self.texts[name] = definition_text(struct, fields)
+        if whole and names[HEADER_TYPE] not in self.definitions:
+            self.definitions[names[HEADER_TYPE]] = header = header_definition(names[HEADER_TYPE])
+            self.texts[names[HEADER_TYPE]] = "# what the packet was, and where it came from\n" + header.text
         return name
 
     def _free(self, package: str, name: str) -> str:
-        found = unique(package + name, self._taken | {package + HEADER})
+        found = unique(package + name, self._taken | {package + HEADER_TYPE})
         self._taken.add(found)
         return found.removeprefix(package)

@@ -10,7 +10,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.structs.counting import MOST_VALUES, Counter
 from edoras_tools.structs.messages import HEADER_FIELDS, parts
 from edoras_tools.structs.packets import SHIPPED
-from edoras_tools.structs.transcode import HEAD, Plan
+from edoras_tools.structs.transcode import HEAD, StructPlan
 from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import gather
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.structs.shapes import Key, Layout, Member, Struct
+    from edoras_tools.structs.shapes import Key, Member, Struct, StructLayout
 
 
 class Encoded(NamedTuple):
@@ -59,13 +59,13 @@ class Bound:
         ConfigError: the struct spells out too many values.
     """
 
-    def __init__(self, key: Key, layout: Layout, struct: Struct, topic: str, type: str) -> None:  # noqa: A002
+    def __init__(self, key: Key, layout: StructLayout, struct: Struct, topic: str, type: str) -> None:  # noqa: A002
         self.key = key
         self.layout = layout
         self.struct = struct
         self.topic = topic
         self.type = type
-        self._plans: dict[int, Plan] = {}
+        self._plans: dict[int, StructPlan] = {}
         members = parts(layout, struct, whole=True)
         self._open = members[-1].member if members and members[-1].open else None
         self.size = struct.size - struct.header
@@ -80,11 +80,11 @@ class Bound:
 
     @property
     def shipped(self) -> bool:
-        """Whether it is of cFE itself, and not what somebody named."""
+        """Whether it is one of the built-in structs of cFE."""
         return self.layout.origin == SHIPPED
 
     def fits(self, length: NDArray[np.integer[Any]] | int) -> NDArray[np.bool_]:
-        """Tell which payload lengths hold this struct: exactly, or but for padding at its end."""
+        """Tell which payload lengths fit this struct, with or without the padding at its end."""
         length = np.asarray(length)
         fits: NDArray[np.bool_] = length >= self._least
         fits &= (length - self._least) % self._step == 0 if self._step else length <= self.size
@@ -94,13 +94,13 @@ class Bound:
 
     @property
     def expected(self) -> str:
-        """The payload length in words."""
+        """The payload length as text."""
         return f"{self._least} + n x {self._step}" if self._step else str(self.size)
 
-    def plan(self, length: int) -> Plan:
-        """Return how payloads of one length are read; the length fits."""
+    def plan(self, length: int) -> StructPlan:
+        """Return the plan for payloads of one length, which must fit."""
         if length not in self._plans:
-            self._plans[length] = Plan(self.layout, self.struct, length)
+            self._plans[length] = StructPlan(self.layout, self.struct, length)
         return self._plans[length]
 
     def encode(
@@ -168,12 +168,12 @@ class Bound:
         return found
 
     def values(self, member: Member) -> Mapping[int, str]:
-        """Return what the values of a member mean."""
+        """Return the names of the values of a member."""
         enum = self.layout.enumeration(member)
         return enum.names if enum else {}
 
     def text(self, member: Member, value: Any) -> str:
-        """Return a value as people read it."""
+        """Return a value as text for users."""
         if isinstance(value, list):
             return "[" + ", ".join(self.text(member, item) for item in value) + "]"
         name = self.values(member).get(value) if isinstance(value, int) else None
@@ -188,7 +188,7 @@ class Bound:
         return (self.layout.size(member) if member.array or not member.text else 1) * member.row
 
     def _limit(self) -> int | None:
-        """Return the payload length above which there are too many values; None where there never are."""
+        """Return the payload length above which there are too many values; None: there is none."""
         counter = Counter(self.layout)
         left = MOST_VALUES - counter.fixed(self.struct) - len(HEADER_FIELDS) - 1
         if left < 0:
@@ -217,7 +217,7 @@ class Held:
     Attributes:
         bound: the struct.
         rows: which packets.
-        size: bytes of every message, where it is known without making them that all have as many; else 0.
+        size: bytes of each message if all have the same known size; else 0.
     """
 
     def __init__(
@@ -258,7 +258,7 @@ def _window(
 ) -> NDArray[np.uint8]:
     """Return each packet's head and payload side by side, u8 (n, HEAD and length)."""
     front = HEAD.itemsize
-    if len(offset) and offset.min() >= front:  # what stands in front comes along, and is written over
+    if len(offset) and offset.min() >= front:  # the bytes in front are copied too, and overwritten
         window = gather(data, offset - front, front + length)
     else:
         window = np.empty((len(offset), front + length), np.uint8)

@@ -1,4 +1,4 @@
-"""What cFE's core services and the lab applications send, so that it decodes without any ELF.
+"""The telemetry of cFE's core services and the lab applications, so that it decodes without an ELF file.
 
 Only what follows the telemetry header is described, little-endian, in the order and with the widths that were
 measured on a flight; names are in the words of this package. Events and the software bus's counters come from
@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.structs.files import layout_of
 from edoras_tools.structs.packets import PACKETS, SHIPPED
-from edoras_tools.structs.shapes import BASIC, Enumeration, Key, Layout, Member, Struct
+from edoras_tools.structs.shapes import BASIC, Enumeration, Key, Member, Struct, StructLayout
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from edoras_tools.wire import layout as wire
 
-NAME: Final = SHIPPED
+LAYOUT_NAME: Final = SHIPPED
 """What the command line calls these layouts."""
 _COUNTERS: Final = {
     "command_counter": ("uint8", "ground commands accepted"),
@@ -237,7 +237,7 @@ _STRUCTS: Final[dict[str, tuple[str, dict[str, str | tuple[str, str]]]]] = {
         },
     ),
 }
-HEADERS: Final = {
+_WIRE_LAYOUTS: Final = {
     cfe.EVENT_MSG_ID: cfe.EVENT,
     cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
 }
@@ -245,11 +245,11 @@ HEADERS: Final = {
 
 
 @cache
-def shipped() -> Layout:
+def shipped_layout() -> StructLayout:
     """Return the layout of what cFE itself sends."""
     raw = {
         "enums": _ENUMS,
-        "bind": {msg_id: name for msg_id, name in PACKETS.items() if msg_id not in HEADERS},
+        "bind": {msg_id: name for msg_id, name in PACKETS.items() if msg_id not in _WIRE_LAYOUTS},
         "structs": {
             name: {
                 "doc": doc,
@@ -261,14 +261,14 @@ def shipped() -> Layout:
             for name, (doc, members) in _STRUCTS.items()
         },
     }
-    layout = layout_of(raw, NAME)
+    layout = layout_of(raw, LAYOUT_NAME)
     structs, enums = dict(layout.structs), dict(layout.enums)
     bindings = dict(layout.bindings)
-    for msg_id, header in HEADERS.items():
+    for msg_id, header in _WIRE_LAYOUTS.items():
         name = PACKETS[msg_id]
         structs[name] = _of_header(name, header, enums)
         bindings[Key(msg_id)] = name
-    return Layout(structs, enums, bindings, origin=NAME)
+    return StructLayout(structs, enums, bindings, origin=LAYOUT_NAME)
 
 
 def _of_header(name: str, header: wire.Layout, enums: dict[str, Enumeration]) -> Struct:

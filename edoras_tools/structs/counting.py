@@ -1,17 +1,17 @@
-"""How many values a struct spells out: each takes a copy of its own, so that there is a limit."""
+"""Counts the values of a struct. Each value is copied separately, so their number is limited."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.structs.messages import parts
-from edoras_tools.structs.shapes import Kind
+from edoras_tools.structs.shapes import BasicKind
 
 if TYPE_CHECKING:
-    from edoras_tools.structs.shapes import Layout, Member, Struct
+    from edoras_tools.structs.shapes import Member, Struct, StructLayout
 
 MOST_VALUES: Final = 1 << 16
-"""Most single copies that a message may take; a struct that spells out more is a mistake."""
+"""The most copies that one message may take; a struct with more is a mistake."""
 
 
 class Counter:
@@ -21,24 +21,24 @@ class Counter:
         layout: of the structs.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: StructLayout) -> None:
         self._layout = layout
         self._known: dict[str, int] = {}
 
     def fixed(self, struct: Struct) -> int:
-        """Return those of what lies in a packet, but for an array that is open to its end."""
+        """Return the copies for a packet, without an array that is open to its end."""
         found = parts(self._layout, struct, whole=True)
         return sum(self._of(part.member, part.member.count) for part in found if not part.open)
 
     def each(self, member: Member) -> int:
-        """Return those of each row of an array that is open to the end."""
+        """Return the copies for one element of an array that is open to the end."""
         return self._of(member, 2 * member.row) - self._of(member, member.row) if member.array else 0
 
     def _of(self, member: Member, count: int) -> int:
         basic = self._layout.basic(member)
         if basic is None:
             return count * self._nested(self._layout.structs[str(member.type)])
-        return count if member.text or basic.kind is Kind.BOOL else 1
+        return count if member.text or basic.kind is BasicKind.BOOL else 1
 
     def _nested(self, struct: Struct) -> int:
         if struct.name not in self._known:

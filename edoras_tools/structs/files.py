@@ -1,4 +1,4 @@
-"""Layout files: structs and the packets they lie in, as YAML or JSON that people can write, too."""
+"""Reads layout files: structs and their packets, as YAML or JSON."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from edoras_tools.structs.shapes import (
     BASIC,
     OPEN,
     Basic,
+    BasicKind,
     ByteOrder,
     Enumeration,
     Key,
-    Kind,
-    Layout,
     Member,
     Struct,
+    StructLayout,
 )
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterator, Mapping
 
-VERSION: Final = 1
-NAME: Final = "structs.yaml"
+LAYOUT_VERSION: Final = 1
+LAYOUT_FILE: Final = "structs.yaml"
 """The layout file of a folder that 'edoras structs' wrote."""
 _LARGEST: Final = 1 << 24
 _TYPE: Final = re.compile(
@@ -43,27 +43,27 @@ _PACKAGE: Final = re.compile(r"[a-z](?:_?[a-z0-9])*", re.ASCII)
 _IN_C: Final = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _COMMAND: Final = 0x1000
 _HIGHEST: Final = 0x1FFF
-"""MsgId that cFE takes; tables by MsgId have what is no packet at -1, which is 0xFFFF there."""
+"""The highest MsgId; tables by MsgId keep rows without a packet (-1) at 0xFFFF."""
 
 
-def load(path: str | os.PathLike[str]) -> Layout:
+def load_layout(path: str | os.PathLike[str]) -> StructLayout:
     """Read a layout file; of a folder ``structs.yaml`` in it.
 
     Raises:
         ConfigError: it cannot be read, or holds mistakes: all of them, a line each.
     """
-    file, data = read(path)
-    return loads(data, str(file))
+    file, data = read_layout(path)
+    return parse_layout(data, str(file))
 
 
-def read(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
-    """Return which layout file a path names, and what is in it.
+def read_layout(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
+    """Return the layout file that a path names, and its content.
 
     Raises:
         ConfigError: it cannot be read, or is a program.
     """
     file = Path(path)
-    file = file / NAME if file.is_dir() else file
+    file = file / LAYOUT_FILE if file.is_dir() else file
     try:
         with file.open("rb") as stream:
             data = stream.read(_LARGEST + 1)
@@ -76,22 +76,22 @@ def read(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
     return file, data
 
 
-def loads(data: bytes, name: str) -> Layout:
+def parse_layout(data: bytes, name: str) -> StructLayout:
     """Read a layout from memory.
 
     Args:
         data: YAML or JSON.
-        name: what messages call it.
+        name: its name in messages.
 
     Raises:
         ConfigError: it holds mistakes: all of them, a line each.
     """
     if len(data) > _LARGEST:
-        raise ConfigError(f"{name}: larger than {_LARGEST >> 20} MiB; that is no layout file")
+        raise ConfigError(f"{name}: larger than {_LARGEST >> 20} MiB; that is not a layout file")
     return layout_of(_parsed(data, name), name)
 
 
-def layout_of(raw: Any, name: str) -> Layout:
+def layout_of(raw: Any, name: str) -> StructLayout:
     """Read a layout from the plain values of a layout file; raises as :func:`loads`."""
     return _Reader(name).layout(raw)
 
@@ -106,19 +106,19 @@ def _parsed(data: bytes, name: str) -> Any:
             return json.loads(text, object_pairs_hook=_once)
         return YAML(typ="safe", pure=True).load(text)
     except json.JSONDecodeError as error:
-        raise ConfigError(f"{name}:{error.lineno}: is no JSON: {error.msg}") from error
+        raise ConfigError(f"{name}:{error.lineno}: is not JSON: {error.msg}") from error
     except MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise ConfigError(f"{name}:{line}: is no YAML: {error.problem or error.context}") from error
+        raise ConfigError(f"{name}:{line}: is not YAML: {error.problem or error.context}") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{name}: no layout file: it is no text") from error
+        raise ConfigError(f"{name}: no layout file: it is not text") from error
     except (YAMLError, ValueError, RecursionError) as error:
         what = str(error).partition("\n")[0]
-        raise ConfigError(f"{name}: is no YAML: {what or type(error).__name__}") from error
+        raise ConfigError(f"{name}: is not YAML: {what or type(error).__name__}") from error
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a JSON object, of which no key may be there twice."""
+    """Return a JSON object; a repeated key is an error."""
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
@@ -128,7 +128,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _shown(raw: Any) -> str:
-    """Return a value as messages show it: in short, however large it is."""
+    """Return a value as short text for messages."""
     return _SHORT.repr(raw)
 
 
@@ -144,16 +144,16 @@ class _Reader:
         self._alignments: dict[str, int] = {}
         self._open: list[str] = []
 
-    def layout(self, raw: Any) -> Layout:
+    def layout(self, raw: Any) -> StructLayout:
         if not isinstance(raw, dict) or "structs" not in raw:
             raise ConfigError(
                 f"{self._name}: no layout file: it has no 'structs'; 'edoras structs -o DIR' writes one"
             )
         self._known("", raw, _TOP)
-        if raw.get("edoras_structs", VERSION) != VERSION:
+        if raw.get("edoras_structs", LAYOUT_VERSION) != LAYOUT_VERSION:
             what = _shown(raw["edoras_structs"])
             raise ConfigError(
-                f"{self._name}: edoras_structs {what} is not known; this version reads {VERSION}"
+                f"{self._name}: edoras_structs {what} is not known; this version reads {LAYOUT_VERSION}"
             )
         order: ByteOrder = "little"
         if raw.get("byte_order", "little") not in ("little", "big"):
@@ -162,7 +162,7 @@ class _Reader:
             order = raw["byte_order"]
         package = raw.get("package", "cfs_msgs")
         if not isinstance(package, str) or not is_package(package):
-            self._mistake("package", f"{_shown(package)} is no name of a ROS package, as rover_msgs")
+            self._mistake("package", f"{_shown(package)} is not a name of a ROS package, as rover_msgs")
         for name, item in self._mapping("enums", raw.get("enums", {})):
             self._enum(name, item)
         self._raw = dict(self._mapping("structs", raw["structs"]))
@@ -184,7 +184,7 @@ class _Reader:
             bindings[key] = str(name) if isinstance(name, str) else ""
         if self._mistakes:
             raise ConfigError(*dict.fromkeys(self._mistakes))
-        return Layout(self._structs, self._enums, bindings, order, package, self._name)
+        return StructLayout(self._structs, self._enums, bindings, order, package, self._name)
 
     def _mistake(self, where: str, what: str) -> None:
         self._mistakes.append(f"{self._name}: {where + ': ' if where else ''}{what}")
@@ -201,13 +201,13 @@ class _Reader:
             return
         for key, value in raw.items():
             if where != "bind" and (not isinstance(key, str) or not _IN_C.fullmatch(key)):
-                self._mistake(where, f"{_shown(key)} is no name in C")
+                self._mistake(where, f"{_shown(key)} is not a name in C")
             else:
                 yield key, value
 
     def _number(self, where: str, raw: Any, most: int = _LARGEST) -> int | None:
         if isinstance(raw, bool) or not isinstance(raw, int) or not 0 <= raw <= most:
-            self._mistake(where, f"{_shown(raw)} is no number of 0 to {most}")
+            self._mistake(where, f"{_shown(raw)} is not a number of 0 to {most}")
             return None
         return raw
 
@@ -217,9 +217,9 @@ class _Reader:
         return raw.get(name) is True
 
     def _doc(self, where: str, raw: Mapping[str, Any]) -> str:
-        """Return what is said of something, on one line: it becomes a comment."""
+        """Return the documentation of an item, on one line: it becomes a comment."""
         if not isinstance(raw.get("doc", ""), str):
-            self._mistake(where, f"doc: {_shown(raw['doc'])} is no text")
+            self._mistake(where, f"doc: {_shown(raw['doc'])} is not text")
             return ""
         return " ".join(raw.get("doc", "").split())
 
@@ -230,15 +230,15 @@ class _Reader:
             return
         self._known(where, raw, {"type", "values"})
         basic = BASIC.get(kind) if isinstance(kind := raw.get("type", "int32"), str) else None
-        if basic is None or basic.kind not in {Kind.INT, Kind.UINT}:
-            self._mistake(where, f"{_shown(raw.get('type'))} is no integer, as int32 or uint8")
+        if basic is None or basic.kind not in {BasicKind.INT, BasicKind.UINT}:
+            self._mistake(where, f"{_shown(raw.get('type'))} is not an integer, as int32 or uint8")
             basic = BASIC["int32"]
         if name in BASIC:
             self._mistake(where, "another type has this name")
         names: dict[int, str] = {}
         for label, value in self._mapping(f"{where}.values", raw.get("values", {})):
             if isinstance(value, bool) or not isinstance(value, int):
-                self._mistake(where, f"{label}: {_shown(value)} is no number")
+                self._mistake(where, f"{label}: {_shown(value)} is not a number")
             elif not basic.holds(value):
                 self._mistake(where, f"{label}: {_shown(value)} does not fit {basic}")
             else:
@@ -301,7 +301,7 @@ class _Reader:
             raw, doc = raw.get("type"), self._doc(where, raw)
         match = _TYPE.fullmatch(raw.strip()) if isinstance(raw, str) else None
         if match is None:
-            self._mistake(where, f"{_shown(raw)} is no TYPE, TYPE[N], TYPE:BITS or TYPE @OFFSET")
+            self._mistake(where, f"{_shown(raw)} is not TYPE, TYPE[N], TYPE:BITS or TYPE @OFFSET")
             return None
         kind: Basic | str | None = BASIC.get(match["name"])
         if kind is None and match["name"] in self._raw and match["name"] not in self._enums:
@@ -349,7 +349,7 @@ class _Reader:
 
 _SHORT: Final = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 80
-_BITS: Final = {Kind.INT, Kind.UINT, Kind.BOOL}
+_BITS: Final = {BasicKind.INT, BasicKind.UINT, BasicKind.BOOL}
 
 
 def parse_key(raw: Any) -> Key:
@@ -377,4 +377,4 @@ def is_package(name: str) -> bool:
 
 def _refuse(raw: Any) -> NoReturn:
     msg_ids = "0x0801, from 1 to 0x1fff, nor one with a function code as 0x1880/6"
-    raise ConfigError(f"{_shown(raw)} is no MsgId as {msg_ids}")
+    raise ConfigError(f"{_shown(raw)} is not a MsgId as {msg_ids}")

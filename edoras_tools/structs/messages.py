@@ -1,9 +1,9 @@
-"""C structs as ROS messages: names that rosidl takes, and the definitions.
+"""C structs as ROS messages: names that rosidl accepts, and the definitions.
 
-A struct that lies in a packet becomes a message that begins with ``CfsHeader`` in the place of cFE's own:
-which packet it was, and from where. One that then holds nothing but ``Payload`` becomes what that holds. A
-union's members stand side by side, each read from the same bytes. Arrays of several dimensions become flat
-ones, texts become strings.
+A struct that is the content of a packet becomes a message whose first field is ``CfsHeader`` instead of
+cFE's header: which packet it was, and its sender. If the only other member is ``Payload``, the message has
+the members of the payload. The members of a union become separate fields, read from the same bytes. Arrays of
+several dimensions are flattened, texts become strings.
 """
 
 from __future__ import annotations
@@ -13,34 +13,35 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from edoras_tools.ros.schema import Constant, Definition, Field, Shape
-from edoras_tools.structs.shapes import OPEN, Basic, Kind, Layout, Member, Struct
+from edoras_tools.links import ROWS, table
+from edoras_tools.model import OTHER
+from edoras_tools.ros.types.schema import Constant, Definition, MessageField, Shape
+from edoras_tools.structs.shapes import OPEN, Basic, BasicKind, Member, Struct, StructLayout
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-HEADER: Final = "CfsHeader"
+HEADER_TYPE: Final = "CfsHeader"
 HEADER_FIELDS: Final = (
-    Field("processor_id", "uint32"),
-    Field("msg_id", "uint16"),
-    Field("sequence_count", "uint16"),
-    Field("function_code", "uint8"),
-    Field("link", "uint8"),
+    MessageField("processor_id", "uint32"),
+    MessageField("msg_id", "uint16"),
+    MessageField("sequence_count", "uint16"),
+    MessageField("function_code", "uint8"),
+    MessageField("link", "uint8"),
 )
-"""What every message of a packet begins with: SBN ProcessorID of the sender (0 where it came without SBN),
+"""The first field of every message of a packet: SBN ProcessorID of the sender (0 where it came without SBN),
 MsgId, packet sequence count, function code of a command, and the ``Link``."""
-LINKS: Final = ("OTHER", "CI", "TO", "SBN")
 
 _WORD: Final = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 
 
-class Part(NamedTuple):
+class MessagePart(NamedTuple):
     """A member as part of a message.
 
     Attributes:
         name: of the field.
         member: with the offset from the start of the packet's payload, or of the nested struct.
-        open: whether it is a sequence that goes on to the end of the packet.
+        open: whether it is a sequence that extends to the end of the packet.
     """
 
     name: str
@@ -48,8 +49,8 @@ class Part(NamedTuple):
     open: bool
 
 
-def type_name(name: str) -> str:
-    """Return a struct's name as rosidl takes it: ``CFE_ES_HousekeepingTlm_t`` is ``CfeEsHousekeepingTlm``."""
+def message_type_name(name: str) -> str:
+    """Return a struct's name for rosidl: ``CFE_ES_HousekeepingTlm_t`` is ``CfeEsHousekeepingTlm``."""
     words = [item for item in name.removesuffix("_t").split("_") if item]
     text = "".join(item.capitalize() if item.isupper() else item[0].upper() + item[1:] for item in words)
     return text if text[:1].isalpha() else f"C{text}"
@@ -57,7 +58,7 @@ def type_name(name: str) -> str:
 
 @lru_cache(maxsize=4096)
 def field_name(name: str) -> str:
-    """Return a member's name as rosidl takes it: ``ERLogIndex`` is ``er_log_index``."""
+    """Return a member's name for rosidl: ``ERLogIndex`` is ``er_log_index``."""
     words: list[str] = []
     for part in filter(None, name.split("_")):
         for match in _WORD.finditer(part):
@@ -70,7 +71,7 @@ def field_name(name: str) -> str:
 
 
 def unique(name: str, taken: set[str]) -> str:
-    """Return a name, with a number where it is taken already; then it is taken."""
+    """Return a name, with a number if it is already used, and mark it as used."""
     found, number = name, 2
     while found in taken:
         found, number = f"{name}{number}", number + 1
@@ -78,13 +79,13 @@ def unique(name: str, taken: set[str]) -> str:
     return found
 
 
-def parts(layout: Layout, struct: Struct, *, whole: bool) -> list[Part]:
-    """Return what a message of a struct holds, in the order of its declaration.
+def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessagePart]:
+    """Return the parts of a struct's message, in the order of the declaration.
 
     Args:
         layout: of the struct.
         struct: the struct.
-        whole: it lies in a packet: its header is left out, ``Payload`` opened, the last array may be open.
+        whole: it is a packet: its header is left out, ``Payload`` is unpacked, the last array may be open.
     """
     members: Iterable[Member] = struct.members
     shift = struct.header if whole else 0
@@ -99,21 +100,21 @@ def parts(layout: Layout, struct: Struct, *, whole: bool) -> list[Part]:
     found = []
     for item in members:
         is_open = whole and not struct.union and item is struct.members[-1] and OPEN in item.dims
-        is_open = is_open and bool(item.text or layout.size(item))  # of empty structs there is no end
+        is_open = is_open and bool(item.text or layout.size(item))  # an array of nothing has no end
         if layout.size(item) * item.count == 0 and not is_open and not _empty(layout, item):
             continue
         name = unique(field_name(item.name), taken)
-        found.append(Part(name, replace(item, offset=item.offset - shift) if shift else item, is_open))
+        found.append(MessagePart(name, replace(item, offset=item.offset - shift) if shift else item, is_open))
     return found
 
 
-def _empty(layout: Layout, member: Member) -> bool:
-    """Tell whether a member is a struct without members, which is a message all the same."""
+def _empty(layout: StructLayout, member: Member) -> bool:
+    """Tell whether a member is a struct without members; it still becomes a message."""
     return member.count > 0 and str(member.type) in layout.structs
 
 
 class Described(NamedTuple):
-    """A field of a message, and what it is in C.
+    """A field of a message, and the C member it is read from.
 
     Attributes:
         field: of the message.
@@ -121,12 +122,14 @@ class Described(NamedTuple):
         constants: names for its values.
     """
 
-    field: Field
-    part: Part | None
+    field: MessageField
+    part: MessagePart | None
     constants: tuple[Constant, ...]
 
 
-def described(layout: Layout, struct: Struct, names: Mapping[str, str], *, whole: bool) -> list[Described]:
+def described(
+    layout: StructLayout, struct: Struct, names: Mapping[str, str], *, whole: bool
+) -> list[Described]:
     """Return the fields of a struct's message.
 
     Args:
@@ -135,7 +138,7 @@ def described(layout: Layout, struct: Struct, names: Mapping[str, str], *, whole
         names: types in full of the structs that it uses, and of the header, by name.
         whole: as for :func:`parts`.
     """
-    found = [Described(Field("header", names[HEADER]), None, ())] if whole else []
+    found = [Described(MessageField("header", names[HEADER_TYPE]), None, ())] if whole else []
     taken: set[str] = set()
     for part in parts(layout, struct, whole=whole):
         kind, shape, size = _type(layout, part.member, names), Shape.SCALAR, 0
@@ -149,7 +152,7 @@ def described(layout: Layout, struct: Struct, names: Mapping[str, str], *, whole
             for value, label in (enum.names.items() if enum else ())
             if enum is not None and enum.basic.holds(value)
         )
-        found.append(Described(Field(part.name, kind, 0, shape, size), part, constants))
+        found.append(Described(MessageField(part.name, kind, 0, shape, size), part, constants))
     return found
 
 
@@ -160,8 +163,8 @@ def definition(name: str, fields: Iterable[Described]) -> Definition:
     return Definition(name, tuple(item.field for item in fields), constants)
 
 
-def text(struct: Struct, fields: Iterable[Described]) -> str:
-    """Return the ``.msg`` file of a struct's message, with what each field is in C."""
+def definition_text(struct: Struct, fields: Iterable[Described]) -> str:
+    """Return the ``.msg`` file of a struct's message, with the C member of each field."""
     what = f"{'union' if struct.union else 'struct'} {struct.name}, {struct.size} bytes"
     lines = [f"# {what}" + f"; bytes count from behind its header of {struct.header}" * bool(struct.header)]
     lines += [f"# {struct.doc}"] * bool(struct.doc)
@@ -170,14 +173,14 @@ def text(struct: Struct, fields: Iterable[Described]) -> str:
         line = f"{item.field.type_text} {item.field.name}"
         if item.part is not None:
             member = item.part.member
-            told = [place(member), *filter(None, [member.doc])]
+            told = [member_place(member), *filter(None, [member.doc])]
             line += f"  # {': '.join(told)}"
         lines.append(line)
     return "\n".join(lines) + "\n"
 
 
-def place(member: Member) -> str:
-    """Return where a member lies and what it is called in C."""
+def member_place(member: Member) -> str:
+    """Return the offset of a member and its name in C."""
     dims = "".join(f"[{size or ''}]" for size in member.dims)
     bits = f".{member.bit}, {member.bits} bit{'s' * (member.bits > 1)}" if member.bits else ""
     return f"byte {member.offset}{bits} {member.name}{dims}"
@@ -185,11 +188,12 @@ def place(member: Member) -> str:
 
 def header_definition(name: str) -> Definition:
     """Return the definition of the header."""
-    links = tuple(Constant(f"LINK_{text}", "uint8", value) for value, text in enumerate(LINKS))
+    own = [link for link in table.links() if link.packets and link.label in ROWS]
+    links = tuple(Constant(f"LINK_{link.label.upper()}", "uint8", int(link)) for link in (OTHER, *own))
     return Definition(name, HEADER_FIELDS, links)
 
 
-def _type(layout: Layout, member: Member, names: Mapping[str, str]) -> str:
+def _type(layout: StructLayout, member: Member, names: Mapping[str, str]) -> str:
     if member.text:
         return "string"
     basic = layout.basic(member)
@@ -198,8 +202,8 @@ def _type(layout: Layout, member: Member, names: Mapping[str, str]) -> str:
 
 def primitive(basic: Basic) -> str:
     """Return the ROS type of a basic type."""
-    if basic.kind is Kind.BOOL:
+    if basic.kind is BasicKind.BOOL:
         return "bool"
-    if basic.kind in {Kind.CHAR, Kind.BYTE}:
+    if basic.kind in {BasicKind.CHAR, BasicKind.BYTE}:
         return "uint8"
     return str(basic)

@@ -1,11 +1,11 @@
-"""The packets of cFE itself and of the lab applications, and which struct lies in each."""
+"""The packets of cFE itself and of the lab applications, and the struct of each."""
 
 from typing import Final
 
 from edoras_tools.wire import cfe
 
 SHIPPED: Final = "cfe"
-"""What their layout is called."""
+"""The name of their layout."""
 PACKETS: Final = {
     0x0800: "CFE_ES_HousekeepingTlm",
     0x0801: "CFE_EVS_HousekeepingTlm",

@@ -1,4 +1,4 @@
-"""C data types as values: what a compiler laid out, or what a person wrote down."""
+"""C data types as values, from debug information or from a layout file."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 ByteOrder = Literal["little", "big"]
 OPEN: Final = 0
-"""The dimension of an array that goes on to the end of the packet; only the last member has it."""
+"""The dimension of an array that extends to the end of the packet; only the last member may have it."""
 
 
-class Kind(Enum):
-    """What the bytes of a basic type are."""
+class BasicKind(Enum):
+    """How the bytes of a basic type are read."""
 
     UINT = "uint"
     INT = "int"
@@ -35,30 +35,36 @@ class Basic:
         size: how many there are.
     """
 
-    kind: Kind
+    kind: BasicKind
     size: int
 
     def __str__(self) -> str:
         """The name in a layout file, as ``uint16``, ``float64`` or ``char``."""
         plain = (
-            self.kind is Kind.CHAR or self.kind is Kind.BYTE or (self.kind is Kind.BOOL and self.size == 1)
+            self.kind is BasicKind.CHAR
+            or self.kind is BasicKind.BYTE
+            or (self.kind is BasicKind.BOOL and self.size == 1)
         )
         return self.kind.value if plain else f"{self.kind.value}{8 * self.size}"
 
     def holds(self, value: int) -> bool:
         """Tell whether an integer of this type can have a value."""
         bits = 8 * self.size
-        low = -(1 << (bits - 1)) if self.kind is Kind.INT else 0
+        low = -(1 << (bits - 1)) if self.kind is BasicKind.INT else 0
         return low <= value < low + (1 << bits)
 
 
 BASIC: Final = {
     str(item): item
     for item in (
-        *(Basic(kind, size) for kind in (Kind.UINT, Kind.INT, Kind.BOOL) for size in (1, 2, 4, 8)),
-        *(Basic(Kind.FLOAT, size) for size in (4, 8)),
-        Basic(Kind.CHAR, 1),
-        Basic(Kind.BYTE, 1),
+        *(
+            Basic(kind, size)
+            for kind in (BasicKind.UINT, BasicKind.INT, BasicKind.BOOL)
+            for size in (1, 2, 4, 8)
+        ),
+        *(Basic(BasicKind.FLOAT, size) for size in (4, 8)),
+        Basic(BasicKind.CHAR, 1),
+        Basic(BasicKind.BYTE, 1),
     )
 }
 """Every basic type by its name."""
@@ -91,7 +97,7 @@ class Member:
         bits: width of a bit-field; 0 where it is none.
         bit: where in byte ``offset`` a bit-field starts: counted from the least significant bit where the
             byte order is little, from the most significant where it is big, as compilers do.
-        base: how people read the number: 10 or 16.
+        base: of the number when it is shown: 10 or 16.
         doc: one line.
     """
 
@@ -107,7 +113,7 @@ class Member:
     @property
     def text(self) -> bool:
         """Whether it is a text, or an array of texts."""
-        return bool(self.dims) and isinstance(self.type, Basic) and self.type.kind is Kind.CHAR
+        return bool(self.dims) and isinstance(self.type, Basic) and self.type.kind is BasicKind.CHAR
 
     @property
     def array(self) -> tuple[int, ...]:
@@ -127,14 +133,14 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class Struct:
-    """A struct or union as it lies in memory.
+    """The memory layout of a struct or union.
 
     Attributes:
         name: as in C.
         size: bytes, padding at the end included.
         members: in the order of the declaration.
         union: all members lie at its start.
-        header: bytes of the cFE header that it begins with, which is no part of the message; 0 for none.
+        header: bytes of the cFE header at its start, which is not part of the message; 0 for none.
         doc: one line.
     """
 
@@ -148,7 +154,7 @@ class Struct:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Key:
-    """Which packets a struct lies in.
+    """The packets that hold a struct.
 
     Attributes:
         msg_id: of the packet.
@@ -163,16 +169,16 @@ class Key:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
-    """Structs that belong together, and the packets they lie in.
+class StructLayout:
+    """Structs that belong together, and the packets that hold them.
 
     Attributes:
         structs: by name, all that these use among them.
         enums: by name.
-        bindings: the struct that lies in a packet.
+        bindings: the struct of each packet.
         byte_order: of every number.
         package: ROS package of the messages.
-        origin: the file it was read from, for messages to people.
+        origin: the file it was read from, for messages.
     """
 
     structs: Mapping[str, Struct]

@@ -1,4 +1,4 @@
-"""The C structs that packets hold, as the decoders ask for them."""
+"""The lookup of C structs by packet, for the decoders."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.ros import TypeStore
+from edoras_tools.ros.types.schema import complete_text
 from edoras_tools.structs.packets import PACKETS
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.order import by_value
@@ -17,17 +19,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.ros import TypeStore
-    from edoras_tools.ros.schema import Definition
+    from edoras_tools.ros.types.schema import Definition
     from edoras_tools.structs.bindings import Bindings
     from edoras_tools.structs.bound import Bound, Held
-    from edoras_tools.structs.shapes import Layout, Struct
+    from edoras_tools.structs.shapes import Struct, StructLayout
 
 _MSG_IDS: Final = 65536
 
 
 class Structs:
-    """The structs that are bound to packets; of layouts that name the same packets the first holds.
+    """The structs that are bound to packets; where layouts name the same packets, the first applies.
 
     Args:
         layouts: in that order; None for that of what cFE itself sends, which is read once a packet needs it.
@@ -39,19 +40,19 @@ class Structs:
         ConfigError: a struct cannot become a message.
     """
 
-    def __init__(self, layouts: Sequence[Layout] | None = ()) -> None:
+    def __init__(self, layouts: Sequence[StructLayout] | None = ()) -> None:
         self._given = layouts
         self._whole = self
         self.has: NDArray[np.bool_] = np.zeros(_MSG_IDS, np.bool_)
         self.has[list(PACKETS if layouts is None else self._bindings.by_id)] = True
 
     @cached_property
-    def layouts(self) -> tuple[Layout, ...]:
+    def layouts(self) -> tuple[StructLayout, ...]:
         """The layouts, in order."""
         if self._given is None:
             from edoras_tools.structs import cfe
 
-            return (cfe.shipped(),)
+            return (cfe.shipped_layout(),)
         return tuple(self._given)
 
     @property
@@ -74,16 +75,13 @@ class Structs:
         """Every definition by type."""
         return self._bindings.definitions
 
-    def define(self, layout: Layout, struct: Struct, *, whole: bool) -> str:
+    def define(self, layout: StructLayout, struct: Struct, *, whole: bool) -> str:
         """Make the definition of a struct's message, and of all that it uses; return its type in full."""
         return self._bindings.define(layout, struct, whole=whole)
 
     @cached_property
     def types(self) -> TypeStore:
         """The types of the messages."""
-        from edoras_tools.ros import TypeStore
-        from edoras_tools.ros.schema import complete_text
-
         texts = {
             name: complete_text([item, *(other for other in self.definitions.values() if other is not item)])
             for name, item in list(self.definitions.items())[:1]
@@ -91,9 +89,9 @@ class Structs:
         return TypeStore(definitions=texts)
 
     def find(self, msg_id: int, function_code: int | None, length: int) -> Bound | None:
-        """Return the struct that should lie in a packet whose payload has so many bytes.
+        """Return the struct of a packet with this payload length.
 
-        A packet that is all header is a request or a wake-up, unless its function code is a struct's own.
+        A packet without a payload is a request or a wake-up, unless its function code has its own struct.
         """
         for item in self._of(msg_id):
             if (length > 0) if item.key.function_code is None else item.key.function_code == function_code:
@@ -101,15 +99,15 @@ class Structs:
         return None
 
     def name(self, msg_id: int) -> str:
-        """Return what packets of a MsgId hold, in short; nothing where that is not known."""
+        """Return a short description of the packets of a MsgId; empty if it is not known."""
         return " or ".join(item.name for item in self._of(msg_id))
 
     def is_shipped(self, msg_id: int) -> bool:
-        """Tell whether packets of a MsgId hold what cFE itself sends, and not what somebody named."""
+        """Tell whether the structs of a MsgId are the built-in ones of cFE."""
         return self._given is None or all(item.shipped for item in self._of(msg_id))
 
     def unclaimed(self, msg_ids: Iterable[int]) -> Structs:
-        """Return these but for the MsgIds that something else claims."""
+        """Return these without the MsgIds that are used otherwise."""
         claimed = [msg_id for msg_id in msg_ids if self.has[msg_id]]
         if not claimed:
             return self
@@ -121,7 +119,7 @@ class Structs:
     def split(
         self, rows: NDArray[np.intp], columns: Callable[[str], NDArray[Any]]
     ) -> Iterator[tuple[Bound, NDArray[np.intp], NDArray[np.bool_]]]:
-        """Yield every struct that should lie in some of many packets.
+        """Yield every struct that some of many packets should hold.
 
         Args:
             rows: packets whose MsgIds have a struct, where ``has`` says so; increasing.
@@ -164,6 +162,6 @@ class Structs:
 
 
 @cache
-def shipped() -> Structs:
+def shipped_structs() -> Structs:
     """Return the structs of what cFE itself sends."""
     return Structs(None)

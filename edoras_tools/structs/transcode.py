@@ -1,8 +1,8 @@
-"""Struct bytes to the CDR of its message, for many packets at once.
+"""Converts struct bytes to the CDR of the struct's message, for many packets at once.
 
-A struct of one length is compiled to segments: blocks of bytes whose places in the CDR are fixed once their
-start is aligned, and texts, after which alignment begins anew. A block is filled with a few strided copies
-over all packets; nothing runs in Python per packet.
+A struct of one length is compiled to segments: blocks, whose bytes have fixed offsets in the CDR once the
+start is aligned, and texts, after which the alignment has to be computed again. A block is filled with a few
+strided copies over all packets; nothing runs in Python per packet.
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.schema import PRIMITIVES
+from edoras_tools.ros.types.schema import PRIMITIVES
 from edoras_tools.structs.counting import MOST_VALUES
 from edoras_tools.structs.messages import HEADER_FIELDS, parts, primitive
-from edoras_tools.structs.shapes import Kind
+from edoras_tools.structs.shapes import BasicKind
 from edoras_tools.wire.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.structs.shapes import Basic, Layout, Member, Struct
+    from edoras_tools.structs.shapes import Basic, Member, Struct, StructLayout
 
-ENCAPSULATION: Final = bytes((0, 1, 0, 0))
+_CDR_LE: Final = bytes((0, 1, 0, 0))
 _SIZES: Final = {"b": 1, "B": 1, "?": 1, "h": 2, "H": 2, "i": 4, "I": 4, "f": 4, "q": 8, "Q": 8, "d": 8}
 HEAD: Final = np.dtype([(item.name, "<u" + str(_SIZES[PRIMITIVES[item.type]])) for item in HEADER_FIELDS])
-"""What stands in front of the struct's bytes when it is transcoded: the message's header."""
+"""The message's header, which is put in front of the struct's bytes before they are converted."""
 
 
 class Copy(NamedTuple):
-    """Bytes that are copied as they are, or with the bytes of each element turned round.
+    """Bytes that are copied, with or without a change of byte order.
 
     Attributes:
         source: first byte, from the start of the head and the payload.
         target: first byte, from the start of the block.
         size: bytes.
-        turn: bytes of an element that are turned round; 1 for none.
+        turn: bytes of an element whose order is reversed; 1 for none.
     """
 
     source: int
@@ -47,7 +47,7 @@ class Copy(NamedTuple):
 
 
 class Bits(NamedTuple):
-    """A bit-field, or a truth value, read from a few bytes.
+    """A bit-field or a boolean, read from a few bytes.
 
     Attributes:
         source: first byte that holds some of it.
@@ -91,7 +91,7 @@ class Block:
     constants: dict[int, bytes] = field(default_factory=dict)
 
 
-class Text(NamedTuple):
+class StructText(NamedTuple):
     """Characters up to the first NUL.
 
     Attributes:
@@ -103,8 +103,8 @@ class Text(NamedTuple):
     size: int
 
 
-class Leaf(NamedTuple):
-    """A single value or an array of basic values in a packet, for people.
+class StructLeaf(NamedTuple):
+    """A single value or an array of basic values in a packet, for display.
 
     Attributes:
         path: names and indices from the message on.
@@ -119,8 +119,8 @@ class Leaf(NamedTuple):
     end: int
 
 
-class Plan:
-    """How the packets of one struct and one length become CDR.
+class StructPlan:
+    """The plan for the packets of one struct and one length.
 
     Args:
         layout: of the struct.
@@ -136,20 +136,20 @@ class Plan:
         ConfigError: it spells out too many values.
     """
 
-    def __init__(self, layout: Layout, struct: Struct, length: int) -> None:
+    def __init__(self, layout: StructLayout, struct: Struct, length: int) -> None:
         self._layout = layout
         self._length = length
-        self._segments: list[Block | Text] = [Block(8)]
-        self._known = 8  # what the position is known to be a multiple of, from the block's start
+        self._segments: list[Block | StructText] = [Block(8)]
+        self._known = 8  # the known alignment of the position, from the block's start
         self._copies = 0
-        self.leaves: list[Leaf] = []
+        self.leaves: list[StructLeaf] = []
         self.width = HEAD.itemsize + length
         for item in HEADER_FIELDS:
             size = _SIZES[PRIMITIVES[item.type]]
             self._copy(HEAD.fields[item.name][1], size, size, "little")  # type: ignore[index]
         self._parts(struct, 0, (), whole=True)
-        # What follows the first block may be a text, or move with one.
-        self.size = len(ENCAPSULATION) + self._block.size if len(self._segments) == 1 else 0
+        # After the first block comes a text, or a block whose offset depends on one.
+        self.size = len(_CDR_LE) + self._block.size if len(self._segments) == 1 else 0
 
     def fill(self, rows: NDArray[np.uint8], window: NDArray[np.uint8]) -> None:
         """Write messages that are all of one ``size``.
@@ -158,8 +158,8 @@ class Plan:
             rows: u8 (n, size), zero.
             window: u8 (n, width), as for ``encode``.
         """
-        rows[:, 1] = ENCAPSULATION[1]
-        _fill(rows[:, len(ENCAPSULATION) :], self._block, window)
+        rows[:, 1] = _CDR_LE[1]
+        _fill(rows[:, len(_CDR_LE) :], self._block, window)
 
     def encode(
         self, window: NDArray[np.uint8]
@@ -189,12 +189,12 @@ class Plan:
             else:
                 texts[index] = _texts(window[:, item.source : item.source + item.size])
                 cursor += 4 + texts[index][1] + 1
-        size = cursor + len(ENCAPSULATION)
+        size = cursor + len(_CDR_LE)
         start = np.cumsum(size) - size
         out = np.zeros(int(size.sum()), np.uint8)
-        body = start + len(ENCAPSULATION)
+        body = start + len(_CDR_LE)
         if count:
-            out[start + 1] = ENCAPSULATION[1]
+            out[start + 1] = _CDR_LE[1]
         for index, (item, place) in enumerate(zip(self._segments, places, strict=True)):
             if isinstance(item, Block):
                 if item.size:
@@ -211,7 +211,7 @@ class Plan:
     def _parts(self, struct: Struct, base: int, path: tuple[str | int, ...], *, whole: bool = False) -> None:
         found = parts(self._layout, struct, whole=whole)
         if not found and not whole:
-            self._constant(b"\0")  # an empty message travels as one byte
+            self._constant(b"\0")  # an empty message is one byte on the wire
         for part in found:
             self._member(part.member, part.open, base, (*path, part.name))
 
@@ -229,7 +229,7 @@ class Plan:
             for index in range(count):
                 start = at + index * size
                 where = (*path, index) if member.array else path
-                self._append(Text(HEAD.itemsize + start, size))
+                self._append(StructText(HEAD.itemsize + start, size))
                 self._leaf(where, member, start, start + size)
         elif basic is None:
             nested = self._layout.structs[str(member.type)]
@@ -244,10 +244,10 @@ class Plan:
             self._leaf(path, member, at, at + size * count)
 
     def _leaf(self, path: tuple[str | int, ...], member: Member, start: int, end: int) -> None:
-        self.leaves.append(Leaf(path, member, start, end))
+        self.leaves.append(StructLeaf(path, member, start, end))
 
     def _basic(self, basic: Basic, at: int, count: int) -> None:
-        if basic.kind is Kind.BOOL:
+        if basic.kind is BasicKind.BOOL:
             for index in range(count):
                 source = HEAD.itemsize + at + index * basic.size
                 target = self._room(1, 1)
@@ -273,8 +273,8 @@ class Plan:
                 member.bits,
                 shift,
                 into,
-                signed=basic.kind is Kind.INT,
-                truth=basic.kind is Kind.BOOL,
+                signed=basic.kind is BasicKind.INT,
+                truth=basic.kind is BasicKind.BOOL,
                 order="<" if little else ">",
             )
         )
@@ -286,12 +286,12 @@ class Plan:
         return last
 
     def _room(self, size: int, alignment: int) -> int:
-        """Return where in the block under way so many bytes go; begin another where alignment asks for it."""
+        """Reserve bytes in a block and return their offset; begin another block if alignment needs it."""
         self._copies += 1
         if self._copies > MOST_VALUES:
             raise ConfigError(f"a struct of more than {MOST_VALUES} values; bind a smaller one")
         last = self._segments[-1]
-        if isinstance(last, Text) or alignment > self._known:
+        if isinstance(last, StructText) or alignment > self._known:
             self._segments.append(Block(alignment))
             self._known = alignment
         block = self._block
@@ -299,7 +299,7 @@ class Plan:
         block.size = place + size
         return place
 
-    def _append(self, text: Text) -> None:
+    def _append(self, text: StructText) -> None:
         self._copies += 1
         if self._copies > MOST_VALUES:
             raise ConfigError(f"a struct of more than {MOST_VALUES} values; bind a smaller one")
@@ -359,14 +359,14 @@ def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.uint64]:
 def _texts(field: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     """Return characters, a row as long as the array, and how many of each count: up to the first NUL.
 
-    Bytes that are no UTF-8 become ``?``.
+    Bytes that are not UTF-8 become ``?``.
     """
     count, size = field.shape
     pool = field.copy()
     ended = np.ones((count, size + 1), np.bool_)
     np.equal(pool, 0, out=ended[:, :size])
     length = ended.argmax(axis=1)
-    beyond = pool >= 0x80  # ASCII: no matter how it is cut, it is UTF-8
+    beyond = pool >= 0x80  # ASCII stays valid UTF-8 wherever it is cut
     for row in np.flatnonzero(beyond.any(axis=1)).tolist() if beyond.any() else ():
         text = pool[row, : length[row]]
         try:

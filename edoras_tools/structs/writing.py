@@ -1,21 +1,25 @@
-"""Layouts as text: layout files with every offset, and the types of members as those spell them."""
+"""Writes layouts as text: layout files with every offset, and the types of members."""
 
 from __future__ import annotations
 
 import json
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.structs.files import VERSION
+from edoras_tools.structs.files import LAYOUT_VERSION
 
 if TYPE_CHECKING:
-    from edoras_tools.structs.shapes import Key, Layout, Member
+    from edoras_tools.structs.shapes import Key, Member, StructLayout
 
 _WORDS: Final = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
 
 
-def dumps(layout: Layout) -> str:
-    """Return a layout file, every offset written out."""
-    lines = [f"edoras_structs: {VERSION}", f"byte_order: {layout.byte_order}", f"package: {layout.package}"]
+def dumps(layout: StructLayout) -> str:
+    """Return the text of a layout file, with every offset."""
+    lines = [
+        f"edoras_structs: {LAYOUT_VERSION}",
+        f"byte_order: {layout.byte_order}",
+        f"package: {layout.package}",
+    ]
     if layout.bindings:
         lines.append("bind:")
         lines += [f"  {key}: {_name(name)}" for key, name in sorted(layout.bindings.items(), key=_order)]
@@ -38,7 +42,7 @@ def dumps(layout: Layout) -> str:
 
 
 def _name(name: str) -> str:
-    """Return a name as YAML: some words would not be text."""
+    """Return a name as YAML, in quotes where YAML would read another type."""
     return f"'{name}'" if name.lower() in _WORDS else name
 
 
@@ -52,6 +56,6 @@ def _member_text(member: Member) -> str:
 
 
 def type_text(member: Member) -> str:
-    """Return a member's type as a layout file spells it, without its offset."""
+    """Return a member's type as in a layout file, without its offset."""
     dims = "".join(f"[{size or ''}]" for size in member.dims)
     return f"{member.type}{dims}" + f":{member.bits}" * bool(member.bits) + " hex" * (member.base == 16)

@@ -1,4 +1,4 @@
-"""What the keys do."""
+"""The list of keys."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ if TYPE_CHECKING:
 KEYS: Final = (
     (
         "Moving",
-        ("↑ ↓ j k", "a line"),
+        ("↑ ↓ j k", "one line"),
         ("PgUp PgDn ^u ^d", "a page, half a page"),
-        ("Home End g G", "first, last; at the end new packets are followed"),
-        ("Tab", "next pane; a click does it too"),
-        ("Enter", "to the layers; routes: filter; sequence: go there"),
+        ("Home End g G", "first, last; at the end, new packets are followed"),
+        ("Tab", "next pane; a click does the same"),
+        ("Enter", "to the layers; in routes: filter; in the sequence: go to the packet"),
         ("← → h l", "layers: close, open; bytes: move"),
         ("* -", "layers: open all, close all"),
     ),
     (
         "Finding",
-        ("f", "filter: Tab completes, Enter applies, Esc leaves"),
-        ("=", "make a filter of the chosen field"),
-        ("/", "search: words, bytes (0x0b0c), or a comparison"),
-        ("n N", "the next that is sought, the one before"),
-        (":", "go to a packet's number"),
-        ("m ] [", "mark; next mark, mark before"),
-        ("M", "filter for what is marked"),
-        ("F", "follow what comes"),
+        ("f", "filter: Tab completes, Enter applies, Esc cancels"),
+        ("=", "make a filter from the selected field"),
+        ("/", "search: text, bytes (0x0b0c), or a comparison"),
+        ("n N", "next match, previous match"),
+        (":", "go to a packet by its number"),
+        ("m ] [", "mark; next mark, previous mark"),
+        ("M", "filter for the marked packets"),
+        ("F", "follow new packets"),
     ),
     (
-        "Looking",
+        "Viewing",
         ("r", "routes and their rates"),
-        ("s S", "sequence of the SBN conversation, of all links"),
+        ("s S", "sequence diagram of SBN, of all links"),
         ("Esc", "back to the packet"),
-        ("t", "time: since the start, since the line above, UTC, epoch"),
+        ("t", "time: since the start, since the previous line, UTC, epoch"),
         ("b", "bytes of the UDP payload, or the whole frame"),
-        ("z", "the pane alone, large; and back"),
-        ("< >", "more room below, more room for the list"),
-        ("T", "dark or light"),
+        ("z", "only this pane; all panes again"),
+        ("< >", "more space below, more space for the list"),
+        ("T", "dark or light theme"),
         ("w", "open in Wireshark, at the same packet"),
         ("q ^c", "quit"),
     ),
 )
-"""Under their heads: keys, and what they do."""
+"""Groups of keys: a title, then each key with what it does."""
 
 
 class Help(ModalScreen[None]):
-    """All keys, over the view; any of a few takes it away."""
+    """All keys, shown over the view; Escape, q, ? or Enter close it."""
 
     BINDINGS: ClassVar[list[Any]] = [
         Binding("escape,q,question_mark,enter,space", "dismiss", "Close", show=False)

@@ -1,4 +1,4 @@
-"""What the view is made of and how it looks; what its panes have to do with each other is the viewer's."""
+"""The panes of the view, and the keys that change their appearance; the viewer connects them."""
 
 from __future__ import annotations
 
@@ -13,55 +13,56 @@ from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
 from textual.widgets import ContentSwitcher, Footer, Static
 
-from edoras_tools.pipelines.accounts import Ledger
-from edoras_tools.render import palette, units
-from edoras_tools.render.facts import facts, link_name
-from edoras_tools.render.packet_list import TimeFormat
-from edoras_tools.render.severity import Severity
-from edoras_tools.render.text import clean
-from edoras_tools.tui import look, news
+from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.render.capture.facts import facts
+from edoras_tools.render.capture.packet_list import TimeFormat
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal.text import clean
+from edoras_tools.tui import theme as themes
+from edoras_tools.tui.data import messages
+from edoras_tools.tui.data.store import Store
 from edoras_tools.tui.help import Help
-from edoras_tools.tui.ladder import Ladder
-from edoras_tools.tui.layers import Layers
-from edoras_tools.tui.lines import Heads, Lines
-from edoras_tools.tui.octets import WIDE, Octets
-from edoras_tools.tui.packets import Packets
+from edoras_tools.tui.lists.hex_pane import WIDE, HexPane
+from edoras_tools.tui.lists.layers import Layers
+from edoras_tools.tui.lists.lines import HeaderLine, Lines
+from edoras_tools.tui.lists.packets import Packets
+from edoras_tools.tui.lists.routes import Routes
+from edoras_tools.tui.lists.sequence_view import SequenceView
 from edoras_tools.tui.prompts import FilterLine, Prompt
-from edoras_tools.tui.routes import Routes
-from edoras_tools.tui.store import Store
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from textual.app import ComposeResult
 
+    from edoras_tools.io import Source
     from edoras_tools.model import Decoded
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings, Workbench
-    from edoras_tools.sources import Source
 
 LIMIT: Final = 1 << 30
-"""Bytes of packets and columns that are held: about four million packets."""
+"""Bytes of packets and columns to keep: about four million packets."""
 _WIDE_FROM: Final = WIDE + 50
-"""Cells from which the bytes have 16 a line."""
+"""From this width on, the hex pane shows 16 bytes per line."""
 _SHARES: Final = (1, 9)
 _EVERY_S: Final = 0.5
-"""Between two looks at rates and drops."""
+"""Time between two updates of rates and drops."""
 _SAID_S: Final = 6.0
-"""How long something said stays."""
+"""How long a notice is shown."""
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class ViewOptions:
     """What to show, and how.
 
     Attributes:
-        selection: what is taken; its filter is the one to begin with.
+        selection: which packets to read; its filter is the first filter of the view.
         settings: for Wireshark's dissector.
-        time_format: how to tell time.
-        follow: stay at the end as packets come.
-        count: take so many packets; 0 all.
-        duration_ns: read so long; 0 to the end.
+        time_format: format of the time column.
+        follow: stay at the end when packets arrive.
+        count: maximum number of packets; 0 for all.
+        duration_ns: how long to read; 0: to the end.
         verbose: show notes in the list too, not only warnings and errors.
-        limit: bytes that are held.
+        limit: maximum bytes of packets to keep.
     """
 
     selection: Selection
@@ -75,7 +76,7 @@ class Choice:
 
 
 class Panes(App[None]):
-    """The panes, and the keys that change how they look.
+    """The panes, and the keys that change their appearance.
 
     Args:
         source: where packets come from.
@@ -83,21 +84,21 @@ class Panes(App[None]):
         choice: what to show, and how.
 
     Attributes:
-        live: whether packets come as they are sent.
+        live: whether packets arrive live.
         store: the packets.
-        ledger: what came, by route.
-        reading: whether more may come.
-        decoded: the packet that is shown; None where there is none.
+        ledger: counts by route.
+        reading: whether more packets may come.
+        decoded: the packet that is shown; None if there is none.
         filter_line: the filter.
         packets: the packet list.
         layers: the tree.
-        octets: the bytes.
-        routes: what comes, by route.
-        ladder: the conversation.
-        prompt: asks for what is searched.
+        hex_pane: the bytes.
+        routes: the routes and their rates.
+        sequence: the conversation.
+        prompt: asks for a search text or a packet number.
     """
 
-    CSS = look.CSS
+    CSS = themes.CSS
     ENABLE_COMMAND_PALETTE = False
     BINDINGS: ClassVar[list[Any]] = [
         Binding("F", "follow", "Follow", show=False),
@@ -109,7 +110,7 @@ class Panes(App[None]):
         Binding("greater_than_sign", "share(1)", "More list", show=False),
     ]
 
-    def __init__(self, source: Source, bench: Workbench, choice: Choice) -> None:
+    def __init__(self, source: Source, bench: Workbench, choice: ViewOptions) -> None:
         super().__init__()
         self.title = f"edoras sniff {source.info.name}"
         self.live = hasattr(source, "stop")
@@ -119,24 +120,24 @@ class Panes(App[None]):
         self.decoded: Decoded | None = None
         self._source = source
         self._decoding = bench.columns.context
-        self._said = ("", Severity.NOTE)
+        self._said = ("", Level.NOTE)
         self._said_until = 0.0
         self._every_link = False
         self._share = sum(_SHARES) // 2
-        # Kept by name: while a screen lies over this one, queries would not find them.
+        # Kept as attributes: queries do not find them while another screen is open.
         self.filter_line = FilterLine(self._decoding)
         self.packets = Packets(self.store, self._decoding, choice.time_format, verbose=choice.verbose)
-        self.layers, self.octets = Layers(), Octets()
-        self.routes, self.ladder = Routes(self.ledger, live=self.live), Ladder()
+        self.layers, self.hex_pane = Layers(), HexPane()
+        self.routes, self.sequence = Routes(self.ledger, live=self.live), SequenceView()
         self.prompt = Prompt()
         self._lower = ContentSwitcher(initial="packet", id="lower")
         self._title_left, self._title_right = Static(classes="left"), Static(classes="right")
         self._status_left, self._status_right = Static(id="status-left"), Static(id="status-right")
 
     def compose(self) -> ComposeResult:
-        """Lay the panes out."""
+        """Lay out the panes."""
         yield self.filter_line
-        yield Heads("packets")
+        yield HeaderLine("packets")
         yield self.packets
         with Horizontal(classes="bar"):
             yield self._title_left
@@ -144,13 +145,13 @@ class Panes(App[None]):
         with self._lower:
             with Horizontal(id="packet"):
                 yield self.layers
-                yield self.octets
+                yield self.hex_pane
             with Vertical(id="routes-view"):
-                yield Heads("routes")
+                yield HeaderLine("routes")
                 yield self.routes
-            with Vertical(id="ladder-view"):
-                yield Heads("ladder")
-                yield self.ladder
+            with Vertical(id="sequence-view"):
+                yield HeaderLine("sequence")
+                yield self.sequence
         yield self.prompt
         with Horizontal(id="status"):
             yield self._status_left
@@ -158,52 +159,52 @@ class Panes(App[None]):
         yield Footer(show_command_palette=False, compact=True)
 
     def on_mount(self) -> None:
-        """Put the look in place."""
-        for theme in (look.DARK, look.LIGHT):
+        """Register both themes and choose the dark one."""
+        for theme in (themes.DARK, themes.LIGHT):
             self.register_theme(theme)
-        self.ansi_theme_dark, self.ansi_theme_light = look.DARK_SIXTEEN, look.LIGHT_SIXTEEN
-        self.theme = look.DARK.name
+        self.ansi_theme_dark, self.ansi_theme_light = themes.DARK_SIXTEEN, themes.LIGHT_SIXTEEN
+        self.theme = themes.DARK.name
         self.packets.focus()
         self.set_interval(_EVERY_S, self._refresh_figures)
 
     def on_resize(self) -> None:
-        """Give the bytes 16 a line where there is room."""
-        self.octets.set_class(self.size.width >= _WIDE_FROM, "-wide")
+        """Show 16 bytes per line if there is space."""
+        self.hex_pane.set_class(self.size.width >= _WIDE_FROM, "-wide")
 
     def action_help(self) -> None:
-        """Say what the keys do."""
+        """Show the list of keys."""
         self.push_screen(Help())
 
     def action_follow(self) -> None:
-        """Stay at the end as packets come, or not."""
+        """Start or stop following new packets."""
         self.packets.follow = not self.packets.follow
         if self.packets.follow:
             self.packets.go(-1)
         self._refresh_status()
 
     def action_time(self) -> None:
-        """Tell time another way."""
+        """Show the next time format."""
         formats = list(TimeFormat)
         after = formats.index(self.packets.time_format) + 1
         self.packets.time_format = formats[after % len(formats)]
-        self._say(f"time: {self.packets.time_format.value}")
+        self._notice(f"time: {self.packets.time_format.value}")
 
     def action_base(self) -> None:
-        """Show the payload's bytes, or the frame's."""
-        octets = self.octets
-        octets.turn("frame" if octets.base == "payload" else "payload")
+        """Switch between the bytes of the payload and of the frame."""
+        pane = self.hex_pane
+        pane.set_base("frame" if pane.base == "payload" else "payload")
         self._refresh_title()
 
     def action_zoom(self) -> None:
-        """Give the pane the whole screen, or all their places."""
+        """Show the focused pane alone, or all panes."""
         if self.screen.maximized is not None:
             self.screen.minimize()
         elif isinstance(self.focused, Lines):
             self.screen.maximize(self.focused, container=False)
 
     def action_theme(self) -> None:
-        """Change between dark and light."""
-        self.theme = look.LIGHT.name if self.theme == look.DARK.name else look.DARK.name
+        """Switch between the dark and the light theme."""
+        self.theme = themes.LIGHT.name if self.theme == themes.DARK.name else themes.DARK.name
         self.packets.forget()
 
     def action_share(self, by: int) -> None:
@@ -217,12 +218,12 @@ class Panes(App[None]):
     def _view(self) -> str:
         return str(self._lower.current)
 
-    @on(news.Said)
-    def _on_said(self, event: news.Said) -> None:
-        self._say(event.text, event.severity)
+    @on(messages.Notice)
+    def _on_notice(self, event: messages.Notice) -> None:
+        self._notice(event.text, event.severity)
 
-    def _say(self, text: str, severity: Severity = Severity.NOTE) -> None:
-        """Say something for a while, or until a field is chosen."""
+    def _notice(self, text: str, severity: Level = Level.NOTE) -> None:
+        """Show a notice for a while, or until a field is selected."""
         self._said = (text, severity)
         self._said_until = time.monotonic() + _SAID_S
         self._refresh_status()
@@ -235,13 +236,13 @@ class Panes(App[None]):
     def _counted(self) -> str:
         shown, there = len(self.store), self.store.packets
         if not self.store.filtered:
-            return units.plural(there, "packet")
+            return plural(there, "packet")
         share = "" if self.store.settled == there else f" · {100 * self.store.settled // max(1, there)} %"
         return f"{shown:,} of {there:,}{share}"
 
     def _refresh_status(self) -> None:
-        text, severity = self._said if time.monotonic() < self._said_until else ("", Severity.NOTE)
-        left = Text(text, "" if severity is Severity.NOTE else severity.style)
+        text, severity = self._said if time.monotonic() < self._said_until else ("", Level.NOTE)
+        left = Text(text, "" if severity is Level.NOTE else severity.style)
         row = self.layers.field
         if not text and row is not None and row.end > row.start:
             span = f"{row.start}" if row.end == row.start + 1 else f"{row.start}-{row.end - 1}"
@@ -250,7 +251,7 @@ class Panes(App[None]):
             )
         left.no_wrap, left.overflow = True, "ellipsis"
         self._status_left.update(left)
-        self.filter_line.tell(self._counted())
+        self.filter_line.show_count(self._counted())
         self._status_right.update(self._figures())
 
     def _figures(self) -> Text:
@@ -259,9 +260,9 @@ class Panes(App[None]):
         if self.packets.marks:
             right.append(f"◆ {len(self.packets.marks)}  ", "yellow")
         if statistics.kernel_drops:
-            right.append(f"{statistics.kernel_drops:,} dropped  ", Severity.ERROR.style)
+            right.append(f"{statistics.kernel_drops:,} dropped  ", Level.ERROR.style)
         if self.store.forgotten:
-            right.append(f"{self.store.forgotten:,} oldest gone  ")
+            right.append(f"{self.store.forgotten:,} oldest removed  ")
         if self.reading and not self.live and statistics.total_bytes:
             right.append(f"reading {100 * statistics.position // statistics.total_bytes} %  ")
         elif self.reading:
@@ -276,11 +277,11 @@ class Panes(App[None]):
         left, right = Text(""), Text("")
         if self._view == "routes-view":
             left, right = Text("Routes"), Text("Enter filters · Esc back")
-        elif self._view == "ladder-view":
+        elif self._view == "sequence-view":
             left = Text("Conversation of all links" if self._every_link else "SBN conversation")
             right = Text("Enter goes to the packet · Esc back")
         elif self.decoded is not None:
-            left, right = _packet_title(self.decoded), Text(self.octets.title)
+            left, right = _packet_title(self.decoded), Text(self.hex_pane.title)
         left.no_wrap, left.overflow = True, "ellipsis"
         self._title_left.update(left)
         self._title_right.update(right)
@@ -289,5 +290,5 @@ class Panes(App[None]):
 def _packet_title(decoded: Decoded) -> Text:
     fact = facts(decoded)
     msg_id = f"0x{fact.msg_id:04x}" if fact.msg_id >= 0 else ""
-    words = " ".join(filter(None, (link_name(decoded.link), fact.kind, msg_id, clean(fact.name))))
-    return Text.assemble(f"Packet {decoded.datagram.number}  ", (words, palette.LINKS[decoded.link]))
+    words = " ".join(filter(None, (decoded.link.name, fact.kind, msg_id, clean(fact.name))))
+    return Text.assemble(f"Packet {decoded.datagram.number}  ", (words, decoded.link.colour))

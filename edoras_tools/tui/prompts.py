@@ -1,4 +1,4 @@
-"""The filter line at the top, and the line that asks for something to search."""
+"""The filter line at the top, and the line that asks for a search text or a packet number."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from textual.message import Message
 from textual.suggester import Suggester
 from textual.widgets import Input, Static
 
-from edoras_tools.decode.where import Where
-from edoras_tools.decode.where_names import Names
-from edoras_tools.decode.where_syntax import WhereError
-from edoras_tools.render.severity import Severity
-from edoras_tools.render.text import clean, wrap
+from edoras_tools.decode.filters.filter import Where
+from edoras_tools.decode.filters.names import Names
+from edoras_tools.decode.filters.syntax import WhereError
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal.text import clean, wrap
 
 if TYPE_CHECKING:
     from textual.app import ComposeResult
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
 
 _LAST_WORD: Final = re.compile(r"(?:^|[\s(])([a-z_][\w.]*)$", re.ASCII)
-_KEEPERS: Final = ("and", "or", "not", "in", "contains", "matches", "any", "all", "len")
+_KEYWORDS: Final = ("and", "or", "not", "in", "contains", "matches", "any", "all", "len")
 
 
 class _Fields(Suggester):
-    """Completes the name of a field."""
+    """Completes field names."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(case_sensitive=True)
@@ -36,9 +36,9 @@ class _Fields(Suggester):
         self._names: list[str] = []
 
     async def get_suggestion(self, value: str) -> str | None:
-        """Return the value with its last word made the first field that begins so, the shortest first."""
+        """Return the value with its last word completed to the shortest field name that begins with it."""
         found = _LAST_WORD.search(value)
-        if found is None or found[1] in _KEEPERS:
+        if found is None or found[1] in _KEYWORDS:
             return None
         if not self._names:
             self._names = sorted(
@@ -49,18 +49,18 @@ class _Fields(Suggester):
 
 
 class FilterLine(Vertical):
-    """The filter, what is wrong with it, and how many packets it lets pass.
+    """The filter, the error in it, and how many packets pass.
 
-    Posts ``Applied`` with a filter that holds; None lets all pass.
+    Posts ``Applied`` with a valid filter; None lets all packets pass.
 
     Attributes:
-        input: where it is written.
-        count: how many packets there are.
-        wrong: the caret, and why.
+        input: the text field.
+        count: how many packets pass.
+        wrong: the caret and the error.
     """
 
     class Applied(Message):
-        """Show what the filter lets pass."""
+        """A filter was applied."""
 
         def __init__(self, where: Where | None) -> None:
             super().__init__()
@@ -80,27 +80,27 @@ class FilterLine(Vertical):
         self.wrong = Static(id="filter-wrong")
 
     def compose(self) -> ComposeResult:
-        """Lay out the line, and room for what is wrong."""
+        """Lay out the line, and a place for the error."""
         with Horizontal():
             yield Static("Filter ", id="filter-label")
             yield self.input
             yield self.count
         yield self.wrong
 
-    def tell(self, text: str) -> None:
-        """Say how many packets there are."""
+    def show_count(self, text: str) -> None:
+        """Show how many packets pass."""
         self.count.update(text)
 
     def compile(self, text: str, begin_ns: int | None) -> Where | None:
-        """Return a filter; None lets all pass.
+        """Compile a filter; None lets all packets pass.
 
         Raises:
-            WhereError: it has a mistake.
+            WhereError: the filter is not valid.
         """
         return Where(text, self._decoding, begin_ns) if text.strip() else None
 
     def accept(self, text: str, begin_ns: int | None) -> bool:
-        """Apply a filter, or show with a caret what is wrong with it."""
+        """Apply a filter, or show its error with a caret; return whether it was applied."""
         self.input.value = text
         try:
             where = self.compile(text, begin_ns)
@@ -112,7 +112,7 @@ class FilterLine(Vertical):
         return True
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Colour the line by whether the filter holds."""
+        """Colour the line: green for a valid filter, red for one with an error."""
         event.stop()
         try:
             self.compile(event.value, None)
@@ -132,10 +132,10 @@ class FilterLine(Vertical):
         before = field.region.x - self.region.x
         place = before + error.at - round(field.scroll_x)
         marks = "^" * max(1, min(error.end - error.at, self.region.width - place))
-        style = Severity.ERROR.style
+        style = Level.ERROR.style
         told = [Text(line) for line in wrap(clean(error.why), max(20, self.region.width - before))]
         lines = [Text(" " * max(before, place) + marks, style)]
-        # Behind the caret where there is room, as compilers do; else under it.
+        # The message stands after the caret if there is space, as in compilers, else below it.
         if len(told) == 1 and place + len(marks) + 1 + told[0].cell_len <= self.region.width:
             lines[0].append_text(Text(" ")).append_text(Text(told[0].plain, "not bold"))
         else:
@@ -146,16 +146,16 @@ class FilterLine(Vertical):
 
 
 class Prompt(Horizontal):
-    """One line at the bottom that asks; it is there only while it does.
+    """A line at the bottom that asks for a text; hidden at other times.
 
-    Posts ``Given`` with what was asked and what was written.
+    Posts ``Given`` with the kind of question and the answer.
 
     Attributes:
-        input: where it is written.
+        input: the text field.
     """
 
     class Given(Message):
-        """The answer."""
+        """A text was entered."""
 
         def __init__(self, kind: str, text: str) -> None:
             super().__init__()
@@ -174,13 +174,13 @@ class Prompt(Horizontal):
         yield self.input
 
     def ask(self, kind: str, label: str, placeholder: str, value: str = "") -> None:
-        """Ask.
+        """Ask for a text.
 
         Args:
-            kind: comes back with the answer.
-            label: in front of the line.
-            placeholder: while nothing is written.
-            value: to begin with.
+            kind: returned with the answer.
+            label: shown in front of the line.
+            placeholder: shown while the line is empty.
+            value: the initial text.
         """
         self._kind = kind
         self.display = True
@@ -190,14 +190,14 @@ class Prompt(Horizontal):
         self.input.focus()
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Give the answer."""
+        """Post the answer."""
         event.stop()
         self.display = False
         self.post_message(self.Given(self._kind, event.value))
 
 
 class _Line(Input):
-    """A line of text: Tab takes the completion, Escape and Down go back to the list."""
+    """A line of text: Tab accepts the completion, Escape and Down go back to the list."""
 
     BINDINGS: ClassVar[list[Any]] = [
         Binding("enter", "submit", "Apply"),
@@ -206,9 +206,9 @@ class _Line(Input):
     ]
 
     def action_complete(self) -> None:
-        """Take what is suggested, or go back to the list where nothing is."""
+        """Accept the completion; without one, go back to the list."""
         if self._suggestion:
             self.value = self._suggestion
             self.cursor_position = len(self.value)
         else:
-            self.app.action_leave()  # type: ignore[attr-defined]  # the viewer's
+            self.app.action_leave()  # type: ignore[attr-defined]  # a method of the viewer

@@ -1,11 +1,9 @@
-"""The three-pane view: what comes from where, and what each key does."""
+"""The three-pane view: connects source, filter, panes and keys."""
 
 from __future__ import annotations
 
 import asyncio
-import signal
 import threading
-import time
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -16,33 +14,35 @@ from textual.binding import Binding
 from textual.widgets import Input
 from textual.worker import get_current_worker
 
-from edoras_tools.decode.where_rows import ColumnRows
+from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import EdorasError
-from edoras_tools.model import Link
-from edoras_tools.pipelines.conversation import Conversation
-from edoras_tools.render.severity import Severity
-from edoras_tools.tui import news
-from edoras_tools.tui.feed import Feed
-from edoras_tools.tui.lines import Lines
-from edoras_tools.tui.octets import Octets
-from edoras_tools.tui.panes import Choice
+from edoras_tools.io.signals import ENDING
+from edoras_tools.links.table import among
+from edoras_tools.pipelines.capture.conversation import Conversation
+from edoras_tools.pipelines.reading import Limits
+from edoras_tools.render.severity import Level
+from edoras_tools.tui.data import messages
+from edoras_tools.tui.data.feed import Feed
+from edoras_tools.tui.data.filter_thread import FilterThread
+from edoras_tools.tui.field_filter import filter_of
+from edoras_tools.tui.lists.hex_pane import HexPane
+from edoras_tools.tui.lists.lines import Lines
+from edoras_tools.tui.navigation import Navigation
+from edoras_tools.tui.panes import ViewOptions
 from edoras_tools.tui.prompts import FilterLine
-from edoras_tools.tui.seeking import Seeking
-from edoras_tools.tui.sieve import Sieve
 from edoras_tools.tui.wireshark import open_in_wireshark
-from edoras_tools.tui.words import filter_of
 
 if TYPE_CHECKING:
     import subprocess
 
-    from edoras_tools.decode.where import Where
+    from edoras_tools.decode.filters.filter import Where
+    from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.sources import Source
 
-__all__ = ["Choice", "Viewer"]
+__all__ = ["ViewOptions", "Viewer"]
 
 
-class Viewer(Seeking):
+class Viewer(Navigation):
     """``edoras sniff --tui``.
 
     Args:
@@ -51,7 +51,7 @@ class Viewer(Seeking):
         choice: what to show, and how.
 
     Attributes:
-        failure: why reading ended early; nothing where it did not.
+        failure: why reading ended early; empty if it did not.
     """
 
     BINDINGS: ClassVar[list[Any]] = [
@@ -59,18 +59,18 @@ class Viewer(Seeking):
         Binding("slash", "search", "Find", key_display="/"),
         Binding("m", "mark", "Mark"),
         Binding("r", "view('routes')", "Routes"),
-        Binding("s", "view('ladder')", "Sequence"),
+        Binding("s", "view('sequence')", "Sequence"),
         Binding("w", "wireshark", "Wireshark"),
         Binding("question_mark", "help", "Help", key_display="?"),
         Binding("q", "quit", "Quit"),
         Binding("ctrl+c", "quit", "Quit", show=False, priority=True),
-        Binding("S", "view('ladder', True)", "Sequence of all links", show=False),
+        Binding("S", "view('sequence', True)", "Sequence of all links", show=False),
         Binding("escape", "leave", "Back", show=False),
         Binding("M", "filter_marks", "Marked only", show=False),
         Binding("equals_sign", "filter_field", "Filter for the field", show=False),
     ]
 
-    def __init__(self, source: Source, bench: Workbench, choice: Choice) -> None:
+    def __init__(self, source: Source, bench: Workbench, choice: ViewOptions) -> None:
         super().__init__(source, bench, choice)
         self.failure = ""
         self._bench = bench
@@ -79,72 +79,72 @@ class Viewer(Seeking):
         self._wanted: int | None = None
         self._wireshark: list[subprocess.Popen[bytes]] = []
         bench.dissector.detail = True
-        self._sieve = Sieve(lambda where, block, shown: self._tell(news.Settled(where, block, shown)))
+        self._filter_thread = FilterThread(
+            lambda where, block, shown: self._post(messages.FilterAnswer(where, block, shown))
+        )
         self._feed = Feed(
             source,
             bench,
             replace(choice.selection, where=""),
-            deliver=lambda block: self._tell(news.Arrived(block)),
-            ended=lambda why, failed: self._tell(news.Ended(why, failed=failed)),
-            clock=time.monotonic_ns,
-            count=choice.count,
-            duration_ns=choice.duration_ns,
-            limit=0 if self.live else choice.limit,
+            deliver=lambda block: self._post(messages.Arrived(block)),
+            ended=lambda why, failed: self._post(messages.Ended(why, failed=failed)),
+            limits=Limits(choice.count, choice.duration_ns),
+            size=0 if self.live else choice.limit,
         )
 
     def on_mount(self) -> None:
-        """Begin to read."""
+        """Start reading."""
         self.packets.empty = "waiting for the first packet" if self.live else "reading"
         self.packets.follow = self._choice.follow
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                with suppress(NotImplementedError):  # no signals in this loop, as on Windows
+            for number in ENDING:
+                with suppress(NotImplementedError):  # this event loop has no signals, as on Windows
                     asyncio.get_running_loop().add_signal_handler(number, self.exit)
-        self._sieve.start()
+        self._filter_thread.start()
         self._feed.start()
         if self._choice.selection.where:
             self.filter_line.accept(self._choice.selection.where, None)
 
     def on_unmount(self) -> None:
-        """Stop the threads; a live source gives up what has arrived."""
+        """Stop the threads; a live source is read up to what has already arrived."""
         self._feed.stop()
-        self._sieve.stop()
+        self._filter_thread.stop()
         for process in self._wireshark:
-            # It goes on without us.
+            # Wireshark may still run: with a return code, Popen does not warn about that.
             process.returncode = process.poll() or 0
 
-    # What comes from the threads.
+    # Messages of the threads
 
-    @on(news.Arrived)
-    def _take(self, event: news.Arrived) -> None:
+    @on(messages.Arrived)
+    def _take(self, event: messages.Arrived) -> None:
         block = event.block
         first = not self.store.packets
         self.ledger.add(block.batch, block.columns)
         gone = self.store.append(block)
         if self.store.filtered:
-            self._sieve.put(block)
+            self._filter_thread.put(block)
         if first:
             self.packets.forget()
-        self._grown(gone)
+        self._more_rows(gone)
 
-    @on(news.Settled)
-    def _settle(self, event: news.Settled) -> None:
+    @on(messages.FilterAnswer)
+    def _take_answer(self, event: messages.FilterAnswer) -> None:
         if event.where is not self._where:
             return
         self.store.settle(event.block, event.shown)
-        self._grown(0)
+        self._more_rows(0)
 
-    @on(news.Ended)
-    def _end(self, event: news.Ended) -> None:
+    @on(messages.Ended)
+    def _end(self, event: messages.Ended) -> None:
         self.reading = False
         self.failure = event.why if event.failed else ""
         self.packets.empty = "no packet"
         if event.why:
-            self._say(event.why, Severity.WARNING)
+            self._notice(event.why, Level.WARNING)
         self._refresh_status()
 
-    def _grown(self, gone: int) -> None:
-        """Show that there are more rows."""
+    def _more_rows(self, gone: int) -> None:
+        """Update the list after rows were added."""
         packets = self.packets
         packets.arrived(gone)
         if self._wanted is not None:
@@ -156,7 +156,7 @@ class Viewer(Seeking):
             self._show_packet()
         self._refresh_status()
 
-    # The chosen packet, its fields, its bytes.
+    # The chosen packet, its fields, its bytes
 
     @property
     def _all_settled(self) -> bool:
@@ -168,7 +168,7 @@ class Viewer(Seeking):
         self.decoded = None
         if row < len(self.store):
             self.decoded = self._bench.dissector.dissect(self.store.datagram(row))
-        self.octets.show(self.decoded)
+        self.hex_pane.show(self.decoded)
         self.layers.show(self.decoded)
         self._refresh_title()
 
@@ -180,23 +180,23 @@ class Viewer(Seeking):
     @on(Lines.Moved, "#layers")
     def _show_field(self) -> None:
         row = self.layers.field
-        octets = self.octets
+        pane = self.hex_pane
         if self.layers.has_focus:
             self._said_until = 0.0
         if row is None or row.end <= row.start:
-            octets.point(0, 0)
-        elif not octets.has_focus:
-            octets.point(row.start, row.end)
+            pane.point(0, 0)
+        elif not pane.has_focus:
+            pane.point(row.start, row.end)
         else:
-            octets.point(row.start, row.end, octets.at - max(0, octets.shift))
+            pane.point(row.start, row.end, pane.at - max(0, pane.shift))
         self._refresh_status()
 
-    @on(Octets.Pointed)
-    def _show_byte(self, event: Octets.Pointed) -> None:
+    @on(HexPane.Pointed)
+    def _show_byte(self, event: HexPane.Pointed) -> None:
         if not self.layers.choose_byte(event.at):
-            self.octets.point(0, 0)
+            self.hex_pane.point(0, 0)
 
-    # The filter.
+    # The filter
 
     @on(Input.Submitted, "#filter")
     def _submit(self, event: Input.Submitted) -> None:
@@ -208,29 +208,29 @@ class Viewer(Seeking):
         self._where = event.where
         self._wanted = self._number or None
         self.packets.empty = "no packet passes the filter"
-        self.store.ask(filtered=event.where is not None)
-        self._sieve.begin(event.where, self.store.blocks)
+        self.store.restart(filtered=event.where is not None)
+        self._filter_thread.begin(event.where, self.store.blocks)
         self.packets.forget()
-        self._grown(0)
-        self._gather()
+        self._more_rows(0)
+        self._update_conversation()
 
     def action_filter(self) -> None:
-        """Write a filter."""
+        """Edit the filter."""
         self.filter_line.input.focus()
 
     def action_filter_marks(self) -> None:
-        """Filter for what is marked."""
+        """Filter for the marked packets."""
         if not self.packets.marks:
-            self._say("nothing is marked; m marks a packet")
+            self._notice("no packet is marked; m marks one")
             return
         self._filter_for(f"number in {{{', '.join(map(str, sorted(self.packets.marks)))}}}")
 
     def action_filter_field(self) -> None:
-        """Write a filter for the chosen field, to be looked at before it is applied."""
+        """Add the selected field to the filter line; Enter applies it."""
         row = self.layers.field
         text = filter_of(self.decoded, row) if self.decoded and row else ""
         if not text:
-            self._say("choose a field with a value first")
+            self._notice("select a field with a value first")
             return
         line = self.filter_line.input
         line.value = f"{line.value} and {text}" if line.value.strip() else text
@@ -241,25 +241,25 @@ class Viewer(Seeking):
         self.filter_line.accept(text, self.store.begin_ns)
         self.packets.focus()
 
-    # What the lower half shows.
+    # The lower half
 
     def action_view(self, name: str, every: bool = False) -> None:
         """Show the packet, the routes or the conversation."""
         switcher = self._lower
         wanted = name if name == "packet" else f"{name}-view"
-        if switcher.current == wanted and (name != "ladder" or every == self._every_link):
+        if switcher.current == wanted and (name != "sequence" or every == self._every_link):
             self.action_leave()
             return
         switcher.current = wanted
         self._every_link = every
         if name != "packet":
-            (self.routes if name == "routes" else self.ladder).focus()
+            (self.routes if name == "routes" else self.sequence).focus()
         self._refresh_figures()
-        self._gather()
+        self._update_conversation()
         self._refresh_title()
 
     def action_leave(self) -> None:
-        """Go back: from a pane made large, from another view, to the list."""
+        """Go back: from one pane to all, from another view to the packet, to the list."""
         if self.screen.maximized is not None:
             self.screen.minimize()
         self._lower.current = "packet"
@@ -271,18 +271,18 @@ class Viewer(Seeking):
     def _choose_route(self) -> None:
         self._filter_for(self.routes.filter)
 
-    @on(Lines.Chosen, "#ladder")
+    @on(Lines.Chosen, "#sequence")
     def _choose_run(self) -> None:
-        row = self.store.find_time(self.ladder.first_ns + (self.store.begin_ns or 0))
+        row = self.store.find_time(self.sequence.first_ns + (self.store.begin_ns or 0))
         if row is not None:
             self.packets.go(row, centre=True)
 
-    def _gather(self) -> None:
-        if self._view == "ladder-view":
-            self._fold(self._every_link)
+    def _update_conversation(self) -> None:
+        if self._view == "sequence-view":
+            self._build_conversation(self._every_link)
 
-    @work(thread=True, exclusive=True, group="ladder")
-    def _fold(self, every: bool) -> None:
+    @work(thread=True, exclusive=True, group="sequence")
+    def _build_conversation(self, every: bool) -> None:
         worker = get_current_worker()
         conversation = Conversation(self._decoding)
         begin_ns = self.store.begin_ns or 0
@@ -291,24 +291,24 @@ class Viewer(Seeking):
                 return
             rows = np.asarray(shown)
             if not every:
-                rows = rows[block.columns.link[rows] == Link.SBN]
+                rows = rows[among(block.columns.link[rows], lambda link: link.peers)]
             if len(rows):
                 conversation.add(ColumnRows(self._decoding, begin_ns, block.batch, block.columns, rows))
-        self._tell(news.Folded(conversation.messages()))
+        self._post(messages.ConversationReady(conversation.messages()))
 
-    @on(news.Folded)
-    def _show_ladder(self, event: news.Folded) -> None:
-        ladder = self.ladder
-        ladder.empty = "no SBN among the packets shown; S takes all links"
-        ladder.show(event.runs)
+    @on(messages.ConversationReady)
+    def _show_sequence(self, event: messages.ConversationReady) -> None:
+        view = self.sequence
+        view.empty = "no SBN among the packets shown; S shows all links"
+        view.show(event.runs)
         self._refresh_title()
 
     def action_wireshark(self) -> None:
         """Open what the list shows in Wireshark."""
         if not len(self.store):
-            self._say("there is no packet to open in Wireshark yet")
+            self._notice("there is no packet to open in Wireshark yet")
             return
-        self._say("opening Wireshark")
+        self._notice("opening Wireshark")
         self._open_wireshark(self.packets.cursor)
 
     @work(thread=True, exclusive=True, group="wireshark")
@@ -316,6 +316,6 @@ class Viewer(Seeking):
         try:
             self._wireshark.append(open_in_wireshark(self.store.parts(), row, self._choice.settings))
         except EdorasError as error:
-            self._tell(news.Said(str(error), Severity.WARNING))
+            self._post(messages.Notice(str(error), Level.WARNING))
         else:
-            self._tell(news.Said(f"Wireshark opens at packet {row + 1:,} of what is shown"))
+            self._post(messages.Notice(f"Wireshark opens at packet {row + 1:,} of those shown"))

@@ -1,4 +1,4 @@
-"""The packets of the list in Wireshark, at the same one."""
+"""Opens the packets of the list in Wireshark, at the selected packet."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ import numpy as np
 
 from edoras_tools.dissectors.lua import GUARD, own_digest
 from edoras_tools.errors import CaptureError
-from edoras_tools.pipelines.wireshark import dissector
-from edoras_tools.pipelines.wireshark_program import SCRIPT, program
-from edoras_tools.sinks.pcapng import PcapngSink
+from edoras_tools.io.formats.pcapng.writer import PcapngSink
+from edoras_tools.io.outputs import write_bytes
+from edoras_tools.pipelines.wireshark.lua import dissector
+from edoras_tools.pipelines.wireshark.program import SCRIPT, find_program
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.tui.store import Part
+    from edoras_tools.tui.data.store import Part
 
-_THEN_TIDY: Final = '"$@"; rm -rf "$0"'
-"""Wireshark may outlive us, and needs its files until it ends."""
+_THEN_REMOVE: Final = '"$@"; rm -rf "$0"'
+"""A shell script: Wireshark may run longer than this process, and needs its files until it ends."""
 
 
 def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> subprocess.Popen[bytes]:
@@ -40,20 +41,20 @@ def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> su
         The process, which removes the file when Wireshark ends.
 
     Raises:
-        EdorasError: there is no Wireshark, or the file cannot be written.
+        EdorasError: Wireshark is not installed, or the file cannot be written.
     """
-    path = program("wireshark")
+    path = find_program("wireshark")
     text, _ = dissector(settings)
     folder = Path(tempfile.mkdtemp(prefix="edoras-"))
     try:
         script, capture = folder / SCRIPT, folder / "packets.pcapng"
-        script.write_text(text, "utf-8")
+        write_bytes(script, text.encode())
         with closing(PcapngSink(capture)) as sink:
             for block, _, shown in parts:
                 sink.write(block.batch if isinstance(shown, range) else block.batch.take(np.asarray(shown)))
         arguments = ["-X", f"lua_script:{script}", "-r", str(capture), "-g", str(row + 1)]
-        return subprocess.Popen(  # noqa: S603  what was asked for
-            ["/bin/sh", "-c", _THEN_TIDY, str(folder), path, *arguments],
+        return subprocess.Popen(  # noqa: S603  the user asked for it
+            ["/bin/sh", "-c", _THEN_REMOVE, str(folder), path, *arguments],
             env=os.environ | {GUARD: own_digest(text)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

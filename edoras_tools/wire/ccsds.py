@@ -6,8 +6,8 @@ from typing import Final
 
 from edoras_tools.wire.layout import Field, Layout
 
-TELEMETRY: Final = 0
-TELECOMMAND: Final = 1
+TELEMETRY_TYPE: Final = 0
+TELECOMMAND_TYPE: Final = 1
 UNSEGMENTED: Final = 3
 """Sequence flags of a packet that is whole in itself; what cFE sends."""
 
@@ -19,7 +19,7 @@ PRIMARY: Final = Layout(
         "packet_type",
         1,
         "decides which cFE header follows",
-        names={TELEMETRY: "telemetry", TELECOMMAND: "telecommand"},
+        names={TELEMETRY_TYPE: "telemetry", TELECOMMAND_TYPE: "telecommand"},
         clause="133.0-B 4.1.3.3.2",
     ),
     Field("secondary_header_flag", 1, "set in every cFE packet", clause="133.0-B 4.1.3.3.3"),

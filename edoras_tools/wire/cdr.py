@@ -8,6 +8,8 @@ from edoras_tools.wire.layout import Field, Layout
 
 CDR_BE: Final = 0x0000
 CDR_LE: Final = 0x0001
+ROUNDED: Final = 3
+"""Most bytes that follow a message because RTPS rounds its length up to 4 (DDSI-RTPS 9.4.2.13)."""
 
 ENCAPSULATION: Final = Layout(
     "cdr",

@@ -5,6 +5,7 @@ Headers are big-endian; telemetry payloads are in the flight processor's order, 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 from edoras_tools.errors import FieldError
@@ -38,9 +39,20 @@ TELEMETRY_SHORT: Final = Layout(
     "cFE Telemetry Header (12 bytes, older builds)",
     *(slot.field for slot in TELEMETRY.slots[:2]),
 )
+COMMAND_EXTENDED: Final = Layout(
+    "cfe_command",
+    "cFE Command Header (behind an extended header)",
+    *(slot.field for slot in COMMAND.slots),
+    Field("spare", 32, "alignment", kind="bytes"),
+)
+TELEMETRY_EXTENDED: Final = Layout(
+    "cfe_telemetry",
+    "cFE Telemetry Header (behind an extended header)",
+    *(slot.field for slot in TELEMETRY.slots[:2]),
+)
 EXTENDED: Final = Layout(
     "cfe_extended",
-    "cFE Extended Header (version 2)",
+    "cFE Extended Header",
     Field("eds_version", 5, "electronic data sheet version"),
     Field("endian", 1, "payload byte order", names={0: "big", 1: "little"}),
     Field("playback", 1, "a recorded packet sent again", names={0: "original", 1: "playback"}),
@@ -83,6 +95,59 @@ SOFTWARE_BUS_HOUSEKEEPING: Final = Layout(
     byte_order="little",
 )
 """Payload of telemetry 0x0803."""
+COMMAND_INGEST_HOUSEKEEPING: Final = Layout(
+    "ci_lab_housekeeping",
+    "CI_LAB Housekeeping",
+    Field("command_error_counter", 8, "commands to CI itself refused"),
+    Field("command_counter", 8, "commands to CI itself accepted"),
+    Field("checksums_enabled", 8, "whether it checks checksums"),
+    Field("socket_connected", 8, "whether its socket is open"),
+    Field("spare", 64, "alignment", kind="bytes"),
+    Field("ingest_packets", 32, "datagrams accepted"),
+    Field("ingest_errors", 32, "datagrams refused"),
+    Field("spare2", 32, "alignment"),
+    byte_order="little",
+)
+"""Payload of CI_LAB's telemetry 0x0884."""
+
+
+@dataclass(frozen=True, slots=True)
+class Headers:
+    """The headers of one build of cFE, behind the primary header.
+
+    Attributes:
+        name: shown to users.
+        extended: whether the extended header comes first.
+        command: what follows in a command.
+        telemetry: what follows in telemetry.
+    """
+
+    name: str
+    extended: bool
+    command: Layout
+    telemetry: Layout
+
+    @property
+    def start(self) -> int:
+        """Where the command or telemetry header starts in the packet."""
+        return ccsds.PRIMARY.size + (EXTENDED.size if self.extended else 0)
+
+    @property
+    def command_bytes(self) -> int:
+        """All header bytes of a command."""
+        return self.start + self.command.size
+
+    @property
+    def telemetry_bytes(self) -> int:
+        """All header bytes of telemetry."""
+        return self.start + self.telemetry.size
+
+
+STANDARD: Final = Headers("16-byte telemetry header", False, COMMAND, TELEMETRY)
+SHORT: Final = Headers("12-byte telemetry header", False, COMMAND, TELEMETRY_SHORT)
+WITH_EXTENDED: Final = Headers("extended header", True, COMMAND_EXTENDED, TELEMETRY_EXTENDED)
+HEADERS: Final = (STANDARD, SHORT, WITH_EXTENDED)
+"""Every kind of build, the usual one first."""
 
 COMMAND_HEADER_BYTES: Final = ccsds.PRIMARY.size + COMMAND.size
 TELEMETRY_HEADER_BYTES: Final = ccsds.PRIMARY.size + TELEMETRY.size
@@ -106,11 +171,6 @@ def checksum(packet: bytes | memoryview) -> int:
 def is_command(msg_id: int) -> bool:
     """Tell whether a MsgId's packet carries the command header."""
     return bool(msg_id & COMMAND_BIT)
-
-
-def extended_msg_id(apid: int, packet_type: int, subsystem_id: int) -> int:
-    """Return the MsgId of a packet with the extended header, as cFE's ``CFE_MSG_GetMsgId`` makes it."""
-    return (apid & 0x7F) | packet_type << 7 | (subsystem_id & 0xFF) << 8
 
 
 def emit_command(

@@ -11,12 +11,17 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Final, Literal
 
+import numpy as np
+
 from edoras_tools.errors import ConfigError, TruncatedError
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import Any
+
+    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +52,13 @@ class EnvelopeFormat:
 
     @classmethod
     def named(cls, text: str) -> EnvelopeFormat:
-        """Return the format that ``8/8``, ``4/4 be`` and the like name.
+        """Return the format with a name such as ``8/8`` or ``4/4 be``.
 
         Raises:
             ConfigError: it names none.
         """
         words = text.lower().split()
-        formats = {str(item): item for item in FORMATS}
+        formats = {str(item): item for item in ENVELOPE_FORMATS}
         name = " ".join(words) if len(words) > 1 or words == ["1/1"] else f"{words[0]} le" if words else ""
         if name not in formats:
             raise ConfigError(f"envelope {text!r} is not known; there are {', '.join(formats)}")
@@ -89,7 +94,7 @@ def _layout(width: int, byte_order: Literal["little", "big"]) -> Layout:
     )
 
 
-FORMATS: Final[Sequence[EnvelopeFormat]] = (
+ENVELOPE_FORMATS: Final[Sequence[EnvelopeFormat]] = (
     EnvelopeFormat(8, "little"),
     EnvelopeFormat(8, "big"),
     EnvelopeFormat(4, "little"),
@@ -97,16 +102,16 @@ FORMATS: Final[Sequence[EnvelopeFormat]] = (
     EnvelopeFormat(1, "little"),
 )
 """Every format, the likeliest first."""
-DEFAULT: Final = FORMATS[0]
+DEFAULT: Final = ENVELOPE_FORMATS[0]
 
 
 def detect(data: bytes | memoryview, offset: int = 0) -> EnvelopeFormat | None:
-    """Tell the format from the bytes: the one whose lengths hold and whose CDR begins with an encapsulation.
+    """Detect the format: the one whose lengths fit and whose CDR begins with an encapsulation.
 
     Returns:
         the format, or None where none fits.
     """
-    for item in FORMATS:
+    for item in ENVELOPE_FORMATS:
         try:
             length, capacity = item.parse(data, offset)
         except TruncatedError:
@@ -120,3 +125,25 @@ def detect(data: bytes | memoryview, offset: int = 0) -> EnvelopeFormat | None:
         ):
             return item
     return None
+
+
+def holds(
+    head: NDArray[np.uint8], have: NDArray[np.integer[Any]], envelope: EnvelopeFormat
+) -> NDArray[np.bool_]:
+    """Tell for many payloads whether an envelope of this format fits; the same test as :func:`detect`.
+
+    Args:
+        head: (n, 20) first bytes of what may be an envelope.
+        have: (n,) bytes from there to the end of the packet.
+        envelope: the format.
+    """
+    size = envelope.size
+    length = envelope.layout.column("buffer_length", head).astype(np.uint64)
+    capacity = envelope.layout.column("buffer_capacity", head).astype(np.uint64)
+    space = np.maximum(have - size, 0).astype(np.uint64)
+    start = head[:, size : size + 4]
+    encapsulated = (start[:, 0] == 0) & (start[:, 1] <= 1) & (start[:, 2] == 0) & (start[:, 3] == 0)
+    fits: NDArray[np.bool_] = (
+        (have >= size + 4) & (length >= 4) & (length <= capacity) & (length <= space) & encapsulated
+    )
+    return fits

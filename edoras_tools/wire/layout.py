@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-Kind = Literal["uint", "int", "text", "bytes"]
+FieldKind = Literal["uint", "int", "text", "bytes"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +40,13 @@ class Field:
     name: str
     bits: int
     doc: str
-    kind: Kind = "uint"
+    kind: FieldKind = "uint"
     names: Mapping[int, str] = field(default_factory=dict)
     base: Literal[10, 16] = 10
     clause: str = ""
 
     def text(self, value: Any) -> str:
-        """Return a value as people read it: ``0x1827``, ``telecommand (1)``, ``42``."""
+        """Return a value as text for users: ``0x1827``, ``telecommand (1)``, ``42``."""
         if self.kind in {"text", "bytes"}:
             return value.hex() if isinstance(value, bytes) else str(value)
         number = f"0x{value:0{(self.bits + 3) // 4}x}" if self.base == 16 else str(value)
@@ -180,7 +180,7 @@ class Layout:
         slot = self.by_name[name]
         size = slot.end - slot.start
         order = ">" if self.byte_order == "big" else "<"
-        # Every numeric field lies in a word of 1, 2, 4 or 8 bytes, so that one strided read takes it.
+        # Every numeric field lies in a word of 1, 2, 4 or 8 bytes, so one strided read is enough.
         word = window[:, at + slot.start : at + slot.end].view(f"{order}u{size}")
         value: NDArray[Any] = word[:, 0].astype(f"u{size}")
         if slot.shift:

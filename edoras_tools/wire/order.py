@@ -1,8 +1,8 @@
-"""Rows put in order, so that those which go together stand together."""
+"""Sorts and groups rows by key."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -11,11 +11,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+_MIX: Final = np.uint64(0x9E3779B97F4A7C15)
+_SLOTS: Final = 18
+"""Bits of the lookup table that is used while distinct values are few."""
+
 
 def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
     """Return the stable order that puts equal keys side by side; keys are u8, u16 or u32, radix sorted."""
     digits: list[NDArray[np.uint16]] = []
-    room = 0  # what the last digit may still be multiplied by; a sort costs the same for each digit
+    room = 0  # the largest factor for the last digit; a sort costs the same for each digit
     for key in keys:
         least, most = (int(key.min()), int(key.max())) if len(key) else (0, 0)
         size = most - least + 1
@@ -31,6 +35,46 @@ def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
     if not digits:
         return np.arange(len(keys[0]))
     return np.lexsort(digits)
+
+
+def numbered(*keys: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Number the distinct rows of some columns of whole numbers, in the order they first come.
+
+    Nothing is sorted while there are few distinct rows, as there are few kinds of traffic.
+
+    Returns:
+        the first row of each, and the number of each row: ``numpy.unique``'s index and inverse.
+    """
+    first, which = _numbered(keys[0])
+    for key in keys[1:]:
+        further, part = _numbered(key)
+        if len(further) > 1:
+            first, which = _numbered(which * len(further) + part)
+    return first, which
+
+
+def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Number one column: by a table of its values or their hashes; by sorting where two share a hash."""
+    rows = np.arange(len(values))
+    least, most = (int(values.min()), int(values.max())) if len(values) else (0, 0)
+    size = most - least + 1
+    if size <= 1 << _SLOTS:
+        place = (values.astype(np.uint64) - np.uint64(least % (1 << 64))).astype(np.intp)
+    else:
+        size = 1 << _SLOTS
+        spread = (values.astype(np.uint64) * _MIX) >> np.uint64(64 - _SLOTS)
+        place = spread.astype(np.intp)
+    table = np.full(size, -1)
+    table[place[::-1]] = rows[::-1]  # of several the last one stays: the first row
+    if (values[table[place]] != values).any():
+        _, first, which = np.unique(values, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        number = np.empty_like(order)
+        number[order] = np.arange(len(order))
+        return first[order], number[which.reshape(-1)]
+    first = np.sort(table[table >= 0])
+    table[place[first]] = np.arange(len(first))
+    return first, table[place]
 
 
 def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:

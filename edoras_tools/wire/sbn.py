@@ -11,6 +11,8 @@ from edoras_tools.wire.layout import Field, Layout
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from edoras_tools.model import Peer
+
 PROTOCOL_VERSION: Final = 11
 IDENT: Final = "$Id: dccf6239093d99c4c9351e140c15b61a95d8fc37 $"
 """What SUB and UNSUB carry: a literal of the SBN sources; a peer that sends another is refused."""
@@ -42,6 +44,9 @@ HEADER: Final = Layout(
     Field("processor_id", 32, "the sender's processor"),
     Field("spacecraft_id", 32, "the sender's spacecraft", base=16),
 )
+_SIZE_BYTES: Final = HEADER.slots[0].end
+MSG_TYPE_AT: Final = HEADER.by_name["msg_type"].start
+"""Offset of MsgType in a datagram; it is one byte."""
 LEGACY_HEADER: Final = Layout(
     "sbn", "Software Bus Network (7-byte header, older sources)", *(slot.field for slot in HEADER.slots[:3])
 )
@@ -68,16 +73,6 @@ PROTO: Final = Layout(
 )
 
 
-class Peer(NamedTuple):
-    """What tells SBN peers apart: never their address."""
-
-    spacecraft_id: int
-    processor_id: int
-
-    def __str__(self) -> str:
-        return f"{self.spacecraft_id}:{self.processor_id}"
-
-
 class Subscription(NamedTuple):
     """One entry of a SUB or UNSUB."""
 
@@ -99,6 +94,31 @@ def emit(msg_type: int, peer: Peer, payload: bytes = b"") -> bytes:
         "spacecraft_id": peer.spacecraft_id,
     }
     return HEADER.emit(values) + payload
+
+
+class MessageHead:
+    """The part of the header that is the same in every APP datagram of one sender.
+
+    It avoids a parse of the whole header for each message: links carry 20,000 a second.
+
+    Args:
+        sender: spacecraft and processor.
+    """
+
+    def __init__(self, sender: Peer) -> None:
+        self._behind_size = emit(MsgType.APP, sender)[_SIZE_BYTES:]
+
+    def fits(self, data: bytes) -> bool:
+        """Tell whether a datagram (any bytes) is an APP message of this sender with a size of 0 or more."""
+        return data[_SIZE_BYTES : HEADER.size] == self._behind_size and data[0] < 0x80
+
+    def emit(self, packet: bytes) -> bytes:
+        """Write the datagram of a space packet of 32,767 bytes at the most.
+
+        Raises:
+            OverflowError: the packet is longer.
+        """
+        return len(packet).to_bytes(_SIZE_BYTES, "big", signed=True) + self._behind_size + packet
 
 
 def emit_subscriptions(subscriptions: Iterable[Subscription], *, ident: str = IDENT) -> bytes:

@@ -18,17 +18,20 @@ if TYPE_CHECKING:
     from numpy.typing import DTypeLike, NDArray
 
 _LARGE: Final = 1 << 16
-"""Rows from here on are few, and worth a step of Python each."""
+"""With fewer rows than this, one step of Python for each row is faster."""
 _FEW: Final = 16
-"""Up to so many lengths have a group each."""
+"""Up to this many different lengths, each length is a group of its own."""
 _BITS: Final = np.frexp(np.arange(_LARGE + 1.0))[1].astype(np.uint8)
 """How many bits a length up to ``_LARGE`` has."""
 _WASTE: Final = 4
-"""Bytes that may be moved for each that is wanted."""
+"""Limit for the bytes moved, as a multiple of the bytes asked for."""
 _BLOCK: Final = 2048
-"""Rows on their way at once: few enough for the nearest cache."""
+"""Rows moved together: few enough to stay in the first-level cache."""
 _KEEP: Final = np.array([(1 << 64) - 1, *((1 << 8 * count) - 1 for count in range(1, 8))], "<u8")
 """Masks that keep the first 1 to 7 bytes of a word, by their number; by 0, all 8."""
+
+PADDING = 64
+"""Bytes that must be readable behind the last byte in use, so that header windows never leave a buffer."""
 
 
 def at_every_byte(buffer: NDArray[np.uint8], width: int) -> NDArray[np.void]:
@@ -117,10 +120,10 @@ def spill_rows(
     offsets: NDArray[np.int64],
     lengths: NDArray[np.integer[Any]],
 ) -> None:
-    """Copy rows as ``copy_rows`` does, in a third of the time, and leave rubbish in the gaps behind them.
+    """Copy rows as ``copy_rows`` does, in a third of the time; the gaps behind them are overwritten.
 
-    Rows are moved at one length, that of the longest but for a few; the next row is written over what was too
-    much, and the few come last.
+    Almost all rows are moved at one length, that of the longest among them; the next row overwrites the
+    excess. The few longer rows are moved last.
 
     Args:
         target: the gaps between rows, and what follows the last one, are to be written after this.
@@ -144,7 +147,7 @@ def spill_rows(
 
 
 def _widths(lengths: NDArray[np.integer[Any]]) -> Iterator[tuple[int, NDArray[np.intp] | slice]]:
-    """Yield groups of rows, each with the most bytes that two moves of them cover all of its lengths by."""
+    """Yield groups of rows, each with a width such that two moves of it cover every length of the group."""
     shortest, longest = (int(lengths.min()), int(lengths.max())) if len(lengths) else (0, 0)
     if shortest == longest:
         yield shortest, slice(None)

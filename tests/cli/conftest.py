@@ -11,12 +11,11 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import here
 import pytest
 from mcap.reader import make_reader
+from places import ROOT
 
-from edoras_tools.cli import main
-
-ROOT = Path(__file__).parents[2]
 EDORAS = Path(sys.executable).with_name("edoras")
 
 
@@ -73,7 +72,7 @@ def call(monkeypatch, capsys):
         monkeypatch.setattr(sys, "argv", ["edoras", *map(str, arguments)])
         capsys.readouterr()
         with pytest.raises(SystemExit) as ending:
-            main.run(main.program())
+            here.edoras()
         out, err = capsys.readouterr()
         return SimpleNamespace(
             code=ending.value.code,

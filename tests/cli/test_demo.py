@@ -8,13 +8,13 @@ import sys
 import pytest
 
 WRONG = {
-    ("--state-rate", "5"): (2, "--state-rate goes with two-rovers and two-arms"),
-    ("-o", "a.txt"): (2, "a.txt: its suffix names no kind of recording"),
-    ("-o", "none/a.mcap"): (1, "none/a.mcap: cannot be created: No such file or directory"),
-    ("--ros-option", "a"): (2, "'a' is no NAME=VALUE"),
+    ("--state-rate", "5"): (2, "--state-rate needs two-rovers or two-arms"),
+    ("-o", "a.txt"): (2, "a.txt: unknown suffix"),
+    ("-o", "/proc/none/a.mcap"): (1, "/proc/none/a.mcap: cannot be created: No such file or directory"),
+    ("--ros-option", "a"): (2, "'a' is not NAME=VALUE"),
     ("--ros-option", "a=b"): (2, "--ros local has no option 'a'"),
     ("--ros", "carrier"): (2, "carrier"),
-    ("--duration", "soon"): (2, "'soon' is no length of time"),
+    ("--duration", "soon"): (2, "'soon' is not a duration"),
     ("--rate", "-1"): (2, "--rate"),
     ("--distro", "nice"): (2, "nice"),
 }
@@ -33,7 +33,7 @@ def test_what_is_wrong_is_one_line(call, tmp_path, monkeypatch, arguments):
 
 def test_an_absent_library_is_told_with_what_to_install(call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "foxglove", None)
+    monkeypatch.setitem(sys.modules, "websockets", None)
     result = call("demo", "rover", "--live", "--ws-port", "0")
     assert result.code == 2
     assert "pip install 'edoras-tools[live]'" in result.err[0]

@@ -5,44 +5,13 @@ import re
 import shutil
 import subprocess
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
+from effort import long_but
+from places import ROOT
+from schema import check, published
 
-ROOT = Path(__file__).parents[2]
-SCHEMA = json.loads((ROOT / "docs/doctor.schema.json").read_text())
-KINDS = {
-    "object": dict,
-    "array": list,
-    "string": str,
-    "integer": int,
-    "number": (int, float),
-    "boolean": bool,
-    "null": type(None),
-}
-
-
-def check(value, schema, path="$"):
-    """Hold a value to the part of JSON Schema that the schema uses."""
-    if "$ref" in schema:
-        return check(value, SCHEMA["$defs"][schema["$ref"].rpartition("/")[2]], path)
-    if "enum" in schema:
-        assert value in schema["enum"], path
-        return None
-    kinds = schema["type"] if isinstance(schema["type"], list) else [schema["type"]]
-    assert any(isinstance(value, KINDS[kind]) for kind in kinds), path
-    assert not (isinstance(value, bool) and "boolean" not in kinds), path
-    if isinstance(value, dict):
-        assert set(schema["required"]) <= set(value), path
-        assert set(value) <= set(schema["properties"]), f"{path}: {set(value) - set(schema['properties'])}"
-        for name, item in value.items():
-            check(item, schema["properties"][name], f"{path}.{name}")
-    if isinstance(value, list):
-        for index, item in enumerate(value):
-            check(item, schema["items"], f"{path}[{index}]")
-    return None
-
-
+SCHEMA = published("doctor")
 CAPTURES = {
     "a_rover": (("rover_ground",), 3),
     "b_arm_single": (("single_arm_ground",), 0),
@@ -51,6 +20,7 @@ CAPTURES = {
     "e_ci_errors": (("rover_ground",), 3),
     "f_sbn_disconnect": (("two_rovers_ground", "two_rovers_flight"), 3),
 }
+SMALL = [name for name in CAPTURES if name != "d3_cpu1_cpu2"]
 
 
 @pytest.mark.parametrize("configured", [True, False])
@@ -73,6 +43,23 @@ def test_people_read_verdicts_first(name, call, captures, monkeypatch):
     assert done.out.index(marked[0]) < done.out.index("Link  MsgId")
 
 
+def test_many_verdicts_alike_are_one_entry(call, captures, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    told = call("doctor", captures("e_ci_errors"), "--json").json()["verdicts"]
+    out = call("doctor", captures("e_ci_errors")).out
+    for severity, mark, lost in (("error", "✗", True), ("warning", "!", False)):
+        alike = [item for item in told if (item["rule"], item["severity"]) == ("bad_command", severity)]
+        assert len(alike) >= 4
+        head = f"{mark} bad_command  {len(alike)} times"
+        assert out.count(f"{mark} bad_command") == out.count(head) == 1
+        entry = out.partition(head)[2].partition("\n\n")[0]
+        assert all(item["reason"] in entry for item in alike)
+        assert ("lost in all" in entry.splitlines()[0]) == lost
+        when = [float(item) for item in re.findall(r"^  ([\d.]+) s", entry, re.MULTILINE)]
+        assert when == sorted(when)
+        assert len(when) == len(alike)
+
+
 def test_two_senders_of_one_msg_id_are_told_apart(call, captures, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     done = call("doctor", captures("d3_cpu1_cpu2"))
@@ -80,9 +67,7 @@ def test_two_senders_of_one_msg_id_are_told_apart(call, captures, monkeypatch):
     assert {re.search(r"66:\d :\d+", row)[0] for row in rows} == {
         f"66:{number} :{port}" for number in (1, 2) for port in (49211, 57839)
     }
-    assert done.out.endswith(
-        "Lost: 6,479 messages; 5,901 of them in the table, the verdicts above tell of the others.\n"
-    )
+    assert done.out.endswith("Lost: 6,601 messages.\n")
     alone = call("doctor", captures("a_rover"))
     assert "Sent by" not in alone.out
 
@@ -94,6 +79,61 @@ def test_the_sentence_of_the_rover(call, captures):
         "CI delivers in 500 ms bursts"
     ) in done.out
     assert "Lost: 92 messages." in done.out
+
+
+def test_what_is_chosen_is_shown_and_the_rest_is_counted(call, captures, missions, tmp_path):
+    rover = captures("a_rover")
+    options = *missions("rover_ground"), "--topic", "telemetry_pose"
+    done = call("doctor", rover, *options)
+    assert done.code == 0
+    assert "only topic=telemetry_pose is shown" in done.out
+    assert "92 lost" in done.out
+    assert "app_pipe_limit" not in done.out
+    check(call("doctor", rover, "--json", *options).json(), SCHEMA)
+    page = tmp_path / "page.html"
+    assert call("report", rover, "-o", page, *options).code == 0
+    assert "rate of 0x0827" in page.read_text()
+    assert "rate of 0x1827" not in page.read_text()
+    cut = call("doctor", rover, *options, "--start", "30", "--json").json()
+    assert cut["not_examined"] > 500
+    unknown = call("doctor", rover, *missions("rover_ground"), "--topic", "nothing")
+    assert unknown.err == [
+        "edoras: no configured topic matches 'nothing'; there are: /cmd_vel, /telemetry_pose"
+    ]
+    listed = call("doctor", rover, "--list-lost", "csv", "--start", "30", "--msg-id", "0x1827")
+    assert 0 < len(listed.out.splitlines()) - 1 < 92
+
+
+def test_a_list_that_differs_from_the_balance_says_by_how_much(call, captures, missions):
+    whole = call("doctor", captures("a_rover"), "--list-lost", "csv")
+    assert (whole.code, whole.err) == (3, [])
+    # Of messages that were refused for what they are no other trace is there: each is listed by its rule.
+    refused = call("doctor", captures("e_ci_errors"), "--list-lost", "json")
+    lost = call("doctor", captures("e_ci_errors"), "--json").json()["lost"]
+    assert sum(item["count"] for item in refused.json()["missing"]) >= lost > 0
+    assert {item["what"].partition(" ")[0] for item in refused.json()["missing"]} >= {"bad_command"}
+    every = call("doctor", captures("c1_tlm_rate_limit4"), "--list-lost", "json")
+    assert (sum(item["count"] for item in every.json()["missing"]), every.err) == (16_706, [])
+    listed = call("doctor", captures("d3_cpu1_cpu2"), "--list-lost", "json")
+    number = sum(item["count"] for item in listed.json()["missing"])
+    assert number > 6601
+    assert listed.err[-1].startswith(f"edoras: {number:,} listed, 6,601 in the balance")
+    assert listed.code == 3
+
+
+def test_the_headline_holds_all_that_is_lost_and_the_worst_comes_first(call, captures, missions, tmp_path):
+    done = call("doctor", captures("d3_cpu1_cpu2"), *missions("rover_ground"))
+    head = done.out.split("✗")[0]
+    assert "506 of 628 /telemetry_pose arrived, 122 lost" in head
+    assert "1,505 of 3,719 0x0828" in head
+    losses = [int(text.replace(",", "")) for text in re.findall(r"spans of time, ([\d,]+) of", done.out)]
+    assert losses[0] == max(losses)
+    assert "the worst: " in done.out
+    page = tmp_path / "page.html"
+    assert call("report", captures("d3_cpu1_cpu2"), "-o", page).code == 3
+    table = page.read_text().split('id="balance"')[1].split("</table>")[0]
+    assert "<th>Not seen</th>" in table
+    assert "<th>Superseded</th>" not in table  # empty in every row
 
 
 def test_predict_needs_no_traffic(call, missions):
@@ -123,19 +163,43 @@ def test_two_captures_are_held_against_each_other(call, captures, frames, write_
     done = call("doctor", captures("a_rover"), "--against", cut, "--json")
     assert done.code == 3
     assert done.json()["lost"] > 0
+    check(done.json(), published("against"))
     same = call("doctor", captures("a_rover"), "--against", captures("a_rover"))
     assert same.code == 0
     assert "Nothing lost between the two." in same.out
+    other = call("doctor", captures("a_rover"), "--against", captures("e_ci_errors"))
+    assert (other.code, other.out, len(other.err)) == (1, "", 1)
+    assert "no datagram in common" in other.err[0]
+    part = call(
+        "doctor", captures("a_rover"), "--against", cut, "--link", "to", "--end", "30", "--json"
+    ).json()
+    assert {row["link"] for row in part["routes"]} == {"to"}
+    assert 0 < part["lost"] < done.json()["lost"]
+
+
+def test_two_hosts_lost_the_same_messages(call):
+    ground, flight = (
+        ROOT / "tests/captures" / f"n12_two_hosts_{name}.pcap.zst" for name in ("ground", "flight")
+    )
+    for first, second in ((ground, flight), (flight, ground)):
+        told = call("doctor", first, "--against", second, "--json").json()
+        check(told, published("against"))
+        assert (told["lost"], told["common"]) == (0, True)
+        assert abs(told["offset_ns"]) < 5_000_000
+        # The shaper of the flight host stands in front of both captures.
+        assert sum(row["neither"] for row in told["routes"]) == 83
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        ((), 2, "name what to examine"),
+        ((), 2, "name the input to examine"),
         (("--predict",), 2, "--predict needs a mission"),
         (("--against", "x.pcap"), 2, "--against needs two captures"),
         (("none.pcap",), 1, "none.pcap"),
         (("x.pcap", "--set", "nothing=1"), 2, "'nothing' is not known"),
+        (("x.pcap", "--start", "3", "--end", "2"), 2, "--end is not after --start"),
+        (("-i", "lo", "--start", "3"), 2, "use --duration"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line(arguments, code, words, call):
@@ -159,7 +223,8 @@ class Page(HTMLParser):
         self.tags.append(tag)
         if tag not in self.VOID:
             self.open.append(tag)
-        self.outside += [value for name, value in attributes if name in {"src", "href", "action"}]
+        named = [value for name, value in attributes if name in {"src", "href", "action"}]
+        self.outside += [value for value in named if not value.startswith("#")]
 
     def handle_startendtag(self, tag, attributes):
         self.tags.append(tag)
@@ -187,12 +252,12 @@ def report(command, tmp_path_factory):
     return write
 
 
-@pytest.mark.parametrize("name", CAPTURES)
+@pytest.mark.parametrize("name", long_but(SMALL, CAPTURES))
 def test_a_report_is_one_page_that_needs_nothing(name, report, captures, missions):
     text = report(captures(name), *missions(*CAPTURES[name][0])).read_text()
     page = Page(text)
     assert page.open == []
-    assert page.outside == []
+    assert [item for item in page.outside if not item.startswith("#")] == []
     assert "script" not in page.tags
     assert "@import" not in text
     assert "url(" not in text
@@ -201,6 +266,37 @@ def test_a_report_is_one_page_that_needs_nothing(name, report, captures, mission
     words = " ".join(page.words)
     assert words.index("Verdicts") < words.index("Rates against limits") < words.index("Accounts")
     assert page.tags.count("svg") >= 2
+
+
+def test_a_report_sums_up_leads_to_its_parts_and_says_how_it_was_made(report, captures, missions):
+    text = report(captures("f_sbn_disconnect"), *missions("two_rovers_ground")).read_text()
+    anchors = re.findall(r'<a href="#([\w-]+)">', text)
+    assert "verdicts" in anchors
+    assert set(anchors) == set(re.findall(r'<section id="([\w-]+)">', text))
+    counted = [
+        int(item) for item in re.findall(r"<td>(\d+)</td><td>[\d,]+</td></tr>", text.partition("<nav")[0])
+    ]
+    assert sum(counted) > 0
+    assert re.search(r"<footer.*edoras-tools \d.* UTC<br><code>edoras report .*-c .*two_rovers_ground", text)
+
+
+@pytest.mark.parametrize("name", long_but(SMALL, CAPTURES))
+def test_the_picture_of_the_links_holds_all_that_was_lost(name, report, call, captures, missions):
+    options = missions(*CAPTURES[name][0])
+    text = report(captures(name), *options).read_text()
+    picture = text.partition('<div class="links">')[2].partition("</div>")[0]
+    lost = sum(int(item.replace(",", "")) for item in re.findall(r">([\d,]+) lost<", picture))
+    assert lost == call("doctor", captures(name), "--json", *options).json()["lost"]
+    assert text.index('class="links"') < text.index('id="verdicts"')
+    if name == "a_rover":
+        assert "600 in, 508 out" in picture
+
+
+def test_a_part_of_a_capture_keeps_its_times(call, captures, missions, tmp_path):
+    path = tmp_path / "part.html"
+    call("report", captures("a_rover"), "-o", path, *missions("rover_ground"), "--start", "30", "--end", "50")
+    axis = {float(item) for item in re.findall(r'<text class="mid"[^>]*>([\d.]+) s<', path.read_text())}
+    assert {35.0, 40.0, 45.0} <= axis <= {30.0, 35.0, 40.0, 45.0, 50.0}
 
 
 def test_a_report_shows_hostile_names_as_text(call, tmp_path, captures, missions):
@@ -229,7 +325,7 @@ def test_there_is_no_report_of_what_could_not_be_read(call, captures, tmp_path):
     assert "no packet was read" in done.err[0]
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(400, "dark"), (1200, "light")])
+@pytest.mark.parametrize(("width", "scheme"), long_but([(400, "dark")], [(400, "dark"), (1200, "light")]))
 def test_chromium_shows_the_report(width, scheme, report, captures, missions, tmp_path):
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     assert browser, "chromium is missing: install it, as apt install chromium"
@@ -272,7 +368,7 @@ def test_chromium_shows_the_report(width, scheme, report, captures, missions, tm
 def test_live_rings_once_for_each_new_verdict(capsys):
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.diagnosis.verdict import Severity, Verdict
-    from edoras_tools.render.doctor_live import LiveVerdicts
+    from edoras_tools.render.doctor.live import LiveVerdicts
 
     def diagnosis(*verdicts):
         return Diagnosis(verdicts, (), [], [], 1, 0, 1)

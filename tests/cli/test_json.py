@@ -5,8 +5,9 @@ import re
 
 import pytest
 
+from edoras_tools.io.capture import live
+from edoras_tools.io.formats.open import open_file
 from edoras_tools.model import Finding, SourceInfo, SourceStatistics
-from edoras_tools.sources import live, open_file
 
 ROUTE = {
     "topic": (str, type(None)),
@@ -34,6 +35,7 @@ REPORT = {
     "start_ns": int,
     "end_ns": int,
     "capture_drops": int,
+    "outages": list,
     "routes": list,
     "findings": dict,
     "warnings": list,
@@ -68,7 +70,7 @@ def check_report(report):
     check(report, REPORT)
     for row in report["routes"]:
         check(row, ROUTE)
-        assert row["link"] in {"ci", "to", "sbn", "other"}
+        assert row["link"] in {"ci", "to", "sbn", "robot", "other"}
         assert row["msg_id"] is None or re.fullmatch("0x[0-9a-f]{4}", row["msg_id"])
         assert set(row["findings"]) <= LABELS
         assert sum(row["findings"].values()) == 0 or max(row["findings"].values()) <= row["count"]
@@ -129,8 +131,13 @@ def test_recover(call, captures, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((tmp_path / "x.mcap").read_bytes()[:-40])
     report = call("recover", "--json", cut, "-o", tmp_path / "y.mcap").json()
-    names = ["whole", "messages", "chunks", "salvaged", "kept_bytes", "lost_bytes", "output"]
-    assert list(report) == names
+    names = ["whole", "messages", "chunks", "salvaged", "kept_bytes", "lost_bytes"]
+    names += ["proved", "unproved", "left_out", "lost", "lost_messages", "losses", "reasons"]
+    assert list(report) == [*names, "output"]
+    assert call("info", "--verify", "--json", cut).json() == {
+        "source": str(cut),
+        **{name: report[name] for name in names},
+    }
     assert (report["whole"], report["output"]) == (False, str(tmp_path / "y.mcap"))
     assert report["messages"]["/edoras/datagrams"] == 1827
     whole = call("recover", "--json", tmp_path / "y.mcap", "-o", tmp_path / "z.mcap").json()

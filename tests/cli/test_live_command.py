@@ -7,13 +7,11 @@ import socket
 import struct
 import subprocess
 import sys
-from pathlib import Path
 
 import foxglove_client as peer
 import pytest
 from websockets.exceptions import InvalidStatus
 
-ROOT = Path(__file__).parents[2]
 TWIST = "geometry_msgs/msg/Twist"
 CDR = bytes.fromhex("00010000") + struct.pack("<6d", 0.5, 0, 0, 0, 0, -1)
 
@@ -72,8 +70,8 @@ def test_web_pages_of_strangers_are_kept_out_and_told(started, captures):
     with pytest.raises(InvalidStatus, match="HTTP 403"):
         peer.Client(url, origin="https://evil.example")
     assert process.stderr.readline() == (
-        "edoras: a web page of https://evil.example was kept out of Foxglove; "
-        "--allow-origin https://evil.example lets it in\n"
+        "edoras: a web page of https://evil.example was refused as a client; "
+        "--allow-origin https://evil.example allows it\n"
     )
     for origin in ("https://viz.example.org", "https://app.foxglove.dev"):
         with peer.Client(url, 5, origin=origin) as client:
@@ -99,7 +97,7 @@ def test_an_emulated_cfs_takes_commands_where_it_is_allowed(started):
         client.advertise(2, "/telemetry_pose", "geometry_msgs/msg/PoseStamped")
         client.until(lambda: client.statuses)
         assert client.statuses[0]["message"] == (
-            "/telemetry_pose may not be published; --allow-publish lets /cmd_vel"
+            "/telemetry_pose may not be published; --allow-publish allows /cmd_vel"
         )
         client.publish(1, CDR)
         client.until(lambda: any(item.data == CDR for item in client.on("/cmd_vel")))
@@ -191,15 +189,18 @@ def test_a_proxy_is_looked_at_while_it_relays(command, missions):
     [
         ((), "name one source: FILE, -i IFACE, --listen PORT or --sim DEMO"),
         (("a.pcap", "--sim", "rover"), "name one source"),
-        (("a.pcap", "--allow-publish", "*"), "a recording is played back"),
-        (("--sim", "rover", "--speed", "2"), "live traffic has its own speed"),
+        (("a.pcap", "--allow-publish", "*"), "can only be used with live traffic"),
+        (("--sim", "rover", "--speed", "2"), "can only be used with a recording"),
         (("nowhere.pcap",), "nowhere.pcap: "),
-        (("-",), "-: cannot be read twice"),
-        (("--sim", "rover", "--allow-publish", "/nowhere"), "'/nowhere' fits no topic that goes to cFS"),
-        (("--sim", "rover", "--topic", "/nowhere"), "no configured topic fits '/nowhere'"),
-        (("--sim", "rover", "--host", "192.0.2.1"), "192.0.2.1:0: cannot be listened on"),
-        (("--sim", "rover", "-o", "a.txt"), "a.txt: its suffix names no kind of recording"),
-        (["--sim", "rover", "--allow-origin", "viz.lab"], "edoras: 'viz.lab' is no origin; name it as"),
+        (("-",), "-: playback reads it several times"),
+        (("--sim", "rover", "--allow-publish", "/nowhere"), "'/nowhere' matches no topic that goes to cFS"),
+        (("--sim", "rover", "--topic", "/nowhere"), "no configured topic matches '/nowhere'"),
+        (("--sim", "rover", "--host", "192.0.2.1"), "192.0.2.1:0: cannot listen"),
+        (("--sim", "rover", "-o", "a.txt"), "a.txt: unknown suffix"),
+        (
+            ["--sim", "rover", "--allow-origin", "viz.lab"],
+            "edoras: 'viz.lab' is not an origin; write it like",
+        ),
     ],
 )
 def test_bad_input_is_one_line(call, arguments, line):
@@ -216,7 +217,7 @@ def test_a_port_in_use_is_one_line(call):
     assert result.code == 1
     assert len(result.err) == 1
     assert result.err[0].startswith(
-        f"edoras: 127.0.0.1:{port}: cannot be listened on: Address already in use; name another port"
+        f"edoras: 127.0.0.1:{port}: cannot listen: Address already in use; name another port"
     )
 
 
@@ -229,10 +230,10 @@ def test_another_machine_is_sent_to_only_if_it_is_meant(call, missions):
     assert "192.0.2.1:1234 is not on this machine's loopback; nothing was sent" in result.err[-1]
 
 
-def test_without_the_sdk_it_is_said_what_to_install(call, monkeypatch):
-    monkeypatch.setitem(sys.modules, "foxglove", None)
+def test_without_websockets_it_is_said_what_to_install(call, monkeypatch):
+    monkeypatch.setitem(sys.modules, "websockets", None)
     result = call("live", "--ws-port", "0", "--sim", "rover")
     assert result.code == 2
     assert result.err == [
-        "edoras: Foxglove needs foxglove-sdk, which is not installed: pip install 'edoras-tools[live]'"
+        "edoras: Foxglove needs websockets, which is not installed: pip install 'edoras-tools[live]'"
     ]

@@ -10,6 +10,7 @@ import pytest
 import typer
 
 from edoras_tools.cli.main import INTERRUPTED, run
+from edoras_tools.errors import ConfigError
 
 WHILE_READING = "import os, signal, edoras_tools.cli.programs; os.kill(os.getpid(), signal.SIGINT)"
 
@@ -23,6 +24,23 @@ def test_who_is_not_to_hear_ctrl_c_does_not():
     deaf = f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); {WHILE_READING}; print('here')"
     done = subprocess.run([sys.executable, "-c", deaf], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("here\n", "")
+
+
+def test_a_file_s_own_words_steer_no_terminal(capfd, monkeypatch):
+    made = typer.Typer()
+
+    @made.command()
+    def work():
+        raise ConfigError("x.msg: \x1b]0;mine\x07 is not a type", "y.msg: all\u202egood")
+
+    monkeypatch.setattr(sys, "argv", ["work"])
+    with pytest.raises(SystemExit) as end:
+        run(made)
+    assert end.value.code == ConfigError.exit_code
+    assert capfd.readouterr().err.splitlines() == [
+        r"edoras: x.msg: \x1b]0;mine\x07 is not a type",
+        r"edoras: y.msg: all\u202egood",
+    ]
 
 
 def test_ctrl_c_in_a_command(capfd, monkeypatch):

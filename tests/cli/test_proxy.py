@@ -115,9 +115,9 @@ WRONG = {
     ("ci", "--listen", "1", "--target", "1x"): (2, ["1x"]),
     ("ci", "--listen", "1"): (2, ["Missing option '--target'"]),
     ("cd", "--listen", "1", "--target", "2"): (2, ["cd"]),
-    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:9"): (2, ["in a circle"]),
-    ("to", "--target", f"{HOST}:9", "--listen", "9"): (2, ["in a circle"]),
-    ("sbn", "--target", f"{HOST}:1", "--listen", "9", "--to", "localhost:9"): (2, ["in a circle"]),
+    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:9"): (2, ["in a loop"]),
+    ("to", "--target", f"{HOST}:9", "--listen", "9"): (2, ["in a loop"]),
+    ("sbn", "--target", f"{HOST}:1", "--listen", "9", "--to", "localhost:9"): (2, ["in a loop"]),
     ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "--fault", "drop:2", "--fault", "drip"): (
         2,
         ["fault drop:2: p '2': a probability", "fault drip: no such fault 'drip'; did you mean drop?"],
@@ -132,12 +132,18 @@ WRONG = {
     ),
     ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "--limit", "/cmd_vel=3"): (1, ["no topic"]),
     ("ci", "--target", "192.0.2.1:9", "--listen", f"{HOST}:0"): (2, ["is not on this machine's loopback"]),
-    ("ci", "--target", "no.such.host.invalid:9", "--listen", f"{HOST}:0", "--yes"): (1, ["no such host"]),
+    ("ci", "--target", "no.such.host.invalid:9", "--listen", f"{HOST}:0", "--yes"): (
+        1,
+        ["neither an address nor the name of a known host"],
+    ),
     ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "-o", "a.txt"): (
         2,
-        ["names no kind of recording"],
+        ["unknown suffix"],
     ),
-    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "-o", "no/where.mcap"): (1, ["no/where.mcap"]),
+    ("ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0", "-o", "/proc/no/where.mcap"): (
+        1,
+        ["/proc/no/where.mcap"],
+    ),
 }
 
 

@@ -1,14 +1,18 @@
 """The main job: captures into recordings and back, judged by readers that are not ours."""
 
+import json
 import struct
 import subprocess
-from pathlib import Path
 
 import pytest
+from places import ROOT
+from rewriting import Udp, write
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-ROOT = Path(__file__).parents[2]
+from edoras_tools.model import Peer
+from edoras_tools.wire import cfe, envelope, sbn
+
 ROVER = ("rover_ground",)
 ALL = {
     "a_rover": ROVER,
@@ -278,3 +282,31 @@ def test_a_recording_brings_its_own_types(call, captures, recording, tmp_path):
     shown = call("sniff", "-r", again, "-r", first, "--topic", "/cmd_vel", "-n", "1", "--json").lines()
     assert shown[0]["message"] == {"numbers": [0.5, 0.0, 0.0, 0.0, 0.0, 0.2]}
     assert call("info", captures("a_rover"), "-c", mission).code == 2
+
+
+RCLPY_JOINTS = bytes.fromhex(
+    "00010000 00000000 00000000 01000000 00127280 01000000 02000000 61000000 01000000 00000000 0000f03f"
+    "00000000 00000000 f57f0000 f039fe7b"
+)
+"""A JointState without velocity and effort from rclpy.serialization: 8 bytes follow its last field."""
+
+
+def test_bytes_that_rmw_leaves_behind_a_message_are_a_note(edoras, missions, recording, tmp_path):
+    packet = cfe.emit_command(0x1829, 1, envelope.DEFAULT.emit(RCLPY_JOINTS), sequence_flags=0)
+    sent = sbn.emit(sbn.MsgType.APP, Peer(0x42, 3), packet)
+    local = "127.0.0.1"
+    items = [Udp(10**18 + index * 10**8, (local, 2236), (local, 2234), sent) for index in range(50)]
+    pcap, path = write(tmp_path / "a.pcap", items), tmp_path / "a.mcap"
+    mission = missions("two_arms_flight")
+    told = json.loads(edoras("info", "--json", pcap, *mission).stdout)
+    assert told["findings"]["cdr_trailing"] == 50
+    assert not {"cdr_invalid", "cdr_too_long"} & told["findings"].keys()
+    assert edoras("record", "-r", pcap, *mission, "-o", path).returncode == 0
+    assert recording(path).counts["/big_arm/joint_states_throttled"] == 50
+    with AnyReader([path]) as reader:  # refuses a message with bytes behind it
+        own = [item for item in reader.connections if item.topic == "/big_arm/joint_states_throttled"]
+        for connection, _, raw in reader.messages(own):
+            message = reader.deserialize(raw, connection.msgtype)
+            assert (message.name, list(message.position), list(message.velocity)) == (["a"], [1.0], [])
+    verdicts = json.loads(edoras("doctor", "--json", pcap, *mission).stdout)["verdicts"]
+    assert not {"wrong_type", "bad_command"} & {item["rule"] for item in verdicts}

@@ -4,14 +4,13 @@ import json
 import struct
 import subprocess
 import sys
-import threading
-from dataclasses import replace
+from contextlib import ExitStack
 
 import pytest
-from waiting import HOST, PATIENCE_S, Ear, Program, free_ports, until
+from waiting import HOST, Ear, Program, free_ports, until
 
-from edoras_tools.sessions.profile import SbnPeerConfig, SimProfile
-from edoras_tools.sim import Simulation, serve
+from edoras_tools.cfs.profile import Ports, SimProfile
+from edoras_tools.emulator import Served, Simulation
 from edoras_tools.wire import sbn
 
 TWIST = bytes.fromhex("1827")
@@ -27,31 +26,15 @@ def receiver():
 @pytest.fixture
 def flight_side():
     """A function: an emulated cFS on free ports, in a thread; gives the simulation and the ports."""
-    stops = []
 
     def run(scenario):
-        ci, to, own, peer = free_ports(4)
-        profile = replace(
-            SimProfile(),
-            ci_port=ci,
-            to_port=to,
-            sbn_port=own,
-            sbn_peers=(SbnPeerConfig(sbn.Peer(0x42, 3), peer),),
-        )
-        simulation = Simulation(profile, scenario, bridges=False)
-        for _ in simulation.run(3 * 10**9):
-            pass
-        stop, ready = threading.Event(), threading.Event()
-        thread = threading.Thread(target=serve, args=(simulation, HOST, None, stop, ready.set))
-        thread.start()
-        stops.append((stop, thread))
-        assert ready.wait(PATIENCE_S)
+        profile = SimProfile().on(Ports(*free_ports(4)))
+        simulation = Simulation(profile, scenario, bridges=False).boot()
+        stack.enter_context(Served(simulation))
         return simulation
 
-    yield run
-    for stop, thread in stops:
-        stop.set()
-        thread.join(PATIENCE_S)
+    with ExitStack() as stack:
+        yield run
 
 
 def commands(datagrams, path):
@@ -200,7 +183,7 @@ def test_a_target_that_refuses(call, captures):
     target = f"{HOST}:{closed}"
     done = call("replay", captures("a_rover"), "--to", "ci", "--target", target, "--no-listen", "-q")
     assert (done.code, len(done.err)) == (1, 1)
-    assert f"{target} refuses: nobody listens there (ICMP port unreachable)" in done.err[0]
+    assert f"{target} refuses: no program listens there (ICMP port unreachable)" in done.err[0]
     once = call("inject", "noop", "ci", "--target", target, "--no-listen", "--json")
     assert once.code == 1
     assert (once.json()["sent"], once.json()["send_errors"]) == (0, 1)
@@ -210,7 +193,7 @@ def test_a_port_in_use(call, receiver, captures):
     taken, _ = receiver
     done = call("replay", captures("a_rover"), "--to", "ci", "--listen", taken)
     assert (done.code, len(done.err)) == (1, 1)
-    assert f"UDP {taken} cannot be bound: another program has that port" in done.err[0]
+    assert f"UDP {taken}: cannot be bound: another program has port" in done.err[0]
 
 
 def test_a_peer_that_never_answers(call, captures, receiver):
@@ -224,7 +207,7 @@ def test_a_peer_that_never_answers(call, captures, receiver):
     for words in (
         f"no SBN peer answered at {target} within ",
         f"tried PROTO and SUB, once a second, as 66:7 from {HOST}:{own}",
-        "usually cFS is not up",
+        "usually cFS is not running",
     ):
         assert words in done.err[0]
     tries = take()
@@ -238,28 +221,28 @@ def test_a_peer_that_never_answers(call, captures, receiver):
         (
             ["replay", "{a_rover}", "--to", "sbn"],
             1,
-            "holds no SBN datagrams towards cFS; it has 601 for --to ci",
+            "contains no SBN datagrams towards cFS; it has 601 for --to ci",
         ),
-        (["replay", "{a_rover}", "--to", "moon"], 2, "'moon' is none of ci, sbn, ground"),
+        (["replay", "{a_rover}", "--to", "moon"], 2, "'moon' is not one of ci, sbn, ground"),
         (["replay", "{a_rover}"], 2, "--to"),
         (["replay", "/nowhere.pcap", "--to", "ci"], 1, "/nowhere.pcap"),
-        (["replay", "{a_rover}", "--to", "ci", "--rate", "fast"], 2, "'fast' is no rate"),
+        (["replay", "{a_rover}", "--to", "ci", "--rate", "fast"], 2, "'fast' is not a rate"),
         (["replay", "{a_rover}", "--to", "ci", "--speed", "0"], 2, "'0' is not a number above 0"),
-        (["replay", "{a_rover}", "--to", "ci", "--remap", "a=b"], 2, "'a=b' is no A:=B"),
+        (["replay", "{a_rover}", "--to", "ci", "--remap", "a=b"], 2, "'a=b' is not A:=B"),
         (["replay", "{a_rover}", "--to", "ci", "--speed", "2", "--max"], 2, "exclude each other"),
         (["replay", "{a_rover}", "--to", "ci", "--end", "5", "--duration", "5"], 2, "both say when to stop"),
-        (["replay", "{a_rover}", "--to", "ci", "--as", "three"], 2, "'three' is no SC:CPU"),
+        (["replay", "{a_rover}", "--to", "ci", "--as", "three"], 2, "'three' is not SC:CPU"),
         (["replay", "{a_rover}", "--to", "ci", "--target", "nohost:99999"], 2, "99999"),
         (["replay", "{a_rover}", "--to", "ci", "--allow", "0x1827"], 2, "not on the allow-list"),
         (["replay", "{a_rover}", "--to", "ci", "--restamp"], 2, "--restamp"),
         (["replay", "{a_rover}", "--to", "ci", "--fault", "gremlins"], 2, "gremlins"),
-        (["replay", "{a_rover}", "--to", "ci", "--from-topics"], 1, "holds no ROS messages"),
+        (["replay", "{a_rover}", "--to", "ci", "--from-topics"], 1, "contains no ROS messages"),
         (["inject"], 2, "name one thing"),
         (["inject", "/cmd_vel"], 1, "no topic is configured; give mission files with -c"),
         (["inject", "/cmd_vel", "{linear: {y: a}}", "-c", "{rover}"], 1, "linear.y: takes a number"),
-        (["inject", "--command", "0x1880", "six"], 2, "'six' is no whole number"),
-        (["inject", "--command", "0x1880", "6", "--hex", "xyz"], 2, "is no row of bytes in hex"),
-        (["inject", "noop", "ci", "--hex", "00"], 2, "name that too"),
+        (["inject", "--command", "0x1880", "six"], 2, "'six' is not a whole number"),
+        (["inject", "--command", "0x1880", "6", "--hex", "xyz"], 2, "is not bytes in hex"),
+        (["inject", "noop", "ci", "--hex", "00"], 2, "name --command too"),
     ],
 )
 def test_one_clear_line(arguments, code, words, call, captures, missions):

@@ -5,17 +5,19 @@ import gzip
 import os
 import pty
 import re
+import socket
 import struct
 import subprocess
 import termios
+import threading
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 import zstandard
-from waiting import PATIENCE_S, Program
+from places import ROOT
+from waiting import HOST, PATIENCE_S, Program, free_ports, until
 
-ROOT = Path(__file__).parents[2]
 ANSI = b"\x1b["
 
 
@@ -172,6 +174,46 @@ def on_terminal(command, *arguments, **environment):
     os.close(ours)
     assert process.wait(PATIENCE_S) == 0
     return bytes(written)
+
+
+def test_a_recorder_at_a_stopped_terminal_goes_on_writing(command, tmp_path):
+    """Ctrl-S, or a remote shell that hangs: what comes meanwhile is in the file, killed or not."""
+    ours, theirs = pty.openpty()
+    drawn = []
+
+    def read():
+        try:
+            while chunk := os.read(ours, 1 << 16):
+                drawn.append(chunk)
+        except OSError:  # the end
+            os.close(ours)
+
+    threading.Thread(target=read, daemon=True).start()
+    path, (port,) = tmp_path / "x.mcap", free_ports(1)
+    environment = {**os.environ, "TERM": "xterm-256color"}
+    words = [command, "record", "--listen", f"{HOST}:{port}", "-o", str(path)]
+    process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stderr=theirs, env=environment)
+    try:
+        until(lambda: b"waiting for the first packet" in b"".join(drawn))
+        termios.tcflow(theirs, termios.TCOOFF)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for _ in range(8):  # two seconds, eight drawings
+                before = path.stat().st_size
+
+                def grown(before=before):
+                    sender.sendto(bytes(100), (HOST, port))
+                    return path.stat().st_size > before
+
+                until(grown)
+        seen = len(drawn)
+        termios.tcflow(theirs, termios.TCOON)
+        until(lambda: len(drawn) > seen)
+        process.terminate()
+        until(lambda: b"datagrams over" in b"".join(drawn))
+    finally:
+        process.kill()
+        process.wait(PATIENCE_S)
+    os.close(theirs)
 
 
 def test_colours_are_for_terminals(command, edoras, captures, tmp_path):

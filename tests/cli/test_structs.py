@@ -4,10 +4,10 @@ import json
 import shutil
 import subprocess
 
+import here
 import pytest
 from mcap.reader import make_reader
 
-from edoras_tools.cli.main import program, run
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe
 
@@ -32,7 +32,7 @@ def edoras(capfd, *arguments):
 
     sys.argv = ["edoras", *map(str, arguments)]
     with pytest.raises(SystemExit) as end:
-        run(program())
+        here.edoras()
     out, err = capfd.readouterr()
     return end.value.code or 0, out, err
 
@@ -155,7 +155,7 @@ def test_a_compiler_that_makes_nothing_is_said_in_one_line(call, tmp_path, monke
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert err.startswith(f"edoras: {header}: {said}")
     monkeypatch.setenv("CC", 'gcc "')
-    assert call("structs", header)[2] == "edoras: CC: 'gcc \"' is no command: No closing quotation\n"
+    assert call("structs", header)[2] == "edoras: CC: 'gcc \"' is not a command: No closing quotation\n"
 
 
 def test_what_is_shipped_is_listed_and_written(call, tmp_path):
@@ -178,7 +178,7 @@ def test_nothing_is_written_over_without_being_told(call, library, tmp_path):
         "structs", library, "-o", out_dir, "--bind", "0x890=ROVER_HkTlm", "--bind", "0x891=Other"
     )
     assert (code, out) == (2, "")
-    assert "structs.yaml: is there already and differs, the first of 1; --force writes over such" in err
+    assert "structs.yaml: exists and differs, the first of 1; overwrite with --force" in err
     assert {path: path.read_text() for path in out_dir.rglob("*.*")} == before
     assert call("structs", library, "-o", out_dir, "--bind", "0x890=Other", "--force")[0] == 0
 
@@ -204,14 +204,17 @@ def test_what_cannot_be_read_is_said_in_one_line(call, library, tmp_path):
         (["structs", tmp_path / "bad.h"], "bad.h: does not compile: "),
         (["structs", tmp_path / "x.txt"], "x.txt: no layout file: it has no 'structs'"),
         (["structs", library, "ROVER_Hk"], "no struct 'ROVER_Hk'; did you mean ROVER_HkTlm_t?"),
-        (["structs", library, "--bind", "0x890"], "'0x890' binds nothing; write 0x0890=ROVER_HkTlm_t"),
-        (["structs", library, "--bind", "x=Y"], "'x' is no MsgId as 0x0801"),
+        (["structs", library, "--bind", "0x890"], "'0x890' is not MSGID=STRUCT; write 0x0890=ROVER_HkTlm_t"),
+        (["structs", library, "--bind", "x=Y"], "'x' is not a MsgId as 0x0801"),
         (
             ["structs", library, "--bind", "0x890=Other", "--bind", "2192=ROVER_HkTlm"],
             "--bind: 0x0890 is bound to Other and to ROVER_HkTlm; leave one out",
         ),
-        (["structs", tmp_path / "lib.a"], "lib.a: an archive; take its objects out with 'ar x"),
-        (["structs", library, "X", "--package", "Rover"], "--package: 'Rover' is no name of a ROS package"),
+        (["structs", tmp_path / "lib.a"], "lib.a: is an archive; extract its objects with 'ar x"),
+        (
+            ["structs", library, "X", "--package", "Rover"],
+            "--package: 'Rover' is not a ROS package name",
+        ),
         (
             ["sniff", "-r", "x.pcap", "--structs", library],
             "rover.so: a program, not a layout",

@@ -46,7 +46,7 @@ def test_mistakes_end_with_usage(call, captures, command, tmp_path):
     out = ["-o", tmp_path / "never.mcap"] if command == "record" else []
     for text, why, mark in (
         ("msg_id = 1", "character 8: equality is written ==", "         ^"),
-        ("msg_ld == 1", "character 1: 'msg_ld' is no field; did you mean msg_id", "  ^^^^^^"),
+        ("msg_ld == 1", "character 1: 'msg_ld' is not a field; did you mean msg_id", "  ^^^^^^"),
         ("link < 'x'", "character 8: link has no 'x'", "         ^^^"),
     ):
         told = call(command, *source, *out, "--where", text)
@@ -62,7 +62,7 @@ def test_mistakes_end_with_usage(call, captures, command, tmp_path):
 def test_a_filter_that_lets_nothing_pass_says_so(call, captures):
     told = call("info", captures("a_rover"), "--where", "msg_id == 1")
     assert told.code == 0
-    assert told.err[-1] == "edoras: none of the 1,827 datagrams was chosen"
+    assert told.err[-1] == "edoras: none of the 1,827 datagrams was selected"
 
 
 FIELDS = "number,time,link,msg_id,sbn.msg_type,cfe_event.message,pose.position.x"
@@ -116,4 +116,4 @@ def test_statistics(call, captures):
 def test_one_view_at_a_time(call, captures):
     told = call("sniff", "-r", captures("a_rover"), "--fields", "number", "-x")
     assert told.code == 2
-    assert told.err == ["edoras: --fields and -x do not go together; choose one"]
+    assert told.err == ["edoras: --fields and -x exclude each other; choose one"]

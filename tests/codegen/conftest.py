@@ -15,9 +15,10 @@ import pytest
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from edoras_tools.codegen import Bounds, Order, Rule, generate, write
+from edoras_tools.codegen import BoundRule, Bounds, LibraryOrder, generate
+from edoras_tools.pipelines.codegen import write_folder
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.schema import PRIMITIVES, Shape
+from edoras_tools.ros.types.schema import PRIMITIVES, Shape
 
 HERE = Path(__file__).parent
 PACKAGES = ("geometry_msgs", "sensor_msgs", "std_msgs", "nav_msgs", "builtin_interfaces")
@@ -174,7 +175,7 @@ def store():
 
 @pytest.fixture(scope="session")
 def rosbags_store(store):
-    types = get_typestore(Stores.ROS2_HUMBLE)
+    types = get_typestore(Stores.ROS2_JAZZY)
     for name in CUSTOM:
         if name.rpartition("/")[2] not in {"Wide", "Defaults"}:
             types.register(
@@ -207,8 +208,8 @@ def generated(store, tmp_path_factory):
     """The folder of a library of the five packages and of the custom messages."""
     folder = tmp_path_factory.mktemp("library")
     rules = ("probe_msgs/Inner.text=9", "nav_msgs/Path.poses=2", "probe_msgs/Wide.more[]=4")
-    bounds = Bounds(STRINGS, SEQUENCES, tuple(map(Rule.read, rules)))
-    write(folder, generate(store, Order((*PACKAGES, "probe_msgs"), bounds)).files)
+    bounds = Bounds(STRINGS, SEQUENCES, tuple(map(BoundRule.read, rules)))
+    write_folder(folder, generate(store, LibraryOrder((*PACKAGES, "probe_msgs"), bounds)).files)
     return folder
 
 
@@ -258,7 +259,7 @@ def _fits(store, name, values):
 
 
 TYPES = sorted(
-    [name for name in get_typestore(Stores.ROS2_HUMBLE).fielddefs if name.split("/")[0] in PACKAGES]
+    [name for name in get_typestore(Stores.ROS2_JAZZY).fielddefs if name.split("/")[0] in PACKAGES]
 ) + sorted(CUSTOM)
 
 

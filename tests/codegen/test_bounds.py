@@ -2,7 +2,7 @@ import re
 
 import pytest
 
-from edoras_tools.codegen import Bounds, Order, Rule, generate
+from edoras_tools.codegen import BoundRule, Bounds, LibraryOrder, generate
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore
 
@@ -16,8 +16,8 @@ DEFINITIONS = {
 
 
 def made(*rules, types=("a_msgs/A",), strings=64, sequences=32):
-    bounds = Bounds(strings, sequences, tuple(map(Rule.read, rules)))
-    return generate(TypeStore(definitions=DEFINITIONS), Order(types, bounds))
+    bounds = Bounds(strings, sequences, tuple(map(BoundRule.read, rules)))
+    return generate(TypeStore(definitions=DEFINITIONS), LibraryOrder(types, bounds))
 
 
 def header(*rules, **options):
@@ -73,8 +73,10 @@ def test_no_rules(text, suffix):
         with pytest.raises(ConfigError, match="A is in none of the types"):
             made(text)
         return
-    with pytest.raises(ConfigError, match=r"--bound: .* is no TYPE\.FIELD=MOST with MOST from 1 to 16777216"):
-        Rule.read(text)
+    with pytest.raises(
+        ConfigError, match=r"--bound: .* is not TYPE\.FIELD=MOST with MOST from 1 to 16777216"
+    ):
+        BoundRule.read(text)
 
 
 @pytest.mark.parametrize(

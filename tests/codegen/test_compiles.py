@@ -9,8 +9,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
-from edoras_tools.codegen import Order, generate, write
+from edoras_tools.codegen import LibraryOrder, generate
+from edoras_tools.pipelines.codegen import write_folder
 from edoras_tools.ros import TypeStore
 
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize=bool", "-fno-sanitize-recover=all")
@@ -155,9 +157,9 @@ uint8_t renamed(void) { return probe_msgs__msg__Defaults__MAX_CDR_; }
 
 
 def test_the_example_of_the_page(cc, tmp_path):
-    page = (Path(__file__).parents[2] / "docs/codegen.md").read_text()
+    page = (ROOT / "docs/codegen.md").read_text()
     include, _, code = re.search(r"```c\n(.*?)```", page, re.DOTALL)[1].partition("\n")
-    write(tmp_path, generate(TypeStore(), Order(("sensor_msgs/JointState",))).files)
+    write_folder(tmp_path, generate(TypeStore(), LibraryOrder(("sensor_msgs/JointState",))).files)
     source = tmp_path / "example.c"
     source.write_text(f"{include}\nvoid example(void);\nvoid example(void)\n{{\n{code}}}\n")
     cc(

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import ctypes
 import struct
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from places import ROOT
 
-from edoras_tools.codegen import Order, generate, write
+from edoras_tools.codegen import LibraryOrder, generate
 from edoras_tools.mission import load
+from edoras_tools.pipelines.codegen import write_folder
 from edoras_tools.ros import TypeStore
-from edoras_tools.wire.envelope import FORMATS
+from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 
-ROOT = Path(__file__).parents[2]
 JOINTS = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/Pose"
 FIGURE_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wno-unused-parameter", "-Werror", "-shared", "-fPIC")
@@ -37,7 +37,7 @@ def packets(capture, msg_id):
 
 def app(cc, tools, folder, name, types, *flags):
     """A flight app, compiled with a library of its own at default bounds."""
-    write(folder, generate(TypeStore(), Order(types)).files)
+    write_folder(folder, generate(TypeStore(), LibraryOrder(types)).files)
     sources = [tools.HERE / "c" / file for file in (f"{name}.c", "cfe.c")] + sorted(folder.glob("*.c"))
     out = folder / f"{name}.so"
     return ctypes.CDLL(
@@ -327,9 +327,11 @@ def test_the_classic_reader_trusts_nothing(library, store):
         assert bool(read(packet, 8, None, info, None)) == works
 
 
-@pytest.mark.parametrize("envelope", FORMATS, ids=str)
+@pytest.mark.parametrize("envelope", ENVELOPE_FORMATS, ids=str)
 def test_envelopes(cc, tmp_path, store, tools, envelope):
-    write(tmp_path, generate(store, Order(("std_msgs/String",), envelope=envelope, pool=1)).files)
+    write_folder(
+        tmp_path, generate(store, LibraryOrder(("std_msgs/String",), envelope=envelope, pool=1)).files
+    )
     out = tmp_path / "library.so"
     made = tools.Library(cc(out, "-shared", "-fPIC", f"-I{tmp_path}", *sorted(tmp_path.glob("*.c"))))
     name = "std_msgs/msg/String"
@@ -355,7 +357,7 @@ def test_types_that_are_only_nested_have_no_pool(rover):
 
 def test_a_mission_compiles_with_cfe(cc, tools, tmp_path):
     mission = load([ROOT / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")])
-    write(tmp_path, generate(TypeStore(), Order(mission=mission)).files)
+    write_folder(tmp_path, generate(TypeStore(), LibraryOrder(mission=mission)).files)
     source = tmp_path / "app.c"
     source.write_text(
         """\

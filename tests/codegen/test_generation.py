@@ -3,15 +3,15 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from edoras_tools import __version__
-from edoras_tools.codegen import Bounds, Order, Rule, generate, summary, write
+from edoras_tools.codegen import BoundRule, Bounds, LibraryOrder, generate, summary
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.mission import load
+from edoras_tools.pipelines.codegen import write_folder
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.envelope import EnvelopeFormat
-
-ROOT = Path(__file__).parents[2]
 
 
 def missions(*names):
@@ -19,18 +19,18 @@ def missions(*names):
 
 
 def test_every_file_says_what_made_it():
-    order = Order(
+    order = LibraryOrder(
         ("geometry_msgs/Twist", "builtin_interfaces"),
-        Bounds(5, 6, (Rule.read("std_msgs/Header.frame_id=7"),)),
+        Bounds(5, 6, (BoundRule.read("std_msgs/Header.frame_id=7"),)),
         missions("two_rovers_ground"),
         pool=2,
         envelope=EnvelopeFormat(4, "big"),
     )
-    made = generate(TypeStore("jazzy"), order)
+    made = generate(TypeStore("humble"), order)
     command = (
         "edoras codegen geometry_msgs/Twist builtin_interfaces -c two_rovers_ground.yaml "
         "--bound std_msgs/Header.frame_id=7 --strings 5 --sequences 6 --pool 2 --envelope '4/4 be' "
-        "--distro jazzy"
+        "--distro humble"
     )
     for name, text in made.files.items():
         lines = text.splitlines()
@@ -44,7 +44,7 @@ def test_every_file_says_what_made_it():
 
 def test_definitions_are_told_by_their_hash():
     definition = "int32 mine\n"
-    made = generate(TypeStore(definitions={"a/msg/A": definition}), Order(("a/A",)))
+    made = generate(TypeStore(definitions={"a/msg/A": definition}), LibraryOrder(("a/A",)))
     digest = sha256(definition.encode()).hexdigest()[:16]
     assert f" *     a/msg/A  {digest}\n" in made.files["edoras_a.h"]
     assert f" *     a/msg/A  {digest}\n" in made.files["edoras_a.c"]
@@ -59,7 +59,7 @@ def test_definitions_are_told_by_their_hash():
     ],
 )
 def test_which_types(types, wanted):
-    made = generate(TypeStore(), Order(types)).library
+    made = generate(TypeStore(), LibraryOrder(types)).library
     assert {message.ros_name for message in made.wanted} == wanted
     assert [message.ros_name for message in made.wanted] == sorted(wanted)
 
@@ -67,7 +67,7 @@ def test_which_types(types, wanted):
 def test_types_stand_behind_what_they_nest():
     for package in ("nav_msgs", "sensor_msgs"):
         seen = set()
-        for message in generate(TypeStore(), Order((package,))).library.messages:
+        for message in generate(TypeStore(), LibraryOrder((package,))).library.messages:
             assert {member.message.ros_name for member in message.members if member.message} <= seen
             seen.add(message.ros_name)
 
@@ -92,13 +92,13 @@ def test_types_stand_behind_what_they_nest():
 )
 def test_no_types(types, error, why):
     with pytest.raises(error, match=why):
-        generate(TypeStore(), Order(types))
+        generate(TypeStore(), LibraryOrder(types))
 
 
 def test_packages_that_use_each_other():
     definitions = {"a/msg/A": "b/B b\n", "b/msg/B": "a/C c\n", "a/msg/C": "int8 x\n"}
     with pytest.raises(ConfigError, match=r"packages use each other: . > . > .; C wants one first"):
-        generate(TypeStore(definitions=definitions), Order(("a/A",)))
+        generate(TypeStore(definitions=definitions), LibraryOrder(("a/A",)))
 
 
 @pytest.mark.parametrize("package", ["core", "cdr", "msgs", "types", "config", "app_msg"])
@@ -106,35 +106,29 @@ def test_packages_called_as_our_own_files(package):
     types = TypeStore(definitions={f"{package}/msg/A": "int8 x\n"})
     mission = missions("rover_ground")
     with pytest.raises(ConfigError, match=f"package {package}: its files would be called as others"):
-        generate(types, Order((f"{package}/A",), mission=mission))
+        generate(types, LibraryOrder((f"{package}/A",), mission=mission))
 
 
 def test_fields_are_renamed_only_where_they_must():
     types = TypeStore(definitions={"a/msg/A": "int8 class\nint8 class_\nint8 name\n"})
-    members = generate(types, Order(("a/A",))).library.wanted[0].members
+    members = generate(types, LibraryOrder(("a/A",))).library.wanted[0].members
     assert [member.name for member in members] == ["class__", "class_", "name"]
 
 
 def test_services_compile_too(cc, tmp_path):
     types = TypeStore(definitions={"a/srv/A": "int8 x\n", "a/msg/A": "int8 y\n"})
-    write(tmp_path, generate(types, Order(("a/srv/A", "a/msg/A"))).files)
+    write_folder(tmp_path, generate(types, LibraryOrder(("a/srv/A", "a/msg/A"))).files)
     cc(tmp_path / "a.so", "-shared", "-fPIC", f"-I{tmp_path}", *sorted(tmp_path.glob("*.c")))
 
 
 @pytest.mark.parametrize("pool", [0, -1, 1025])
 def test_no_pools(pool):
     with pytest.raises(ConfigError, match=f"--pool: {pool} is not from 1 to 1024"):
-        generate(TypeStore(), Order(("std_msgs/Empty",), pool=pool))
-
-
-def test_wide_strings_are_the_distributions():
-    for distro, unit in (("humble", 4), ("jazzy", 2)):
-        text = generate(TypeStore(distro), Order(("std_msgs/Empty",))).files["edoras_config.h"]
-        assert f"#define EDORAS_WSTRING_UNIT {unit}\n" in text
+        generate(TypeStore(), LibraryOrder(("std_msgs/Empty",), pool=pool))
 
 
 def test_message_ids():
-    made = generate(TypeStore(), Order(mission=missions("two_rovers_ground", "two_rovers_flight")))
+    made = generate(TypeStore(), LibraryOrder(mission=missions("two_rovers_ground", "two_rovers_flight")))
     found = dict(
         re.findall(r"^#define (\w+_MID) +(0x\w+) /\*\*<", made.files["edoras_app_msgids.h"], re.MULTILINE)
     )
@@ -161,7 +155,7 @@ def test_names_that_two_routes_share(tmp_path):
     for name, text in (("a.yaml", ground), ("b.yaml", other)):
         (tmp_path / name).write_text(text)
     mission = load([tmp_path / "a.yaml", tmp_path / "b.yaml"])
-    text = generate(TypeStore(), Order(mission=mission)).files["edoras_app_msgids.h"]
+    text = generate(TypeStore(), LibraryOrder(mission=mission)).files["edoras_app_msgids.h"]
     names = re.findall(r"^#define (\w+_MID) ", text, re.MULTILINE)
     assert len(set(names)) == 4
     assert any(name.endswith("_GROUND_1827_MID") for name in names)
@@ -170,13 +164,13 @@ def test_names_that_two_routes_share(tmp_path):
 def test_without_a_mission_there_are_no_tables():
     assert not [
         name
-        for name in generate(TypeStore(), Order(("std_msgs/Empty",))).files
+        for name in generate(TypeStore(), LibraryOrder(("std_msgs/Empty",))).files
         if "app" in name or "lab" in name
     ]
 
 
 def test_summary(tmp_path):
-    made = generate(TypeStore(), Order(("geometry_msgs/Twist", "nav_msgs/Path")))
+    made = generate(TypeStore(), LibraryOrder(("geometry_msgs/Twist", "nav_msgs/Path")))
     assert summary(made, Path("out"), ["edoras_a.c"]) == [
         "TYPE                     CDR BYTES  AT MOST",
         "geometry_msgs/msg/Twist         52  always",

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.codegen import Bounds, Order, generate
+from edoras_tools.codegen import Bounds, LibraryOrder, generate
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.schema import PRIMITIVES, Shape
+from edoras_tools.ros.types.schema import PRIMITIVES, Shape
 
 KINDS = ("uint8", "int16", "int32", "float64", "string", "wstring")
 
@@ -44,7 +44,7 @@ def test_longest(distro, fields, nested, strings):
     outer = "".join(f"{kind}{shape} f{index}\n" for index, (kind, shape) in enumerate(fields))
     definitions = {"a/msg/Inner": inner, "a/msg/Outer": f"{outer}Inner last\nuint16 end\n"}
     store = TypeStore(distro, definitions=definitions)
-    library = generate(store, Order(("a/Outer",), Bounds(strings, 1))).library
+    library = generate(store, LibraryOrder(("a/Outer",), Bounds(strings, 1))).library
     longest = max(len(store.encode("a/Outer", values)) for values in _messages(store, "a/Outer", strings, 1))
     assert library.wanted[0].most_bytes == longest
 
@@ -53,11 +53,11 @@ def test_longest(distro, fields, nested, strings):
 def test_arrays_are_not_walked(kind):
     """An array of a million takes no longer than one of two."""
     store = TypeStore(definitions={"a/msg/A": f"uint8 a\n{kind}[1000003] b\nfloat64 c\n"})
-    made = generate(store, Order(("a/A",))).library.wanted[0]
+    made = generate(store, LibraryOrder(("a/A",))).library.wanted[0]
     assert made.most_bytes == store.fixed_size("a/A")
 
 
 def test_sequences_in_sequences_do_not_overflow():
     definitions = {"a/msg/A": "uint8[<=16777216] a\n", "a/msg/B": "A[<=3] a\n", "a/msg/C": "B[<=1] b\n"}
-    made = generate(TypeStore(definitions=definitions), Order(("a/C",))).library.wanted[0]
+    made = generate(TypeStore(definitions=definitions), LibraryOrder(("a/C",))).library.wanted[0]
     assert made.most_bytes == 4 + 4 + 4 + 3 * (4 + (1 << 24))

@@ -3,21 +3,22 @@
 import dataclasses
 import struct
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from places import ROOT
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.ci import CI
 from edoras_tools.mission import Mission, load
-from edoras_tools.model import NO_MSG_ID, Columns, Finding, Link, PacketBatch
+from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, PacketBatch, Peer
 from edoras_tools.ros import TypeStore
-from edoras_tools.sources import open_file
 from edoras_tools.wire import cfe, sbn
 
-ROOT = Path(__file__).parents[2]
 CAPTURES = sorted((ROOT / "samples/captures").glob("*.pcap*"))
 MISSIONS = {
     "none": (),
@@ -58,6 +59,7 @@ def row_of_stack(decoded):
         "header_length": (sum(item.end - item.start for item in headers) if secondary else 6)
         if packet
         else 0,
+        "headers": decoded.layer("cfe_extended") is not None,
         "cdr_offset": cdr.start if cdr else -1,
         "cdr_length": envelope.values()["buffer_length"] if cdr else 0,
         "findings": decoded.findings.labels,
@@ -70,6 +72,8 @@ def row_of_columns(batch, columns, index):
         row[name] -= int(batch.offset[index]) if row[name] >= 0 else 0
     row["findings"] = Finding(row["findings"]).labels
     del row["route"]
+    extended = cfe.HEADERS[row["headers"]].extended
+    row["headers"] = extended and row["packet_length"] >= cfe.WITH_EXTENDED.start
     return row
 
 
@@ -94,8 +98,23 @@ def test_the_captures_are_there():
     assert len(CAPTURES) == 6
 
 
-@pytest.mark.parametrize("name", MISSIONS)
-@pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.name)
+FITTING = {
+    "a_rover": "rover",
+    "b_arm_single": "arm",
+    "c1_tlm_rate_limit4": "rover",
+    "e_ci_errors": "rover",
+    "f_sbn_disconnect": "two rovers",
+}
+"""The missions of ``make test``; the largest capture, of two rovers too, is for ``make long``."""
+PAIRS = [
+    pytest.param(path, name, id=f"{path.name}-{name}", marks=[] if fits else pytest.mark.long)
+    for path in CAPTURES
+    for name in MISSIONS
+    for fits in [name == FITTING.get(path.name.partition(".")[0])]
+]
+
+
+@pytest.mark.parametrize(("path", "name"), PAIRS)
 def test_on_every_packet_of_every_capture(path, name):
     context = Context(mission(name), TYPES)
     total = 0
@@ -142,12 +161,15 @@ GOOD = [
     cfe.emit_command(0x1806, 0),
     cfe.emit_telemetry(0x0827, ENVELOPE + bytes(40), seconds=7, subseconds=9, sequence_count=5),
     cfe.emit_telemetry(0x0808, bytes(156)),
-    sbn.emit(3, sbn.Peer(66, 3), cfe.emit_command(0x1829, 1, ENVELOPE)),
-    sbn.emit(3, sbn.Peer(66, 2), cfe.emit_telemetry(0x082A, ENVELOPE)),
-    sbn.emit(1, sbn.Peer(66, 3), sbn.emit_subscriptions([sbn.Subscription(0x82A)])),
-    sbn.emit(4, sbn.Peer(66, 3), sbn.emit_proto()),
-    sbn.emit(0xA0, sbn.Peer(66, 3)),
+    sbn.emit(3, Peer(66, 3), cfe.emit_command(0x1829, 1, ENVELOPE)),
+    sbn.emit(3, Peer(66, 2), cfe.emit_telemetry(0x082A, ENVELOPE)),
+    sbn.emit(1, Peer(66, 3), sbn.emit_subscriptions([sbn.Subscription(0x82A)])),
+    sbn.emit(4, Peer(66, 3), sbn.emit_proto()),
+    sbn.emit(0xA0, Peer(66, 3)),
     bytes.fromhex("0827c00000010000"),
+    struct.pack("<6d", 0.5, 0, 0, 0, 0, -0.2),
+    struct.pack("<7d", 0.5, 0, 0.7, 0, 0, 0, 1),
+    struct.pack(">7d2i", 0.1, 0.5, 0, 0, 0, 0, 1, 1795241709, 5),
 ]
 
 
@@ -167,7 +189,7 @@ ROWS = st.lists(
     st.tuples(
         payloads(),
         st.sampled_from([40000, 1235, 2234, 2235, 2236]),
-        st.sampled_from([1234, 1235, 1236, 2234, 2235, 2236, 9]),
+        st.sampled_from([1234, 1235, 1236, 2234, 2235, 2236, 8080, 8585, 9]),
         st.sampled_from([0, 0, 0, int(Finding.CAPTURE_CUT)]),
     ),
     max_size=12,
@@ -180,11 +202,11 @@ OPTIONS = st.builds(
 )
 
 
-@settings(max_examples=400)
+@settings(max_examples=examples(400))
 @given(rows=ROWS, name=st.sampled_from(sorted(MISSIONS)), options=OPTIONS)
 @example(rows=[], name="none", options=Options())
 @example(
-    rows=[(good, 2236, port, 0) for good in GOOD for port in (1234, 1235, 2234)],
+    rows=[(good, 2236, port, 0) for good in GOOD for port in (1234, 1235, 2234, 8080, 8585)],
     name="rover",
     options=Options(),
 )
@@ -192,7 +214,7 @@ def test_on_any_bytes(rows, name, options):
     agree(batch_of(rows), Context(mission(name), TYPES, options))
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(rows=ROWS, name=st.sampled_from(sorted(MISSIONS)))
 def test_a_batch_of_one_says_the_same_as_a_batch_of_many(rows, name):
     whole = batch_of(rows)
@@ -213,5 +235,5 @@ def test_what_the_capture_cut_is_not_blamed():
 def test_fragments_without_a_payload_belong_to_no_link():
     rows = batch_of([(b"", 0, 0, int(Finding.FRAGMENT)), (GOOD[3], 1235, 1234, 0)])
     columns = ColumnDecoder(Context(Mission(), TYPES)).decode(rows)
-    assert list(columns.link) == [Link.OTHER, Link.CI]
+    assert list(columns.link) == [OTHER, CI]
     assert Finding(int(columns.findings[0])) == Finding.FRAGMENT

@@ -1,25 +1,28 @@
 """Each departure by name: a case a line, on the bytes that a real cFS was sent."""
 
 import struct
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from edoras_tools.decode import Context, Dissector, Options
+from edoras_tools.links.ci import CI
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission, load, loads
-from edoras_tools.model import Datagram, Endpoint, Finding, Link
+from edoras_tools.model import Datagram, Endpoint, Finding, Peer
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.envelope import FORMATS
+from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 
-ROOT = Path(__file__).parents[2]
 ROVER = load([ROOT / "samples/missions/rover_ground.yaml"])
 ROVERS = load([ROOT / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")])
 TYPES = TypeStore()
 CDR = bytes.fromhex("00010000") + struct.pack("<6d", 1, 2, 3, 4, 5, 6)
 TWIST = struct.pack("<QQ", 52, 52) + CDR
 BRIDGE = {"sequence_flags": 0, "with_checksum": False}
-PEER = sbn.Peer(0x42, 3)
+PEER = Peer(0x42, 3)
 USUAL = {"checksum_absent", "sequence_unset"}
 
 
@@ -75,6 +78,9 @@ CI_CASES = [
     ("buffer_length 0", ci(0x1827, 1, bytes(60)), USUAL | {"cdr_invalid"}),
     ("unknown representation", ci(0x1827, 1, TWIST[:16] + b"\x00\x09" + TWIST[18:]), USUAL | {"cdr_invalid"}),
     ("body too short", ci(0x1827, 1, struct.pack("<QQ", 44, 44) + CDR[:44]), USUAL | {"cdr_invalid"}),
+    ("what rounding leaves", ci(0x1827, 1, struct.pack("<QQ", 55, 55) + CDR + b"xyz"), USUAL),
+    ("rounded up to 8", ci(0x1827, 1, struct.pack("<QQ", 56, 56) + CDR + b"wxyz"), USUAL | {"cdr_trailing"}),
+    ("8 bytes more", ci(0x1827, 1, struct.pack("<QQ", 60, 60) + CDR + bytes(8)), USUAL | {"cdr_too_long"}),
     ("big-endian", ci(0x1827, 1, TWIST[:16] + bytes(4) + TWIST[20:]), USUAL | {"cdr_big_endian"}),
     ("zero padding", ci(0x1827, 1, TWIST + bytes(8)), USUAL),
     ("stale padding", ci(0x1827, 1, TWIST + bytes(7) + b"x"), USUAL | {"stale_tail"}),
@@ -91,7 +97,7 @@ CI_CASES = [
 )
 def test_commands(payload, findings):
     decoded = dissect(payload, 1234)
-    assert decoded.link is Link.CI
+    assert decoded.link is CI
     assert set(decoded.findings.labels) == findings
 
 
@@ -123,7 +129,7 @@ SBN_CASES = [
 )
 def test_software_bus_network(payload, findings):
     decoded = dissect(payload, 2234, source=2236, mission=ROVERS)
-    assert decoded.link is Link.SBN
+    assert decoded.link is SBN
     assert set(decoded.findings.labels) >= findings
     beyond = set(decoded.findings.labels) - findings
     assert not {name for name in beyond if name.startswith("sbn")}, beyond
@@ -133,7 +139,7 @@ def test_a_second_identity_from_one_endpoint_is_foreign():
     context = Context(Mission(), TYPES)
     proto = sbn.emit_proto()
     first = dissect(sbn.emit(4, PEER, proto), 2234, source=2236, context=context)
-    other = dissect(sbn.emit(4, sbn.Peer(0x42, 9), proto), 2234, source=2236, context=context)
+    other = dissect(sbn.emit(4, Peer(0x42, 9), proto), 2234, source=2236, context=context)
     again = dissect(sbn.emit(4, PEER, proto), 2234, source=2236, context=context)
     assert [item.findings for item in (first, other, again)] == [0, Finding.SBN_ID_MISMATCH, 0]
 
@@ -142,7 +148,7 @@ def test_a_second_identity_from_one_endpoint_is_foreign():
     ("length", "dropped"), [(255, False), (256, True), (266, True), (267, False), (522, True)]
 )
 def test_lengths_that_the_flight_bridge_drops(length, dropped):
-    payload = sbn.emit(3, sbn.Peer(0x42, 1), cfe.emit_telemetry(0x0800, bytes(length - 27)))
+    payload = sbn.emit(3, Peer(0x42, 1), cfe.emit_telemetry(0x0800, bytes(length - 27)))
     assert len(payload) == length
     to_bridge, to_cfs = (dissect(payload, port).findings for port in (2236, 2235))
     assert (Finding.BRIDGE_DROPS_LENGTH in to_bridge) == dropped
@@ -151,7 +157,7 @@ def test_lengths_that_the_flight_bridge_drops(length, dropped):
 
 def test_scheduler_wake_ups_on_telemetry_ids_are_headers_only():
     decoded = dissect(bytes.fromhex("0827c0d400010000"), 1235)
-    assert decoded.link is Link.TO
+    assert decoded.link is TO
     assert decoded.findings == Finding.HEADER_ONLY
     assert decoded.summary == "header only"
 
@@ -161,7 +167,7 @@ def test_telemetry_over_the_bridge_buffer():
     assert Finding.OVER_BRIDGE_BUFFER not in dissect(cfe.emit_telemetry(0x0800, bytes(1008)), 1235).findings
 
 
-@pytest.mark.parametrize("item", FORMATS, ids=str)
+@pytest.mark.parametrize("item", ENVELOPE_FORMATS, ids=str)
 @pytest.mark.parametrize("named", [True, False])
 def test_every_envelope_named_or_told_from_the_bytes(item, named):
     options = Options(envelope=str(item) if named else "auto")
@@ -174,20 +180,21 @@ def test_short_telemetry_header_and_extended_header():
     payload = cfe.emit_telemetry(0x0827, b"", seconds=5, subseconds=0x8000)[:12]
     decoded = dissect(payload[:4] + b"\0\x05" + payload[6:], 1235, options=Options(telemetry_header=12))
     assert decoded.layer("cfe_telemetry").values() == {"seconds": 5, "subseconds": 0x8000}
-    extended = bytes.fromhex("1827c0000005") + bytes.fromhex("0c180042") + b"\0\0"
+    extended = bytes.fromhex("1827c0000009") + bytes.fromhex("0c180042") + bytes(6)
     decoded = dissect(extended, 1234, options=Options(extended_header=True))
-    assert decoded.layer("ccsds").values()["msg_id"] == 0x18A7
+    assert decoded.layer("ccsds").values()["msg_id"] == 0x1827
+    assert decoded.layer("cfe_command").end == len(extended)
     assert decoded.layer("cfe_extended").values()["subsystem_id"] == 0x18
 
 
 LINK_CASES = [
-    ("command to CI", GOOD, 40000, 1234, Link.CI),
-    ("telemetry to the bridge", cfe.emit_telemetry(0x0800), 40000, 1235, Link.TO),
-    ("command to cpu2's CI, which is TO's port too", GOOD, 40000, 1235, Link.CI),
-    ("nothing at all on the shared port", b"", 40000, 1235, Link.CI),
-    ("SBN by its destination", b"", 40000, 2234, Link.SBN),
-    ("SBN by its source", b"", 2236, 50000, Link.SBN),
-    ("the robot's serial stand-in", bytes(64), 40000, 8080, Link.OTHER),
+    ("command to CI", GOOD, 40000, 1234, CI),
+    ("telemetry to the bridge", cfe.emit_telemetry(0x0800), 40000, 1235, TO),
+    ("command to cpu2's CI, which is TO's port too", GOOD, 40000, 1235, CI),
+    ("nothing at all on the shared port", b"", 40000, 1235, CI),
+    ("SBN by its destination", b"", 40000, 2234, SBN),
+    ("SBN by its source", b"", 2236, 50000, SBN),
+    ("a state from the robot", bytes(64), 40000, 8080, ROBOT),
 ]
 
 
@@ -207,8 +214,8 @@ def test_the_mission_settles_the_shared_port_by_address():
     for payload in (telemetry, command):
         to_cfs = Datagram(1, 0, 101, b"", payload, 0, 0, near, far)
         from_cfs = Datagram(2, 0, 101, b"", payload, 0, 0, far, near)
-        assert Dissector(context).dissect(to_cfs).link is Link.CI
-        assert Dissector(context).dissect(from_cfs).link is Link.TO
+        assert Dissector(context).dissect(to_cfs).link is CI
+        assert Dissector(context).dissect(from_cfs).link is TO
 
 
 def test_what_was_read_before_a_stop_stays():

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
+from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Examination
-from edoras_tools.model import Endpoint
+from edoras_tools.emulator import Simulation, WireDatagram
+from edoras_tools.emulator.apps import generator
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.sessions.profile import SECOND, SimProfile
-from edoras_tools.sim import Sent, Simulation, generator
-from edoras_tools.sim.source import frames_of
-from edoras_tools.sources import open_file
-from edoras_tools.sources.linklayer import Demux
+from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
 
-ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "samples/captures"
-BRIDGE = sbn.Peer(0x42, 3)
+BRIDGE = Peer(0x42, 3)
 START_NS = 1_800_000_000 * SECOND
 MISSIONS = {
     "rover": ("rover_ground",),
@@ -96,15 +97,16 @@ class Lab:
         )
         return list(sent), counters
 
-    def examine(self, sent, config=(), *, drops=0, profile=None):
+    def examine(self, sent, config=(), *, drops=0, profile=None, faults=(), outages=()):
         """Return the diagnosis of some datagrams, in the order given."""
         bench = Settings(configs=list(config)).workbench()
         examination = Examination(bench.columns.context, profile)
+        examination.faults = faults
         demux, chunk = Demux(), 1000
         for at in range(0, len(sent), chunk):
             batch = demux.demux(frames_of(sent[at : at + chunk], at + 1))
             examination.add(batch, bench.columns.decode(batch))
-        return examination.diagnose(Capture(drops))
+        return examination.diagnose(Capture(drops, outages=tuple(outages)))
 
     def read(self, path, config=()):
         """Return the diagnosis of a capture."""
@@ -119,14 +121,14 @@ class Lab:
         """Return the datagrams of a captured file."""
         (path,) = SAMPLES.glob(f"{name}.pcap*")
         return [
-            Sent(item.time_ns, item.source, item.destination, bytes(item.payload))
+            WireDatagram(item.time_ns, item.source, item.destination, bytes(item.payload))
             for batch in open_file(path).batches()
             for item in batch
         ]
 
     def at(self, seconds, source, destination, payload):
         """Return one datagram."""
-        return Sent(START_NS + int(seconds * SECOND), source, destination, payload)
+        return WireDatagram(START_NS + int(seconds * SECOND), source, destination, payload)
 
     def merged(self, sent, *more):
         """Return datagrams in order of time."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -44,7 +45,7 @@ def spoilt(draw):
     return app, number, text
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.lists(spoilt(), min_size=1, max_size=12))
 def test_no_text_of_an_event_ends_the_diagnosis(lab, events):
     told = [lab.event(4 + at / 4, *event) for at, event in enumerate(events)]

@@ -1,5 +1,6 @@
 """Any bytes on any port: the doctor says something or nothing, and never fails."""
 
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -25,7 +26,7 @@ DATAGRAMS = st.lists(
 )
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(DATAGRAMS)
 def test_garbage_in_verdicts_out(lab, datagrams):
     sent = [

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import random
 import re
-from pathlib import Path
+from dataclasses import replace
 
 import pytest
+from places import CAPTURES, ROOT
+from rewriting import datagrams, write
 
 from edoras_tools.diagnosis.rules import RULES
-from edoras_tools.model import Endpoint
-from edoras_tools.sim import messages
+from edoras_tools.diagnosis.verdict import Severity
+from edoras_tools.emulator import messages
+from edoras_tools.links.to import TO
+from edoras_tools.model import Endpoint, Peer
+from edoras_tools.ros import TypeStore
+from edoras_tools.sessions.faults.machine import Fault
 from edoras_tools.wire import cfe, envelope, sbn
 
 IDS = [rule.ID for rule in RULES]
@@ -46,6 +53,69 @@ def case(function):
 @case
 def capture_drops(lab, tmp_path, msg_id):
     return lab.examine(lab.simulate()[0], drops=5)
+
+
+def rover(lab, path, change, **how):
+    """Return the diagnosis of a real capture whose datagrams were changed."""
+    return lab.read(write(path, change(datagrams(CAPTURES / "a_rover.pcap")), **how), lab.missions("rover"))
+
+
+@case
+def not_examined(lab, tmp_path, msg_id):
+    def moved(items):
+        for item in items:
+            to_ci = item.destination[1] == 1234
+            yield replace(item, destination=(item.destination[0], 5234)) if to_ci else item
+
+    found = rover(lab, tmp_path / "x.pcap", moved)
+    assert found.verdicts[0].remedy == "name the port with --port ci:5234"
+    assert found.bad
+    return found
+
+
+@case
+def not_cfs(lab, tmp_path, msg_id):
+    return lab.examine([lab.at(second, lab.bridge, Endpoint("10.0.0.9", 1234), b"{}") for second in range(9)])
+
+
+@case
+def cut_frames(lab, tmp_path, msg_id):
+    return rover(lab, tmp_path / "x.pcap", lambda items: items, snap=80)
+
+
+@case
+def captured_twice(lab, tmp_path, msg_id):
+    def doubled(items):
+        return [replace(item, tap=tap).at(tap * 1000) for item in items for tap in (0, 1)]
+
+    return rover(lab, tmp_path / "x.pcap", doubled, layer="any")
+
+
+@case
+def out_of_order(lab, tmp_path, msg_id):
+    def shuffled(items):
+        random.Random(1).shuffle(items)
+        return items
+
+    return rover(lab, tmp_path / "x.pcap", shuffled)
+
+
+@case
+def duplicated(lab, tmp_path, msg_id):
+    return rover(lab, tmp_path / "x.pcap", lambda items: items[:900] + items[899:])
+
+
+@case
+def proxy_faults(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=30)
+    gone = [item for item in sent if msg_id(item) == 0x827][5:50:5]
+    faults = [
+        Fault(item.time_ns, "drop", "dropped", item.payload, TO, False, 0x827, "drop:0.1") for item in gone
+    ]
+    found = lab.examine([item for item in sent if item not in gone], faults=faults)
+    assert found.lost == len(gone) > 3
+    assert "lost_after_cfs" not in {item.rule for item in found.verdicts}
+    return found
 
 
 @case
@@ -121,6 +191,34 @@ def lost_after_cfs(lab, tmp_path, msg_id):
 
 
 @case
+def lost_before_ci(lab, tmp_path, msg_id):
+    """Commands that are in the capture and that CI never saw: added to a finished simulation."""
+    sent, _ = lab.simulate(seconds=30, count=80)
+    commands = [item for item in sent if item.destination.port == 1234 and msg_id(item) == 0x1827]
+    more = [item._replace(time_ns=item.time_ns + 10**7) for item in commands[20:60:4]]
+    return lab.examine(lab.merged(sent, *more))
+
+
+@case
+def app_outage(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=20)
+    stopped = lab.event(12, "CFE_ES", 8, "Stop Application EDORAS_APP Completed.", 2)
+    return lab.examine(lab.merged(sent, stopped))
+
+
+@case
+def cfs_errors(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=20)
+    return lab.examine(lab.merged(sent, lab.event(9, "CFE_TBL", 35, "Table load failed", 3)))
+
+
+@case
+def to_stopped(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=20)
+    return lab.examine(lab.merged(sent, command(lab, 9, 0x1880, code=5)))
+
+
+@case
 def unexplained_gap(lab, tmp_path, msg_id):
     sent, _ = lab.simulate(seconds=30)
     at = [index for index, item in enumerate(sent) if item.destination.port == 1235 and msg_id(item) == 0x827]
@@ -161,6 +259,13 @@ def telemetry_vanished(lab, tmp_path, msg_id):
 
 
 @case
+def topic_silent(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=40)
+    ends_ns = lab.start_ns + 20 * 10**9
+    return lab.examine([item for item in sent if not (msg_id(item) == 0x826 and item.time_ns > ends_ns)])
+
+
+@case
 def ci_cut(lab, tmp_path, msg_id):
     return lab.examine(lab.merged(lab.simulate()[0], command(lab, 5, 0x1827, bytes(800))))
 
@@ -179,7 +284,7 @@ def ground_bridge_buffer(lab, tmp_path, msg_id):
 @case
 def flight_bridge_length(lab, tmp_path, msg_id):
     packet = cfe.emit_telemetry(0x82A, envelope.DEFAULT.emit(b"\0\1\0\0" + bytes(256 + 4 - 11 - 36)))
-    data = sbn.emit(sbn.MsgType.APP, sbn.Peer(0x42, 1), packet)
+    data = sbn.emit(sbn.MsgType.APP, Peer(0x42, 1), packet)
     assert len(data) % 256 < 11
     return lab.examine(lab.merged(lab.simulate("two-rovers")[0], lab.at(5, lab.cfs, lab.bridge, data)))
 
@@ -242,7 +347,7 @@ def wrong_protocol_version(lab, tmp_path, msg_id):
 
 @case
 def unknown_peer(lab, tmp_path, msg_id):
-    stranger = lab.network(10, sbn.MsgType.PROTO, sbn.emit_proto(), peer=sbn.Peer(0x42, 9))
+    stranger = lab.network(10, sbn.MsgType.PROTO, sbn.emit_proto(), peer=Peer(0x42, 9))
     return lab.examine(lab.merged(lab.simulate("two-rovers")[0], stranger))
 
 
@@ -303,7 +408,7 @@ def stale_tail(lab, tmp_path, msg_id):
     def state(seconds, frame):
         cdr = messages.pose_stamped(0, frame, seconds, 0, 0)
         packet = cfe.emit_command(0x1829, 1, envelope.DEFAULT.emit(cdr), sequence_flags=0)
-        return seconds, 2234, sbn.emit(sbn.MsgType.APP, sbn.Peer(0x42, 3), packet)
+        return seconds, 2234, sbn.emit(sbn.MsgType.APP, Peer(0x42, 3), packet)
 
     feeds = [state(5.0, "a_long_frame_id")] + [state(6.0 + index, "w") for index in range(5)]
     sent, _ = lab.simulate("two-rovers", state_hz=0.0, feeds=tuple(feeds))
@@ -345,6 +450,87 @@ def proto_storm(lab, tmp_path, msg_id):
 @case
 def superseded(lab, tmp_path, msg_id):
     return lab.examine(lab.simulate("two-rovers")[0], lab.missions("two-rovers"))
+
+
+STATION, STRANGER = "10.5.0.4", "10.5.0.66"
+FLIGHT = "10.5.0.3"
+
+
+def from_host(lab, seconds, host, packet, port=1234):
+    return lab.at(seconds, Endpoint(host, 40000), Endpoint(FLIGHT, port), packet)
+
+
+def station_traffic(lab, seconds=10):
+    """A ground station that commands, and is sent telemetry."""
+    enabled = cfe.emit_command(0x1880, 6, STATION.encode().ljust(16, b"\0"), sequence_flags=0)
+    sent = [from_host(lab, 0, STATION, enabled)]
+    for second in range(1, seconds):
+        packet = cfe.emit_command(0x1827, 1, bytes([second]) * 68, sequence_flags=0)
+        sent.append(from_host(lab, second, STATION, packet))
+        told = cfe.emit_telemetry(0x0805, bytes(32), seconds=1_001_000 + second, sequence_count=second)
+        sent.append(lab.at(second + 0.5, Endpoint(FLIGHT, 49152), Endpoint(STATION, 1235), told))
+    return sent
+
+
+def in_order(sent):
+    return sorted(sent, key=lambda item: item.time_ns)
+
+
+@case
+def stranger_commands(lab, tmp_path, msg_id):
+    restart = cfe.emit_command(0x1806, 2, bytes(2), sequence_flags=0)
+    return lab.examine(in_order([*station_traffic(lab), from_host(lab, 5.1, STRANGER, restart)]))
+
+
+@case
+def repeated_commands(lab, tmp_path, msg_id):
+    again = cfe.emit_command(0x1827, 1, bytes([3]) * 68, sequence_flags=0)
+    return lab.examine(in_order([*station_traffic(lab), from_host(lab, 7.1, STRANGER, again)]))
+
+
+@case
+def privileged_commands(lab, tmp_path, msg_id):
+    stop = cfe.emit_command(0x1806, 5, b"EDORAS_APP".ljust(20, b"\0"), sequence_flags=0)
+    return lab.examine(in_order([*station_traffic(lab), from_host(lab, 5.1, STATION, stop)]))
+
+
+@case
+def to_taken_over(lab, tmp_path, msg_id):
+    packet = cfe.emit_command(0x1880, 6, STRANGER.encode().ljust(16, b"\0"), sequence_flags=0)
+    return lab.examine(in_order([*station_traffic(lab), from_host(lab, 5.1, STRANGER, packet)]))
+
+
+@case
+def identity_from_two_addresses(lab, tmp_path, msg_id):
+    proto = sbn.emit(sbn.MsgType.PROTO, Peer(0x42, 3), sbn.emit_proto())
+    hosts = [("10.5.0.7", second) for second in range(5)] + [("10.5.0.66", 3.5)]
+    return lab.examine(
+        in_order(
+            [lab.at(second, Endpoint(host, 2236), Endpoint(FLIGHT, 2234), proto) for host, second in hosts]
+        )
+    )
+
+
+def test_a_station_that_repeats_itself_is_no_stranger(lab):
+    sent = station_traffic(lab)
+    again = [item._replace(time_ns=item.time_ns + 100 * 10**9) for item in sent]
+    found = lab.examine([*sent, *again])
+    assert not [item for item in found.verdicts if item.severity is Severity.SECURITY]
+
+
+def test_security_names_who_and_when(lab, tmp_path, msg_id):
+    found = stranger_commands(lab, tmp_path, msg_id)
+    (stranger,) = [item for item in found.verdicts if item.rule == "stranger_commands"]
+    assert f"1 command to CI at {FLIGHT} from {STRANGER}" in stranger.reason
+    assert "it could restart the processor" in stranger.evidence
+    (taken,) = [
+        item for item in to_taken_over(lab, tmp_path, msg_id).verdicts if item.rule == "to_taken_over"
+    ]
+    assert taken.reason.startswith(f"{STRANGER} had all telemetry sent to {STRANGER}; {STATION}")
+    (repeated,) = [
+        item for item in repeated_commands(lab, tmp_path, msg_id).verdicts if item.rule == "repeated_commands"
+    ]
+    assert repeated.reason.startswith(f"1 command from {STRANGER} repeat")
 
 
 def test_every_rule_has_a_case():
@@ -393,12 +579,29 @@ def test_a_wrong_type_is_one_verdict(lab, tmp_path, msg_id):
     assert "geometry_msgs/msg/Twist" in verdict.reason
 
 
+def test_a_type_that_only_begins_alike_is_wrong_too(lab, tmp_path):
+    short = altered_mission(lab, tmp_path, ("geometry_msgs/msg/Twist", "geometry_msgs/msg/Vector3"))
+    (verdict,) = lab.examine(lab.simulate()[0], short).verdicts
+    assert verdict.rule == "wrong_type"
+    assert "are longer than geometry_msgs/msg/Vector3; geometry_msgs/msg/Twist" in verdict.reason
+
+
+@pytest.mark.parametrize(("more", "wrong"), [(4, True), (5, False)])
+def test_bytes_too_many_are_rounding_unless_another_type_has_them(lab, tmp_path, more, wrong):
+    mission = altered_mission(lab, tmp_path, ("geometry_msgs/msg/Twist", "std_msgs/msg/Int32"))
+    cdr = TypeStore().encode("std_msgs/msg/Int32", {"data": 5}) + b"\xff" * more  # Int64 has 4 more
+    command = cfe.emit_command(0x1827, 1, envelope.DEFAULT.emit(cdr), sequence_flags=0, with_checksum=False)
+    sent = [lab.at(2 + index, Endpoint("127.0.0.1", 40000), lab.ci, command) for index in range(8)]
+    found = lab.examine(sent, mission)
+    assert ("wrong_type" in {item.rule for item in found.verdicts}) == wrong
+
+
 def test_habits_are_silent_where_they_are_not_had(lab):
     sent, _ = lab.simulate(hz=0.0)
     assert lab.examine(only(sent, 1235)).habits == ()
 
 
 def test_every_rule_is_documented():
-    page = (Path(__file__).parents[2] / "docs/rules/README.md").read_text()
+    page = (ROOT / "docs/rules/README.md").read_text()
     headings = re.findall(r"^### `(\w+)`", page, re.MULTILINE)
     assert sorted(headings) == sorted(IDS)

@@ -1,15 +1,21 @@
 """Loss in the emulated cFS: what the doctor says, held to what its software bus really counted."""
 
+import random
 from collections import Counter
+from contextlib import closing
 
 import pytest
+from places import ROOT
+from rewriting import datagrams, write
 
-from edoras_tools.diagnosis.examination import Examination
-from edoras_tools.model import Link
-from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.sessions.profile import SECOND, SimProfile
-from edoras_tools.sim import Simulation
-from edoras_tools.sim.source import SimulatedSource
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.decode import ColumnDecoder, Context
+from edoras_tools.emulator import Simulation
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
+from edoras_tools.units import SECOND
 
 
 def by_route(diagnosis):
@@ -18,18 +24,6 @@ def by_route(diagnosis):
         if item.msg_id is not None:
             lost[item.msg_id] += item.lost or 0
     return lost
-
-
-@pytest.mark.parametrize("scenario", ["rover", "arm", "two-rovers", "two-arms"])
-def test_ten_minutes_at_half_of_every_limit_find_nothing(scenario, lab):
-    bench = Settings(configs=lab.missions(scenario)).workbench()
-    examination = Examination(bench.columns.context)
-    simulation = Simulation(scenario=scenario, command_rate_hz=4.0, state_rate_hz=4.0, start_ns=lab.start_ns)
-    for batch in SimulatedSource(simulation, 600 * SECOND).batches():
-        examination.add(batch, bench.columns.decode(batch))
-    diagnosis = examination.diagnose()
-    assert diagnosis.verdicts == ()
-    assert diagnosis.lost == 0
 
 
 @pytest.mark.parametrize("hertz", [10.0, 14.0, 20.0])
@@ -45,10 +39,13 @@ def test_events_that_cfs_stops_after_sixteen_are_no_vanished_telemetry(lab):
 
 def test_commands_lost_beside_much_telemetry_are_seen_in_what_it_does_not_explain(lab):
     sent, counters = lab.simulate("two-rovers", hz=15.0, state_hz=45.0, seconds=50)
-    lost = by_route(lab.examine(sent))
+    diagnosis = lab.examine(sent)
+    lost = by_route(diagnosis)
     telemetry = lost[0x828] + lost[0x829]
-    assert lost[0x1827] == lost[0x1828]
-    assert 2 * lost[0x1827] == pytest.approx(counters.msg_limits - telemetry, abs=80)
+    assert lost[0x1827] == pytest.approx(lost[0x1828], rel=0.25)
+    (track,) = diagnosis.case.tracks.values()
+    assert lost[0x1827] + lost[0x1828] == track.growth("msg_limits") - telemetry
+    assert track.growth("msg_limits") == pytest.approx(counters.msg_limits, abs=80)
     assert lost[0x1827] > 50
     alone = lab.examine(lab.simulate("two-rovers", hz=4.0, state_hz=45.0, seconds=50)[0])
     assert {item.rule for item in alone.verdicts} == {"to_message_limit", "event_suppression"}
@@ -172,9 +169,9 @@ def test_the_same_message_is_found_under_its_other_msg_id(lab):
     assert 0 < delays[0]["p50_ms"] < delays[0]["max_ms"] < 520
 
 
-@pytest.mark.parametrize("keep", [Link.CI, Link.TO, Link.SBN])
+@pytest.mark.parametrize("keep", [CI, TO, SBN])
 def test_a_capture_of_one_link_is_modest(keep, lab):
-    ports = {Link.CI: {1234}, Link.TO: {1235}, Link.SBN: {2234, 2235, 2236}}[keep]
+    ports = {CI: {1234}, TO: {1235}, SBN: {2234, 2235, 2236}}[keep]
     sent, _ = lab.simulate("two-rovers", seconds=30, hz=4.0)
     diagnosis = lab.examine(
         [item for item in sent if item.destination.port in ports], lab.missions("two-rovers")
@@ -187,7 +184,11 @@ def test_the_captures_own_drops_come_before_blame(lab):
     sent, _ = lab.simulate(seconds=60)
     kept = [item for index, item in enumerate(sent) if index % 17]
     diagnosis = lab.examine(kept, drops=len(sent) - len(kept))
-    assert {item.rule for item in diagnosis.verdicts} == {"capture_drops", "lost_after_cfs"}
+    assert {item.rule for item in diagnosis.verdicts} == {
+        "capture_drops",
+        "lost_after_cfs",
+        "lost_before_ci",
+    }
     assert all(
         item.confidence == "low" and any("the capture itself lost" in line for line in item.evidence)
         for item in diagnosis.verdicts
@@ -216,6 +217,31 @@ def test_chapters_add_up(lab, monkeypatch):
     assert diagnosis.datagrams == len(sent)
     assert by_route(diagnosis)[0x1827] == pytest.approx(counters.msg_limits, abs=12)
     assert sum(item.rule == "older_losses" for item in diagnosis.verdicts) == 0
+
+
+@pytest.mark.parametrize(("chapter", "sorted_"), [(700, True), (100, False)])
+def test_a_long_capture_that_is_shuffled_as_a_whole_is_sorted_or_said_first(
+    tmp_path, monkeypatch, chapter, sorted_
+):
+    from edoras_tools.diagnosis import examination
+
+    monkeypatch.setattr(examination, "CHAPTER", chapter)
+    traffic = datagrams(ROOT / "tests/captures/a_rover.pcap.zst")
+    path = write(tmp_path / "x.pcap", random.Random(5).sample(traffic, len(traffic)))
+    decoder = ColumnDecoder(Context())
+    examined = examination.Examination(decoder.context)
+    with closing(open_file(path)) as source:
+        for batch in source.batches():
+            for at in range(0, len(batch), 90):
+                part = batch.take(slice(at, at + 90))
+                examined.add(part, decoder.decode(part))
+    found = examined.diagnose()
+    first = found.verdicts[0]
+    assert first.rule == "out_of_order"
+    assert ("not right" in first.reason) != sorted_
+    assert found.bad
+    if sorted_:
+        assert (found.lost, found.unaccounted) == (92, 0)
 
 
 def test_another_cfs_has_other_constants(lab):
@@ -268,7 +294,9 @@ def test_a_counter_that_others_raise_is_not_taken_for_what_the_network_lost(gone
     lost = Counter()
     for item in diagnosis.verdicts:
         lost[item.rule] += item.lost or 0
-    assert set(lost) - {"event_suppression", "older_losses"} == {"app_pipe_limit", "lost_after_cfs"}
+    quiet = {"event_suppression", "older_losses", "lost_before_ci"}
+    assert set(lost) - quiet == {"app_pipe_limit", "lost_after_cfs"}
+    assert not lost["lost_before_ci"]  # CI counted more than is left of the capture
     assert lost["app_pipe_limit"] == pytest.approx(counters.msg_limits, abs=3)
     assert lost["lost_after_cfs"] > 5
     assert {item.confidence for item in diagnosis.verdicts if item.rule == "lost_after_cfs"} == {"medium"}

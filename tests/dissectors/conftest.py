@@ -9,10 +9,10 @@ from xml.parsers import expat
 
 import pytest
 
-from edoras_tools.model import Link
-from edoras_tools.pipelines.wireshark import dissector
+from edoras_tools.model import OTHER
+from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.render.severity import EXPLANATIONS, Severity, ranked
+from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.ros import TypeStore
 
 OURS = "ccsds_sp cfe sbn edoras ros2cdr"
@@ -144,7 +144,7 @@ def read_ros(shown, raw, like, order):
 def agree_with_tshark(packet, frame, types):
     """Hold a frame of tshark's to a packet of ours; all that one says the other must say."""
     fields = dict(frame.fields)
-    if packet.link is Link.OTHER or not packet.datagram.payload:
+    if packet.link is OTHER or not packet.datagram.payload:
         assert not fields
         return 0
     headers, messages = header_fields(packet), ros_fields(packet, types)
@@ -176,12 +176,12 @@ def agree_with_tshark(packet, frame, types):
 
 def agree_with_columns(packet, frame):
     """Hold the packet list to ours: the same words."""
-    if packet.link is Link.OTHER or not packet.datagram.payload:
+    if packet.link is OTHER or not packet.datagram.payload:
         return
     assert frame.protocol == packet.link.name
     layers = {layer.name: layer.values() for layer in packet.layers}
     words = packet.summary.translate(CONTROLS)
-    for finding in ranked(packet.findings, at_least=Severity.WARNING):
+    for finding in ranked(packet.findings, at_least=Level.WARNING):
         assert EXPLANATIONS[finding].short in frame.info
     if "ccsds" in layers:
         assert f"0x{layers['ccsds']['msg_id']:04x}" in frame.info
@@ -217,12 +217,16 @@ def tshark(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def write_pcap():
-    """Write (source port, destination port, payload) as raw IPv4 frames on loopback, 1 ms apart."""
+    """Write (source port, destination port, payload) as raw IPv4 frames on loopback, 1 ms apart.
 
-    def write(path, datagrams, *, snap=65535):
+    All of them once for each of ``snaps``, and no more bytes of each than that.
+    """
+
+    def write(path, datagrams, *, snaps=(65535,)):
         with Path(path).open("wb") as file:
             file.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262144, 101))
-            for number, (source, destination, payload) in enumerate(datagrams):
+            cut = ((snap, *datagram) for snap in snaps for datagram in datagrams)
+            for number, (snap, source, destination, payload) in enumerate(cut):
                 udp = struct.pack(">HHHH", source, destination, 8 + len(payload), 0) + payload
                 host = b"\x7f\0\0\1"
                 ip = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + host + host

@@ -1,20 +1,21 @@
 """Three readers, one answer: our own decoder, the scapy layers, and tshark with our Lua."""
 
 from contextlib import closing
-from pathlib import Path
 
 import pytest
+from effort import long_but
+from places import ROOT
 from scapy.packet import Raw
 
 from edoras_tools.decode import Context, Dissector
 from edoras_tools.dissectors import scapy_layers
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import load
-from edoras_tools.model import Link
+from edoras_tools.model import OTHER
 from edoras_tools.ros import TypeStore
-from edoras_tools.sources import open_file
 from edoras_tools.structs import Structs
 
-ROOT = Path(__file__).parents[2]
 COMMITTED = ROOT / "dissectors/edoras.lua"
 CAPTURES = {
     "a_rover": ("rover_ground",),
@@ -24,6 +25,7 @@ CAPTURES = {
     "e_ci_errors": ("rover_ground",),
     "f_sbn_disconnect": ("two_rovers_ground", "two_rovers_flight"),
 }
+OF_EACH_KIND = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")
 TYPES = TypeStore()
 LAYERS = {
     "ccsds": "SpacePacket",
@@ -55,9 +57,9 @@ def decoded(capture, mission):
 def agree_with_scapy(packet):
     """Hold the scapy layers to a packet of ours."""
     payload = packet.datagram.payload
-    if packet.link is Link.OTHER or not payload:
+    if packet.link is OTHER or not payload:
         return
-    first = scapy_layers.SBN if packet.link is Link.SBN else scapy_layers.SpacePacket
+    first = scapy_layers.SBN if packet.link is SBN else scapy_layers.SpacePacket
     if not any(layer.name in LAYERS for layer in packet.layers):
         return  # not even the first header is whole
     read = first(payload)
@@ -97,7 +99,7 @@ def taught():
     scapy_layers.use({})
 
 
-@pytest.mark.parametrize("name", CAPTURES)
+@pytest.mark.parametrize("name", long_but(OF_EACH_KIND, CAPTURES))
 def test_on_every_packet_of_every_capture(name, tshark, taught, judge):
     configs = missions(CAPTURES[name])
     capture = next((ROOT / "samples/captures").glob(f"{name}.pcap*"))  # tshark reads .gz too

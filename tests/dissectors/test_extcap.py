@@ -8,18 +8,18 @@ import struct
 import subprocess
 import sys
 from contextlib import closing, contextmanager
-from pathlib import Path
 
 import pytest
 from waiting import Program, free_ports
 
-from edoras_tools.model import Link
-from edoras_tools.pipelines import extcap
-from edoras_tools.pipelines.wireshark_program import install_extcap
-from edoras_tools.sources import open_file
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links import table
+from edoras_tools.links.sbn import SBN
+from edoras_tools.model import Peer
+from edoras_tools.pipelines.wireshark import extcap
+from edoras_tools.pipelines.wireshark.program import install_extcap
 from edoras_tools.wire import cfe, sbn
 
-ROOT = Path(__file__).parents[2]
 SENTENCE = re.compile(r"(extcap|interface|dlt|arg|value) (\{\w+=[^{}]*\})+")
 
 
@@ -41,10 +41,11 @@ def test_interfaces(launcher):
         "EDORAS CI}",
         "EDORAS TO}",
         "EDORAS SBN}",
+        "EDORAS ROBOT}",
     ]
 
 
-@pytest.mark.parametrize("name", extcap.INTERFACES)
+@pytest.mark.parametrize("name", [f"edoras-{link.label}" for link in table.links()])
 def test_link_types_and_options(name, launcher):
     types = asked(launcher, "--extcap-interface", name, "--extcap-dlts")
     assert types == ["dlt {number=101}{name=RAW}{display=Raw IP}"]
@@ -59,7 +60,7 @@ def test_link_types_and_options(name, launcher):
     ("arguments", "words"),
     [
         (["--extcap-interface", "eth0", "--extcap-dlts"], "there are edoras-ci"),
-        (["--extcap-interface", "edoras-ci"], "Wireshark runs this program"),
+        (["--extcap-interface", "edoras-ci"], "this program is for Wireshark"),
         (["--extcap-interface", "edoras-ci", "--capture", "--fifo=/x", "--ports=x"], "not a UDP port"),
         (["--extcap-interface", "edoras-ci", "--capture", "--fifo=/x", "--listen=:x"], "not an endpoint"),
         (["--extcap-interface", "edoras-ci", "--capture", "--fifo=/x", "--config=/nope.yaml"], "nope.yaml"),
@@ -121,7 +122,7 @@ def test_a_capture(way, launcher, tmp_path):
             for packet in packets:
                 sender.sendto(packet, ("127.0.0.1", port))
             if way == "live":  # another link's datagrams pass here too, and are not taken
-                sender.sendto(sbn.emit(sbn.MsgType.HEARTBEAT, sbn.Peer(66, 1)), ("127.0.0.1", 2234))
+                sender.sendto(sbn.emit(sbn.MsgType.HEARTBEAT, Peer(66, 1)), ("127.0.0.1", 2234))
                 sender.sendto(cfe.emit_telemetry(0x0800, bytes(4)), ("127.0.0.1", 1235))
                 sender.sendto(packets[0], ("127.0.0.1", port))
                 packets.append(packets[0])
@@ -186,4 +187,4 @@ def test_a_port_that_is_taken_is_said_in_one_line(launcher, tmp_path):
 def test_the_launcher_runs_this_python(launcher):
     assert sys.executable in launcher.read_text()
     assert os.access(launcher, os.X_OK)
-    assert extcap.link_of("edoras-sbn") is Link.SBN
+    assert extcap.interface_link("edoras-sbn") is SBN

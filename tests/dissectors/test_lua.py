@@ -1,24 +1,31 @@
 """The generated script: committed as generated, filters as written, sequence counts, preferences, copies."""
 
+import math
 import os
 import re
+import struct
 import subprocess
 from contextlib import closing
-from pathlib import Path
+from itertools import zip_longest
 
 import pytest
+from effort import every
+from places import ROOT
 
 from edoras_tools.dissectors.lua import GUARD, own_digest
 from edoras_tools.dissectors.lua_text import literal, quoted
+from edoras_tools.io.formats.open import open_file
 from edoras_tools.mission import load
-from edoras_tools.model import Finding
-from edoras_tools.pipelines.accounts import Ledger
-from edoras_tools.pipelines.wireshark import dissector
+from edoras_tools.model import Finding, Peer
+from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.pipelines.capture.sniff import sniff
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.sources import open_file
+from edoras_tools.sessions.sequence import BOOT_APART_NS, REPEATED, WINDOW
+from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
 
-ROOT = Path(__file__).parents[2]
 COMMITTED = ROOT / "dissectors/edoras.lua"
 ROVER = ROOT / "samples/captures/a_rover.pcap"
 ROVER_MISSION = ROOT / "samples/missions/rover_ground.yaml"
@@ -55,32 +62,39 @@ def test_text_is_safe_in_lua():
     assert re.fullmatch(r'"(\\\d{3}|[ !#-\[\]-~])*"', quoted("".join(map(chr, range(300)))))
 
 
-@pytest.mark.parametrize(
-    ("expression", "frames"),
-    [
-        ("edoras.msg_id == 0x0827 and ros2.geometry_msgs.PoseStamped.pose.position.x > 0", 63),
-        ("ros2.geometry_msgs.Twist", 600),
-        ('ros2.geometry_msgs.Twist.angular.z < 0 and edoras.link == "ci"', None),
-        ('cfe.event.message contains "Msg Limit"', None),
-        ("sbn.msg_type == 1", None),
-        ("edoras.finding.checksum_absent", None),
-        ('edoras.finding == "checksum_absent"', None),
-        ("_ws.expert.severity == error", None),
-        ("ccsds_sp.packet_type == 1 and cfe.command.function_code == 6", None),
-        ('edoras.topic == "/telemetry_pose"', 63),
-        ("ros2cdr", 663),
-    ],
-)
-def test_filters_say_the_same_with_and_without_a_tree(expression, frames, tshark):
-    program = tshark(script=COMMITTED)
-    shown = program.run("-r", ROVER, "-Y", expression).splitlines()
-    tree = program.run("-r", ROVER, "-Y", expression, "-T", "fields", "-e", "frame.number").splitlines()
-    assert len(shown) == len(tree) > 0
-    assert frames in {None, len(shown)}
+FILTERS = {
+    "edoras.msg_id == 0x0827 and ros2.geometry_msgs.PoseStamped.pose.position.x > 0": 63,
+    "ros2.geometry_msgs.Twist": 600,
+    'ros2.geometry_msgs.Twist.angular.z < 0 and edoras.link == "ci"': None,
+    'cfe.event.message contains "Msg Limit"': None,
+    "sbn.msg_type == 1": None,
+    "edoras.finding.checksum_absent": None,
+    'edoras.finding == "checksum_absent"': None,
+    "_ws.expert.severity == note": None,
+    "ccsds_sp.packet_type == 1 and cfe.command.function_code == 6": None,
+    'edoras.topic == "/telemetry_pose"': 63,
+    "ros2cdr": 663,
+}
+
+
+@pytest.fixture(scope="module")
+def with_a_tree(tshark):
+    """How many packets pass each filter where tshark builds the tree of each packet."""
+    count = ",".join(["io", "stat", "0", *FILTERS])
+    told = tshark(script=COMMITTED).run("-r", ROVER, "-T", "fields", "-e", "frame.number", "-z", count)
+    (row,) = [line.split("|") for line in told.decode().splitlines() if "<>" in line]
+    return dict(zip(FILTERS, map(int, row[2:-1:2]), strict=True))
+
+
+@pytest.mark.parametrize("expression", FILTERS)
+def test_filters_say_the_same_with_and_without_a_tree(expression, tshark, with_a_tree):
+    shown = tshark(script=COMMITTED).run("-r", ROVER, "-Y", expression).splitlines()
+    assert len(shown) == with_a_tree[expression] > 0
+    assert FILTERS[expression] in {None, len(shown)}
 
 
 def test_gaps_and_duplicates_are_those_of_the_accounts(tshark):
-    for name in ("a_rover", "c1_tlm_rate_limit4", "d3_cpu1_cpu2", "e_ci_errors"):
+    for name in every(2, ("a_rover", "d3_cpu1_cpu2", "c1_tlm_rate_limit4", "e_ci_errors")):
         capture = next((ROOT / "samples/captures").glob(f"{name}.pcap*"))
         bench = Settings((ROVER_MISSION,)).workbench()
         ledger = Ledger(bench.mission)
@@ -96,40 +110,49 @@ def test_gaps_and_duplicates_are_those_of_the_accounts(tshark):
         assert len(list(filter(None, duplicates))) <= sum(account.duplicates for account in accounts)
 
 
-@pytest.mark.parametrize(
-    ("counts", "told", "in_the_end"),
-    [
-        ([5, 6, 7], ["", "", ""], None),
-        ([16382, 16383, 0], ["", "", ""], None),
-        ([5, 6, 9, 9, 10], ["", "", 2, "duplicate", ""], None),
-        ([5, 9, 7, 10], ["", 3, "reordered", ""], ["", 1, "reordered", ""]),
-        ([5, 5, 5], ["", "", ""], None),
-        ([100, 5000, 101, 5001, 102], ["", 4899, "reordered", "", ""], ["", "", "", "", ""]),
-        ([9000, 3, 4], ["", 7386, ""], None),
-        ([3, 9000, 4], ["", "reordered", ""], None),
-    ],
-)
-def test_what_a_sequence_count_says(counts, told, in_the_end, tshark, write_pcap, tmp_path):
-    rows = [(40000, 1235, cfe.emit_telemetry(0x0800, b"x", sequence_count=count)) for count in counts]
-    rows.insert(1, (40001, 1235, rows[-1][2]))  # another sender's own count
+COUNTED = [
+    # The counts of a sender, what is told of each, and what where the end is known.
+    ([5, 6, 7], ["", "", ""], None),
+    ([16382, 16383, 0], ["", "", ""], None),
+    ([5, 6, 9, 9, 10], ["", "", 2, "duplicate", ""], None),
+    ([5, 9, 7, 10], ["", 3, "reordered", ""], ["", 2, "reordered", ""]),
+    ([5, 5, 5], ["", "", ""], None),
+    ([100, 5000, 101, 5001, 102], ["", 4899, "", "", ""], ["", "", "", "", ""]),
+    ([9000, 3, 4], ["", "", ""], None),
+    ([3, 9000, 4], ["", "", ""], None),
+]
+
+
+def test_what_a_sequence_count_says(tshark, write_pcap, tmp_path):
+    """In turns, so that between two counts of a sender there are those of others."""
+    turns = zip_longest(*(enumerate(counts) for counts, _, _ in COUNTED))
+    order = [(sender, at[1]) for turn in turns for sender, at in enumerate(turn) if at is not None]
+    rows = [
+        (40000 + sender, 1235, cfe.emit_telemetry(0x0800, b"x", sequence_count=count))
+        for sender, count in order
+    ]
     capture = write_pcap(tmp_path / "counts.pcap", rows)
-    for options, expected in ((), told), (("-2",), in_the_end or told):
+    for options, column in ((), 1), (("-2",), 2):
         frames = tshark(script=COMMITTED).frames(capture, *options)
-        seen = []
-        for frame in frames.values():
+        seen = [[] for _ in COUNTED]
+        for (sender, _), frame in zip(order, frames.values(), strict=True):
             gap = [int(shown) for shown, _ in frame.fields.get("edoras.gap", [])]
             kinds = [name for name in ("duplicate", "reordered") if f"edoras.{name}" in frame.fields]
-            seen.append((gap + kinds + [""])[0])
+            seen[sender].append((gap + kinds + [""])[0])
             for name in kinds or (["gap"] if gap else []):
                 assert f"edoras.analysis.{name}" in frame.fields
                 assert frame.info.endswith(f"[gap of {gap[0]}]" if gap else f"[{name}]")
-        assert seen.pop(1) == ""
-        assert seen == expected, options
+        assert seen == [case[column] or case[1] for case in COUNTED], options
+
+
+def test_sequence_counts_are_followed_within_the_same_limits():
+    limits = f"WINDOW, REPEATED, BOOT_APART = {WINDOW}, {REPEATED}, {BOOT_APART_NS // SECOND} "
+    assert limits in COMMITTED.read_text()
 
 
 def test_preferences_add_ports_and_headers(tshark, write_pcap, tmp_path):
     packet = bytes.fromhex("1827c000000b") + bytes.fromhex("00000000") + bytes([6, 0]) + bytes(6)
-    beat = sbn.emit(sbn.MsgType.HEARTBEAT, sbn.Peer(66, 3))
+    beat = sbn.emit(sbn.MsgType.HEARTBEAT, Peer(66, 3))
     capture = write_pcap(tmp_path / "ports.pcap", [(5000, 6010, packet), (5000, 6020, beat)])
     chosen = ["-o", "edoras.ci_ports:6000-6010", "-o", "edoras.sbn_ports:6020"]
     program = tshark(script=COMMITTED)
@@ -141,6 +164,28 @@ def test_preferences_add_ports_and_headers(tshark, write_pcap, tmp_path):
     assert extended[1].fields["cfe.command.function_code"][0][0] == "6"
     decoded_as = program.frames(capture, "-d", "udp.port==6010,edoras")
     assert decoded_as[1].fields["edoras.link"][0][0] == "ci"
+
+
+def test_what_is_of_the_robot_is_told_by_its_doubles(tshark, write_pcap, tmp_path):
+    numbers = (0.5, 0, -0.0, 3e-322, 1e19, 1.9e19, -1e20, 1e-77, 8e-78, 1e-100, math.nan, math.inf)
+    payloads = [
+        struct.pack(f"{order}7d", 0.5, *[0] * (5 - at), number, *[1] * at)
+        for order in "<>"
+        for number in numbers
+        for at in (0, 5)
+    ]
+    payloads += [payload[8:] for payload in payloads] + [payload + bytes(8) for payload in payloads]
+    payloads += [b"text".ljust(size, b"!") for size in (48, 56, 64)]
+    sent = [(40000, port, payload) for port in (8080, 8585) for payload in payloads]
+    frames = tshark(script=COMMITTED).frames(write_pcap(tmp_path / "robot.pcap", sent))
+    told = dict.fromkeys(("robot", "other"), 0)
+    with closing(open_file(tmp_path / "robot.pcap")) as source:
+        for packet in sniff(source, Settings().workbench(), selection=Selection()):
+            fields = frames[packet.datagram.number].fields
+            assert fields.get("edoras.link", [("other", "")])[0][0] == packet.link.label
+            assert (packet.summary in frames[packet.datagram.number].info) == bool(packet.layers)
+            told[packet.link.label] += 1
+    assert min(told.values()) > 50
 
 
 def test_every_finding_has_its_expert_information():

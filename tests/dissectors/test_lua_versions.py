@@ -7,10 +7,10 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
-from edoras_tools.sources import open_file
+from edoras_tools.io.formats.open import open_file
 
-ROOT = Path(__file__).parents[2]
 LUAS = ["lua5.2", "lua5.4"]
 
 

@@ -7,12 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import here
 import pytest
+from places import ROOT
 
-from edoras_tools.cli.main import program, run
-from edoras_tools.pipelines import wireshark_program
+from edoras_tools.pipelines.wireshark import program as wireshark_program
 
-ROOT = Path(__file__).parents[2]
 CAPTURE = ROOT / "samples/captures/a_rover.pcap"
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
 
@@ -22,7 +22,7 @@ def edoras(capfd, *arguments):
     before, sys.argv = sys.argv, ["edoras", *map(str, arguments)]
     try:
         with pytest.raises(SystemExit) as ended:
-            run(program())
+            here.edoras()
     finally:
         sys.argv = before
     out, err = capfd.readouterr()
@@ -104,7 +104,7 @@ def test_mistakes_are_one_line(arguments, code, words, capfd):
     [
         ("echo 'TShark (Wireshark) 2.6.20 (Git)'; echo 'with Lua 5.2.4'", "2.6.20 is too old; 3.6 or newer"),
         ("echo 'TShark (Wireshark) 4.2.1.'; echo 'with GnuTLS, without Lua'", "4.2.1 was built without Lua"),
-        ("echo hello", "does not say its version"),
+        ("echo hello", "does not print its version"),
     ],
 )
 def test_a_wireshark_that_will_not_do(script, words, capfd, tmp_path, monkeypatch):
@@ -128,7 +128,7 @@ def test_no_wireshark_at_all(capfd, tmp_path, monkeypatch):
 
 def test_newer_versions_are_fine(tmp_path, monkeypatch):
     pretend(tmp_path, monkeypatch, "tshark", "echo 'TShark (Wireshark) 10.0.0.'; printf 'with\\n Lua 5.4.6'")
-    assert wireshark_program.program("tshark") == str(tmp_path / "tshark")
+    assert wireshark_program.find_program("tshark") == str(tmp_path / "tshark")
 
 
 def test_the_page_shows_what_tshark_says():

@@ -15,7 +15,9 @@ from edoras_tools.dissectors.scapy_layers import (
     CommandHeader,
     EdorasEnvelope,
     Event,
+    ExtendedCommandHeader,
     ExtendedHeader,
+    ExtendedTelemetryHeader,
     SBNProto,
     SBNSubscription,
     SBNSubscriptions,
@@ -23,18 +25,20 @@ from edoras_tools.dissectors.scapy_layers import (
     SpacePacket,
     TelemetryHeader,
 )
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN as SBN_LINK
 from edoras_tools.mission import Mission
-from edoras_tools.model import Finding, Link
+from edoras_tools.model import Finding, Peer
 from edoras_tools.ros import TypeStore
-from edoras_tools.sources import open_file
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.envelope import FORMATS
+from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 
 TYPES = TypeStore()
 TWIST = "geometry_msgs/msg/Twist"
 VALUES = {"linear": {"x": 1.5, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": -0.25}}
 BODY = TYPES.encode(TWIST, VALUES)
-ENVELOPE = FORMATS[0].emit(BODY)
+ENVELOPE = ENVELOPE_FORMATS[0].emit(BODY)
 
 
 @pytest.fixture(autouse=True)
@@ -63,20 +67,20 @@ CRAFTED = [
     ),
     (
         SBN(processor_id=3, spacecraft_id=66) / SpacePacket(msg_id=0x1806) / CommandHeader(),
-        sbn.emit(sbn.MsgType.APP, sbn.Peer(66, 3), cfe.emit_command(0x1806, 0)),
+        sbn.emit(sbn.MsgType.APP, Peer(66, 3), cfe.emit_command(0x1806, 0)),
     ),
     (
         SBN(processor_id=3, spacecraft_id=66)
         / SBNSubscriptions(subscriptions=[SBNSubscription(msg_id=2090)]),
-        sbn.emit(sbn.MsgType.SUB, sbn.Peer(66, 3), sbn.emit_subscriptions([sbn.Subscription(0x82A)])),
+        sbn.emit(sbn.MsgType.SUB, Peer(66, 3), sbn.emit_subscriptions([sbn.Subscription(0x82A)])),
     ),
     (
         SBN(processor_id=3, spacecraft_id=66) / SBNProto(),
-        sbn.emit(sbn.MsgType.PROTO, sbn.Peer(66, 3), sbn.emit_proto()),
+        sbn.emit(sbn.MsgType.PROTO, Peer(66, 3), sbn.emit_proto()),
     ),
     (
         SBN(msg_type=sbn.MsgType.HEARTBEAT, processor_id=1, spacecraft_id=66),
-        sbn.emit(sbn.MsgType.HEARTBEAT, sbn.Peer(66, 1)),
+        sbn.emit(sbn.MsgType.HEARTBEAT, Peer(66, 1)),
     ),
 ]
 
@@ -126,7 +130,7 @@ def test_what_follows_the_cdr_is_not_of_it():
     assert bytes(read) == cfe.emit_telemetry(0x0827, ENVELOPE + b"stale")
 
 
-@pytest.mark.parametrize("form", FORMATS, ids=str)
+@pytest.mark.parametrize("form", ENVELOPE_FORMATS, ids=str)
 def test_envelopes_of_every_format_are_told_from_the_bytes(form):
     layers.use({})
     read = SpacePacket(cfe.emit_command(0x1999, 1, form.emit(BODY)))
@@ -138,13 +142,13 @@ def test_envelopes_of_every_format_are_told_from_the_bytes(form):
 def test_other_headers():
     layers.use({}, extended_header=True)
     head = ExtendedHeader(subsystem_id=3, endian=1)
-    packet = (
-        SpacePacket(apid=0x27, packet_type=1, secondary_header_flag=1) / head / CommandHeader(function_code=2)
-    )
+    packet = SpacePacket(msg_id=0x1827) / head / ExtendedCommandHeader(function_code=2) / Raw(b"ab")
     read = SpacePacket(bytes(packet))
-    assert read.msg_id == cfe.extended_msg_id(0x27, 1, 3)
-    assert read[CommandHeader].function_code == 2
+    assert (read.msg_id, len(read)) == (0x1827, 18)
+    assert read[ExtendedCommandHeader].function_code == 2
     assert cfe.checksum(bytes(packet)) == 0
+    telemetry = SpacePacket(msg_id=0x0827) / head / ExtendedTelemetryHeader(seconds=7)
+    assert SpacePacket(bytes(telemetry))[ExtendedTelemetryHeader].seconds == 7
     layers.use({}, telemetry_header=12)
     assert SpacePacket(cfe.emit_telemetry(0x0800, bytes(8)))[ShortTelemetryHeader].seconds == 0
 
@@ -172,7 +176,7 @@ def test_our_own_decoder_reads_what_scapy_wrote(tmp_path):
     dissector = Dissector(Context(Mission(), TYPES))
     (batch,) = open_file(path).batches()
     read = [dissector.dissect(batch[row]) for row in range(len(batch))]
-    links = [Link.CI] * 4 + [Link.SBN] * 4
+    links = [CI] * 4 + [SBN_LINK] * 4
     assert [packet.link for packet in read] == links
     wrong = Finding.LENGTH_MISMATCH | Finding.CHECKSUM_BAD | Finding.SBN_SIZE_MISMATCH | Finding.TRUNCATED
     assert not any(packet.findings & wrong for packet in read)

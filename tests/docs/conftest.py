@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
-from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).parents[2]
+from places import ROOT
 
 
 def script(name):
@@ -25,3 +23,8 @@ def refresh():
 @pytest.fixture(scope="session")
 def make_pictures():
     return script("make_pictures")
+
+
+@pytest.fixture(scope="session")
+def make_house():
+    return script("make_house")

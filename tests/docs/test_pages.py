@@ -6,22 +6,24 @@ import json
 import re
 import shlex
 from dataclasses import fields
-from pathlib import Path
 
 import pytest
+from effort import long_but
+from places import ROOT
 
+from edoras_tools.io.formats.mcap.recover import Recovery
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.render.severity import EXPLANATIONS
-from edoras_tools.sinks.recover import Recovery
 
-ROOT = Path(__file__).parents[2]
 PAGES = sorted(
     [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "samples/README.md", *(ROOT / "docs").glob("*.md")],
     key=str,
 )
 REFRESHED = [page for page in PAGES if page.stem not in {"missions", "sim", "bench", "CHANGELOG"}]
+LIBRARIES = ("pyarrow", "pandas", "duckdb", "polars")
+"""Of the extra ``dev``: the page of each is run where all are installed."""
 COMMANDS = (
-    *("sniff", "record", "info", "decode", "recover", "sim", "demo", "doctor", "report"),
+    *("sniff", "record", "info", "decode", "recover", "export", "sim", "demo", "doctor", "report", "compare"),
     *("replay", "inject", "sweep", "proxy", "wireshark", "live", "bridge", "codegen", "structs"),
 )
 
@@ -35,8 +37,14 @@ def without_sizes(text):
     return re.sub(r"\d+\.\d [KM]iB", "SIZE", text)
 
 
-@pytest.mark.parametrize("page", REFRESHED, ids=identity)
+# Two take long, and what they show is held by tests/pipelines/sweep and tests/diagnosis too.
+QUICK = [page for page in REFRESHED if page.stem not in {"sweep", "balance"}]
+
+
+@pytest.mark.parametrize("page", long_but(QUICK, REFRESHED), ids=identity)
 def test_the_output_shown_is_the_output(page, refresh, tmp_path):
+    for library in LIBRARIES if page.stem == "analysis" else ():
+        pytest.importorskip(library)
     assert without_sizes(refresh.refreshed(page, tmp_path)) == without_sizes(page.read_text())
 
 
@@ -74,9 +82,17 @@ def test_links_lead_somewhere(page):
             assert heading in [re.sub(r"[^\w -]", "", item.lower()).replace(" ", "-") for item in headings]
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=identity)
+def test_every_page_is_on_the_entry_page_and_leads_back(page):
+    entry = ROOT / "docs/README.md"
+    if page != entry:
+        assert f"({page.relative_to(ROOT / 'docs')})" in entry.read_text()
+        back = re.findall(r"\[All pages\]\((.*)\)\n$", page.read_text())
+        assert [(page.parent / item).resolve() for item in back] == [entry]
+
+
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_a_page_and_the_readme_links_it(name):
-    assert f"(docs/{name}.md)" in (ROOT / "README.md").read_text()
+def test_every_command_has_a_page(name):
     assert f"$ edoras {name}" in (ROOT / f"docs/{name}.md").read_text()
 
 
@@ -115,6 +131,31 @@ def test_the_keys_of_json_are_those_that_are_printed():
     assert keys("each of `routes`") == expected["info"]["routes"][0].keys()
     assert keys("`sniff --json`") == expected["packets"][0].keys()
     assert keys("`recover --json`") == {item.name for item in fields(Recovery)}
+
+
+def test_every_folder_and_file_that_the_architecture_names_is_there():
+    text = (ROOT / "docs/architecture.md").read_text()
+    package = ROOT / "edoras_tools"
+    folder = package
+    for line in text.splitlines():
+        if row := re.match(r"\| `(\w+)/` \|", line):
+            folder = package / row[1]
+            assert folder.is_dir(), line
+        for name in re.findall(r"`((?:\w+/)*(?:\w+/|\w+\.py))`", line):
+            assert any((place / name).exists() for place in (folder, package, ROOT)), name
+
+
+def test_every_path_that_contributing_names_is_there():
+    paths = re.findall(
+        r"`((?:edoras_tools|tests|docs|samples)/[\w./]*)`", (ROOT / "CONTRIBUTING.md").read_text()
+    )
+    plain = [item for item in paths if not re.search(r"NAME|FOLDER|/[xy]", item)]
+    assert len(plain) > 8
+    assert [item for item in plain if not (ROOT / item).exists()] == []
+
+
+def test_the_picture_of_the_folders_is_as_they_are(make_house):
+    assert make_house.PICTURE.read_text() == make_house.picture()
 
 
 def test_every_column_is_in_the_page_of_the_architecture():

@@ -14,11 +14,13 @@ from pathlib import Path
 from random import Random
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 import fuzz_engine
 
 HERE = Path(__file__).parent
 SEEDS = HERE / "seeds"
+MOST_MEMORY = 4 << 30
 BROKE = HERE / "broke"
 """Findings of the past: moved here once what they showed is mended."""
 
@@ -35,8 +37,12 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if not options.files and not options.no_atheris and importlib.util.find_spec("atheris"):
         return with_atheris(options)
+    import resource
+
     from fuzz_targets import TARGETS
 
+    # Memory that an input asks for and the machine has not is a finding, not the end of the machine.
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     unknown = set(options.target or ()) - set(TARGETS)
     if unknown:
         parser.error(f"no target {', '.join(sorted(unknown))}; there are {', '.join(TARGETS)}")

@@ -9,26 +9,43 @@ import json
 import struct
 import tempfile
 from contextlib import closing
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import fuzz_inputs
+import fuzz_traffic
 import numpy as np
 from mcap.reader import NonSeekingReader, make_reader
+from rich.console import Console as StringConsole
+from schema import check, published
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.diagnosis.evidence.clocks.alignment import align
+from edoras_tools.diagnosis.evidence.table import Recorder
+from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.diagnosis.matching.comparison import compare_captures
+from edoras_tools.diagnosis.missing import missing
+from edoras_tools.diagnosis.runs import Run, run_differences
+from edoras_tools.emulator import Simulation
 from edoras_tools.errors import CaptureError, ConfigError, FieldError, WireError
+from edoras_tools.io.formats.mcap.recover import recover as run_recover
+from edoras_tools.io.formats.mcap.recover import verify
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.formats.pcapng.writer import PcapngSink
+from edoras_tools.io.frames.linklayer import Demux, FrameBatch
 from edoras_tools.mission import Mission, load, loads
 from edoras_tools.model import NO_MSG_ID, Finding
-from edoras_tools.pipelines.sniff import as_json
-from edoras_tools.render import packet as packet_view
-from edoras_tools.render.packet_list import PacketList
+from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.pipelines.capture.sniff import as_json
+from edoras_tools.pipelines.doctor.runs import Runs
+from edoras_tools.render.capture import packet as packet_view
+from edoras_tools.render.capture.packet_list import PacketList
+from edoras_tools.render.doctor.doctor import diagnosis as view
+from edoras_tools.render.doctor.report.page import Made, page
+from edoras_tools.render.doctor.runs import runs_view
 from edoras_tools.ros import TypeStore
-from edoras_tools.sim import Simulation
-from edoras_tools.sinks.pcapng import PcapngSink
-from edoras_tools.sinks.recover import recover as run_recover
-from edoras_tools.sources import open_file
-from edoras_tools.sources.framing import PADDING
-from edoras_tools.sources.linklayer import Demux, FrameBatch
+from edoras_tools.wire.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -67,6 +84,7 @@ MESSAGES = [
     "rcl_interfaces/msg/ParameterEvent",
     "edoras_msgs/msg/Datagram",
 ]
+_SCHEMAS = {name: published(name) for name in ("doctor", "against", "compare")}
 LINK_TYPES = [1, 113, 276, 0, 108, 101, 228, 229, 147]
 SCENARIOS = ("rover", "arm", "two-rovers", "two-arms")
 
@@ -111,7 +129,7 @@ def packet(data: bytes) -> Hashable:
     for layer in decoded.layers:
         assert 0 <= layer.start <= layer.end <= len(payload), layer.name
     text = json.dumps(as_json(decoded), allow_nan=False)
-    lines = packet_view.lines(decoded, 100, colour=False)
+    lines = packet_view.packet_lines(decoded, 100, colour=False)
     assert not any(
         ord(letter) < 32 for line in (*lines, PacketList(100, colour=False).line(decoded)) for letter in line
     )
@@ -190,7 +208,7 @@ def _read_and_copy(name: str, copy: str | None) -> tuple[str, int, str | None]:
 
 
 def recover(data: bytes) -> Hashable:
-    """A cut-off recording: what is written is whole, by mcap's own reader."""
+    """A damaged recording: what is written is whole, by mcap's own reader, and is what was said before."""
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "x.mcap", Path(folder) / "y.mcap"
         source.write_bytes(data)
@@ -198,16 +216,21 @@ def recover(data: bytes) -> Hashable:
             report = run_recover(source, target)
         except CaptureError as error:
             one_line(str(error))
+            assert not target.exists(), "an output without a message"
             return str(error).partition(":")[2][:30]
+        assert verify(source) == report, "verified and recovered are not the same"
         if report.whole:
-            return "whole"
+            return "whole", report.unproved > 0
         with target.open("rb") as file:
             found = sum(1 for _ in NonSeekingReader(file, validate_crcs=True).iter_messages())
             file.seek(0)
             # By its index mcap finds only the messages in chunks.
             assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) <= found
         assert found == sum(report.messages.values()), "the report and the result differ"
-        return found, report.salvaged, report.lost_bytes > 0
+        again = verify(target)
+        assert again.whole, again.reasons
+        assert report.lost or report.lost_messages == 0
+        return len(report.messages), report.left_out > 0, report.lost, tuple(report.reasons)
 
 
 def mission(data: bytes) -> Hashable:
@@ -264,6 +287,46 @@ def session(data: bytes) -> Hashable:
     return simulation.scenario, counters.msg_limits, counters.pipe_overflows, frozenset(kinds)
 
 
+def diagnosis(data: bytes) -> Hashable:
+    """Valid packets in any order: doctor, page and comparisons say something, in their schemas."""
+    frames = fuzz_traffic.batches(data[1:])
+    mission, found, tables, runs = (_ROVER, _TWO, Mission())[(data[0] if data else 0) % 3], [], [], []
+    for half in (slice(None), slice(len(frames) // 2, None)):
+        context = Context(mission, TYPES)
+        examination, table, ledger = Examination(context), Recorder(context), Ledger(mission)
+        batch = Demux().demux(frames).take(half)
+        if len(batch):
+            columns = ColumnDecoder(context).decode(batch)
+            examination.add(batch, columns)
+            table.add(batch, columns)
+            ledger.add(batch, columns)
+        found.append(examination.diagnose())
+        tables.append(table)
+        told = json.loads(
+            json.dumps({"source": "fuzz", **found[-1].as_json(), "warnings": []}, allow_nan=False)
+        )
+        check(told, _SCHEMAS["doctor"])
+        counts = {"source": "fuzz", "datagrams": ledger.datagrams, "routes": ledger.routes()}
+        runs.append(Run(counts, told))
+    for item in found:
+        if item.case is not None:
+            json.dumps([entry.as_json() for entry in missing(item.case)], allow_nan=False)
+        page(item, "fuzz", Made("", 0))
+        StringConsole(width=100, file=StringIO()).print(view(item, "fuzz", 100))
+        assert item.lost >= 0
+        assert all(verdict.start_ns <= verdict.end_ns for verdict in item.verdicts)
+        assert min(row.all_lost for row in item.balance) >= 0 if item.balance else True
+    between = compare_captures(tables[0], tables[1], mission)
+    check(json.loads(json.dumps(between.as_json(), allow_nan=False)), _SCHEMAS["against"])
+    align(*tables)
+    for good, bad in (runs, runs[::-1]):
+        of_runs = Runs(good, bad, run_differences(good, bad, tolerance=0.1, serious=frozenset()))
+        check(json.loads(json.dumps(of_runs.as_json(), allow_nan=False)), _SCHEMAS["compare"])
+        StringConsole(width=100, file=StringIO()).print(runs_view(good, bad, of_runs.changes))
+    assert not run_differences(runs[0], runs[0], tolerance=0.1, serious=frozenset())
+    return found[0].bad, frozenset(verdict.rule for verdict in found[0].verdicts)
+
+
 TARGETS: dict[str, Callable[[bytes], Hashable]] = {
     "packet": packet,
     "frames": frames,
@@ -272,4 +335,6 @@ TARGETS: dict[str, Callable[[bytes], Hashable]] = {
     "mission": mission,
     "message": message,
     "session": session,
+    "diagnosis": diagnosis,
+    **fuzz_inputs.TARGETS,
 }

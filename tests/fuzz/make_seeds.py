@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import gzip
 import shutil
+import sqlite3
 import struct
+import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
@@ -12,22 +14,29 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 import zstandard
+from fuzz_inputs import BAG, SPLIT
 from fuzz_targets import LINK_TYPES, MESSAGES, ROOMS, ROOT, SCENARIOS, TYPES
+from fuzz_traffic import write_seeds
+from mcap.writer import CompressionType, Writer
 
 from edoras_tools.decode import Context, Dissector
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
 from edoras_tools.mission import load
-from edoras_tools.model import Link
-from edoras_tools.pipelines.record import Target, record
+from edoras_tools.model import OTHER, Peer
+from edoras_tools.pipelines.capture.record import Target, record
+from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.sources import open_file
 from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.envelope import EnvelopeFormat
 
 SEEDS = Path(__file__).parent / "seeds"
 CAPTURES = ROOT / "samples/captures"
 TWIST = TYPES.encode("geometry_msgs/msg/Twist", {"linear": {"x": 0.5}, "angular": {"z": 0.2}})
-PEER = sbn.Peer(0x42, 3)
+PEER = Peer(0x42, 3)
 
 
 def room(port, **wanted):
@@ -41,7 +50,7 @@ def room(port, **wanted):
 def captured():
     """A packet of every kind in the samples: one for each link, MsgId or SBN type, and set of findings."""
     mission = load([ROOT / "samples/missions/rover_ground.yaml"])
-    ports = {Link.CI: 1234, Link.TO: 1235, Link.SBN: 2234, Link.OTHER: 8080}
+    ports = {CI: 1234, TO: 1235, SBN: 2234, OTHER: 8080}
     seen = {}
     for path in sorted(CAPTURES.glob("*.pcap")):
         dissector = Dissector(Context(mission, TYPES))
@@ -154,7 +163,7 @@ def captures(folder):
     for name in ("x.pcap", "x.pcapng", "x.mcap"):
         source = open_files([CAPTURES / "a_rover.pcap"])
         chosen = Selection(msg_ids=(0x1827, 0x827, 0x803, 0x808))
-        record(source, bench, Target(folder / name), selection=chosen, clock=lambda: 0, count=8)
+        record(source, bench, Target(folder / name), selection=chosen, limits=Limits(8, clock=lambda: 0))
         # A recording names its source; where that is on this machine is nobody's business.
         files[name[2:]] = (folder / name).read_bytes().replace(bytes(ROOT), b"/" * len(bytes(ROOT)))
     pcap = files["pcap"]
@@ -179,11 +188,44 @@ def captures(folder):
 
 
 def recordings(folder):
-    """Recordings cut off in several places."""
+    """Recordings damaged in every way, and those of other writers."""
     whole = captures(folder)["mcap"]
-    return {f"cut_{length}": whole[:length] for length in (8, 100, len(whole) // 2, -300, -8)} | {
-        "whole": whole
+    half = len(whole) // 2
+    others = {
+        f"foreign_{compression.name.lower()}{name}": foreign(folder, compression, crc, chunked)
+        for compression in CompressionType
+        for name, crc, chunked in (("", True, True), ("_no_crc", False, True), ("_no_chunks", True, False))
     }
+    flipped = bytearray(whole)
+    flipped[half] ^= 8
+    return {
+        **{f"cut_{length}": whole[:length] for length in (8, 100, half, -300, -8)},
+        **others,
+        "whole": whole,
+        "flipped": bytes(flipped),
+        "zeroed": whole[:half] + bytes(500) + whole[half + 500 :],
+        "inserted": whole[:half] + b"\5 more bytes" + whole[half:],
+        "removed": whole[:half] + whole[half + 30 :],
+        "hole": bytes(half) + whole[half:],
+        "joined": others["foreign_zstd"] + whole,
+        "cut_joined": whole[:half] + others["foreign_lz4"],
+    }
+
+
+def foreign(folder, compression, crc, chunked):
+    """What the mcap library writes."""
+    path = folder / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, 300, compression, enable_crcs=crc, enable_data_crcs=crc, use_chunking=chunked)
+        writer.start("ros2", "another")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channels = [writer.register_channel(f"/chatter_{index}", "cdr", schema) for index in range(2)]
+        for index in range(20):
+            writer.add_message(channels[index % 2], index, b"%040d" % index, index)
+        writer.add_attachment(0, 0, "a.txt", "text/plain", b"attached")
+        writer.add_metadata("about", {"a": "b"})
+        writer.finish()
+    return path.read_bytes()
 
 
 def messages():
@@ -238,6 +280,108 @@ def missions():
     return files
 
 
+def definitions():
+    """Messages as people write them: every kind of line."""
+    texts = {
+        "kinds": "bool a\nint8 b -1\nuint64[3] c [1, 2, 3]\nfloat32[] d\nfloat64[<=4] e\nstring<=7 f 'x'\n"
+        "wstring g\nbyte h\nchar i\nstring[<=2] j ['a', \"b\"]\n",
+        "constants": "# what they mean\nint32 A=-5\nfloat64 B=1e3 # tail\n"
+        "string C=a b 'c'\nbool D=true\nint32 v 7\n",
+        "nested": "std_msgs/Header header\ngeometry_msgs/msg/Point[2] points\nHeader h\n",
+        "mistakes": "int33 a\nint8 9a\nint8 a\nint8 a\nstring<=x b\nint8[<] c\nuint8 d 256\nbool e 2\n",
+        "empty": "# nothing\n\n",
+    }
+    return {name: text.encode() for name, text in texts.items()}
+
+
+def filters():
+    """Filters of every operator and kind of field."""
+    texts = (
+        "msg_id == 0x1829 and not link in {ci, to}",
+        "linear.x > 0.1 or pose.position.x in {-1..2.5, 7}",
+        'topic matches "robot_[12]/" and sbn.msg_type == SUB',
+        "time >= 5s and time < 1m and (findings == stale_tail or length > 40)",
+        "source == 127.0.0.1 and destination.port != 2236 and payload contains 0a:ff",
+        "sequence_count in {1, 2, 5..9} and not (sbn.processor_id == 3) and len(payload) > 20",
+        'cfe_event.message contains "Pipe" or type == "geometry_msgs/msg/Twist" or length == 7',
+    )
+    return {f"filter_{number}": text.encode() for number, text in enumerate(texts)}
+
+
+def layouts():
+    made = {"sample": (ROOT / "samples/structs/edoras_app.yaml").read_bytes()}
+    made["all"] = (
+        b"edoras_structs: 1\nbyte_order: big\npackage: made_msgs\nbind: {0x0826: A, '0x1827/2': B}\n"
+        b"enums:\n  Mode: {type: int8, values: {OFF: 0, ON: 1, LOST: -1}}\n"
+        b"structs:\n"
+        b"  A: {size: 64, header: 16, members: {m: Mode, f: 'uint16:10', g: 'uint16:6', t: char, p: B}}\n"
+        b"  B: {members: {x: float64 @ 0, y: 'float32[2][2] @ 8', u: U, last: 'uint8[]'}}\n"
+        b"  U: {union: true, members: {a: uint32 hex, b: float32}}\n"
+    )
+    made["json"] = b'{"structs": {"A": {"members": {"x": "int32", "y": {"type": "byte[4]", "doc": "d"}}}}}'
+    return made
+
+
+def programs(folder):
+    """Small object files with debug information, of four kinds; they need a compiler, and are kept."""
+    source = folder / "a.c"
+    source.write_text(
+        "typedef enum { OFF, ON = -1 } Mode_t;\n"
+        "typedef struct { unsigned char h[16]; Mode_t m; struct { float x, y; } p[2]; int f:10; } Hk_t;\n"
+        "typedef union { int i; double d; } U_t;\n"
+        "typedef struct { U_t u; char name[8]; struct Node *next; Hk_t hk; } Node_t;\nNode_t n;\n"
+    )
+    made = {}
+    for name, flags in (
+        ("dwarf4", ["-gdwarf-4"]),
+        ("dwarf5", ["-gdwarf-5"]),
+        ("packed", ["-g", "-fpack-struct"]),
+        ("compressed", ["-g", "-gz"]),
+    ):
+        made[name] = _object(source, flags)
+    made["no_debug_information"] = _object(source, [])
+    return made
+
+
+def _object(source, flags):
+    target = source.with_suffix(".o")
+    command = ["gcc", *flags, f"-fdebug-prefix-map={source.parent}=/", "-c", source.name, "-o", target.name]
+    subprocess.run(command, check=True, cwd=source.parent)
+    return target.read_bytes()
+
+
+def scenarios():
+    files = {path.stem: path.read_bytes() for path in (ROOT / "samples/scenarios").glob("*.yaml")}
+    files["rules"] = (
+        b"seed: 7\nprofile: lunar\nfaults:\n  - delay:200ms,to=cfs\n  - rate: 30\n    keep: latest\n"
+        b"    msg_id: 0x1827\n    from: 10s\n    until: 1m\n  - corrupt: 1%\n    bits: 3\n  - silence: 12s\n"
+    )
+    return files
+
+
+def bags(folder):
+    """Bags of two messages: a database alone, with its metadata, and one that breaks its own rules."""
+    made = {}
+    for name, rows in {
+        "database": [(1, 10**18, b"\0\1\0\0" + bytes(8)), (1, 10**18 + 1, b"\0\1\0\0x")],
+        "wrong_kinds": [(1, "late", b"\0\1\0\0"), (1, 5, 7), (2, None, None), (1, 1.5, "text")],
+    }.items():
+        path = folder / f"{name}.db3"
+        with closing(sqlite3.connect(path)) as database:
+            database.execute("PRAGMA page_size = 512")
+            database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)")
+            database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+            database.execute("INSERT INTO topics VALUES(1, '/a', 'std_msgs/msg/String', 'cdr')")
+            if name == "wrong_kinds":
+                database.execute("INSERT INTO topics VALUES(2, NULL, 7, 'cdr')")
+            database.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", rows)
+            database.commit()
+        made[name] = path.read_bytes()
+    made["with_metadata"] = BAG + SPLIT + made["database"]
+    made["mcap"] = captures(folder)["mcap"]
+    return made
+
+
 def main(folder: Path = SEEDS) -> None:
     """Write all seeds."""
     shutil.rmtree(folder, ignore_errors=True)
@@ -251,10 +395,19 @@ def main(folder: Path = SEEDS) -> None:
         "mission": missions(),
         "message": messages(),
         "session": sessions(),
+        "definition": definitions(),
+        "where": filters(),
+        "structs": layouts(),
+        "elf": programs(scratch),
+        "scenario": scenarios(),
+        "rosbag2": bags(scratch),
+        "doctor": {name: data for name, data in captures(scratch).items() if not name.startswith("pcap_")},
     }.items():
         (folder / target).mkdir()
         for name, data in files.items():
             (folder / target / name).write_bytes(data)
+    (folder / "diagnosis").mkdir()
+    write_seeds(folder / "diagnosis")
     shutil.rmtree(scratch)
 
 

@@ -1,7 +1,7 @@
 """Tests marked ``own_network`` run where only a loopback interface is: a network namespace of their own.
 
 Cyclone DDS binds every interface that it finds. So this session starts another one, in a new namespace, for
-the marked tests that it is asked for, once, and reports each test's outcome as its own. ``unshare`` makes the
+the marked tests of a file, once, and reports each test's outcome as its own. ``unshare`` makes the
 namespace for anybody; where it cannot, the tests fail and say why.
 """
 
@@ -15,8 +15,8 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from places import ROOT
 
-ROOT = Path(__file__).parents[2]
 INSIDE = "EDORAS_OWN_NETWORK"
 LIMIT = 300
 ENTER = ("unshare", "--map-root-user", "--net", sys.executable, ".ci/with_raw_sockets.py", "--in-namespace")
@@ -30,9 +30,15 @@ def pytest_collection_modifyitems(items):
     marked = [item for item in items if item.get_closest_marker("own_network")]
     if INSIDE in os.environ or not marked:
         return
-    session = OtherSession([item.nodeid for item in marked])
+    # Of one file: workers share tests out by files, and none runs what is another's.
+    sessions = {
+        path: OtherSession([item.nodeid for item in marked if item.path == path])
+        for path in {item.path for item in marked}
+    }
     items[:] = [
-        Elsewhere.from_parent(item.parent, name=item.name, session_there=session) if item in marked else item
+        Elsewhere.from_parent(item.parent, name=item.name, session_there=sessions[item.path])
+        if item in marked
+        else item
         for item in items
     ]
 

@@ -12,14 +12,15 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from places import MISSIONS, SUPPORT
 from waiting import Program
 
 from edoras_tools.ros import TypeStore
+from edoras_tools.ros.type_hash import type_hash
 
 pytestmark = pytest.mark.own_network
 
 EDORAS = Path(sys.executable).with_name("edoras")
-MISSIONS = Path(__file__).parents[2] / "samples/missions"
 TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
 TYPES = TypeStore()
 URI = (
@@ -47,7 +48,7 @@ class ZenohPeer(Peer):
     options = (f"router=tcp/127.0.0.1:{PORT}", "listen=tcp/127.0.0.1:0")
 
     def __init__(self):
-        super().__init__(sys.executable, Path(__file__).with_name("zenoh_judge.py"), PORT, stdin=-1)
+        super().__init__(sys.executable, SUPPORT / "zenoh_judge.py", PORT, stdin=-1)
 
     def join(self, speaks, hears):
         pass
@@ -66,7 +67,7 @@ class DdsPeer(Peer):
     options = ("interface=lo", "multicast=false", "peers=127.0.0.1")
 
     def __init__(self):
-        peer = Path(__file__).with_name("dds_peer.py")
+        peer = SUPPORT / "dds_peer.py"
         super().__init__(sys.executable, peer, stdin=-1, env=os.environ | {"CYCLONEDDS_URI": URI})
 
     def join(self, speaks, hears):
@@ -83,7 +84,7 @@ class DdsPeer(Peer):
 
 def _key(topic, kind):
     package, _, name = kind.split("/")
-    return f"0{topic}/{package}::msg::dds_::{name}_/TypeHashNotSupported"
+    return f"0{topic}/{package}::msg::dds_::{name}_/{type_hash(TYPES, kind)}"
 
 
 @pytest.mark.parametrize("way", [ZenohPeer, DdsPeer])

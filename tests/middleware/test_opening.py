@@ -10,7 +10,7 @@ import pytest
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import open_graph
 from edoras_tools.middleware.local import LocalGraph
-from edoras_tools.middleware.opening import usual, usual_domain
+from edoras_tools.middleware.opening import MIDDLEWARES, usual, usual_domain
 from edoras_tools.ros import TypeStore
 
 
@@ -27,7 +27,10 @@ def test_a_graph_by_name():
         ("foxglove", "--ros foxglove needs an extra (no such library): pip install 'edoras-tools[live]'"),
         (
             "rclpy",
-            "--ros rclpy needs a sourced ROS 2 of Python 3.VERSION (no such library); source its setup.bash",
+            (
+                "--ros rclpy needs a ROS 2 of Python 3.VERSION (no such library); source its setup.bash, or: "
+                "pip install ros-rclpy ros-rmw-fastrtps-cpp"
+            ),
         ),
     ],
 )
@@ -35,7 +38,9 @@ def test_an_absent_library_is_one_line_that_says_what_to_install(monkeypatch, ro
     def absent(*_arguments, **_options):
         raise ImportError("no such library\nand how to get it")
 
-    monkeypatch.setitem(sys.modules, f"edoras_tools.middleware.{ros}", SimpleNamespace(open_graph=absent))
+    monkeypatch.setitem(
+        sys.modules, f"edoras_tools.middleware.{MIDDLEWARES[ros]}", SimpleNamespace(open_graph=absent)
+    )
     with pytest.raises(ConfigError) as caught:
         open_graph(ros, TypeStore(), "node")
     assert str(caught.value) == told.replace("VERSION", str(sys.version_info.minor))
@@ -54,5 +59,5 @@ def test_the_environment_says_what_is_usual():
     ]
     assert [usual_domain({}), usual_domain({"ROS_DOMAIN_ID": "42"})] == [0, 42]
     for text in ("x", "-1", "233"):
-        with pytest.raises(ConfigError, match="is no domain"):
+        with pytest.raises(ConfigError, match="is not a domain"):
             usual_domain({"ROS_DOMAIN_ID": text})

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission import loads
 
-ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/missions.md").read_text()
 
 

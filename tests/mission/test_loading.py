@@ -5,13 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from places import MISSIONS
 
 from edoras_tools.errors import ConfigError, RouteError
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
 from edoras_tools.mission import FlightLink, GroundLink, Mission, Route, load, loads
-from edoras_tools.model import Endpoint, Link
+from edoras_tools.model import Endpoint
 
 FIGURES = Path(__file__).parent / "figures"
-SAMPLES = Path(__file__).parents[2] / "samples/missions"
+SAMPLES = MISSIONS
 
 TWIST, POSE, POSE_STAMPED = (f"geometry_msgs/msg/{name}" for name in ("Twist", "Pose", "PoseStamped"))
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -34,8 +38,8 @@ def test_figure_4():
     mission = load(path)
     assert mission.links == (GroundLink(1235, 1235, "10.5.0.3", "0.0.0.0", None, path, 3),)
     assert mission.routes == (
-        Route("/cmd_vel", TWIST, 0x1827, Link.CI, "command", "cmd_twist", path, 10),
-        Route("/telemetry_pose", POSE_STAMPED, 0x827, Link.TO, "telemetry", "tlm_pose", path, 14),
+        Route("/cmd_vel", TWIST, 0x1827, CI, "command", "cmd_twist", path, 10),
+        Route("/telemetry_pose", POSE_STAMPED, 0x827, TO, "telemetry", "tlm_pose", path, 14),
     )
     assert mission.warnings == ()
     assert mission.files == {"figure_4.yaml": Path(path).read_bytes()}
@@ -46,10 +50,10 @@ def test_figure_19_which_names_no_node():
     mission = load([path])
     assert mission.links == (FlightLink("10.5.0.3", 2235, 2, 0x42, 2236, "0.0.0.0", 3, 0x42, path, 2),)
     assert mission.routes == (
-        Route("/robot_1/pose", POSE_STAMPED, 0x1829, Link.SBN, "command", "pose_tlm_1", path, 18),
-        Route("/robot_2/pose", POSE_STAMPED, 0x182A, Link.SBN, "command", "pose_tlm_2", path, 23),
-        Route("/robot_1/cmd_vel", TWIST, 0x82A, Link.SBN, "telemetry", "twist_cmd_1", path, 28),
-        Route("/robot_2/cmd_vel", TWIST, 0x82B, Link.SBN, "telemetry", "twist_cmd_2", path, 33),
+        Route("/robot_1/pose", POSE_STAMPED, 0x1829, SBN, "command", "pose_tlm_1", path, 18),
+        Route("/robot_2/pose", POSE_STAMPED, 0x182A, SBN, "command", "pose_tlm_2", path, 23),
+        Route("/robot_1/cmd_vel", TWIST, 0x82A, SBN, "telemetry", "twist_cmd_1", path, 28),
+        Route("/robot_2/cmd_vel", TWIST, 0x82B, SBN, "telemetry", "twist_cmd_2", path, 33),
     )
     (warning,) = mission.warnings
     assert warning == f"{path}:1: ros__parameters: no name of a node stands above; a bridge refuses this file"
@@ -99,7 +103,7 @@ def test_samples_hold_the_routes_of_the_demos(names):
     assert ground.telemetry_output == Endpoint("127.0.0.1", 1235)
     for flight in mission.flight:
         assert flight.peer == Endpoint("127.0.0.1", 2234)
-        assert flight.bridge == Endpoint("0.0.0.0", 2236)
+        assert flight.bridge == Endpoint("127.0.0.1", 2236)
         assert (flight.peer_processor_id, flight.processor_id) == (1, 3)
         assert flight.peer_spacecraft_id == flight.spacecraft_id == 0x42
     assert len(mission.links) == len(names)
@@ -181,7 +185,7 @@ def test_dotted_names_are_nested_names():
         "    command: [a]\n    telemetry: ['']\n"
         "    a.type: geometry_msgs/msg/Twist\n    a.topic: x\n    a.mid: 0x1827\n"
     )
-    assert mission.routes == (Route("/x", TWIST, 0x1827, Link.CI, "command", "a", "m.yaml", 9),)
+    assert mission.routes == (Route("/x", TWIST, 0x1827, CI, "command", "a", "m.yaml", 9),)
 
 
 def test_ground_and_flight_may_share_a_file_and_other_nodes_too():
@@ -266,7 +270,7 @@ def test_direction_is_from_the_bridge_and_says_who_hears():
 def test_find(name):
     mission = load([SAMPLES / "two_rovers_ground.yaml", SAMPLES / "two_rovers_flight.yaml"])
     assert mission.find(name).key == "pose_tlm_1"
-    assert mission.find(name).link is Link.SBN
+    assert mission.find(name).link is SBN
 
 
 def test_find_says_what_there_is():

@@ -5,16 +5,17 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
+from effort import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from places import MISSIONS
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission import load, loads
 
-SAMPLES = Path(__file__).parents[2] / "samples/missions"
+SAMPLES = MISSIONS
 GROUND = """\
 bridge:
   ros__parameters:
@@ -60,10 +61,10 @@ CHANGES = [
     ("fsw_port: 1234", "fsw_port: {a: 1}", "5: communication.fsw_port: a mapping; an integer from 1 to 65535 is needed"),
     ("fsw_port: 1234", "fsw_port:", "5: communication.fsw_port: no value; write one, or '' for an empty string"),
     ("      fsw_port: 1234\n", "", "3: communication.fsw_port: missing; an integer from 1 to 65535 is needed"),
-    ('fsw_ip: "127.0.0.1"', "fsw_ip: cfs", '6: communication.fsw_ip: "cfs" is no IPv4 address; the bridges resolve no host names: write it as 127.0.0.1'),
-    ('fsw_ip: "127.0.0.1"', "fsw_ip: ::1", '6: communication.fsw_ip: "::1" is no IPv4 address; the bridges resolve no host names: write it as 127.0.0.1'),
+    ('fsw_ip: "127.0.0.1"', "fsw_ip: cfs", '6: communication.fsw_ip: "cfs" is not an IPv4 address; the bridges resolve no host names: write it as 127.0.0.1'),
+    ('fsw_ip: "127.0.0.1"', "fsw_ip: ::1", '6: communication.fsw_ip: "::1" is not an IPv4 address; the bridges resolve no host names: write it as 127.0.0.1'),
     ('fsw_ip: "127.0.0.1"', "fsw_ip: 127.1", '6: communication.fsw_ip: 127.1 is the float 127.1; a string is needed: write "127.1" in quotes'),
-    ('fsw_ip: "127.0.0.1"', "fsw_ip: 10.0.0.256", '6: communication.fsw_ip: "10.0.0.256" is no IPv4 address; the bridges resolve no host names: write it as 127.0.0.1'),
+    ('fsw_ip: "127.0.0.1"', "fsw_ip: 10.0.0.256", '6: communication.fsw_ip: "10.0.0.256" is not an IPv4 address; the bridges resolve no host names: write it as 127.0.0.1'),
     ('bridge_port: 1235\n      fsw_port: 1234\n      fsw_ip: "127.0.0.1"\n      telemetry_ip: "0.0.0.0"', "port: 1",
      "3: communication: neither a ground nor a flight bridge's; a ground bridge needs bridge_port, fsw_port, fsw_ip, telemetry_ip, bridge_ip (optional); a flight bridge peer_ip, peer_port, peer_processor_id, peer_spacecraft_id, udp_receive_port, udp_receive_ip, processor_id, spacecraft_id"),
     # lists
@@ -87,22 +88,22 @@ CHANGES = [
     ("0x1827", "0", "13: drive.mid: 0x0 is refused by cFE; a MsgId from 0x1 to 0x1FFF is needed"),
     ("0x1827", "18446744073709551616", "13: drive.mid: 18446744073709551616 is the float 1.8446744073709552e+19; a MsgId from 0x1 to 0x1FFF is needed"),
     ('      type: "geometry_msgs/msg/Twist"\n', "", "10: drive.type: missing; a ROS type is needed, as package/msg/Name"),
-    ("geometry_msgs/msg/Twist", "geometry_msgs/Twist", '11: drive.type: "geometry_msgs/Twist" is no package/msg/Name; write geometry_msgs/msg/Twist'),
-    ("geometry_msgs/msg/Twist", "geometry_msgs::msg::Twist", '11: drive.type: "geometry_msgs::msg::Twist" is no package/msg/Name; write geometry_msgs/msg/Twist'),
-    ("geometry_msgs/msg/Twist", "Twist", '11: drive.type: "Twist" is no package/msg/Name; the bridge needs package/msg/Name'),
-    ("geometry_msgs/msg/Twist", "std_srvs/srv/Empty", '11: drive.type: "std_srvs/srv/Empty" is no package/msg/Name; the bridge needs package/msg/Name'),
+    ("geometry_msgs/msg/Twist", "geometry_msgs/Twist", '11: drive.type: "geometry_msgs/Twist" is not of the form package/msg/Name; write geometry_msgs/msg/Twist'),
+    ("geometry_msgs/msg/Twist", "geometry_msgs::msg::Twist", '11: drive.type: "geometry_msgs::msg::Twist" is not of the form package/msg/Name; write geometry_msgs/msg/Twist'),
+    ("geometry_msgs/msg/Twist", "Twist", '11: drive.type: "Twist" is not of the form package/msg/Name; the bridge needs package/msg/Name'),
+    ("geometry_msgs/msg/Twist", "std_srvs/srv/Empty", '11: drive.type: "std_srvs/srv/Empty" is not of the form package/msg/Name; the bridge needs package/msg/Name'),
     ('"cmd_vel"', "yes", '12: drive.topic: yes is the boolean true; a string is needed: write "yes" in quotes'),
-    ('"cmd_vel"', "''", '12: drive.topic: "" is no topic; letters, digits and _ between single slashes are allowed, no part starting with a digit'),
-    ('"cmd_vel"', "a//b", '12: drive.topic: "a//b" is no topic; letters, digits and _ between single slashes are allowed, no part starting with a digit'),
-    ('"cmd_vel"', "1a", '12: drive.topic: "1a" is no topic; letters, digits and _ between single slashes are allowed, no part starting with a digit'),
+    ('"cmd_vel"', "''", '12: drive.topic: "" is not a topic; letters, digits and _ between single slashes are allowed, no part starting with a digit'),
+    ('"cmd_vel"', "a//b", '12: drive.topic: "a//b" is not a topic; letters, digits and _ between single slashes are allowed, no part starting with a digit'),
+    ('"cmd_vel"', "1a", '12: drive.topic: "1a" is not a topic; letters, digits and _ between single slashes are allowed, no part starting with a digit'),
     ('"cmd_vel"', "/pose", "16: pose.topic: /pose is the topic of drive on line 12 already; a bridge takes a topic once"),
-    ("mid: 0x827", "mid: 0x827\n      envelope: 2/2", '18: pose.envelope: "2/2" is no envelope; auto, 8/8, 4/4 and 1/1 are allowed, the first numbers with le or be behind'),
+    ("mid: 0x827", "mid: 0x827\n      envelope: 2/2", '18: pose.envelope: "2/2" is not an envelope; auto, 8/8, 4/4 and 1/1 are allowed, the first numbers with le or be behind'),
     ("mid: 0x827", "mid: 0x827\n      envelope: 8", '18: pose.envelope: 8 is an integer; a string is needed: write "8" in quotes'),
     # the form of the file
     ("fsw_port: 1234", "bridge_port: 1234\n      fsw_port: 1234", "5: communication.bridge_port: written twice, on line 4 before; keep one"),
     ("    pose:", "    drive: {type: x}\n    pose:", "14: drive: written twice, on line 10 before; keep one"),
     ("fsw_port: 1234", "fsw_port: &p 1234\n      x: *p", "6: communication.x: an alias (*); ROS 2 takes none: write the value out"),
-    ("fsw_port: 1234", "fsw_port: 1234\n      [1]: 2", "6: communication: a key that is no name; write NAME: VALUE"),
+    ("fsw_port: 1234", "fsw_port: 1234\n      [1]: 2", "6: communication: a key that is not a name; write NAME: VALUE"),
     ("bridge:\n", "1bridge:\n", "2: 1bridge: not the name of a node; allowed are letters, digits and _ between slashes, or the wildcards * and **"),
     ("bridge:\n", "rate: 5\nbridge:\n", "1: rate: a value outside ros__parameters; indent it below, or remove it"),
 ]  # fmt: skip
@@ -185,7 +186,7 @@ def test_all_mistakes_of_all_files_at_once(tmp_path):
     assert [line.removeprefix(str(tmp_path)).partition("; ")[0] for line in caught.value.mistakes] == [
         "/none.yaml: no such file",
         '/bad.yaml:5: communication.fsw_port: "ci" is a string',
-        '/bad.yaml:12: drive.topic: "a b" is no topic',
+        '/bad.yaml:12: drive.topic: "a b" is not a topic',
         "/bad.yaml:17: pose.mid: 0x2827 is refused by cFE",
         ": a directory",
     ]
@@ -285,7 +286,7 @@ VALUES = st.sampled_from(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 16), st.integers(0, 3), VALUES), max_size=4))
 def test_any_damage_to_a_file_that_was_right(damages):
     lines = GROUND.splitlines()

@@ -5,22 +5,23 @@ from __future__ import annotations
 import socket
 import threading
 from contextlib import ExitStack
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from places import ROOT
 from waiting import HOST, PATIENCE_S
 
-from edoras_tools.model import Columns, Endpoint, Link, PacketBatch, SourceInfo, SourceStatistics
-from edoras_tools.pipelines import proxy
-from edoras_tools.pipelines.proxy import Proxy
-from edoras_tools.pipelines.proxy_plan import ProxyPlan
-from edoras_tools.sessions.fault_rules import parse_rule
-from edoras_tools.sessions.faults import FaultPlan
-from edoras_tools.sources.relay import PlainArena
+from edoras_tools.io.net.buffer import DatagramBuffer
+from edoras_tools.links.ci import CI
+from edoras_tools.model import Columns, Endpoint, PacketBatch, SourceInfo, SourceStatistics
+from edoras_tools.pipelines.proxy import run as proxy
+from edoras_tools.pipelines.proxy.plan import ProxyPlan
+from edoras_tools.pipelines.proxy.run import Proxy
+from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.sessions.faults.machine import FaultPlan
+from edoras_tools.sessions.faults.rules import parse_rule
 
-ROOT = Path(__file__).parents[2]
 ANY = Endpoint(HOST, 0)
 
 
@@ -61,6 +62,7 @@ def _batch(rows):
         function_code=np.full(count, -1, dtype=np.int16),
         mission_time_ns=np.full(count, -1, dtype=np.int64),
         header_length=np.zeros(count, dtype=np.uint8),
+        headers=np.zeros(count, dtype=np.uint8),
         cdr_offset=np.full(count, -1, dtype=np.int64),
         cdr_length=np.zeros(count, dtype=np.int32),
         route=column("i2", (row.route for row in rows)),
@@ -157,7 +159,7 @@ class Ends:
         faults = FaultPlan(tuple(parse_rule(rule) for rule in rules), seed)
         ends = tuple(Endpoint(*target.getsockname()) for target in targets)
         made = Proxy(
-            ProxyPlan(**{"link": Link.CI, "listen": ANY, "targets": ends, "faults": faults} | plan),
+            ProxyPlan(**{"link": CI, "listen": ANY, "targets": ends, "faults": faults} | plan),
             recorder=recorder,
             where=where,
         )
@@ -186,4 +188,21 @@ def ends():
 def arena(request, monkeypatch):
     """Both ways of moving datagrams."""
     if request.param == "plain":
-        monkeypatch.setattr(proxy, "make_arena", PlainArena)
+        monkeypatch.setattr(proxy, "make_buffer", DatagramBuffer)
+
+
+@pytest.fixture(scope="module")
+def bench():
+    """The decoders, without a mission."""
+    return Settings().workbench()
+
+
+@pytest.fixture
+def batches(captures):
+    """The datagrams of the rover in batches of a hundred, and one of none."""
+    source = open_files([captures("a_rover")])
+    whole = list(source.batches())
+    source.close()
+    assert len(whole) == 1
+    hundreds = [whole[0].take(slice(start, start + 100)) for start in range(0, 1800, 100)]
+    return [*hundreds[:3], whole[0].take(slice(0, 0)), *hundreds[3:]]

@@ -9,7 +9,20 @@ from pathlib import Path
 import pytest
 
 from edoras_tools.errors import TruncatedError
-from edoras_tools.model import Datagram, Decoded, Endpoint, Finding, Layer, LayerField, Link, RosMessage
+from edoras_tools.links.ci import CI as CI_LINK
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
+from edoras_tools.model import (
+    OTHER,
+    Datagram,
+    Decoded,
+    Endpoint,
+    Finding,
+    Layer,
+    LayerField,
+    Peer,
+    RosMessage,
+)
 from edoras_tools.wire import ccsds, cdr, cfe, envelope, sbn
 
 START_NS = 1_795_241_802_553_538_000
@@ -64,7 +77,7 @@ def twist():
     )
     return Decoded(
         datagram(1, 0, data, GROUND, CI),
-        Link.CI,
+        CI_LINK,
         layers,
         Finding.CHECKSUM_ABSENT | Finding.SEQUENCE_UNSET,
         RosMessage("geometry_msgs/msg/Twist", "/cmd_vel", values, body),
@@ -87,28 +100,26 @@ def event():
         layer(cfe.EVENT, data, 16),
     )
     ends = Endpoint("10.0.0.2", 1236), Endpoint("192.168.100.5", 1235)
-    return Decoded(
-        datagram(2, 1.25, data, *ends), Link.TO, layers, Finding(0), summary=f"CFE_SB 17: {message}"
-    )
+    return Decoded(datagram(2, 1.25, data, *ends), TO, layers, Finding(0), summary=f"CFE_SB 17: {message}")
 
 
 def subscriptions():
     wanted = [0x1827, 0x1828, 0x1829, 0x182A]
     payload = sbn.emit_subscriptions(sbn.Subscription(item) for item in wanted)
-    data = sbn.emit(sbn.MsgType.SUB, sbn.Peer(66, 3), payload)
+    data = sbn.emit(sbn.MsgType.SUB, Peer(66, 3), payload)
     layers = [layer(sbn.HEADER, data, 0), layer(sbn.SUBSCRIPTIONS, data, 11)]
     layers += [layer(sbn.SUBSCRIPTION, data, 61 + 6 * index) for index in range(len(wanted))]
     ends = Endpoint("127.0.0.1", 2236), Endpoint("127.0.0.1", 2234)
     summary = "0x1827, 0x1828, 0x1829 and 1 more from 66:3"
-    return Decoded(datagram(3, 2.5, data, *ends), Link.SBN, tuple(layers), Finding(0), summary=summary)
+    return Decoded(datagram(3, 2.5, data, *ends), SBN, tuple(layers), Finding(0), summary=summary)
 
 
 def disconnect():
-    data = sbn.emit(sbn.MsgType.DISCONNECT, sbn.Peer(66, 3)) + b"tail"
+    data = sbn.emit(sbn.MsgType.DISCONNECT, Peer(66, 3)) + b"tail"
     ends = Endpoint("127.0.0.1", 2236), Endpoint("127.0.0.1", 2234)
     return Decoded(
         datagram(4, 2.75, data, *ends),
-        Link.SBN,
+        SBN,
         (layer(sbn.HEADER, data, 0),),
         Finding.SBN_SIZE_MISMATCH,
         summary="from 66:3",
@@ -119,7 +130,7 @@ def truncated():
     data = bytes.fromhex("18270000004501")
     return Decoded(
         datagram(5, 3, data, GROUND, CI),
-        Link.CI,
+        CI_LINK,
         (packet_layer(data, 0, "/cmd_vel"),),
         Finding.TRUNCATED | Finding.LENGTH_MISMATCH | Finding.SEQUENCE_UNSET,
         stop=TruncatedError("cfe_command", 6, 2, 1),
@@ -133,9 +144,7 @@ def hostile():
     ends = Endpoint("fe80::1ff:fe23:4567:890a", 5353), Endpoint("ff02::fb", 5353)
     bad = Layer("ros", text, 0, len(data), (LayerField(text, text, 0, 9, "", text),))
     message = RosMessage(text, text, {text: text}, data)
-    return Decoded(
-        datagram(1234567, 100000, data, *ends), Link.OTHER, (bad,), Finding(0), message, summary=text
-    )
+    return Decoded(datagram(1234567, 100000, data, *ends), OTHER, (bad,), Finding(0), message, summary=text)
 
 
 @pytest.fixture(scope="session")

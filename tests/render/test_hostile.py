@@ -6,17 +6,19 @@ import io
 import re
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
 from edoras_tools.errors import WireError
-from edoras_tools.model import Datagram, Decoded, Endpoint, Finding, Layer, LayerField, Link, RosMessage
-from edoras_tools.render import packet, tree
-from edoras_tools.render.info import capture_summary
-from edoras_tools.render.packet_list import PacketList, TimeFormat
-from edoras_tools.render.palette import Paint
-from edoras_tools.render.text import cells
+from edoras_tools.links import table
+from edoras_tools.model import OTHER, Datagram, Decoded, Endpoint, Finding, Layer, LayerField, RosMessage
+from edoras_tools.render.capture import packet, tree
+from edoras_tools.render.capture.info import capture_summary
+from edoras_tools.render.capture.packet_list import PacketList, TimeFormat
+from edoras_tools.render.terminal.palette import Paint
+from edoras_tools.render.terminal.text import cells
 
 anything = st.text(st.characters(exclude_categories=()), max_size=30) | st.sampled_from(
     [
@@ -39,7 +41,7 @@ values = st.recursive(
 )
 places = st.integers(-80, 120)
 fields = st.builds(LayerField, anything, values, places, places, anything, anything)
-quick = settings(max_examples=250, deadline=None)
+quick = settings(max_examples=examples(250), deadline=None)
 names = st.sampled_from(["ccsds", "sbn", "cfe_command", "ros", ""]) | anything
 layers = st.builds(Layer, names, anything, places, places, st.lists(fields, max_size=4).map(tuple))
 endpoints = st.builds(Endpoint, st.ip_addresses().map(str) | anything, st.integers(0, 65535))
@@ -58,7 +60,7 @@ datagrams = st.builds(
 packets = st.builds(
     Decoded,
     datagrams,
-    st.sampled_from(Link),
+    st.sampled_from([OTHER, *table.links()]),
     st.lists(layers, max_size=4).map(tuple),
     st.integers(0, (1 << 27) - 1).map(Finding),
     st.none() | st.builds(RosMessage, anything, anything, st.just({}), st.just(b"")),
@@ -92,14 +94,14 @@ def test_packet_list(some, width, colour, time_format, verbose):
 @quick
 @given(packets, st.integers(40, 220), st.booleans())
 def test_tree(decoded, width, colour):
-    for line in tree.lines(decoded, width, Paint(colour)):
+    for line in tree.tree_lines(decoded, width, Paint(colour)):
         check(line, width, colour=colour)
 
 
 @quick
 @given(packets, st.integers(44, 220), st.booleans(), st.sampled_from(["payload", "frame"]))
 def test_whole_packet(decoded, width, colour, base):
-    for line in packet.lines(decoded, width, colour=colour, base=base):
+    for line in packet.packet_lines(decoded, width, colour=colour, base=base):
         check(line, width, colour=colour)
 
 

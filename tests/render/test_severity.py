@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from edoras_tools.model import Finding
-from edoras_tools.render.severity import EXPLANATIONS, NOTABLE, Severity, explain, ranked, worst
+from edoras_tools.render.severity import EXPLANATIONS, NOTABLE, Level, explain, ranked, worst
 
 
 @pytest.mark.parametrize("finding", Finding, ids=lambda item: item.label)
@@ -21,22 +21,22 @@ def test_short_names_differ():
 
 
 def test_a_label_of_a_later_version_is_a_warning():
-    assert explain("made_of_cheese").severity is Severity.WARNING
+    assert explain("made_of_cheese").severity is Level.WARNING
 
 
 def test_what_the_bridges_always_do_is_only_a_note():
-    assert worst(Finding.CHECKSUM_ABSENT | Finding.SEQUENCE_UNSET) is Severity.NOTE
+    assert worst(Finding.CHECKSUM_ABSENT | Finding.SEQUENCE_UNSET) is Level.NOTE
     assert not NOTABLE & (Finding.CHECKSUM_ABSENT | Finding.SEQUENCE_UNSET)
 
 
 def test_ranked_puts_the_gravest_first():
     some = Finding.SEQUENCE_UNSET | Finding.LENGTH_MISMATCH | Finding.CDR_INVALID
     assert ranked(some) == [Finding.CDR_INVALID, Finding.LENGTH_MISMATCH, Finding.SEQUENCE_UNSET]
-    assert ranked(some, at_least=Severity.ERROR) == [Finding.CDR_INVALID]
-    assert worst(some) is Severity.ERROR
+    assert ranked(some, at_least=Level.ERROR) == [Finding.CDR_INVALID]
+    assert worst(some) is Level.ERROR
     assert worst(Finding(0)) is None
 
 
 def test_notable_is_what_is_more_than_a_note():
     for finding, told in EXPLANATIONS.items():
-        assert (finding in NOTABLE) == (told.severity > Severity.NOTE)
+        assert (finding in NOTABLE) == (told.severity > Level.NOTE)

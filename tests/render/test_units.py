@@ -40,14 +40,6 @@ def test_figures(function, value, expected):
     assert function(value) == expected
 
 
-def test_plural():
-    assert [units.plural(number, "packet") for number in (0, 1, 1827)] == [
-        "0 packets",
-        "1 packet",
-        "1,827 packets",
-    ]
-
-
 def test_utc():
     assert units.utc(1_795_241_802_553_538_999) == "2026-11-21 06:16:42.553538"
     assert units.utc(1_795_241_802_553_538_999, digits=3) == "2026-11-21 06:16:42.553"

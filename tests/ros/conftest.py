@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.base import normalize_fieldname
 
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.schema import PLACEHOLDER, PRIMITIVES, Shape
+from edoras_tools.ros.types.schema import PLACEHOLDER, PRIMITIVES, Shape
 
 CUSTOM = {
     "odd_msgs/msg/Inner": "uint8 a\nfloat64 b\nuint8 c\n",
@@ -36,7 +36,7 @@ def store():
 
 @pytest.fixture(scope="session")
 def rosbags_store():
-    return get_typestore(Stores.ROS2_HUMBLE)
+    return get_typestore(Stores.ROS2_JAZZY)
 
 
 def _numbers(code):

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import pytest
+from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from edoras_tools.errors import WireError
 from edoras_tools.ros import TypeStore
 
 PACKAGES = ("geometry_msgs", "sensor_msgs", "std_msgs", "nav_msgs", "builtin_interfaces", "rcl_interfaces")
-ALL = sorted(get_typestore(Stores.ROS2_HUMBLE).fielddefs)
+ALL = sorted(get_typestore(Stores.ROS2_JAZZY).fielddefs)
 TYPES = [name for name in ALL if name.split("/")[0] in PACKAGES]
 
 
@@ -21,7 +21,7 @@ def test_the_packages_are_there():
 
 
 @pytest.mark.parametrize("name", TYPES)
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=examples(25, least=5), deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), little=st.booleans())
 def test_both_directions(store, rosbags_store, tools, name, data, little):
     values = data.draw(tools.messages(store, name))
@@ -36,7 +36,7 @@ def test_both_directions(store, rosbags_store, tools, name, data, little):
 
 
 @pytest.mark.parametrize("name", TYPES)
-@settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=examples(15, least=5), deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_what_rosbags_reads_is_valid(store, rosbags_store, tools, name, data):
     cdr = bytearray(store.encode(name, data.draw(tools.messages(store, name))))
@@ -49,13 +49,12 @@ def test_what_rosbags_reads_is_valid(store, rosbags_store, tools, name, data):
     store.decode(name, bytes(cdr))
 
 
-def test_rosbags_refuses_the_padding_that_we_refuse(store, rosbags_store):
+def test_rosbags_refuses_what_every_receiver_ignores(store, rosbags_store):
     cdr = store.encode("geometry_msgs/msg/Twist", {})
     for padding in range(4):
         rosbags_store.deserialize_cdr(cdr + bytes(padding), "geometry_msgs/msg/Twist")
+    for padding in range(60):
         store.decode("geometry_msgs/msg/Twist", cdr + bytes(padding))
-    with pytest.raises(WireError, match="4 bytes follow the last field, which ends at byte 52"):
-        store.decode("geometry_msgs/msg/Twist", cdr + bytes(4))
     with pytest.raises(Exception, match="size mismatch"):
         rosbags_store.deserialize_cdr(cdr + bytes(4), "geometry_msgs/msg/Twist")
 

@@ -4,17 +4,16 @@ import math
 import re
 import struct
 from enum import IntEnum
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from places import CAPTURES
 
 from edoras_tools.errors import FieldError, RouteError, TruncatedError, WireError
 from edoras_tools.ros import TypeStore
 
-CAPTURES = Path(__file__).parents[2] / "samples/captures"
 TWIST = "geometry_msgs/msg/Twist"
 STAMPED = "geometry_msgs/msg/PoseStamped"
 JOINTS = "sensor_msgs/msg/JointState"
@@ -79,7 +78,7 @@ def test_known_types(store):
 def test_nearest(store, asked, first):
     assert store.nearest(asked)[0] == first
     assert not store.has(asked)
-    assert store.check(asked).startswith(f"type {asked!r} is not known to ROS 2 humble; did you mean {first}")
+    assert store.check(asked).startswith(f"type {asked!r} is not known to ROS 2 jazzy; did you mean {first}")
 
 
 def test_nothing_near(store):
@@ -172,14 +171,11 @@ def test_bytes_on_the_wire(store):
     ]
 
 
-def test_wide_strings_follow_the_distribution():
-    texts = {"a/A": "wstring w\n"}
-    old, new = TypeStore("humble", definitions=texts), TypeStore("jazzy", definitions=texts)
-    assert old.encode("a/A", {"w": "é"})[4:] == b"\1\0\0\0\xe9\0\0\0"
-    assert new.encode("a/A", {"w": "é"})[4:] == b"\1\0\0\0\xe9\0"
-    for types in (old, new):
-        for big in (False, True):
-            assert types.decode("a/A", types.encode("a/A", {"w": "a𝄞"}, big_endian=big)) == {"w": "a𝄞"}
+def test_a_wide_string_has_four_bytes_a_unit():
+    types = TypeStore(definitions={"a/A": "wstring w\n"})
+    assert types.encode("a/A", {"w": "é"})[4:] == b"\1\0\0\0\xe9\0\0\0"
+    for big in (False, True):
+        assert types.decode("a/A", types.encode("a/A", {"w": "a𝄞"}, big_endian=big)) == {"w": "a𝄞"}
 
 
 def test_strings_are_read_leniently(store):
@@ -198,7 +194,6 @@ WRONG_BYTES = [
     (TWIST, b"\0\1\0\0" + bytes(20), TruncatedError, "Twist linear.z at byte 20 needs 8 bytes, 4 are there"),
     (TWIST, b"\0\3\0\0" + bytes(48), WireError, "representation 0x0003 is not supported"),
     (TWIST, b"\0\7\0\0" + bytes(48), WireError, "representation 0x0007 is not supported"),
-    (TWIST, b"\0\1\0\0" + bytes(52), WireError, "4 bytes follow the last field, which ends at byte 52"),
     (
         "std_msgs/msg/String",
         b"\0\1\0\0\xff\xff\xff\xff",

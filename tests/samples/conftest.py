@@ -5,12 +5,10 @@ from __future__ import annotations
 import importlib.util
 import json
 import struct
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-
-SAMPLES = Path(__file__).parents[2] / "samples"
+from places import SAMPLES
 
 
 def by_hand(capture):

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
-from time import monotonic_ns
 
 import pytest
 from mcap.reader import make_reader
+from places import SAMPLES
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 LAYOUT = json.loads((SAMPLES / "foxglove_layout.json").read_text())
 PANELS = LAYOUT["configById"]
 PATH = re.compile(r"(?P<topic>/[\w/]+)(?:\{(?P<key>\w+)==\"(?P<value>[^\"]+)\"\})?\.(?P<field>[\w.]+)")
@@ -20,18 +18,18 @@ PATH = re.compile(r"(?P<topic>/[\w/]+)(?:\{(?P<key>\w+)==\"(?P<value>[^\"]+)\"\}
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     """Topic to (type, messages) of the demo's mission, 8 s of it in simulated time."""
-    from edoras_tools.pipelines.record import Target, record
+    from edoras_tools.emulator import Simulation
+    from edoras_tools.emulator.source import SimulatedSource
+    from edoras_tools.pipelines.capture.record import Target, record
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sessions.profile import SECOND
-    from edoras_tools.sim import Simulation
-    from edoras_tools.sim.source import SimulatedSource
+    from edoras_tools.units import SECOND
 
     path = tmp_path_factory.mktemp("layout") / "two_rovers.mcap"
     bench = Settings(
         [SAMPLES / f"missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]
     ).workbench()
     simulation = Simulation(scenario="two-rovers", start_ns=1_800_000_000 * SECOND, command_rate_hz=10)
-    record(SimulatedSource(simulation, 8 * SECOND), bench, Target(path), clock=monotonic_ns)
+    record(SimulatedSource(simulation, 8 * SECOND), bench, Target(path))
     store, found = get_typestore(Stores.EMPTY), {}
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():

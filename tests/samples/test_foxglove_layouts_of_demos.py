@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import re
 from functools import cache
-from pathlib import Path
-from time import monotonic_ns
 
 import pytest
 from mcap.reader import make_reader
+from places import SAMPLES
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 LAYOUTS = {
     "rover": ("foxglove_layout_rover", "rover_ground"),
     "arm": ("foxglove_layout_arm", "single_arm_ground"),
@@ -32,17 +30,17 @@ def layout(scenario):
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
     """Scenario to topic to (type, messages), 8 s in simulated time."""
-    from edoras_tools.pipelines.record import Target, record
+    from edoras_tools.emulator import Simulation
+    from edoras_tools.emulator.source import SimulatedSource
+    from edoras_tools.pipelines.capture.record import Target, record
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sessions.profile import SECOND
-    from edoras_tools.sim import Simulation
-    from edoras_tools.sim.source import SimulatedSource
+    from edoras_tools.units import SECOND
 
     def make(scenario):
         path = tmp_path_factory.mktemp("layout") / "demo.mcap"
         bench = Settings([SAMPLES / f"missions/{name}.yaml" for name in LAYOUTS[scenario][1:]]).workbench()
         simulation = Simulation(scenario=scenario, start_ns=1_800_000_000 * SECOND, command_rate_hz=10)
-        record(SimulatedSource(simulation, 8 * SECOND), bench, Target(path), clock=monotonic_ns)
+        record(SimulatedSource(simulation, 8 * SECOND), bench, Target(path))
         store, found = get_typestore(Stores.EMPTY), {}
         with path.open("rb") as file:
             for schema, channel, message in make_reader(file).iter_messages():

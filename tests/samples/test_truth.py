@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 from functools import reduce
 from operator import xor
-from pathlib import Path
 
 import pytest
+from places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 TRUTH = json.loads((SAMPLES / "expected/truth.json").read_text())
 COMMAND_LENGTHS = {
     (0x1827, 0): {8},
@@ -23,9 +22,9 @@ COMMAND_LENGTHS = {
 @pytest.fixture(scope="session")
 def findings(make_expected):
     """Findings by capture and packet, by both decoders, of every packet."""
+    from edoras_tools.io.formats.open import open_file
     from edoras_tools.model import Finding
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sources import open_file
 
     found = {}
     for capture, missions in make_expected.MISSIONS.items():

@@ -56,7 +56,7 @@ def test_it_finds_every_limit_in_few_steps(first, more, limit):
 
 @pytest.mark.parametrize(("first", "last"), [(0, 5), (-1, 5), (6, 5)])
 def test_a_range_that_is_none(first, last):
-    with pytest.raises(ConfigError, match="no range upward from 1"):
+    with pytest.raises(ConfigError, match="not a rising range from 1"):
         Bisection(first, last)
 
 

@@ -8,11 +8,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.model import Link
-from edoras_tools.sessions.outgoing import Changes, ChecksumRule, Outgoing, Packet, SequenceRule, join
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.model import Peer
+from edoras_tools.sessions.outgoing import (
+    Changes,
+    ChecksumRule,
+    Outgoing,
+    Packet,
+    SequenceRule,
+    join_datagrams,
+)
 from edoras_tools.wire import ccsds, cfe, sbn
 
-PEER = sbn.Peer(0x42, 3)
+PEER = Peer(0x42, 3)
 STAMPED = bytes.fromhex("00010000") + struct.pack("<II", 7, 8) + b"rest"
 BIG = bytes.fromhex("00000000") + struct.pack(">II", 7, 8) + b"rest"
 TIME_NS = 1_795_241_636_250_000_000
@@ -22,12 +31,12 @@ def command(msg_id=0x1827, payload=b"payload"):
     return cfe.emit_command(msg_id, 1, payload, sequence_flags=0, with_checksum=False)
 
 
-def outgoing(*packets, link=Link.CI, sender=None, **places):
+def outgoing(*packets, link=CI, sender=None, **places):
     return Outgoing.packets(link, [Packet(item, **places) for item in packets], sender=sender)
 
 
 def words(out):
-    return [ccsds.PRIMARY.parse(out[row], 11 * (out.link is Link.SBN)) for row in range(len(out))]
+    return [ccsds.PRIMARY.parse(out[row], 11 * (out.link is SBN)) for row in range(len(out))]
 
 
 def test_packets_are_laid_out_as_they_are():
@@ -38,7 +47,7 @@ def test_packets_are_laid_out_as_they_are():
 
 
 def test_on_the_sbn_link_a_header_goes_before():
-    out = outgoing(command(), link=Link.SBN, sender=PEER)
+    out = outgoing(command(), link=SBN, sender=PEER)
     assert out[0] == sbn.emit(sbn.MsgType.APP, PEER, command())
     assert out.packet_offset.tolist() == [11]
 
@@ -92,7 +101,7 @@ def test_a_stamp_becomes_the_time_of_sending_in_the_order_of_its_bytes():
     head = len(command(payload=b""))
     packets = [command(payload=STAMPED), command(payload=BIG), command(payload=STAMPED)]
     rows = [Packet(item, route=route, cdr_at=head) for item, route in zip(packets, (0, 0, 1), strict=True)]
-    out = Outgoing.packets(Link.CI, rows)
+    out = Outgoing.packets(CI, rows)
     changes = Changes(restamp=np.array([True, False]))
     sent = changes.each(out, start_ns=TIME_NS, due_ns=np.array([0, 500, 0]))
     seconds = TIME_NS // 10**9
@@ -103,12 +112,12 @@ def test_a_stamp_becomes_the_time_of_sending_in_the_order_of_its_bytes():
 
 
 def test_another_sender_is_written_into_every_whole_sbn_header():
-    out = outgoing(command(), command(), link=Link.SBN, sender=PEER)
+    out = outgoing(command(), command(), link=SBN, sender=PEER)
     out = replace(out, length=np.array([len(out[0]), 5], np.int32))  # the second is cut
-    changed = Changes(sender=sbn.Peer(0x99, 7)).once(out)
-    assert changed[0] == sbn.emit(sbn.MsgType.APP, sbn.Peer(0x99, 7), command())
+    changed = Changes(sender=Peer(0x99, 7)).once(out)
+    assert changed[0] == sbn.emit(sbn.MsgType.APP, Peer(0x99, 7), command())
     assert changed[1] == out[1]
-    assert Changes(sender=sbn.Peer(1, 2)).once(outgoing(command()))[0] == command()
+    assert Changes(sender=Peer(1, 2)).once(outgoing(command()))[0] == command()
 
 
 def test_the_checksum_is_right_for_what_else_changed():
@@ -121,11 +130,11 @@ def test_the_checksum_is_right_for_what_else_changed():
 
 def test_parts_are_joined_end_to_end():
     one, two = outgoing(command(payload=b"a")), outgoing(command(payload=b"bb"), command(payload=b"c"))
-    whole = join([one, two])
+    whole = join_datagrams([one, two])
     assert [whole[row] for row in range(3)] == [one[0], two[0], two[1]]
     assert whole.packet_offset.tolist() == whole.offset.tolist()
     assert whole.cdr_offset.tolist() == [-1, -1, -1]
-    assert join([one]) is one
+    assert join_datagrams([one]) is one
 
 
 @pytest.mark.parametrize("rule", ChecksumRule)

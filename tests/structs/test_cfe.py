@@ -2,20 +2,20 @@
 
 import re
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import CAPTURES
 
 from edoras_tools.decode import ColumnDecoder, Context
-from edoras_tools.ros.grammar import parse
-from edoras_tools.ros.schema import STRINGS
-from edoras_tools.sources import open_file
-from edoras_tools.structs import shipped
-from edoras_tools.structs.cfe import shipped as layout
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.ros.types.grammar import parse_definition
+from edoras_tools.ros.types.schema import STRINGS
+from edoras_tools.structs import shipped_structs
+from edoras_tools.structs.cfe import shipped_layout as layout
 from edoras_tools.structs.packets import PACKETS
 
-CAPTURES = sorted((Path(__file__).parents[2] / "samples/captures").glob("*.pcap*"))
+CAPTURES = sorted((CAPTURES).glob("*.pcap*"))
 MEASURED = {
     0x0800: 164,
     0x0801: 160,
@@ -40,7 +40,7 @@ def test_every_packet_that_is_listed_is_described():
     assert {key.msg_id: name for key, name in layout().bindings.items()} == PACKETS
 
 
-@pytest.mark.parametrize("bound", shipped().all, ids=lambda bound: bound.name)
+@pytest.mark.parametrize("bound", shipped_structs().all, ids=lambda bound: bound.name)
 def test_sizes_are_those_on_the_wire(bound):
     assert bound.fits(MEASURED[bound.key.msg_id] - 16)
     assert not bound.fits(MEASURED[bound.key.msg_id] - 16 + 1)
@@ -53,13 +53,13 @@ def messages(path):
     with closing(open_file(path)) as source:
         for batch in source.batches():
             columns = decoder.decode(batch)
-            rows = np.flatnonzero(shipped().has[columns.msg_id])
-            for held in shipped().held(rows, lambda name: getattr(columns, name), batch.data):  # noqa: B023
+            rows = np.flatnonzero(shipped_structs().has[columns.msg_id])
+            for held in shipped_structs().held(rows, lambda name: getattr(columns, name), batch.data):  # noqa: B023
                 encoded = held.encode()
                 for row, start, size in zip(held.rows, encoded.start, encoded.size, strict=True):
                     origin = int(columns.link[row]), int(columns.processor_id[row])
                     cdr = encoded.data[start : start + size].tobytes()
-                    yield held.bound, origin, shipped().types.decode(held.bound.type, cdr)
+                    yield held.bound, origin, shipped_structs().types.decode(held.bound.type, cdr)
 
 
 @pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.stem)
@@ -131,13 +131,13 @@ def test_time_goes_on_a_second_a_second():
 
 
 def test_names_are_such_as_ros_takes():
-    for name, definition in shipped().definitions.items():
+    for name, definition in shipped_structs().definitions.items():
         package, _, last = name.partition("/msg/")
         assert re.fullmatch(r"[a-z][a-z0-9_]*", package)
         assert re.fullmatch(r"[A-Z][A-Za-z0-9]*", last)
         for item in definition.fields:
             assert re.fullmatch(r"[a-z](?!.*__)(?:[a-z0-9_]*[a-z0-9])?", item.name), (name, item.name)
-            assert item.type in STRINGS or "/" not in item.type or item.type in shipped().definitions
+            assert item.type in STRINGS or "/" not in item.type or item.type in shipped_structs().definitions
         for item in definition.constants:
             assert re.fullmatch(r"[A-Z](?:[A-Z0-9_]*[A-Z0-9])?", item.name), item.name
 
@@ -147,4 +147,4 @@ def test_msg_files_say_what_the_definitions_say():
 
     made = Bindings([layout()])
     for name, text in made.texts.items():
-        assert parse(name, text, name) == made.definitions[name]
+        assert parse_definition(name, text, name) == made.definitions[name]

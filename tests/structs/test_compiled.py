@@ -13,8 +13,8 @@ import pytest
 from c_structs import HEAD, draw, program
 
 from edoras_tools.structs import Structs
-from edoras_tools.structs.dwarf import DebugInfo
-from edoras_tools.structs.files import loads
+from edoras_tools.structs.debug_info.dwarf import DebugInfo
+from edoras_tools.structs.files import parse_layout
 from edoras_tools.structs.shapes import Key
 from edoras_tools.structs.transcode import HEAD as HEAD_BYTES
 from edoras_tools.structs.writing import dumps
@@ -128,7 +128,7 @@ def test_offsets_sizes_and_values_are_the_compilers(version, drawn, tmp_path):
     layout, _ = info.layout([item.name for item in made], {}, "cfs_msgs")
     assert not info.warnings
     assert judge(layout, made, said, data) > 900
-    again = loads(dumps(layout).encode(), "again")
+    again = parse_layout(dumps(layout).encode(), "again")
     assert (again.structs, again.enums) == (layout.structs, layout.enums)
 
 
@@ -150,7 +150,7 @@ def test_without_offsets_a_layout_is_arranged_as_by_the_compiler(drawn, tmp_path
         if match := re.match(r"  (S\d+):$", line):
             lines += ["    packed: true"] * (match[1] in packed)
     anonymous = {item.name for item in made if re.search(r"^  (struct|union)  \{", item.text, re.MULTILINE)}
-    again = loads("\n".join(lines).encode(), "by hand")
+    again = parse_layout("\n".join(lines).encode(), "by hand")
     compared = 0
     for name, ours in again.structs.items():
         if uses(layout, name) & anonymous:

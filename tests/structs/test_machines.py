@@ -8,8 +8,8 @@ from io import BytesIO
 import pytest
 
 from edoras_tools.structs import Structs
-from edoras_tools.structs.dwarf import DebugInfo
-from edoras_tools.structs.files import loads
+from edoras_tools.structs.debug_info.dwarf import DebugInfo
+from edoras_tools.structs.files import parse_layout
 from edoras_tools.structs.shapes import Key
 from edoras_tools.structs.writing import dumps
 
@@ -107,7 +107,7 @@ def test_what_was_written_is_read(compiler, version, tmp_path):
     if done.returncode:
         pytest.skip(f"{compiler} makes no code here")
     layout, _ = DebugInfo(made).layout(["Top"], {}, "x")
-    layout = loads(dumps(layout).encode(), "again")
+    layout = parse_layout(dumps(layout).encode(), "again")
     structs = Structs([replace(layout, bindings={Key(0x0890): "Top"})])
     bound = structs.all[0]
     data = ELFFile(BytesIO(made.read_bytes())).get_section_by_name(".values").data()[: bound.size]

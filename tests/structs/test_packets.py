@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
-from edoras_tools.decode.where import Where, fields
-from edoras_tools.decode.where_rows import ColumnRows
+from edoras_tools.decode.filters.filter import Where, fields
+from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission import loads as load_mission
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.ros import TypeStore
-from edoras_tools.structs import Structs, cfe, shipped
-from edoras_tools.structs.files import loads
+from edoras_tools.structs import Structs, cfe, shipped_structs
+from edoras_tools.structs.files import parse_layout
 from edoras_tools.wire import cfe as wire
 
 LAYOUT = """
@@ -49,8 +49,8 @@ PAYLOAD = bytes.fromhex(
 
 
 def context(order="little", mission=None):
-    layout = loads(LAYOUT.encode() + f"byte_order: {order}\n".encode(), "rover.yaml")
-    return Context(mission, TypeStore(), structs=Structs([layout, *shipped().layouts]))
+    layout = parse_layout(LAYOUT.encode() + f"byte_order: {order}\n".encode(), "rover.yaml")
+    return Context(mission, TypeStore(), structs=Structs([layout, *shipped_structs().layouts]))
 
 
 def batch_of(*packets, port=1235):
@@ -146,7 +146,7 @@ def test_what_is_open_goes_on_to_the_end():
 
 
 def structs_of(text):
-    return Context(structs=Structs([loads(text.encode(), "f")]))
+    return Context(structs=Structs([parse_layout(text.encode(), "f")]))
 
 
 def test_of_empty_structs_there_is_no_end():
@@ -212,8 +212,8 @@ def test_a_mission_goes_before_a_struct():
 
 
 def test_ones_own_go_before_those_that_are_shipped():
-    layout = loads(b"bind: {0x0800: Mine}\nstructs: {Mine: {members: {a: uint16}}}", "mine.yaml")
-    where = Context(structs=Structs([layout, cfe.shipped()]))
+    layout = parse_layout(b"bind: {0x0800: Mine}\nstructs: {Mine: {members: {a: uint16}}}", "mine.yaml")
+    where = Context(structs=Structs([layout, cfe.shipped_layout()]))
     assert dissect(wire.emit_telemetry(0x0800, b"\1\2"), where).message.values["a"] == 0x0201
     assert Finding.STRUCT_LENGTH in dissect(wire.emit_telemetry(0x0800, bytes(148)), where).findings
 
@@ -255,7 +255,7 @@ def test_columns_of_fields():
     where, batch = context(), batch_of(*PACKETS)
     rows = ColumnRows(where, 0, batch, ColumnDecoder(where).decode(batch))
     [(_, [field])] = fields("Hk.way[0].x", where)
-    series = rows.series(field)
+    series = field.series(rows)
     assert (series.values.tolist(), series.owner.tolist()) == ([1, 1], [0, 1])
 
 
@@ -265,7 +265,7 @@ def test_a_name_that_is_close_is_offered():
 
 
 def test_it_is_plain_json():
-    from edoras_tools.pipelines.sniff import as_json
+    from edoras_tools.pipelines.capture.sniff import as_json
 
     packet = as_json(dissect(PACKETS[0]))
     assert json.loads(json.dumps(packet))["message"]["way"][1] == {"x": 2, "y": -1.0}

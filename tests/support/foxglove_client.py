@@ -1,6 +1,6 @@
 """A client of the Foxglove WebSocket protocol, by hand over ``websockets``: it knows nothing of the package.
 
-Subprotocol ``foxglove.sdk.v1``: text frames are JSON with an ``op``; binary frames start with an operation.
+Text frames are JSON with an ``op``; binary frames start with an operation.
 Server: 1 message (u32 subscription, u64 ns, data), 2 time (u64 ns), 5 playback state (u8 status, u64 ns,
 f32 speed, u8 seeked, u32 length, request id). Client: 1 message (u32 channel, data), 3 playback control
 (u8 command: 0 play, 1 pause; f32 speed, u8 seeks, u64 ns, u32 length, request id). All little-endian.
@@ -13,9 +13,10 @@ import struct
 import time
 from typing import NamedTuple
 
+from waiting import PATIENCE_S, until
 from websockets.sync.client import connect
 
-PATIENCE_S = 30
+wait = until
 
 
 class Message(NamedTuple):
@@ -36,8 +37,14 @@ class Client:
     """Connected, and told of all topics that there are at first."""
 
     def __init__(self, url, topics=1, **options):
-        usual = {"max_size": None, "max_queue": None, "open_timeout": PATIENCE_S, "close_timeout": 1}
-        self.socket = connect(url, subprotocols=["foxglove.sdk.v1"], **usual | options)
+        usual = {
+            "subprotocols": ["foxglove.sdk.v1"],
+            "max_size": None,
+            "max_queue": None,
+            "open_timeout": PATIENCE_S,
+            "close_timeout": 1,
+        }
+        self.socket = connect(url, **usual | options)
         self.messages, self.times, self.states, self.statuses = [], [], [], []
         self.info, self.channels, self._subscribed = None, {}, {}
         self._topics = topics
@@ -131,11 +138,3 @@ class Client:
                 self.statuses.append(told)
             case _:
                 raise AssertionError(told)
-
-
-def wait(done):
-    """Wait until something is so."""
-    end = time.monotonic() + PATIENCE_S
-    while not done():
-        assert time.monotonic() < end
-        time.sleep(0.005)

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import time
-from pathlib import Path
 
 import pytest
+from places import ROOT
+from waiting import PATIENCE_S
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
-from edoras_tools.tui.viewer import Choice, Viewer
+from edoras_tools.tui.viewer import Viewer, ViewOptions
 
-ROOT = Path(__file__).parents[2]
 MISSIONS = [ROOT / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]
-PATIENCE_S = 30
 
 
 class Hands:
@@ -99,7 +98,7 @@ def drive():
             context = Context(known.mission, known.types, settings.options)
             bench = Workbench(known.mission, known.types, ColumnDecoder(context), Dissector(context))
             opened = source or open_files([ROOT / f"samples/captures/{capture}.pcap"])
-            app = Viewer(opened, bench, Choice(selection or Selection(), settings, **choice))
+            app = Viewer(opened, bench, ViewOptions(selection or Selection(), settings, **choice))
             async with app.run_test(size=size) as pilot:
                 hands = Hands(app, pilot)
                 if source is None:
@@ -107,9 +106,9 @@ def drive():
                 await pilot.pause()
                 await script(hands)
             app._feed.join(PATIENCE_S)
-            app._sieve.join(PATIENCE_S)
+            app._filter_thread.join(PATIENCE_S)
             assert not app._feed.is_alive()
-            assert not app._sieve.is_alive()
+            assert not app._filter_thread.is_alive()
 
         asyncio.run(whole())
 

@@ -6,9 +6,9 @@ import signal
 import pytest
 from textual.events import MouseScrollDown
 
-from edoras_tools.model import Link
+from edoras_tools.links.sbn import SBN
 from edoras_tools.pipelines.selection import Selection
-from edoras_tools.render.packet_list import TimeFormat
+from edoras_tools.render.capture.packet_list import TimeFormat
 from edoras_tools.tui.help import Help
 
 
@@ -70,13 +70,13 @@ def test_choosing_a_field_highlights_its_bytes(drive):
             await hands.press("k")
         field = app.layers.field
         assert field.label == "x"
-        await hands.until(lambda: app.octets.field == (field.start, field.end), "its bytes")
+        await hands.until(lambda: app.hex_pane.field == (field.start, field.end), "its bytes")
         await hands.until(
             lambda: f"bytes {field.start}-{field.end - 1}" in hands.status, "and where they are"
         )
         # What is drawn under the highlight is what the field was read from.
-        style = app.octets.get_component_rich_style("octets--field")
-        lines = [app.octets.render_line(line) for line in range(app.octets.page)]
+        style = app.hex_pane.get_component_rich_style("hex-pane--field")
+        lines = [app.hex_pane.render_line(line) for line in range(app.hex_pane.page)]
         painted = [
             part.text for line in lines for part in line if part.style and part.style.bgcolor == style.bgcolor
         ]
@@ -91,13 +91,13 @@ def test_choosing_a_byte_selects_its_field(drive):
         app = hands.app
         await hands.go(189)
         await hands.press("tab", "tab")
-        assert app.focused is app.octets
+        assert app.focused is app.hex_pane
         layer = app.decoded.layer("cfe_telemetry")
         seconds = next(item for item in layer.fields if item.name == "seconds")
-        await hands.press("j", *"l" * (seconds.start - app.octets.per_line + 1))
+        await hands.press("j", *"l" * (seconds.start - app.hex_pane.per_line + 1))
         await hands.until(lambda: app.layers.field.label == "seconds", "its field")
-        await hands.until(lambda: app.octets.field == (seconds.start, seconds.end), "all of its bytes")
-        assert app.octets.at == seconds.start + 1
+        await hands.until(lambda: app.hex_pane.field == (seconds.start, seconds.end), "all of its bytes")
+        assert app.hex_pane.at == seconds.start + 1
 
     drive(script)
 
@@ -109,12 +109,12 @@ def test_the_mouse_chooses_packets_fields_and_bytes(drive):
         await hands.until(lambda: hands.number == 5)
         line = next(line for line in range(9) if "msg_type" in hands.lines(app.layers)[line])
         await hands.pilot.click(app.layers, offset=(14, line))
-        await hands.until(lambda: app.octets.field == (2, 3), "the field's byte")
+        await hands.until(lambda: app.hex_pane.field == (2, 3), "the field's byte")
         assert app.layers.field.label == "msg_type"
-        gutter = app.octets.gutter.left
+        gutter = app.hex_pane.gutter.left
         for column, at in ((6, 0), (9, 1), (12, 2)):
-            await hands.pilot.click(app.octets, offset=(gutter + column, 0))
-            assert app.octets.at == at
+            await hands.pilot.click(app.hex_pane, offset=(gutter + column, 0))
+            assert app.hex_pane.at == at
         await hands.until(lambda: app.layers.field.label == "msg_type", "the byte's field")
         before = app.packets.scroll_offset.y
         await hands.pilot._post_mouse_events([MouseScrollDown], app.packets, offset=(5, 5))
@@ -251,7 +251,7 @@ def test_the_filter_of_the_command_line_is_the_first(drive):
         assert hands.app.store.packets < 1544
         assert hands.app.filter_line.input.value == "msg_id == 0x082a"
 
-    drive(script, selection=Selection(links=(Link.SBN,), where="msg_id == 0x082a"))
+    drive(script, selection=Selection(links=(SBN,), where="msg_id == 0x082a"))
 
 
 def test_a_field_becomes_a_filter(drive):
@@ -287,7 +287,7 @@ def test_search_goes_to_the_next_and_round_the_end(drive):
         await hands.press("slash")
         await hands.write(" and no such thing")
         await hands.press("enter")
-        await hands.until(lambda: "is in none of the packets shown" in hands.status)
+        await hands.until(lambda: "no packet shown contains" in hands.status)
         assert hands.number == first
 
     drive(script)
@@ -345,21 +345,21 @@ def test_the_conversation_is_a_ladder_that_leads_to_packets(drive):
         app = hands.app
         await hands.press("s")
         await hands.until(
-            lambda: app.ladder.rows() > 10 and "SUB" in hands.lines(app.ladder)[0], "it is drawn"
+            lambda: app.sequence.rows() > 10 and "SUB" in hands.lines(app.sequence)[0], "it is drawn"
         )
-        first = hands.lines(app.ladder)[0]
+        first = hands.lines(app.sequence)[0]
         assert "●─" in first
         assert "▶" in first
-        assert "66:1" in app.ladder.header().plain
-        while "APP" not in hands.lines(app.ladder)[app.ladder.cursor]:
+        assert "66:1" in app.sequence.header().plain
+        while "APP" not in hands.lines(app.sequence)[app.sequence.cursor]:
             await hands.press("j")
         await hands.press("enter")
         await hands.until(lambda: hands.number > 1)
-        assert app.decoded.link is Link.SBN
+        assert app.decoded.link is SBN
         await hands.press("escape")
         assert app._lower.current == "packet"
         await hands.press("S")
-        await hands.until(lambda: any("Ground" in name for name in app.ladder._parties), "all links")
+        await hands.until(lambda: any("Ground" in name for name in app.sequence._parties), "all links")
 
     drive(script)
 
@@ -382,16 +382,16 @@ def test_the_frame_is_shown_and_linked_too(drive):
     async def script(hands):
         app = hands.app
         await hands.press("b")
-        assert app.octets.title == "Frame, 109 bytes"
+        assert app.hex_pane.title == "Frame, 109 bytes"
         assert app.layers.choose_byte(2)
-        await hands.until(lambda: app.octets.field == (44, 45), "the byte behind the headers")
-        app.octets.focus()
-        app.octets.action_byte(45)
+        await hands.until(lambda: app.hex_pane.field == (44, 45), "the byte behind the headers")
+        app.hex_pane.focus()
+        app.hex_pane.action_byte(45)
         await hands.until(lambda: app.layers.field.label == "processor_id")
-        app.octets.action_byte(3)
+        app.hex_pane.action_byte(3)
         await hands.pilot.pause()
         await hands.press("b")
-        assert app.octets.title == "UDP payload, 67 bytes"
+        assert app.hex_pane.title == "UDP payload, 67 bytes"
 
     drive(script)
 

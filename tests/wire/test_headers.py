@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError, FieldError, TruncatedError, WireError
+from edoras_tools.model import Peer
 from edoras_tools.wire import ccsds, cfe, sbn, window
-from edoras_tools.wire.envelope import DEFAULT, FORMATS, EnvelopeFormat, detect
+from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect
 
 COMMANDS = [
     ("1806c00000010020", (0x1806, 0, b""), {}),
@@ -59,14 +60,22 @@ def test_checksum_is_plain_xor(data):
     assert cfe.checksum(data) == plain
 
 
-def test_extended_msg_id():
-    assert cfe.extended_msg_id(0x027, 1, 0x18) == 0x18A7
+def test_extended_header():
     fields = cfe.EXTENDED.parse(bytes.fromhex("0c180042"))
     assert fields == {"eds_version": 1, "endian": 1, "playback": 0, "subsystem_id": 0x18, "system_id": 0x42}
 
 
+@pytest.mark.parametrize(
+    ("headers", "command", "telemetry"),
+    [(cfe.STANDARD, 8, 16), (cfe.SHORT, 8, 12), (cfe.WITH_EXTENDED, 16, 16)],
+    ids=lambda item: getattr(item, "name", item),
+)
+def test_header_bytes_of_each_build(headers, command, telemetry):
+    assert (headers.command_bytes, headers.telemetry_bytes) == (command, telemetry)
+
+
 def test_sbn_datagrams():
-    peer = sbn.Peer(0x42, 3)
+    peer = Peer(0x42, 3)
     assert sbn.emit(sbn.MsgType.PROTO, peer, sbn.emit_proto()).hex() == "00010400000003000000420b"
     assert sbn.emit(sbn.MsgType.HEARTBEAT, peer).hex() == "0000a00000000300000042"
     raw = sbn.emit(
@@ -95,7 +104,7 @@ def test_subscriptions_of_garbage(data):
 CDR = bytes.fromhex("00010000") + bytes(48)
 
 
-@pytest.mark.parametrize("item", FORMATS, ids=str)
+@pytest.mark.parametrize("item", ENVELOPE_FORMATS, ids=str)
 def test_envelopes_both_ways_and_told_from_the_bytes(item):
     raw = item.emit(CDR)
     assert item.parse(raw) == (52, 52)
@@ -126,7 +135,7 @@ def test_detect_never_raises_and_never_runs_over(data, offset):
 
 def test_one_byte_lengths_hold_small_messages_only():
     with pytest.raises(WireError):
-        FORMATS[4].emit(bytes(256))
+        ENVELOPE_FORMATS[4].emit(bytes(256))
 
 
 @given(st.binary(min_size=1, max_size=80), st.data())

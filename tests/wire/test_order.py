@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.order import by_value, order_by
+from edoras_tools.wire.order import by_value, numbered, order_by
 
 
 @pytest.mark.parametrize("values", [[3, 1, 3, 2, 1], [70_000, 1, 70_000, 65_536 + 1, 1], [], [5]])
@@ -46,3 +46,27 @@ def test_order_by_many_keys_puts_equal_rows_together_in_their_order(data, count)
     for run in runs:
         places = [row[-1] for row in rows if row[:-1] == run]
         assert places == sorted(places)
+
+
+@given(
+    st.data(),
+    st.integers(0, 40),
+    st.sampled_from([("u1", 0, 255), ("i4", -5, 5), ("i8", -(2**63), 2**63 - 1), ("u8", 0, 2**64 - 1)]),
+)
+def test_numbered_gives_each_distinct_row_a_number_in_the_order_they_come(data, count, kind):
+    dtype, low, high = kind
+    drawn = st.lists(st.integers(low, high), min_size=count, max_size=count)
+    keys = [np.array(data.draw(drawn), dtype) for _ in range(data.draw(st.integers(1, 3)))]
+    first, which = numbered(*keys)
+    rows = list(zip(*(key.tolist() for key in keys), strict=True))
+    distinct = list(dict.fromkeys(rows))
+    assert [rows[at] for at in first.tolist()] == distinct
+    assert first.tolist() == [rows.index(row) for row in distinct]
+    assert [distinct[number] for number in which.tolist()] == rows
+
+
+def test_numbered_tells_values_apart_that_share_a_hash():
+    values = np.arange(0, 1 << 62, 1 << 42)
+    first, which = numbered(values)
+    assert len(first) == len(values)
+    assert which.tolist() == list(range(len(values)))

@@ -3,7 +3,6 @@
 #include <string.h>
 
 /** Most bytes that may follow the last field: writers round a message up to 4. */
-#define MOST_PADDING 3U
 
 /* What the code takes for granted; an array of -1 elements stops the compiler where it does not hold. */
 typedef char a_byte_has_8_bits[(UINT8_MAX == 255U) ? 1 : -1];
@@ -79,11 +78,11 @@ void edoras_reader_open(edoras_reader_t *reader, const uint8_t *cdr, size_t size
     }
 }
 
-edoras_status_t edoras_reader_close(const edoras_reader_t *reader)
+edoras_status_t edoras_reader_close(const edoras_reader_t *reader, size_t most_trailing)
 {
     edoras_status_t status = reader->status;
 
-    if ((status == EDORAS_OK) && ((reader->size - reader->position) > MOST_PADDING)) {
+    if ((status == EDORAS_OK) && ((reader->size - reader->position) > most_trailing)) {
         status = EDORAS_TRAILING;
     }
     return status;
@@ -275,11 +274,7 @@ uint32_t edoras_read_wstring(edoras_reader_t *reader, uint16_t *data, size_t cap
     uint32_t i;
 
     for (i = 0U; i < length; ++i) {
-#if EDORAS_WSTRING_UNIT == 4
         data[i] = (uint16_t)(edoras_read_uint32(reader) & 0xFFFFU);
-#else
-        data[i] = edoras_read_uint16(reader);
-#endif
     }
     data[length] = 0U;
     return length;
@@ -463,11 +458,7 @@ void edoras_write_wstring(edoras_writer_t *writer, const uint16_t *data, uint32_
     uint32_t i;
 
     for (i = 0U; i < count; ++i) {
-#if EDORAS_WSTRING_UNIT == 4
         edoras_write_uint32(writer, data[i]);
-#else
-        edoras_write_uint16(writer, data[i]);
-#endif
     }
 }
 

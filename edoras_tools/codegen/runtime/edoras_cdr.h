@@ -33,7 +33,7 @@ typedef enum {
     EDORAS_ARGUMENT,      /**< a pointer is NULL, an object too small, or a type not in this library */
     EDORAS_ENCAPSULATION, /**< neither CDR little-endian (00 01) nor CDR big-endian (00 00) */
     EDORAS_TRUNCATED,     /**< decode: a field lies outside the given bytes */
-    EDORAS_TRAILING,      /**< decode: more than 3 bytes of padding follow the last field */
+    EDORAS_TRAILING,      /**< decode: more bytes follow the last field than ROS 2 leaves there */
     EDORAS_UNTERMINATED,  /**< decode: a string does not end in NUL */
     EDORAS_BOUND,         /**< a sequence or string is longer than the bound it was generated with */
     EDORAS_NO_SPACE       /**< encode: the message does not fit the given buffer */
@@ -60,7 +60,9 @@ typedef struct {
 } edoras_writer_t;
 
 void edoras_reader_open(edoras_reader_t *reader, const uint8_t *cdr, size_t size);
-edoras_status_t edoras_reader_close(const edoras_reader_t *reader);
+
+/** End a decode; the most bytes that may follow the last field are given. */
+edoras_status_t edoras_reader_close(const edoras_reader_t *reader, size_t most_trailing);
 
 bool edoras_read_bool(edoras_reader_t *reader);
 uint8_t edoras_read_uint8(edoras_reader_t *reader);

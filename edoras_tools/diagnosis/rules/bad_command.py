@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.cfs import command_ingest, software_bus, telemetry_output
+from edoras_tools.cfs.limits import CI_BUFFER
 from edoras_tools.diagnosis.rules.wrong_type import misread
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import NO_MSG_ID, Finding, Link
-from edoras_tools.sessions.profile import MILLISECOND
+from edoras_tools.links.ci import CI
+from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.limits import CI_BUFFER
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.payloads import EventRecord
+    from edoras_tools.diagnosis.evidence.payloads import EventRecord
 
 ID = "bad_command"
 _ANSWERED_NS: Final = 1700 * MILLISECOND
@@ -29,7 +31,7 @@ _ONE_BY_ONE: Final = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class BadCommandKind:
     """A way in which a command can be wrong.
 
     Attributes:
@@ -48,86 +50,92 @@ class Kind:
 
 
 _LENGTH = r"[Ii]nvalid [Mm]sg length|Invalid cmd length"
-KINDS: Final = (
-    Kind(
+_BAD_COMMANDS: Final = (
+    BadCommandKind(
         Finding.TRUNCATED,
         "shorter than a command header",
         "CI drops it",
         True,
-        r"^CI: L\d+, cmd .* dropped, bad length",
+        command_ingest.TOO_SHORT.phrase,
     ),
-    Kind(
+    BadCommandKind(
         Finding.INVALID_MSG_ID,
         "MsgId is 0 or above 0x1FFF",
         "the software bus refuses it",
         True,
-        r"Invalid MsgId\(",
+        re.escape(software_bus.EVENTS[software_bus.INVALID_MSG_ID].phrase),
     ),
-    Kind(
+    BadCommandKind(
         Finding.OVER_SOFTWARE_BUS,
         "length field exceeds the software bus's 32,768",
         "the software bus refuses it",
         True,
-        r"Msg Too Big",
+        software_bus.EVENTS[software_bus.MSG_TOO_BIG].phrase,
     ),
-    Kind(
+    BadCommandKind(
         Finding.UNKNOWN_FUNCTION_CODE,
         "function code that the application does not have",
         "the application refuses it",
         True,
         r"Invalid ground command code|Function Code|Invalid.*CC = ",
     ),
-    Kind(
+    BadCommandKind(
         Finding.COMMAND_LENGTH,
         "length that its function code does not take",
         "the application refuses it, or reads what its buffer held before",
         True,
-        rf"{_LENGTH}|enabled for IP",
+        rf"{_LENGTH}|{telemetry_output.ENABLED.phrase}",
     ),
-    Kind(
+    BadCommandKind(
         Finding.WRONG_DIRECTION,
         "telemetry MsgId sent as a command",
         "CI publishes it silently; who subscribes to that telemetry takes it for real",
         False,
     ),
-    Kind(
+    BadCommandKind(
         Finding.CDR_INVALID,
         "CDR that does not decode as the configured type",
         "the application fails to deserialise it, on its console only",
         True,
     ),
-    Kind(
+    BadCommandKind(
+        Finding.CDR_TOO_LONG,
+        "CDR longer than the configured type",
+        "accepted, and read as that type",
+        False,
+    ),
+    BadCommandKind(
         Finding.ENVELOPE_OVERRUN,
         "buffer_length reaches past the packet",
         "accepted silently; the application reads beyond the data",
         False,
     ),
-    Kind(
+    BadCommandKind(
         Finding.CDR_BIG_ENDIAN,
         "CDR in big-endian order",
         "accepted, and read as such",
         False,
     ),
-    Kind(
+    BadCommandKind(
         Finding.LENGTH_MISMATCH,
         "packet data length disagrees with the datagram",
         "accepted silently; what is missing is what CI's buffer held before",
         False,
     ),
-    Kind(
+    BadCommandKind(
         Finding.CHECKSUM_BAD,
         "wrong checksum",
         "obeyed all the same: no application here checks it",
         False,
     ),
 )
-_SHORT = Kind(
+_SHORT = BadCommandKind(
     Finding.TRUNCATED,
     "ends before its message does",
     "CI accepts it; the application fails to deserialise it, on its console only",
     True,
 )
-_EMPTY = Kind(Finding.TRUNCATED, "empty", "CI reads nothing and says nothing", True)
+_EMPTY = BadCommandKind(Finding.TRUNCATED, "empty", "CI reads nothing and says nothing", True)
 _HARMLESS: Final = Finding.CDR_BIG_ENDIAN
 _REFUSED: Final = re.compile(
     r"Invalid ground command code: CC = (?P<code>\d+)"
@@ -138,13 +146,13 @@ _REFUSED: Final = re.compile(
 def judge(case: Case) -> Iterator[Verdict]:
     """Go through every datagram to CI that has a finding, or that an application refused."""
     rows = case.rows
-    commands = rows.link == Link.CI
+    commands = rows.link == CI
     mask = Finding(0)
-    for kind in KINDS:
+    for kind in _BAD_COMMANDS:
         mask |= kind.finding
     # Over 768 bytes has a rule of its own, and what follows from the cut belongs to it.
     wrong = commands & rows.has(mask) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)
-    found: dict[tuple[str, int], list[tuple[int, Kind]]] = {}
+    found: dict[tuple[str, int], list[tuple[int, BadCommandKind]]] = {}
     wrong |= commands & (rows.claimed > 0) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)
     for _, misfits, _ in misread(case):
         wrong[misfits] = False  # the type is wrong, not each of its messages
@@ -164,27 +172,26 @@ def judge(case: Case) -> Iterator[Verdict]:
             yield _verdict(case, [row for row, _ in members], members[0][1])
 
 
-def _kind(findings: Finding, length: int) -> Kind:
+def _kind(findings: Finding, length: int) -> BadCommandKind:
     if not length:
         return _EMPTY
-    kind = next(item for item in KINDS if item.finding in findings)
+    kind = next(item for item in _BAD_COMMANDS if item.finding in findings)
     # The header is there: it is the message that is cut.
     return _SHORT if kind.finding is Finding.TRUNCATED and length >= cfe.COMMAND_HEADER_BYTES else kind
 
 
-def _refused(case: Case, told: set[int]) -> Iterator[tuple[int, Kind]]:
+def _refused(case: Case, told: set[int]) -> Iterator[tuple[int, BadCommandKind]]:
     """Find commands that an application refused, and whose rules the decoder does not know."""
     rows = case.rows
-    code, length = KINDS[3], KINDS[4]
+    code, length = _BAD_COMMANDS[3], _BAD_COMMANDS[4]
+    commands = np.flatnonzero(rows.link == CI)
+    times = rows.time_ns[commands]
     for record in case.payloads.events:
         said = _REFUSED.search(record.message)
         if not said:
             continue
-        near = np.flatnonzero(
-            (rows.link == Link.CI)
-            & (rows.time_ns <= record.time_ns)
-            & (rows.time_ns >= record.time_ns - _ANSWERED_NS)
-        )
+        low = np.searchsorted(times, record.time_ns - _ANSWERED_NS)
+        near = commands[low : np.searchsorted(times, record.time_ns, "right")]
         parts = said.groupdict()
         if parts["code"]:
             near = near[rows.function_code[near] == int(parts["code"])]
@@ -198,7 +205,7 @@ def _refused(case: Case, told: set[int]) -> Iterator[tuple[int, Kind]]:
             yield int(near[-1]), code if parts["code"] else length
 
 
-def _verdict(case: Case, members: list[int], kind: Kind) -> Verdict:
+def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     rows, first, last = case.rows, members[0], members[-1]
     known = int(rows.msg_id[first])
     msg_id = known if known != NO_MSG_ID else None
@@ -208,8 +215,10 @@ def _verdict(case: Case, members: list[int], kind: Kind) -> Verdict:
     many = len(members) > 1
     which = f"{len(members):,} of {name}: " if many else f"{name}, packet {rows.number[first]}: "
     # What cFS says beats what it usually does.
-    accepted = bool(events) and "enabled for IP" in events[0].message
-    lost = None if accepted or not kind.refused else len(members)
+    accepted = bool(events) and telemetry_output.ENABLED.phrase in events[0].message
+    # Without a word from cFS it may be built with a longer header, and the length be right.
+    unsure = kind.finding is Finding.COMMAND_LENGTH and not case.has_telemetry
+    lost = None if accepted or unsure or not kind.refused else len(members)
     size = f"{rows.length[first]:,} bytes to CI at {case.at(start_ns)}"
     if not many and rows.function_code[first] >= 0:
         size += f", function code {rows.function_code[first]}"
@@ -235,7 +244,7 @@ def _verdict(case: Case, members: list[int], kind: Kind) -> Verdict:
     )
 
 
-def _answers(case: Case, kind: Kind, row: int) -> list[EventRecord]:
+def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:
     """Return what cFS said about a row: the first event of its kind that can mean it."""
     if not kind.event:
         return []

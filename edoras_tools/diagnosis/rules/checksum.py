@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Finding, Link
+from edoras_tools.links.ci import CI
+from edoras_tools.model import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,7 +19,7 @@ ID = "checksum"
 def judge(case: Case) -> Iterator[Verdict]:
     """Tell of absent ones; wrong ones are told of one by one as bad commands."""
     rows = case.rows
-    commands = (rows.link == Link.CI) & (rows.function_code >= 0)
+    commands = (rows.link == CI) & (rows.function_code >= 0)
     absent = int((commands & rows.has(Finding.CHECKSUM_ABSENT)).sum())
     if absent:
         of = int(commands.sum())

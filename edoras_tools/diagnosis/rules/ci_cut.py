@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Finding, Link
+from edoras_tools.links.ci import CI
+from edoras_tools.model import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,12 +21,12 @@ ID = "ci_cut"
 def judge(case: Case) -> Iterator[Verdict]:
     """Name every MsgId whose commands are cut."""
     rows = case.rows
-    cut = (rows.link == Link.CI) & rows.has(Finding.OVER_CI_BUFFER)
+    cut = (rows.link == CI) & rows.has(Finding.OVER_CI_BUFFER)
     limit = case.profile.ci_buffer
     for msg_id in np.unique(rows.msg_id[cut]).tolist():
         members = np.flatnonzero(cut & (rows.msg_id == msg_id))
         sizes = rows.length[members]
-        of = int(((rows.link == Link.CI) & (rows.msg_id == msg_id)).sum())
+        of = int(((rows.link == CI) & (rows.msg_id == msg_id)).sum())
         packets = ", ".join(
             f"packet {rows.number[row]} at {case.at(int(rows.time_ns[row]))}: {rows.length[row]:,} bytes"
             for row in members[:4].tolist()

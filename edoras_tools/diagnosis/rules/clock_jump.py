@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
+from edoras_tools.cfs.event_services import SQUELCHED
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.sessions import events
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -14,15 +13,14 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
 
 ID = "event_squelch"
-_NAME = re.compile(r"AppName = (\S+)")
 
 
 def judge(case: Case) -> Iterator[Verdict]:
     """Name the application whose events are not all here."""
     seen = set()
-    for record in case.said(case.start_ns, case.end_ns, events.EVENT_SERVICES, [events.SQUELCHED]):
-        found = _NAME.search(record.message)
-        app = found.group(1) if found else record.message
+    for record in case.said(case.start_ns, case.end_ns, SQUELCHED.app, [SQUELCHED.event_id]):
+        found = SQUELCHED.pattern.search(record.message)
+        app = found["app"] if found else record.message
         if (record.sender, app) in seen:
             continue
         seen.add((record.sender, app))

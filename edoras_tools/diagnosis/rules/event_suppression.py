@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.events import STOPS_AFTER
-from edoras_tools.diagnosis.losses import LEAD_NS
+from edoras_tools.cfs.software_bus import STOPS_AFTER
+from edoras_tools.diagnosis.accounting.losses import LEAD_NS
 from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,17 +34,13 @@ def judge(case: Case) -> Iterator[Verdict]:
             yield Verdict(
                 ID,
                 Severity.NOTE,
-                f"CFE_SB {number} was reported {events:,} times and then no more, while its counter grew by "
-                f"{track.growth(name):,}: cFS stops this event after {STOPS_AFTER}",
+                f"{plural(events, 'event')} CFE_SB {number} came, the last at {case.at(last_ns)}, while "
+                f"its counter grew by {track.growth(name):,}: cFS stops this event after {STOPS_AFTER}, "
+                "until its filter is reset, and events may be lost themselves",
                 hop="event services",
                 start_ns=last_ns,
                 end_ns=track.times[-1],
-                evidence=(
-                    (
-                        f"last event at {case.at(last_ns)}, then +{track.growth(name, last_ns + LEAD_NS):,} "
-                        "in 0x803"
-                    ),
-                ),
+                evidence=((f"after the last of them +{track.growth(name, last_ns + LEAD_NS):,} in 0x803"),),
                 remedy="trust the counter; reset the filter of CFE_SB with 0x1801, code 14, to hear of it "
                 "again",
             )

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Finding, Link
+from edoras_tools.links.sbn import SBN
+from edoras_tools.model import Finding
 from edoras_tools.wire import sbn
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ ID = "flight_bridge_length"
 def judge(case: Case) -> Iterator[Verdict]:
     """Name every MsgId whose messages have such a length."""
     rows = case.rows
-    whole = (rows.link == Link.SBN) & (rows.sbn_msg_type == sbn.MsgType.APP)
+    whole = (rows.link == SBN) & (rows.sbn_msg_type == sbn.MsgType.APP)
     dropped = whole & rows.has(Finding.BRIDGE_DROPS_LENGTH)
     for msg_id in np.unique(rows.msg_id[dropped]).tolist():
         members = np.flatnonzero(dropped & (rows.msg_id == msg_id))

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.cfs.limits import BRIDGE_BUFFER
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Finding, Link
-from edoras_tools.wire.limits import BRIDGE_BUFFER
+from edoras_tools.links.to import TO
+from edoras_tools.model import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,10 +22,10 @@ ID = "ground_bridge_buffer"
 def judge(case: Case) -> Iterator[Verdict]:
     """Name every MsgId that the bridge publishes cut; housekeeping it does not publish at all."""
     rows = case.rows
-    over = (rows.link == Link.TO) & rows.has(Finding.OVER_BRIDGE_BUFFER) & (rows.space > 0)
+    over = (rows.link == TO) & rows.has(Finding.OVER_BRIDGE_BUFFER) & (rows.space > 0)
     for msg_id in np.unique(rows.msg_id[over]).tolist():
         members = np.flatnonzero(over & (rows.msg_id == msg_id))
-        of = int(((rows.link == Link.TO) & (rows.msg_id == msg_id)).sum())
+        of = int(((rows.link == TO) & (rows.msg_id == msg_id)).sum())
         yield Verdict(
             ID,
             Severity.ERROR,

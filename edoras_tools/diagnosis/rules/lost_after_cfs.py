@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.model import NO_ROUTE
-from edoras_tools.wire.names import MSG_ID_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.losses import Loss
 
 ID = "lost_after_cfs"
 

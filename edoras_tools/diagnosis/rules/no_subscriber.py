@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.diagnosis.words import plural
+from edoras_tools.links import table
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Finding, Link
-from edoras_tools.sessions.profile import MILLISECOND
-from edoras_tools.wire.names import MSG_ID_NAMES
+from edoras_tools.units import MILLISECOND
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,28 +29,32 @@ _FEW = 8
 def judge(case: Case) -> Iterator[Verdict]:
     """Say which, where an event or the only command before a count tells."""
     told: set[tuple[int, int]] = set()
+    own = set()
     for culprit, said in case.culprits.items():
-        if culprit.kind != "no_subscriber" or not culprit.sender.startswith(("CI", "SBN")):
+        if culprit.kind != "no_subscriber":
+            continue
+        if not culprit.sender.startswith(("CI", "SBN")):
+            own.add(culprit.instance)  # an application of this cFS publishes what nobody takes
             continue
         told.add((culprit.instance, culprit.msg_id))
-        link = Link.CI if culprit.sender.startswith("CI") else Link.SBN
+        link = CI if culprit.sender.startswith("CI") else SBN
         rows = case.rows
         sent = np.flatnonzero((rows.link == link) & (rows.msg_id == culprit.msg_id))
         yield _verdict(case, culprit.msg_id, link, sent.tolist(), (f"cFS said: {said.records[0]}",))
     counted = _counted(case)
     for (instance, msg_id), members in counted.items():
-        if (instance, msg_id) not in told:
+        if (instance, msg_id) not in told and instance not in own:
             text = (
                 "0x803: NoSubscribers grew right after, and nothing else was sent (the event stops after 4)"
             )
-            yield _verdict(case, msg_id, Link(int(case.rows.link[members[0]])), members, (text,))
+            yield _verdict(case, msg_id, table.link(case.rows.link[members[0]]), members, (text,))
 
 
 def _counted(case: Case) -> dict[tuple[int, int], list[int]]:
     """Find growth of the counter that one command alone can have caused."""
     rows = case.rows
     arriving = np.flatnonzero(
-        ((rows.link == Link.CI) | (rows.link == Link.SBN))
+        ((rows.link == CI) | (rows.link == SBN))
         & (rows.function_code >= 0)
         & ~rows.has(Finding.INVALID_MSG_ID | Finding.OVER_SOFTWARE_BUS)
     )

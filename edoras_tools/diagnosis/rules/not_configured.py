@@ -8,7 +8,8 @@ import numpy as np
 
 from edoras_tools.diagnosis.rules.wrong_type import fitting
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import NO_ROUTE, Finding, Link
+from edoras_tools.links import table
+from edoras_tools.model import NO_ROUTE, Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,7 +27,7 @@ def judge(case: Case) -> Iterator[Verdict]:
     loose = (rows.cdr_length > 0) & (rows.route == NO_ROUTE) & rows.has(Finding.UNKNOWN_MSG_ID)
     for msg_id in np.unique(rows.msg_id[loose]).tolist():
         members = np.flatnonzero(loose & (rows.msg_id == msg_id))
-        link = Link(int(rows.link[members[0]]))
+        link = table.link(rows.link[members[0]])
         fits = fitting(case, list(case.samples.get((int(link), msg_id), {}).values()), "")
         yield Verdict(
             ID,

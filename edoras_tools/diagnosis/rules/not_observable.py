@@ -5,7 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Link
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
+from edoras_tools.model import Finding
+from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,10 +22,19 @@ ID = "not_observable"
 def judge(case: Case) -> Iterator[Verdict]:
     """Say what cannot be known from here, and which capture point would tell."""
     rows = case.rows
-    commands = int((rows.link == Link.CI).sum())
-    into = int(((rows.link == Link.SBN) & (rows.function_code >= 0)).sum())
+    cut = (rows.msg_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) & rows.has(Finding.CAPTURE_CUT)
+    if not case.tracks and cut.any():
+        yield _verdict(
+            case,
+            "the capture cut 0x803 off before its counters: how many messages the software bus lost is not "
+            "observable from here",
+            "capture whole frames, without -s or with -s 0",
+        )
+        return
+    commands = int((rows.link == CI).sum())
+    into = int(((rows.link == SBN) & (rows.function_code >= 0)).sum())
     if not commands and not into:
-        if not case.tracks and (rows.link == Link.TO).any():
+        if not case.tracks and (rows.link == TO).any():
             yield _verdict(
                 case,
                 "the counters of the software bus (0x803) are not in the capture: loss inside cFS shows "

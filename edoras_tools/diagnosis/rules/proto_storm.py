@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Link
+from edoras_tools.links.sbn import SBN
 from edoras_tools.wire import sbn
 
 if TYPE_CHECKING:
@@ -22,10 +22,10 @@ _LEAST: Final = 6
 def judge(case: Case) -> Iterator[Verdict]:
     """Find who sends about as many PROTO as it receives datagrams."""
     rows = case.rows
-    protos = (rows.link == Link.SBN) & (rows.sbn_msg_type == sbn.MsgType.PROTO)
+    protos = (rows.link == SBN) & (rows.sbn_msg_type == sbn.MsgType.PROTO)
     for source in np.unique(rows.source[protos]).tolist():
         sent = np.flatnonzero(protos & (rows.source == source))
-        heard = int(((rows.link == Link.SBN) & (rows.destination == source)).sum())
+        heard = int(((rows.link == SBN) & (rows.destination == source)).sum())
         if len(sent) < _LEAST or 2 * len(sent) < heard:
             continue
         yield Verdict(

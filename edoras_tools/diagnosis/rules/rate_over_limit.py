@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.budget import limit
+from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Link
-from edoras_tools.sessions.profile import SECOND
-from edoras_tools.wire.names import MSG_ID_NAMES
+from edoras_tools.links.ci import CI
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.streams import Stream
+    from edoras_tools.diagnosis.matching.streams import Stream
 
 ID = "rate_over_limit"
 _LEAST: Final = 20
@@ -26,9 +26,9 @@ _OVER: Final = 1.05
 def judge(case: Case) -> Iterator[Verdict]:
     """Hold the rates to CI against the budget, where no counter does it better."""
     for stream in case.streams:
-        if stream.link is not Link.CI or len(stream) < _LEAST or stream.msg_id in MSG_ID_NAMES:
+        if stream.link is not CI or len(stream) < _LEAST or stream.msg_id in MSG_ID_NAMES:
             continue
-        clean, hop, why = limit(Link.CI, stream.msg_id, case.profile, to_cfs=True)
+        clean, hop, why = limit(CI, stream.msg_id, case.profile, to_cfs=True)
         times = case.rows.time_ns[stream.rows]
         usual = float(np.median(np.diff(times)))
         rate = SECOND / usual if usual > 0 else 0.0
@@ -47,9 +47,12 @@ def judge(case: Case) -> Iterator[Verdict]:
             of=len(stream),
             start_ns=int(times[0]),
             end_ns=int(times[-1]),
-            evidence=(f"{len(stream):,} commands, one every {usual / 1e6:.1f} ms", "no 0x803 in that time"),
-            remedy=f"send at most {clean:g} Hz; to know what was lost, capture telemetry too: TO's link, "
-            "UDP port 1235, with 0x803 in its table",
+            evidence=(
+                f"{len(stream):,} commands, one every {usual / 1e6:.1f} ms",
+                "no counter of 0x803 then",
+            ),
+            remedy=f"send at most {clean:g} Hz; to know what was lost, capture telemetry too, in whole "
+            "frames: TO's link, UDP port 1235, with 0x803 in its table",
             confidence="medium",
         )
 

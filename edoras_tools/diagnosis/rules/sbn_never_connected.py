@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Link
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.links.sbn import SBN
+from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _LEAST_SECONDS: Final = 8
 def judge(case: Case) -> Iterator[Verdict]:
     """Look for a direction of a link on which nothing ever came."""
     rows = case.rows
-    network = (rows.link == Link.SBN) & (rows.sbn_msg_type >= 0)
+    network = (rows.link == SBN) & (rows.sbn_msg_type >= 0)
     ways = np.unique(np.stack((rows.source[network], rows.destination[network])), axis=1).T.tolist()
     for source, target in ways:
         if [target, source] in ways:

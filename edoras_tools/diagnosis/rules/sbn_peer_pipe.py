@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at, published
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.losses import Loss
+    from edoras_tools.diagnosis.verdict import Verdict
 
 ID = "sbn_peer_pipe"
 _FULL = 0.3
@@ -32,23 +33,13 @@ def _verdict(case: Case, loss: Loss) -> Verdict:
         limit, period = rounds.most, rounds.period_ns
         evidence.append(f"at most {limit} came in one round, every {period / 1e6:.1f} ms")
     rate = limit * SECOND / period
-    offered = f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
-    of = f" of {loss.of:,}" if loss.of else ""
-    return Verdict(
+    return loss_verdict(
+        case,
         ID,
-        Severity.ERROR,
-        f"{loss.lost:,}{of} messages on {case.name(loss.msg_id)} lost at {loss.hop}: {offered}{limit} of "
-        f"one MsgId may wait and SBN serves the pipe every {period / 1e6:.0f} ms, so {rate:.0f}/s get "
-        "through",
-        msg_id=loss.msg_id,
-        topic=case.topic(loss.msg_id),
+        loss,
+        f"{lost_at(case, loss)}: {published(loss)}{limit} of one MsgId may wait and SBN serves "
+        f"the pipe every {period / 1e6:.0f} ms, so {rate:.0f}/s get through",
         link="sbn",
-        hop=loss.hop,
-        lost=loss.lost,
-        of=loss.of,
-        start_ns=loss.start_ns,
-        end_ns=loss.end_ns,
-        evidence=(*evidence, *case.drops_text()),
+        evidence=evidence,
         remedy=f"publish at most {rate:.0f} Hz on this MsgId towards the peer",
-        confidence=loss.confidence,
     )

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Finding, Link
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
+from edoras_tools.model import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,7 +24,7 @@ def judge(case: Case) -> Iterator[Verdict]:
     """Name each MsgId that has them, as harmless."""
     rows = case.rows
     stale = rows.has(Finding.STALE_TAIL) & (rows.space > rows.cdr_length)
-    for link in (Link.CI, Link.TO, Link.SBN):
+    for link in (CI, TO, SBN):
         for msg_id in np.unique(rows.msg_id[stale & (rows.link == link)]).tolist():
             members = np.flatnonzero(stale & (rows.link == link) & (rows.msg_id == msg_id))
             of = int(((rows.link == link) & (rows.msg_id == msg_id)).sum())

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
 from edoras_tools.model import Finding, Link
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
@@ -26,7 +28,7 @@ def judge(case: Case) -> Iterator[Verdict]:
     """Name telemetry whose envelope claims more than its packet holds."""
     rows = case.rows
     bad = (rows.claimed > 0) & ~rows.has(Finding.CAPTURE_CUT)
-    for link in (Link.TO, Link.SBN):
+    for link in (TO, SBN):
         for msg_id in np.unique(rows.msg_id[bad & (rows.link == link)]).tolist():
             all_ = np.flatnonzero((rows.link == link) & (rows.msg_id == msg_id))
             members = all_[bad[all_]]
@@ -100,5 +102,5 @@ def malformed_before(case: Case, time_ns: int) -> int | None:
     wrong = rows.has(Finding.TRUNCATED | Finding.LENGTH_MISMATCH | Finding.SBN_SIZE_MISMATCH)
     wrong |= rows.claimed > 0
     near = (rows.time_ns <= time_ns) & (rows.time_ns > time_ns - 2 * SECOND)
-    found = np.flatnonzero(wrong & near & (rows.link != Link.TO) & (rows.function_code >= 0))
+    found = np.flatnonzero(wrong & near & (rows.link != TO) & (rows.function_code >= 0))
     return int(found[-1]) if len(found) else None

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.diagnosis.words import plural
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
+from edoras_tools.wire.order import numbered
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,13 +24,16 @@ _OFTEN_NS: Final = 2 * SECOND
 
 def judge(case: Case) -> Iterator[Verdict]:
     """Find who repeats the same subscription."""
-    rows = case.rows
-    times: dict[tuple[int, tuple[int, ...]], list[int]] = defaultdict(list)
-    for item in case.payloads.subscriptions:
-        if rows.sbn_msg_type[item.row] == sbn.MsgType.SUB and item.wanted:
-            times[int(rows.source[item.row]), item.wanted].append(int(rows.time_ns[item.row]))
-    for source in sorted({source for source, _ in times}):
-        own = [when for (who, _), when in times.items() if who == source]
+    rows, listed = case.rows, case.payloads.subscriptions
+    lists: dict[tuple[int, ...], int] = {(): 0}
+    wanted = [lists.setdefault(item.wanted, len(lists)) for item in case.payloads.contents]
+    wants = np.array(wanted, np.int64)[listed["said"]]
+    subs = (rows.sbn_msg_type[listed["row"]] == sbn.MsgType.SUB) & (wants > 0)
+    row = listed["row"][subs]
+    first, which = numbered(rows.source[row], wants[subs])
+    for source in np.unique(rows.source[row]).tolist():
+        numbers = np.flatnonzero(rows.source[row[first]] == source).tolist()
+        own = [rows.time_ns[row[which == number]] for number in numbers]
         often = [when for when in own if len(when) >= _LEAST and float(np.median(np.diff(when))) < _OFTEN_NS]
         if not often:
             continue
@@ -44,8 +47,8 @@ def judge(case: Case) -> Iterator[Verdict]:
             "public flight bridge does; cFS ignores repeats",
             link="sbn",
             hop="flight bridge",
-            start_ns=min(when[0] for when in often),
-            end_ns=max(when[-1] for when in often),
+            start_ns=int(min(when[0] for when in often)),
+            end_ns=int(max(when[-1] for when in often)),
             evidence=(f"from {case.endpoints[source]}",),
             remedy="none needed; subscribing once after PROTO would do",
         )

@@ -6,41 +6,39 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.instances import NOBODY
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.diagnosis.accounting.stops import outages
+from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.rules import struct_overrun
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Link
-from edoras_tools.sessions import telemetry_output
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.links.to import TO
+from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.names import MSG_ID_NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from edoras_tools.diagnosis.accounting.stops import Outage
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.streams import Stream
+    from edoras_tools.diagnosis.matching.streams import Stream
 
 ID = "telemetry_vanished"
 _LEAST: Final = 5
 _WAIT_NS: Final = 5 * SECOND
 _WAIT_PERIODS: Final = 6
 _NEAR_NS: Final = 3 * SECOND
-_CLOCKWORK: Final = 0.9
-_SLOW_NS: Final = SECOND // 4
-"""What comes faster may come in bursts, and then end like any command of an operator."""
 _EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
 """They come as there is something to say, and no more of one kind once cFS has said it 16 times."""
 
 
 def judge(case: Case) -> Iterator[Verdict]:
     """Look for a stream that ended for good, and for what happened just then."""
+    stops = outages(case.known)
     for stream in case.streams:
-        if stream.link is not Link.TO or len(stream) < _LEAST or stream.msg_id in _EVENTS:
+        if stream.link is not TO or len(stream) < _LEAST or stream.msg_id in _EVENTS:
             continue
-        if _asked_for(case, stream):
+        if _asked_for(case, stream) or _stopped(case, stream, stops):
             continue
         if stream.instance == NOBODY or stream.instance != case.known.owner(stream):
             continue  # handed on for a peer, which may be gone
@@ -53,9 +51,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             continue
         signs = list(_signs(case, stream, last_ns, alive_ns))
         if not signs:
-            if _steady(times):
-                yield _ended(case, stream, last_ns, alive_ns, usual)
-            continue
+            continue  # topic_silent tells of it
         signs += _longer(case, last_ns)
         missed = round((alive_ns - last_ns) / usual) if usual > 0 else None
         yield Verdict(
@@ -79,35 +75,6 @@ def judge(case: Case) -> Iterator[Verdict]:
         )
 
 
-def _steady(times: NDArray[np.int64]) -> bool:
-    """Tell whether a stream came like a clock, as what an application sends on request does."""
-    steps = np.diff(times)
-    usual = float(np.median(steps))
-    enough = len(steps) >= 2 * _LEAST and usual >= _SLOW_NS
-    return enough and bool((np.abs(steps - usual) < usual / 2).mean() > _CLOCKWORK)
-
-
-def _ended(case: Case, stream: Stream, last_ns: int, alive_ns: int, usual: float) -> Verdict:
-    """Say modestly that a stream ended: its source may have, too."""
-    return Verdict(
-        ID,
-        Severity.WARNING,
-        f"{case.name(stream.msg_id)} came every {usual / SECOND:.1f} s until {case.at(last_ns)} and never "
-        "again, while other telemetry goes on; whether the application, its robot or TO's table ended it "
-        "is not observable from here",
-        msg_id=stream.msg_id,
-        topic=case.topic(stream.msg_id),
-        link="to",
-        hop="flight application",
-        start_ns=last_ns,
-        end_ns=alive_ns,
-        evidence=(f"{len(stream):,} messages, then {(alive_ns - last_ns) / SECOND:.1f} s without one",),
-        remedy="look at the application's console and events; capture its SBN link or its input to see "
-        "whether it still gets what it needs",
-        confidence="low",
-    )
-
-
 def _asked_for(case: Case, stream: Stream) -> bool:
     """Tell whether Telemetry Output was told to stop sending it."""
     last_ns = int(case.rows.time_ns[stream.rows[-1]])
@@ -118,6 +85,12 @@ def _asked_for(case: Case, stream: Stream) -> bool:
         and abs(int(case.rows.time_ns[item.row]) - last_ns) < _NEAR_NS
         for item in case.payloads.output
     )
+
+
+def _stopped(case: Case, stream: Stream, stops: Sequence[Outage]) -> bool:
+    """Tell whether an application was stopped just then: another rule tells of it."""
+    last_ns = int(case.rows.time_ns[stream.rows[-1]])
+    return any(abs(item.start_ns - last_ns) < _NEAR_NS for item in stops)
 
 
 def _signs(case: Case, stream: Stream, last_ns: int, alive_ns: int) -> Iterator[str]:
@@ -134,7 +107,7 @@ def _signs(case: Case, stream: Stream, last_ns: int, alive_ns: int) -> Iterator[
         first_ns = int(case.rows.time_ns[other.rows[0]])
         strange = other.msg_id not in MSG_ID_NAMES and case.route(other.msg_id) is None
         same_size = case.rows.packet_length[other.rows[0]] == case.rows.packet_length[stream.rows[-1]]
-        if other.link is Link.TO and strange and same_size and 0 < first_ns - last_ns < _NEAR_NS:
+        if other.link is TO and strange and same_size and 0 < first_ns - last_ns < _NEAR_NS:
             yield f"0x{other.msg_id:04x}, of the same size and nobody's, came first at {case.at(first_ns)}"
     owner = case.instances.owner(stream.sender, last_ns)
     track = case.tracks.get(owner)
@@ -155,7 +128,7 @@ def _signs(case: Case, stream: Stream, last_ns: int, alive_ns: int) -> Iterator[
 def _longer(case: Case, last_ns: int) -> Iterator[str]:
     """Yield messages into cFS that were longer than all before, just when it stopped."""
     for stream in case.streams:
-        if stream.link is Link.TO:
+        if stream.link is TO:
             continue
         rows = case.rows
         times, sizes = rows.time_ns[stream.rows], rows.cdr_length[stream.rows]

@@ -6,16 +6,16 @@ from ipaddress import AddressValueError, IPv4Address
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Link
-from edoras_tools.sessions import telemetry_output
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.links.ci import CI
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.payloads import OutputCommand
+    from edoras_tools.diagnosis.evidence.payloads import OutputCommand
 
 ID = "to_destination"
 
@@ -26,21 +26,22 @@ def judge(case: Case) -> Iterator[Verdict]:
     enables = [
         item
         for item in case.payloads.output
-        if item.function_code == telemetry_output.ENABLE and rows.link[item.row] == Link.CI
+        if item.function_code == telemetry_output.ENABLE and rows.link[item.row] == CI
     ]
     for item in enables:
-        if not _is_address(item.address):
+        if not is_address(item.address):
             yield _no_address(case, item)
     by_target: dict[int, list[OutputCommand]] = {}
     for item in enables:
-        if _is_address(item.address):
+        if is_address(item.address):
             by_target.setdefault(int(rows.destination[item.row]), []).append(item)
     for members in by_target.values():
         if len({item.address for item in members}) > 1:
             yield _fight(case, members)
 
 
-def _is_address(text: str) -> bool:
+def is_address(text: str) -> bool:
+    """Tell whether a text is an IPv4 address."""
     try:
         IPv4Address(text)
     except AddressValueError:
@@ -53,7 +54,7 @@ def _no_address(case: Case, item: OutputCommand) -> Verdict:
     said = [
         record
         for record in case.said(start_ns, start_ns + 2 * SECOND, telemetry_output.NAME)
-        if "enabled for IP" in record.message
+        if telemetry_output.ENABLED.phrase in record.message
     ]
     return Verdict(
         ID,

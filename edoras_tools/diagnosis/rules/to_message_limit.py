@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.sessions import telemetry_output
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at, published
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.losses import Loss
+    from edoras_tools.diagnosis.verdict import Verdict
 
 ID = "to_message_limit"
 _FULL = 0.3
@@ -21,43 +22,34 @@ _FULL = 0.3
 def judge(case: Case) -> Iterator[Verdict]:
     """Name the MsgId, and the rate that gets through, as measured where it can be."""
     for loss in case.losses:
-        if loss.kind == "limit" and loss.hop == telemetry_output.PIPE:
+        if loss.kind == "limit" and loss.hop == telemetry_output.PIPE and not loss.closed:
             yield _verdict(case, loss)
 
 
 def _verdict(case: Case, loss: Loss) -> Verdict:
-    limit, period, measured = clean(case, loss)
+    limit, period, measured = clean_round(case, loss)
     rate = limit * SECOND / period
-    offered = f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
-    of = f" of {loss.of:,}" if loss.of else ""
     reason = (
-        f"{loss.lost:,}{of} messages on {case.name(loss.msg_id)} lost at {loss.hop}: {offered}{limit} of "
-        f"this MsgId may wait and TO sends every {period / 1e6:.0f} ms, so {rate:.1f}/s get through"
+        f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait and TO sends every "
+        f"{period / 1e6:.0f} ms, so {rate:.1f}/s get through"
     )
     evidence = list(loss.evidence)
     if measured:
         evidence.append(
             f"at most {limit} came in one round, every {period / 1e6:.1f} ms: {rate:.1f} Hz is clean"
         )
-    return Verdict(
+    return loss_verdict(
+        case,
         ID,
-        Severity.ERROR,
+        loss,
         reason,
-        msg_id=loss.msg_id,
-        topic=case.topic(loss.msg_id),
         link="to",
-        hop=loss.hop,
-        lost=loss.lost,
-        of=loss.of,
-        start_ns=loss.start_ns,
-        end_ns=loss.end_ns,
-        evidence=(*evidence, *case.drops_text()),
+        evidence=evidence,
         remedy=f"publish at most {rate:.0f} Hz, or raise the MsgId's limit in TO's table (to_lab_sub)",
-        confidence=loss.confidence,
     )
 
 
-def clean(case: Case, loss: Loss) -> tuple[int, int, bool]:
+def clean_round(case: Case, loss: Loss) -> tuple[int, int, bool]:
     """Return how many get through a round, how long a round is, and whether that was measured."""
     rounds, period = loss.comb, case.profile.to_wake_ns
     if rounds and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:

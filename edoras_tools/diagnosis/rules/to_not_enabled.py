@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Link
-from edoras_tools.sessions import telemetry_output
-from edoras_tools.sessions.profile import SECOND
+from edoras_tools.links.ci import CI
+from edoras_tools.links.to import TO
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,9 +24,9 @@ _WAIT_NS: Final = 3 * SECOND
 def judge(case: Case) -> Iterator[Verdict]:
     """Look for a ground link with one direction only."""
     rows = case.rows
-    commands = np.flatnonzero(rows.link == Link.CI)
+    commands = np.flatnonzero(rows.link == CI)
     wanted = bool(len(commands)) or bool(case.mission.ground)
-    if not wanted or (rows.link == Link.TO).any() or case.end_ns - case.start_ns < _WAIT_NS:
+    if not wanted or (rows.link == TO).any() or case.end_ns - case.start_ns < _WAIT_NS:
         return
     enables = [item for item in case.payloads.output if item.function_code == telemetry_output.ENABLE]
     evidence = [f"{len(commands):,} commands to CI, no datagram from Telemetry Output"]

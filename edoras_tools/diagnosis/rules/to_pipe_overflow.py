@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.diagnosis.accounting.pipes import measured_depth
+from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at, published
 from edoras_tools.model import NO_ROUTE
-from edoras_tools.sessions import telemetry_output
 from edoras_tools.wire import cfe
-from edoras_tools.wire.names import MSG_ID_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.losses import Loss
+    from edoras_tools.diagnosis.verdict import Verdict
 
 ID = "to_pipe_overflow"
 
@@ -26,14 +28,13 @@ def judge(case: Case) -> Iterator[Verdict]:
         yield _verdict(case, loss, [item for item in others if _together(item, loss)])
 
 
-def aside(case: Case) -> int:
-    """Return how many messages went down with those that verdicts are of."""
-    return sum(item.lost for item in _divided(case)[1])
-
-
 def _divided(case: Case) -> tuple[list[Loss], list[Loss]]:
     """Return the losses that have a verdict each, and the rest."""
-    full = [item for item in case.losses if item.kind == "overflow" and item.hop == telemetry_output.PIPE]
+    full = [
+        item
+        for item in case.losses
+        if item.kind == "overflow" and item.hop == telemetry_output.PIPE and not item.closed
+    ]
     routes = [item for item in full if _is_route(item)]
     if not routes and full:
         routes = [max(full, key=lambda item: item.lost)]
@@ -51,34 +52,31 @@ def _together(loss: Loss, other: Loss) -> bool:
 
 def _verdict(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
     profile = case.profile
-    offered = f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
-    of = f" of {loss.of:,}" if loss.of else ""
-    room = profile.to_pipe_depth * 1e9 / profile.to_wake_ns
+    depth, told = profile.to_pipe_depth, ""
+    if loss.stream is not None:
+        own = (case.rows.link == loss.stream.link) & (case.rows.source == loss.stream.sender)
+        measured = measured_depth(case.rows.time_ns[own], profile.to_wake_ns)
+        if measured < depth:
+            depth = measured
+            told = f"rounds of {measured} came often, and none was larger (is fs.mqueue.msg_max {measured}?)"
+    room = depth * 1e9 / profile.to_wake_ns
     reason = (
-        f"{loss.lost:,}{of} messages on {case.name(loss.msg_id)} lost at {loss.hop}: {offered}and TO's pipe "
-        f"of {profile.to_pipe_depth} is emptied every {profile.to_wake_ns // 1_000_000} ms: {room:.0f}/s of "
-        "all telemetry together"
+        f"{lost_at(case, loss)}: {published(loss)}and TO's pipe of {depth} is "
+        f"emptied every {profile.to_wake_ns // 1_000_000} ms: {room:.0f}/s of all telemetry together"
     )
-    evidence = list(loss.evidence)
+    evidence = [*loss.evidence, *([told] if told else ())]
     if beside:
         listed = ", ".join(f"{case.name(item.msg_id)} {item.lost:,}" for item in beside)
         evidence.append(f"lost with it: {listed}")
     if any(item.msg_id == cfe.EVENT_MSG_ID for item in beside):
         evidence.append("events are among the lost: that none names the pipe proves nothing")
-    return Verdict(
+    return loss_verdict(
+        case,
         ID,
-        Severity.ERROR,
+        loss,
         reason,
-        msg_id=loss.msg_id,
-        topic=case.topic(loss.msg_id),
         link="to",
-        hop=loss.hop,
-        lost=loss.lost,
-        of=loss.of,
-        start_ns=loss.start_ns,
-        end_ns=loss.end_ns,
-        evidence=(*evidence, *case.drops_text()),
+        evidence=evidence,
         remedy=f"publish less: {room:.0f}/s of everything, housekeeping included; a lower limit of this "
         "MsgId in TO's table keeps the others safe; or make TO's pipe deeper or its delay shorter",
-        confidence=loss.confidence,
     )

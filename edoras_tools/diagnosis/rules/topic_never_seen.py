@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Link
+from edoras_tools.links import table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.model import Link
 
 ID = "topic_never_seen"
 
@@ -18,7 +19,7 @@ ID = "topic_never_seen"
 def judge(case: Case) -> Iterator[Verdict]:
     """Tell a link that is not in the capture from a topic that is silent on one that is."""
     rows = case.rows
-    links = {Link(link) for link in set(rows.link.tolist())}
+    links = {table.link(code) for code in set(rows.link.tolist())}
     absent: dict[Link, list[str]] = {}
     for index, route in enumerate(case.mission.routes):
         if (rows.route == index).any():

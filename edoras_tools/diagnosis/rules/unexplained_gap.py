@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.budget import limit
+from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 
 if TYPE_CHECKING:
@@ -45,3 +45,21 @@ def judge(case: Case) -> Iterator[Verdict]:
             "events tell",
             confidence="low",
         )
+    for stream in case.streams:
+        if untold := case.telemetry.untold.get(id(stream), 0):
+            yield Verdict(
+                ID,
+                Severity.WARNING,
+                f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: the capture cut off "
+                "when packets were made, so nothing tells whether they were lost, not sent, or are another "
+                "cFS's",
+                msg_id=stream.msg_id,
+                topic=case.topic(stream.msg_id),
+                link=stream.link.label,
+                of=len(stream) + untold,
+                start_ns=int(case.rows.time_ns[stream.rows[0]]),
+                end_ns=int(case.rows.time_ns[stream.rows[-1]]),
+                evidence=case.drops_text(),
+                remedy="capture whole frames, without -s or with -s 0",
+                confidence="low",
+            )

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Link
+from edoras_tools.links.ci import CI
+from edoras_tools.links.to import TO
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
@@ -22,8 +23,9 @@ def judge(case: Case) -> Iterator[Verdict]:
     """Hold the configured routes against the traffic."""
     rows = case.rows
     for route in case.mission.routes:
-        against = {Link.CI: not cfe.is_command(route.msg_id), Link.TO: cfe.is_command(route.msg_id)}
-        elsewhere = {Link.CI: Link.TO, Link.TO: Link.CI}.get(route.link)
+        command = cfe.is_command(route.msg_id)
+        against = (route.link is CI and not command) or (route.link is TO and command)
+        elsewhere = TO if route.link is CI else CI if route.link is TO else None
         there = np.flatnonzero((rows.link == route.link) & (rows.msg_id == route.msg_id))
         other = (
             np.flatnonzero((rows.link == elsewhere) & (rows.msg_id == route.msg_id))
@@ -31,15 +33,15 @@ def judge(case: Case) -> Iterator[Verdict]:
             else there[:0]
         )
         # One stray datagram is a bad command; a route is wrong when it never travels as configured.
-        if not against.get(route.link) and (not len(other) or len(there)):
+        if not against and (not len(other) or len(there)):
             continue
         seen = other if len(other) else there
-        if route.link is Link.CI:
+        if route.link is CI:
             wrong = "configured as a command and it is a telemetry MsgId"
         else:
             wrong = "configured as telemetry and it is a command MsgId"
-        if len(other) and not against.get(route.link):
-            seen_on = Link(elsewhere or 0).label.upper()
+        if len(other) and not against:
+            seen_on = (elsewhere or route.link).name
             wrong = f"configured on {route.link.label.upper()} and seen on {seen_on} only"
         yield Verdict(
             ID,

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from edoras_tools.cfs import sbn as facts
 from edoras_tools.diagnosis.rules.bad_network_message import answers
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.diagnosis.words import plural
 from edoras_tools.wire import sbn
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,13 +24,14 @@ def judge(case: Case) -> Iterator[Verdict]:
     """Name every other $Id, once a sender."""
     rows = case.rows
     found: dict[tuple[int, str], list[int]] = {}
-    for item in case.payloads.subscriptions:
-        if item.ident != sbn.IDENT:
-            found.setdefault((int(rows.source[item.row]), item.ident), []).append(item.row)
+    listed, contents = case.payloads.subscriptions, case.payloads.contents
+    other = np.array([item.ident != sbn.IDENT for item in contents], bool)[listed["said"]]
+    for row, said in zip(listed["row"][other].tolist(), listed["said"][other].tolist(), strict=True):
+        found.setdefault((int(rows.source[row]), contents[said].ident), []).append(row)
     for (source, ident), members in found.items():
         first = members[0]
         start_ns = int(rows.time_ns[first])
-        said = answers(case, start_ns, "version number mismatch")
+        said = answers(case, start_ns, facts.OTHER_IDENT.phrase)
         yield Verdict(
             ID,
             Severity.ERROR,

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.cfs import sbn as facts
 from edoras_tools.diagnosis.rules.bad_network_message import answers
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.model import Finding, Link
+from edoras_tools.links.sbn import SBN
+from edoras_tools.model import Finding
 from edoras_tools.wire import sbn
 
 if TYPE_CHECKING:
@@ -22,11 +24,11 @@ ID = "wrong_protocol_version"
 def judge(case: Case) -> Iterator[Verdict]:
     """Name every sender of one."""
     rows = case.rows
-    wrong = (rows.link == Link.SBN) & rows.has(Finding.SBN_VERSION_MISMATCH)
+    wrong = (rows.link == SBN) & rows.has(Finding.SBN_VERSION_MISMATCH)
     for source in np.unique(rows.source[wrong]).tolist():
         members = np.flatnonzero(wrong & (rows.source == source))
         first, start_ns = int(members[0]), int(rows.time_ns[members[0]])
-        said = answers(case, start_ns, "protocol version mismatch")
+        said = answers(case, start_ns, facts.VERSION_MISMATCH.phrase)
         yield Verdict(
             ID,
             Severity.ERROR,

@@ -1,4 +1,4 @@
-"""A topic's messages do not decode as the type that the mission file names."""
+"""A topic's messages are not of the type that the mission file names: they do not decode, or are too long."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.errors import EdorasError
-from edoras_tools.model import Finding, Link
+from edoras_tools.model import Finding
+from edoras_tools.ros.cdr.plan import ROUNDING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.mission import Route
+    from edoras_tools.ros import TypeStore
 
 ID = "wrong_type"
 PACKAGES: Final = ("geometry_msgs", "sensor_msgs", "std_msgs", "nav_msgs", "builtin_interfaces")
@@ -36,14 +39,15 @@ def judge(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     for index, bad, count in misread(case):
         route = case.mission.routes[index]
-        samples = list(case.samples.get((int(Link(route.link)), route.msg_id), {}).values())
-        fits = fitting(case, samples, route.type)
+        fits = fitting(case, _samples(case, route), route.type)
         sizes = ", ".join(str(size) for size in np.unique(rows.cdr_length[bad])[:4].tolist())
+        refused = bool(rows.has(Finding.CDR_INVALID)[bad].any())
         yield Verdict(
             ID,
             Severity.ERROR,
-            f"{len(bad):,} of {count:,} messages on {case.name(route.msg_id)} do not decode as "
-            f"{route.type}" + (f"; {' or '.join(fits[:_MOST])} would fit" if fits else ""),
+            f"{len(bad):,} of {count:,} messages on {case.name(route.msg_id)} "
+            f"{'do not decode as' if refused else 'are longer than'} {route.type}"
+            + (f"; {' or '.join(fits[:_MOST])} would fit" if fits else ""),
             msg_id=route.msg_id,
             topic=route.topic,
             link=route.link.label,
@@ -64,18 +68,41 @@ def judge(case: Case) -> Iterator[Verdict]:
 
 
 def misread(case: Case) -> Iterator[tuple[int, NDArray[np.intp], int]]:
-    """Yield routes most of whose messages do not decode: index, those rows, of how many."""
+    """Yield routes most of whose messages are not of their type: index, those rows, of how many."""
     rows = case.rows
-    for index in range(len(case.mission.routes)):
+    for index, route in enumerate(case.mission.routes):
         whole = (rows.route == index) & (rows.cdr_length > 0) & ~rows.has(Finding.CAPTURE_CUT)
-        bad = np.flatnonzero(whole & rows.has(Finding.CDR_INVALID))
+        bad = np.flatnonzero(whole & rows.has(_misfits(case, route)))
         count = int(whole.sum())
         if len(bad) >= 2 and len(bad) >= _SHARE * count:
             yield index, bad, count
 
 
+def _misfits(case: Case, route: Route) -> Finding:
+    """Return the findings that a message of another type has on a route.
+
+    A few bytes too many may be rounding, where no other type ends at the last of them.
+    """
+    types, found = case.context.types, Finding.CDR_INVALID | Finding.CDR_TOO_LONG
+    if types is None or not types.has(route.type) or types.most_trailing(route.type) > ROUNDING:
+        return found
+    members = (case.rows.msg_id == route.msg_id) & (case.rows.link == route.link)
+    if (members & case.rows.has(Finding.CDR_TRAILING)).any() and fitting(
+        case, _samples(case, route), route.type
+    ):
+        found |= Finding.CDR_TRAILING
+    return found
+
+
+def _samples(case: Case, route: Route) -> list[bytes]:
+    return list(case.samples.get((int(route.link), route.msg_id), {}).values())
+
+
 def fitting(case: Case, samples: list[bytes], configured: str) -> list[str]:
-    """Return the types that fit to the last byte, the mission's own and the plainest first."""
+    """Return the types that end at the last byte, or at most where their writer might leave bytes behind.
+
+    The mission's own and the plainest come first.
+    """
     types = case.context.types
     if types is None or not samples:
         return []
@@ -84,8 +111,18 @@ def fitting(case: Case, samples: list[bytes], configured: str) -> list[str]:
     found = []
     for name in sorted({*names, *own} - {configured}):
         try:
-            if all(len(types.encode(name, types.decode(name, cdr))) == len(cdr) for cdr in samples):
+            if all(_ends(types, name, cdr) for cdr in samples):
                 found.append(name)
         except EdorasError:
             continue
     return sorted(found, key=lambda name: (name not in own, name not in USUAL, name))[:8]
+
+
+def _ends(types: TypeStore, name: str, cdr: bytes) -> bool:
+    """Tell whether a message of a type ends with these bytes.
+
+    Raises:
+        EdorasError: they are none of its messages.
+    """
+    types.decode(name, cdr)
+    return len(cdr) - types.extent(name, cdr) <= types.most_trailing(name) - ROUNDING

@@ -1,0 +1,32 @@
+"""Command Ingest (CI_LAB): its name in events, its MsgIds, its events."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from edoras_tools.cfs.event_services import EventText, EventType
+
+NAME: Final = "CI_LAB_APP"
+PIPE: Final = "CI_LAB_CMD_PIPE"
+COMMAND_MSG_ID: Final = 0x1884
+REQUEST_MSG_ID: Final = 0x1885
+HOUSEKEEPING_MSG_ID: Final = 0x0884
+PORT: Final = 1234
+"""Of the first processor; the next has the next."""
+
+INITIALIZED: Final = EventText(NAME, 3, "CI Lab Initialized. {version}")
+NOOP: Final = EventText(NAME, 5, "CI: NOOP command")
+RESET: Final = EventText(NAME, 6, "CI: RESET command")
+BAD_FUNCTION_CODE: Final = EventText(NAME, 7, "Invalid Ground Command CC = {code:d}", EventType.ERROR)
+TOO_SHORT: Final = EventText(
+    NAME, 8, "CI: L{line:d}, cmd {msg_id:04x} {second:02x} dropped, bad length={length:d}\n", EventType.ERROR
+)
+NOT_SENT: Final = EventText(
+    NAME, 10, "CI: L{line:d}, CFE_SB_TransmitBuffer() failed, status={status}\n", EventType.ERROR
+)
+BAD_LENGTH: Final = EventText(
+    NAME,
+    16,
+    "Invalid msg length: ID = 0x{msg_id:04X},  CC = {code:d}, Len = {length:d}, Expected = {expected:d}",
+    EventType.ERROR,
+)

@@ -1,0 +1,79 @@
+"""cFE's own five applications: their names, pipes, MsgIds and the events that a link shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.cfs import event_services, software_bus
+from edoras_tools.cfs.event_services import EventText, EventType
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+RESET_ALL_FILTERS: Final = 14
+"""Function code of Event Services: the filters of one application begin to count anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class CoreApp:
+    """What tells the five apart.
+
+    Attributes:
+        name: as events print it.
+        pipe: its pipe's name.
+        command: MsgId of its commands.
+        request: MsgId of the housekeeping request.
+        telemetry: MsgId of its housekeeping packet.
+        others: further MsgIds that it subscribes to.
+        no_op_id: number of the no-op event.
+        no_op_text: how that event begins; the version follows.
+        bad_length_id: number of the event for a no-op that is too long; None where none was seen.
+        packets: function code to a packet that the command asks for: MsgId and payload bytes.
+    """
+
+    name: str
+    pipe: str
+    command: int
+    request: int
+    telemetry: int
+    no_op_id: int
+    others: tuple[int, ...] = ()
+    no_op_text: str = "No-op Cmd Rcvd:  "
+    bad_length_id: int | None = None
+    packets: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+
+    @property
+    def initialized(self) -> EventText:
+        """Return the event at start."""
+        short = self.name.removeprefix("CFE_")
+        return EventText(self.name, 1, f"cFE {short} Initialized:  {{version}}")
+
+    @property
+    def no_op(self) -> EventText:
+        """Return the event of a no-op."""
+        return EventText(self.name, self.no_op_id, self.no_op_text + "{version}")
+
+    @property
+    def bad_length(self) -> EventText | None:
+        """Return the event of a no-op that is too long."""
+        if self.bad_length_id is None:
+            return None
+        text = "Invalid msg length: ID = 0x{msg_id:04X},  CC = {code:d}, Len = {length:d}, Expected = 8"
+        return EventText(self.name, self.bad_length_id, text, EventType.ERROR)
+
+
+CORE: Final = (
+    CoreApp(event_services.NAME, "EVS_CMD_PIPE", 0x1801, 0x1809, 0x0801, 0),
+    CoreApp(
+        software_bus.NAME, "SB_CMD_PIPE", 0x1803, 0x180B, 0x0803, 28, (0x180E,), packets={2: (0x080A, 828)}
+    ),
+    CoreApp(
+        "CFE_ES", "ES_CMD_PIPE", 0x1806, 0x1808, 0x0800, 3, no_op_text="No-op command:\n ", bad_length_id=23
+    ),
+    CoreApp(
+        "CFE_TIME", "TIME_CMD_PIPE", 0x1805, 0x180D, 0x0805, 4, (0x1811, 0x1862), packets={2: (0x0806, 200)}
+    ),
+    CoreApp("CFE_TBL", "TBL_CMD_PIPE", 0x1804, 0x180C, 0x0804, 10),
+)
+"""In the order in which they start."""

@@ -1,0 +1,23 @@
+"""The EDORAS flight applications: their name and pipe, what they take, their events."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from edoras_tools.cfs.event_services import EventText, EventType
+
+NAME: Final = "EDORAS_APP"
+PIPE: Final = "EDORAS_APP_PIPE"
+NO_OP, SET = 0, 1
+"""Function codes. The length of a SET is not looked at."""
+
+INITIALIZED: Final = EventText(NAME, 1, "Edoras App Initialized. {version}")
+BAD_FUNCTION_CODE: Final = EventText(NAME, 2, "Invalid ground command code: CC = {code:d}", EventType.ERROR)
+BAD_LENGTH: Final = EventText(
+    NAME,
+    6,
+    "Invalid Msg length: ID = 0x{msg_id:04X},  CC = {code:d}, Len = {length:d}, Expected = {expected:d}",
+    EventType.ERROR,
+)
+UNREADABLE: Final = "edoras_core: Failed to apply rmw_deserialize"
+"""On the console only."""

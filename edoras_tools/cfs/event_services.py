@@ -1,0 +1,67 @@
+"""cFE Event Services: its name, how severe events are, and events as data.
+
+The emulator writes events by their texts; the doctor and the sweep read them.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import Final
+
+NAME: Final = "CFE_EVS"
+
+
+class EventType(IntEnum):
+    """Severity of an event."""
+
+    DEBUG = 1
+    INFORMATION = 2
+    ERROR = 3
+    CRITICAL = 4
+
+
+@dataclass(frozen=True)
+class EventText:
+    """An event that an application reports, word for word.
+
+    Attributes:
+        app: name of the application.
+        event_id: its number for it.
+        text: as for ``str.format``: ``{name}`` is text, ``{name:d}`` decimal, ``{name:x}`` hexadecimal.
+        event_type: severity.
+    """
+
+    app: str
+    event_id: int
+    text: str
+    event_type: EventType = EventType.INFORMATION
+
+    @cached_property
+    def pattern(self) -> re.Pattern[str]:
+        """What reads the text: a group for each value."""
+        *parts, last = [_group(part) if part.startswith("{") else re.escape(part) for part in self._parts]
+        # re.split ends with the text behind the last value; without any, that value reaches to the end.
+        return re.compile("".join(parts) + (last or "$"))
+
+    @cached_property
+    def phrase(self) -> str:
+        """The longest part without values: it tells the event even where the values are cut."""
+        return max((part for part in self._parts if not part.startswith("{")), key=len)
+
+    @property
+    def _parts(self) -> list[str]:
+        return re.split(r"(\{.*?\})", self.text)
+
+
+def _group(value: str) -> str:
+    name, _, form = value.strip("{}").partition(":")
+    if form.endswith("d"):
+        return f"(?P<{name}>[0-9]+)"
+    # Names may be empty, and hold anything: the text behind them ends them, or the end of the event.
+    return f"(?P<{name}>[0-9a-fA-F]+)" if form else f"(?P<{name}>.*?)"
+
+
+SQUELCHED: Final = EventText(NAME, 44, "Events squelched, AppName = {app}", EventType.ERROR)

@@ -1,0 +1,179 @@
+"""Every constant of the flight side in one frozen value: rates, depths, limits, ports, time-outs.
+
+The defaults are what was read in the sources and measured on a running cFS (draco-rc4, CI_LAB, TO_LAB, SBN
+over UDP). Times are integer nanoseconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, Self
+
+from edoras_tools.cfs import sbn
+from edoras_tools.errors import ConfigError
+from edoras_tools.model import Peer
+from edoras_tools.units import MICROSECOND, MILLISECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+FLIGHT_BRIDGE: Final = Peer(0x42, 3)
+"""The flight bridge of the demos, as it calls itself."""
+TO_TABLE: Final = {
+    **dict.fromkeys((0x0800, 0x0801, 0x0803, 0x0804, 0x0805, 0x0806, 0x080A, 0x080B, 0x080C, 0x0810), 4),
+    **dict.fromkeys((0x0827, 0x0880, 0x0881, 0x0884, 0x08FA), 4),
+    0x0808: 32,
+}
+"""Telemetry Output's table: MsgId to how many of it may wait. An application's own MIDs are added."""
+
+
+@dataclass(frozen=True, slots=True)
+class SbnPeerConfig:
+    """A peer as SBN's configuration table names it.
+
+    Attributes:
+        peer: its spacecraft and processor.
+        port: UDP port at which it listens.
+        address: IPv4 address in text form.
+    """
+
+    peer: Peer
+    port: int
+    address: str = "127.0.0.1"
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """The UDP ports of one cFS and of the two bridges that it talks to.
+
+    Attributes:
+        ci: Command Ingest.
+        to: the ground bridge, where Telemetry Output sends.
+        sbn: the Software Bus Network.
+        peer: the flight bridge.
+    """
+
+    ci: int
+    to: int
+    sbn: int
+    peer: int
+
+
+@dataclass(frozen=True, slots=True)
+class SimProfile:
+    """What a cFS instance is made of.
+
+    Attributes:
+        spacecraft_id: spacecraft of this instance.
+        processor_id: processor of this instance.
+        address: IPv4 address of every socket.
+        ci_port: UDP port of Command Ingest.
+        ci_buffer: bytes of a datagram that Command Ingest keeps.
+        ci_wake_ns: Command Ingest's time-out on its pipe; every wake-up also reads the socket.
+        ci_datagrams_per_wake: the most it reads at once.
+        socket_queue: datagrams that the operating system keeps for a socket that nobody reads.
+        to_port: UDP port at which the ground receives.
+        to_source_port: UDP port that telemetry comes from; 0 lets the operating system choose.
+        to_wake_ns: Telemetry Output's delay between two rounds.
+        to_pipe_depth: of its telemetry pipe.
+        to_limits: its table: MsgId to the messages of it that may wait; the application's are added.
+        to_default_limit: limit of a MsgId that the table or an add-packet command leaves open.
+        app_pipe_depth: of an application's pipe.
+        app_msg_limit: messages of one MsgId that may wait in it.
+        sbn_port: UDP port of the Software Bus Network.
+        sbn_peers: who it may talk to.
+        sbn_heartbeat_s: whole seconds without sending, after which it sends a heartbeat.
+        sbn_timeout_s: whole seconds of silence, after which a peer is disconnected.
+        sbn_announce_s: whole seconds between announcements to a peer that is not connected.
+        sbn_wake_ns: period at which peer pipes are served and time-outs looked at.
+        sbn_pipe_depth: of a peer's pipe.
+        sbn_msg_limit: messages of one MsgId that may wait in it.
+        sbn_polls: receive in the main loop too, each ``sbn_wake_ns``, instead of in a task of its own.
+        bus_max_bytes: longest message that the software bus takes.
+        bus_loss_events: how often a loss event is reported before its filter stops it.
+        bus_no_subscribers_events: the same for "No subscribers".
+        event_burst: events that an application may send at once before it is squelched.
+        event_rate: events per second that it may send in the long run.
+        housekeeping_ns: period of the housekeeping requests.
+        wakeup_ns: period of the wake-up that the two-robot application sends its commands on.
+        boot_met_s: mission elapsed time at start, s.
+        epoch_offset_s: correction from mission elapsed time to mission time, s.
+        cores: processors that the tasks share.
+        latency_ns: shortest and longest time from "may run" to "runs" of a task.
+        work_ns: processor time of handling one message.
+        work_jitter: how much of ``work_ns`` a piece of work may take more or less, 0 to 1.
+        seed: of the latencies: a seed, a run.
+    """
+
+    spacecraft_id: int = 0x42
+    processor_id: int = 1
+    address: str = "127.0.0.1"
+
+    ci_port: int = 1234
+    ci_buffer: int = 768
+    ci_wake_ns: int = 500 * MILLISECOND
+    ci_datagrams_per_wake: int = 11
+    socket_queue: int = 256
+
+    to_port: int = 1235
+    to_source_port: int = 0
+    to_wake_ns: int = 500 * MILLISECOND
+    to_pipe_depth: int = 50
+    to_limits: Mapping[int, int] = field(default_factory=lambda: dict(TO_TABLE))
+    to_default_limit: int = 4
+
+    app_pipe_depth: int = 32
+    app_msg_limit: int = 4
+
+    sbn_port: int = 2234
+    sbn_peers: tuple[SbnPeerConfig, ...] = (
+        SbnPeerConfig(Peer(0x42, 2), 2235),
+        SbnPeerConfig(FLIGHT_BRIDGE, 2236),
+    )
+    sbn_heartbeat_s: int = sbn.HEARTBEAT_S
+    sbn_timeout_s: int = sbn.TIMEOUT_S
+    sbn_announce_s: int = sbn.ANNOUNCE_S
+    sbn_wake_ns: int = sbn.WAKE_NS
+    sbn_pipe_depth: int = sbn.PIPE_DEPTH
+    sbn_msg_limit: int = sbn.PEER_MSG_LIMIT
+    sbn_polls: bool = False
+
+    bus_max_bytes: int = 32768
+    bus_loss_events: int = 16
+    bus_no_subscribers_events: int = 4
+    event_burst: int = 32
+    event_rate: int = 15
+
+    housekeeping_ns: int = SECOND
+    wakeup_ns: int = 100 * MILLISECOND
+    boot_met_s: int = 1000
+    epoch_offset_s: int = 1_000_000
+
+    cores: int = 2
+    latency_ns: tuple[int, int] = (40 * MICROSECOND, 160 * MICROSECOND)
+    work_ns: int = 8 * MICROSECOND
+    work_jitter: float = 0.5
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        periods = ("ci_wake_ns", "to_wake_ns", "sbn_wake_ns", "housekeeping_ns", "wakeup_ns", "cores")
+        for name in (*periods, "ci_datagrams_per_wake", "event_burst", "ci_buffer", "socket_queue"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"sim profile: {name}: {getattr(self, name)} is not allowed; 1 or more")
+        for name in ("ci_port", "to_port", "to_source_port", "sbn_port"):
+            if not 0 <= getattr(self, name) <= 0xFFFF:
+                raise ConfigError(f"sim profile: {name}: {getattr(self, name)} is not a UDP port; 0 to 65535")
+        if not 0 <= self.latency_ns[0] <= self.latency_ns[1]:
+            raise ConfigError(
+                f"sim profile: latency_ns: {self.latency_ns} is not allowed; (shortest, longest)"
+            )
+
+    def on(self, ports: Ports) -> Self:
+        """Return the same on other ports, with the flight bridge its only SBN peer."""
+        bridge = SbnPeerConfig(FLIGHT_BRIDGE, ports.peer, self.address)
+        return replace(self, ci_port=ports.ci, to_port=ports.to, sbn_port=ports.sbn, sbn_peers=(bridge,))
+
+    @property
+    def peer(self) -> Peer:
+        """This instance as its SBN peers know it."""
+        return Peer(self.spacecraft_id, self.processor_id)

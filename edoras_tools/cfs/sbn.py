@@ -1,0 +1,82 @@
+"""Software Bus Network (SBN over UDP): its name in events, its MsgIds, its times, its events.
+
+The sources name 5, 10 and 10 seconds and compare whole seconds with "greater than": what happens, happens a
+second later. What is measured is what stands here.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.cfs.event_services import EventText, EventType
+from edoras_tools.units import MILLISECOND
+
+if TYPE_CHECKING:
+    from edoras_tools.model import Peer
+
+NAME: Final = "SBN"
+PIPE: Final = "SBN_CMD_PIPE"
+COMMAND_MSG_ID: Final = 0x18FA
+HOUSEKEEPING_MSG_ID: Final = 0x08FA
+
+HEARTBEAT_S: Final = 6
+"""Whole seconds without sending, after which a connected peer is sent a heartbeat."""
+TIMEOUT_S: Final = 11
+"""Whole seconds of silence, after which a peer is disconnected."""
+ANNOUNCE_S: Final = 11
+"""Whole seconds between announcements to a peer that is not connected."""
+DATAGRAMS_PER_WAKE: Final = 100
+"""So many SBN reads at a wake-up, about; what its socket cannot hold beyond that is dropped unseen."""
+WAKE_NS: Final = 200 * MILLISECOND
+"""Period at which peer pipes are served and times looked at."""
+PIPE_DEPTH: Final = 32
+PEER_MSG_LIMIT: Final = 8
+"""Messages of one MsgId that may wait in a peer's pipe."""
+PEER_PIPE: Final = re.compile(r"SBN_[0-9]+_[0-9]+_Pipe")
+
+VERSION_MATCH: Final = EventText(NAME, 1, "SBN protocol version match with peer {peer}")
+VERSION_MISMATCH: Final = EventText(
+    NAME,
+    1,
+    "{failure}SBN protocol version mismatch with peer {peer}, my version={own:d}, peer version {version:d}",
+    EventType.ERROR,
+)
+SUBSCRIBED_TO_COMMANDS: Final = EventText(
+    NAME, 2, "SBN subscribed to command pipe SBN_CMD_MID 0x{msg_id:04X}"
+)
+RECEIVE_TASK_STARTED: Final = EventText(NAME, 5, "Creating recv task for net 0")
+PIPE_CREATED: Final = EventText(NAME, 5, "Created peer pipe '{pipe}'")
+CONNECTED: Final = EventText(NAME, 5, "Peer {peer} connected.")
+DISCONNECTED: Final = EventText(NAME, 5, "Disconnected from peer {peer}.")
+OTHER_IDENT: Final = EventText(
+    NAME, 6, "version number mismatch with peer CpuID {processor_id:d}", EventType.ERROR
+)
+HOUSEKEEPING_SENT: Final = EventText(NAME, 7, "hk command")
+NOT_SUBSCRIBED: Final = EventText(
+    NAME,
+    8,
+    "cannot process unsubscription from ProcessorID {processor_id:d}, msg 0x{msg_id:04X} not found",
+)
+NOT_PROCESSED: Final = "ERROR: could not process peer message: "
+"""``failure`` in the texts of this build."""
+UNKNOWN_TYPE: Final = EventText(NAME, 10, "{failure}unknown message type 0x{msg_type:08x}", EventType.ERROR)
+MESSAGE_FAILED: Final = EventText(NAME, 10, "SBN_ProcessNetMsg failed: 0x00000001", EventType.ERROR)
+RECEIVE_FAILED: Final = EventText(
+    NAME,
+    10,
+    "ERROR: during SBN Receive Net Task: RecvFromNet failed for net 0: status=0x00000001",
+    EventType.ERROR,
+)
+CONNECTING: Final = EventText(NAME, 259, "connecting to peer {peer}")
+TIMED_OUT: Final = EventText(NAME, 259, "disconnected peer {peer}")
+UNKNOWN_PEER: Final = EventText(
+    NAME, 259, "ERROR: unknown peer {spacecraft_id:d}:{processor_id:d}", EventType.ERROR
+)
+NOT_UNPACKED: Final = EventText(NAME, 259, "ERROR: could not unpack message", EventType.ERROR)
+BAD_MSG_ID: Final = EventText(NAME, 4097, "unable to set msgid", EventType.ERROR)
+
+
+def peer_pipe(peer: Peer) -> str:
+    """Return the name of a peer's pipe."""
+    return f"SBN_{peer.processor_id}_{peer.spacecraft_id}_Pipe"

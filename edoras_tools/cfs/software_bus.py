@@ -1,0 +1,47 @@
+"""cFE Software Bus: what its calls return, and what it says about messages that it did not deliver.
+
+The texts are cFE's own, word for word.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from edoras_tools.cfs.event_services import EventText, EventType
+
+NAME: Final = "CFE_SB"
+NO_SUBSCRIBERS: Final = 14
+MSG_TOO_BIG: Final = 15
+MSG_LIMIT: Final = 17
+INVALID_MSG_ID: Final = 21
+PIPE_OVERFLOW: Final = 25
+
+STOPS_AFTER: Final = 16
+"""How often cFS repeats a loss event before its filter stops it."""
+
+SUCCESS: Final = 0
+BAD_ARGUMENT: Final = -905969661
+"""``CFE_SB_BAD_ARGUMENT``: the MsgId is invalid."""
+TOO_BIG: Final = -905969657
+"""``CFE_SB_MSG_TOO_BIG``."""
+
+_TEXTS: Final = (
+    EventText(NAME, NO_SUBSCRIBERS, "No subscribers for MsgId 0x{msg_id:x},sender {sender}"),
+    EventText(
+        NAME,
+        MSG_TOO_BIG,
+        "Send Err:Msg Too Big MsgId=0x{msg_id:x},app={sender},size={size:d},MaxSz={most:d}",
+        EventType.ERROR,
+    ),
+    EventText(
+        NAME, MSG_LIMIT, "Msg Limit Err,MsgId 0x{msg_id:x},pipe {pipe},sender {sender}", EventType.ERROR
+    ),
+    EventText(
+        NAME, INVALID_MSG_ID, "Send Err:Invalid MsgId(0x{msg_id:x})in msg,App {sender}", EventType.ERROR
+    ),
+    EventText(
+        NAME, PIPE_OVERFLOW, "Pipe Overflow,MsgId 0x{msg_id:x},pipe {pipe},sender {sender}", EventType.ERROR
+    ),
+)
+EVENTS: Final = {item.event_id: item for item in _TEXTS}
+"""Event number to the event; each has ``msg_id`` and ``sender``, and ``pipe`` where one is full."""

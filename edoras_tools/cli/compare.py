@@ -1,0 +1,49 @@
+"""``edoras compare``: is the second run worse than the first?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from edoras_tools.cli import options
+from edoras_tools.cli.endings import LOST
+from edoras_tools.cli.output import print_json
+
+
+@options.grouped
+def compare(
+    *,
+    good: Annotated[Path, typer.Argument(metavar="GOOD", help="A good run.")],
+    bad: Annotated[Path, typer.Argument(metavar="BAD", help="The run to compare with it.")],
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            "--tolerance", metavar="PERCENT", min=0, help="Differences of rates and latencies to accept."
+        ),
+    ] = 10,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Compare two runs, route by route: rates, loss, latency, sizes, findings, verdicts.
+
+    Exit code 3 means that the second run is worse. To compare two captures of the same traffic, use doctor
+    --against.
+    """
+    from edoras_tools.pipelines.doctor.runs import compare_runs
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+
+    with FileProgress(good.name, console=error_console(), quiet=quiet or json) as bar:
+        found = compare_runs(good, bad, decoding.settings(), tolerance=tolerance / 100, progress=bar)
+    if json:
+        print_json(found.as_json())
+    else:
+        from edoras_tools.render.doctor.runs import runs_view
+        from edoras_tools.render.terminal.console import output_console
+
+        output_console().print(runs_view(found.good, found.bad, found.changes))
+    if found.worse:
+        raise typer.Exit(LOST)

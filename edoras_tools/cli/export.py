@@ -1,0 +1,128 @@
+"""``edoras export``: the messages of topics as tables."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, NamedTuple
+
+import typer
+
+from edoras_tools.cli import options, recordings
+from edoras_tools.cli.endings import lost, no_datagrams, tell
+from edoras_tools.cli.inputs import FileOptions
+from edoras_tools.cli.main import INTERRUPTED
+from edoras_tools.cli.output import print_json
+from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN
+
+_FORMATS = ", ".join(item.suffix[1:] for item in TABLE_FORMATS)
+_TIMES = ("utc", "ns", "seconds")
+
+
+def table_format(text: str) -> str:
+    """Read the name of a table's format."""
+    if f".{text}" not in [item.suffix for item in TABLE_FORMATS]:
+        raise typer.BadParameter(f"{text!r} is not a table format; use {_FORMATS}")
+    return text
+
+
+def time_form(text: str) -> str:
+    """Read the name of a time format."""
+    if text not in _TIMES:
+        raise typer.BadParameter(f"{text!r} is not a time format; use {', '.join(_TIMES)}")
+    return text
+
+
+class TableOptions(NamedTuple):
+    """The content and form of the tables."""
+
+    fields: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B,C", help="Only these fields, e.g. 'linear.*,angular.z'; time is always included."
+        ),
+    ] = None
+    explode: Annotated[
+        bool,
+        typer.Option(
+            "--explode", help="A row for each element of a list, a column for each of a fixed array."
+        ),
+    ] = False
+    time: Annotated[
+        str,
+        typer.Option(
+            metavar="FORM",
+            parser=time_form,
+            help="Times as utc timestamps, ns since 1970, or seconds since the input's start.",
+        ),
+    ] = "utc"
+    layout: Annotated[
+        str | None,
+        typer.Option(
+            "--format", metavar="FORMAT", parser=table_format, help=f"Files of a folder: {_FORMATS}."
+        ),
+    ] = None
+    force: recordings.Force = False
+
+
+@options.grouped
+def export(
+    *,
+    inputs: FileOptions,
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE|DIR/",
+            help=f"A file for one topic ({TABLES_WRITTEN}), or a folder.",
+        ),
+    ],
+    table: TableOptions,
+    printing: options.PrintOptions,
+    part: options.ScopeOptions,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Export topics as tables: Parquet, Arrow, CSV or JSON Lines, a row for each message.
+
+    The topics are those of a recording: of the mission, of C structs, and /edoras/events,
+    /edoras/link_statistics and so on; in a folder each has its own file. Only with --topic:
+    /edoras/datagrams, and the results of the doctor, /edoras/verdicts and /edoras/lost.
+    """
+    from dataclasses import replace
+
+    from edoras_tools.pipelines.export.run import ExportTarget
+    from edoras_tools.pipelines.export.run import export as write
+    from edoras_tools.pipelines.export.sources import open_topics
+    from edoras_tools.pipelines.export.tables import TableForm, TimeForm
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+
+    path, files = recordings.recording_path(output), inputs.named()
+    target = ExportTarget.of(path, name=table.layout, folder=output.endswith("/"), force=table.force)
+    target.check(files)
+    scope = part.scope()
+    patterns, scope = scope.selection.topics, replace(scope, selection=replace(scope.selection, topics=()))
+    fields = tuple(item.strip() for item in (table.fields or "").split(",") if item.strip())
+    form = TableForm(fields, table.explode, TimeForm(table.time))
+    source = open_topics(files, decoding.settings(), scope)
+    quiet = printing.quiet or printing.json
+    with FileProgress(source.name, console=error_console(), quiet=quiet) as bar:
+        report = write(source, target, patterns, form, bar)
+    if printing.json:
+        print_json(report.summary())
+    elif not printing.quiet:
+        from edoras_tools.render.capture.exported import exported_lines
+
+        sys.stderr.writelines(f"{line}\n" for line in exported_lines(report.summary()))
+    for note in source.notes:
+        tell(note)
+    if source.left_out:
+        tell(f"{source.left_out:,} messages are incomplete and were left out")
+    if source.failure is not None:
+        raise source.failure
+    if source.interrupted:
+        tell("interrupted; the tables contain what was read before")
+        raise typer.Exit(INTERRUPTED)
+    if source.source is not None:
+        no_datagrams(source.source)
+        lost(source.source)

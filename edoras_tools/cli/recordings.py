@@ -1,0 +1,49 @@
+"""The options of all commands that write a recording, and the target that they name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import strftime
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from edoras_tools.cli.endings import tell
+from edoras_tools.io.formats.table import WRITTEN
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edoras_tools.pipelines.capture.record import Target
+
+
+def recording_path(text: str) -> Path:
+    """Read the path of a recording; ``%Y``, ``%H%M%S`` etc. are replaced by the local time (``strftime``)."""
+    return Path(strftime(text) if "%" in text else text)
+
+
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        *("--output", "-o"),
+        metavar="FILE",
+        parser=recording_path,
+        help=f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time.",
+    ),
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing output.")]
+
+
+def recording_target(output: Path | None, *, force: bool, inputs: Sequence[Path] = ()) -> Target | None:
+    """Return the target of an output, checked before anything is opened; None without an output.
+
+    Raises:
+        ConfigError: its suffix is unknown, it is an input, or it exists.
+    """
+    if output is None:
+        return None
+    from edoras_tools.pipelines.capture.record import Target, check_output
+
+    target = Target(output, replace=force, told=tell)
+    check_output(target, inputs)
+    return target

@@ -1,0 +1,212 @@
+"""Which headers each packet has, where one source holds conversations of several builds of cFE.
+
+1. A conversation is all datagrams from one address and port to another. It is read with the headers that its
+   packets were found to have (:mod:`edoras_tools.decode.variants`), and as the whole source where none were.
+2. Where a conversation holds packets of several builds, as when a host ran one after the other, each packet
+   has the first of these headers that explains it: what it carries is known to start behind them. Where none
+   does it has the first with which an app may accept it.
+
+A conversation is known by 16 bits of a hash, as is everything that is asked for each datagram.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
+from edoras_tools.wire.order import by_value
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.commands import CommandTable
+    from edoras_tools.model import Datagram, PacketBatch
+    from edoras_tools.structs import Structs
+
+LOOKED_AT: Final = 48
+"""Bytes of a packet that are looked at: the largest header, the largest envelope, an encapsulation."""
+PLACES: Final = 1 << 16
+_MIX: Final = 0x9E3779B1, 0x85EBCA77, 0xC2B2AE3D
+
+
+class Fitting:
+    """Which packets the headers of one build explain: known content starts behind them.
+
+    Args:
+        structs: the C structs that packets hold.
+        commands: what apps take.
+        head: u8 (n, 48), first bytes of each space packet, whose length field is right.
+        length: i64 (n,), bytes of each.
+    """
+
+    def __init__(
+        self, structs: Structs, commands: CommandTable, head: NDArray[np.uint8], length: NDArray[np.int64]
+    ) -> None:
+        self._structs = structs
+        self._commands = commands
+        self._head = head
+        self._length = length
+        self._msg_id = msg_ids(head)
+
+    def by(self, headers: cfe.Headers) -> NDArray[np.bool_]:
+        """Return which of them some headers explain."""
+        command = (self._msg_id & cfe.COMMAND_BIT) != 0
+        out = np.zeros(len(command), bool)
+        rows = np.flatnonzero(command & (self._length >= headers.command_bytes))
+        out[rows] = self._payload_fits(rows, headers.command_bytes) | self._taken(rows, headers)
+        rows = np.flatnonzero(~command & (self._length >= headers.telemetry_bytes))
+        if len(rows):
+            out[rows] = self._telemetry_fits(rows, headers)
+        return out
+
+    def allowed(self, headers: cfe.Headers) -> NDArray[np.bool_]:
+        """Return which of them are commands that an app may accept, if they have these headers."""
+        rows = np.flatnonzero(
+            ((self._msg_id & cfe.COMMAND_BIT) != 0) & (self._length >= headers.command_bytes)
+        )
+        unknown, misfit = self._commands.judge(*self._command(rows, headers))
+        out = np.zeros(len(self._msg_id), bool)
+        out[rows] = ~unknown & ~misfit
+        return out
+
+    def _taken(self, rows: NDArray[np.intp], headers: cfe.Headers) -> NDArray[np.bool_]:
+        """Tell which commands are known and have the length that their app accepts."""
+        return self._commands.fits(*self._command(rows, headers))
+
+    def _command(
+        self, rows: NDArray[np.intp], headers: cfe.Headers
+    ) -> tuple[NDArray[np.int32], NDArray[np.int16], NDArray[np.int32]]:
+        """Return MsgId, function code, and length with the usual header."""
+        code = headers.command.column("function_code", self._head[rows], headers.start).astype(np.int16)
+        as_usual = self._length[rows] - headers.command_bytes + cfe.COMMAND_HEADER_BYTES
+        return self._msg_id[rows], code, as_usual.astype(np.int32)
+
+    def _telemetry_fits(self, rows: NDArray[np.intp], headers: cfe.Headers) -> NDArray[np.bool_]:
+        spare = cfe.TELEMETRY.by_name["spare"]
+        low, high = ccsds.PRIMARY.size + spare.start, ccsds.PRIMARY.size + spare.end
+        blank = (self._head[rows, low:high] == 0).all(axis=1)
+        early = self._payload_fits(rows, cfe.SHORT.telemetry_bytes)
+        early &= ~self._payload_fits(rows, cfe.STANDARD.telemetry_bytes)
+        if headers is cfe.STANDARD:
+            return np.asarray(blank & ~early)
+        return np.asarray(early if headers is cfe.SHORT else ~blank & ~early)
+
+    def _payload_fits(self, rows: NDArray[np.intp], at: int) -> NDArray[np.bool_]:
+        """Tell in which packets something known starts at a place."""
+        head, length, structs = self._head[rows], self._length[rows] - at, self._structs
+        body = head[:, at : at + DEFAULT.size + 4]
+        fits = np.zeros(len(rows), bool)
+        for item in ENVELOPE_FORMATS:
+            fits |= holds(body, length, item)
+        for value, members in by_value(self._msg_id[rows]):
+            if value == cfe.EVENT_MSG_ID:
+                name = head[members, at : at + 4]
+                exact = (length[members] >= cfe.EVENT.size - 2) & (length[members] <= cfe.EVENT.size)
+                fits[members] = exact & (name >= ord(" ")).all(axis=1) & (name < 127).all(axis=1)
+            elif structs.has[value] and not value & cfe.COMMAND_BIT:
+                for size, some in by_value(length[members]):
+                    bound = structs.find(value, None, size)
+                    fits[members[some]] = bound is not None and bool(bound.fits(size))
+        return fits
+
+
+class Builds:
+    """The headers of each conversation.
+
+    Args:
+        structs: the C structs that packets hold.
+        commands: what apps take.
+        usual: the headers of the source as a whole.
+
+    Attributes:
+        usual: place in ``cfe.HEADERS`` of those of the source as a whole.
+        several: whether some conversation has others.
+    """
+
+    def __init__(self, structs: Structs, commands: CommandTable, usual: cfe.Headers) -> None:
+        self._known = structs, commands
+        self._found = np.zeros(PLACES, np.uint8)
+        self.usual = cfe.HEADERS.index(usual)
+        self.several = False
+
+    def settle(self, usual: cfe.Headers, places: NDArray[np.intp], found: NDArray[np.uint8]) -> None:
+        """Take what was found.
+
+        Args:
+            usual: the headers of the source as a whole.
+            places: of conversations, see ``conversations``.
+            found: u8, the headers of each, a bit for each of ``cfe.HEADERS``; 0 where none was found.
+        """
+        self.usual = cfe.HEADERS.index(usual)
+        self._found[places] = found
+        self.several = bool(((self._found != 0) & (self._found != 1 << self.usual)).any())
+
+    def of_batch(self, batch: PacketBatch, offset: NDArray[np.int64], length: NDArray[np.int32]) -> Any:
+        """Return the headers of each space packet of a batch, u8; one number where all have the same.
+
+        Args:
+            batch: the datagrams.
+            offset: where in their data each packet starts.
+            length: the bytes of each.
+        """
+        if not self.several:
+            return np.uint8(self.usual)
+        found = self._found[conversations(batch)]
+        out = np.array([self.usual, 0, 1, 0, 2, 0, 1, 0], np.uint8)[found]
+        mixed = np.flatnonzero(np.array([False, False, False, True, False, True, True, True])[found])
+        if len(mixed):
+            head = gather(batch.data, offset[mixed], LOOKED_AT)
+            out[mixed] = self._each(head, length[mixed].astype(np.int64), found[mixed])
+        return out
+
+    def of_packet(self, datagram: Datagram, packet: bytes) -> cfe.Headers:
+        """Return the headers of the space packet in a datagram."""
+        if not self.several:
+            return cfe.HEADERS[self.usual]
+        found = self._found[_conversation(datagram)]
+        if found & (found - 1):
+            head = np.frombuffer(packet[:LOOKED_AT].ljust(LOOKED_AT, b"\0"), np.uint8)[None]
+            return cfe.HEADERS[int(self._each(head, np.array([len(packet)]), np.array([found]))[0])]
+        return cfe.HEADERS[int(found) >> 1 if found else self.usual]
+
+    def _each(
+        self, head: NDArray[np.uint8], length: NDArray[np.int64], found: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Return the first of the headers of each packet's conversation that explains it, else allows it."""
+        out, fitting = np.full(len(found), self.usual, np.uint8), Fitting(*self._known, head, length)
+        for fits in (fitting.allowed, fitting.by):
+            for number, headers in reversed(list(enumerate(cfe.HEADERS))):
+                out[fits(headers) & ((found >> number & 1) != 0)] = number
+        return out
+
+
+def msg_ids(head: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Return the MsgId of each packet from its first bytes."""
+    return head[:, 0].astype(np.int32) << 8 | head[:, 1]
+
+
+def conversations(batch: PacketBatch) -> NDArray[np.intp]:
+    """Return the place of each datagram's conversation, less than ``PLACES``; of IPv6 by its ports alone."""
+    fourth = batch.ip_version == 4
+    source, target = (np.where(fourth, item, 0) for item in (batch.source_address, batch.destination_address))
+    ports = batch.source_port.astype(np.uint32) << 16 | batch.destination_port
+    parts = zip((source, target, ports), _MIX, strict=True)
+    first, second, third = (item.astype(np.uint32) * np.uint32(factor) for item, factor in parts)
+    stirred: NDArray[np.intp] = (
+        (first ^ second >> np.uint32(7) ^ third) * np.uint32(_MIX[0]) >> np.uint32(16)
+    ).astype(np.intp)
+    return stirred
+
+
+def _conversation(datagram: Datagram) -> int:
+    """Return the place of a datagram's conversation, as ``conversations`` does."""
+    ends = datagram.source, datagram.destination
+    source, target = (0 if ":" in end.address else int(ipaddress.IPv4Address(end.address)) for end in ends)
+    parts = zip((source, target, ends[0].port << 16 | ends[1].port), _MIX, strict=True)
+    first, second, third = ((item * factor) & 0xFFFFFFFF for item, factor in parts)
+    return ((first ^ second >> 7 ^ third) * _MIX[0] & 0xFFFFFFFF) >> 16

@@ -1,0 +1,269 @@
+"""Decides from its datagrams whether a conversation is cFS traffic.
+
+A conversation is all datagrams from one address and port to another. Ports alone are not enough: other
+programs use 1234 too, and a CI may use another port. The rules, in this order:
+
+1. A datagram is *sound* for CI and TO where a space packet of version 0 with a secondary header begins it,
+   and its length agrees or its MsgId is known; for SBN where the message type is known and the size
+   agrees. Of random datagrams, fewer than one in 10,000 is sound.
+2. A conversation on a link's port is cFS traffic if at least 1 in 20 of its datagrams is sound, however
+   few they are.
+3. Any other that goes to a cFS (sound ones go there too, or telemetry comes from that address) did reach
+   it. It is the ground's if its address also sends sound ones and most of its datagrams begin like space
+   packets; else it is ``STRANGER``.
+4. Anything else on a link's port is not cFS traffic: ``FOREIGN``, left out and counted.
+5. On a port of no link, a conversation looks like a link's if nearly all its datagrams are sound and have a
+   correct length: ``UNNAMED``, and a note asks to name its port.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.links import table
+from edoras_tools.model import OTHER, Endpoint, Finding, Link
+from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.order import numbered
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.model import Columns, PacketBatch
+
+_SHARE: Final = 20
+"""One sound datagram in so many makes a conversation cFS's."""
+_MIX: Final = np.uint64(0x9E3779B97F4A7C15)
+_KNOWN_TYPES: Final = np.isin(np.arange(256), list(sbn.MsgType))
+_BEGINNING: Final = 0xE800, 0x0800
+"""Bits of the first word of a cFE packet, and what they are: version 0, with a secondary header."""
+_NO_MESSAGE: Final = Finding.SBN_SIZE_MISMATCH | Finding.SBN_UNKNOWN_TYPE | Finding.TRUNCATED
+
+
+class ConversationKind(Enum):
+    """What a conversation is."""
+
+    CFS = "cFS"
+    STRANGER = "stranger"
+    FOREIGN = "foreign"
+    UNNAMED = "unnamed"
+    OTHER = "other"
+
+
+LEFT_OUT: Final = frozenset({ConversationKind.FOREIGN, ConversationKind.STRANGER})
+"""What is not cFS's, though the ports say so."""
+
+
+@dataclass(slots=True)
+class Flow:
+    """All datagrams from one endpoint to another.
+
+    Attributes:
+        source: from where.
+        destination: to where.
+        link: the link of its ports.
+        datagrams: how many.
+        first_ns: capture time of the first.
+        last_ns: capture time of the last.
+        begins: how many begin as the link's datagrams do.
+        sound: how many are sound.
+        commands: of no link, that are commands by their lengths.
+        telemetry: of no link, that are telemetry by their lengths.
+        network: of no link, that are SBN messages by their sizes.
+        kind: what it is, as far as is known.
+    """
+
+    source: Endpoint
+    destination: Endpoint
+    link: Link
+    datagrams: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    begins: int = 0
+    sound: int = 0
+    commands: int = 0
+    telemetry: int = 0
+    network: int = 0
+    kind: ConversationKind = ConversationKind.OTHER
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether it looks like its link's traffic."""
+        return self.sound * _SHARE >= self.datagrams
+
+    @property
+    def looks_like(self) -> Link:
+        """Which link's traffic it looks like, where nearly all of it does; ``OTHER`` for none."""
+        counts = self.commands, self.telemetry, self.network
+        best = max(range(len(counts)), key=counts.__getitem__)
+        links = (
+            table.carrying("ground", to_cfs=True),
+            table.carrying("ground", to_cfs=False),
+            next(link for link in table.links() if link.peers),
+        )
+        return links[best] if counts[best] * 10 >= self.datagrams * 9 else OTHER
+
+
+_SUMS: Final = ("begins", "sound", "commands", "telemetry", "network")
+
+
+@dataclass(slots=True)
+class Conversations:
+    """All conversations of a source.
+
+    Attributes:
+        context: MsgIds that are known.
+        flows: by (IP version, address, port, address, port).
+    """
+
+    context: Context
+    flows: dict[tuple[Any, ...], Flow] = field(default_factory=dict)
+    _last: tuple[NDArray[np.intp], NDArray[np.intp], list[Flow | None]] = field(
+        default_factory=lambda: (np.zeros(0, np.intp), np.zeros(0, np.intp), [])
+    )
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Count a batch's datagrams."""
+        rows = np.flatnonzero(batch.length > 0)
+        link = columns.link
+        marks = _marks(batch, columns, rows, self.context.known)
+        source = batch.source_address[rows].astype(np.uint64)
+        target = batch.destination_address[rows].astype(np.uint64)
+        ports = batch.source_port[rows].astype(np.uint64) << np.uint64(16) | batch.destination_port[rows]
+        key = (source * _MIX ^ target) * _MIX ^ ports << np.uint64(8) ^ batch.ip_version[rows]
+        first, which = numbered(key)
+        size = len(first)
+        sums = {name: np.bincount(which, marks[name], size).astype(np.int64) for name in _SUMS}
+        sums["datagrams"] = np.bincount(which, minlength=size)
+        first_ns = np.full(size, np.iinfo(np.int64).max)
+        last_ns = np.zeros(size, np.int64)
+        np.minimum.at(first_ns, which, batch.time_ns[rows])
+        np.maximum.at(last_ns, which, batch.time_ns[rows])
+        # Other programs have many conversations; only those that look like a link's are kept.
+        alike = link[rows[first]] != OTHER
+        alike |= sums["commands"] + sums["telemetry"] + sums["network"] > 0
+        flows: list[Flow | None] = []
+        for at, row in enumerate(rows[first].tolist()):
+            flow = self._flow(batch, row, table.link(int(link[row])), make=bool(alike[at]))
+            flows.append(flow)
+            if flow is not None:
+                flow.first_ns = min(flow.first_ns or int(first_ns[at]), int(first_ns[at]))
+                flow.last_ns = max(flow.last_ns, int(last_ns[at]))
+                for name, values in sums.items():
+                    setattr(flow, name, getattr(flow, name) + int(values[at]))
+        self._last = rows, which, flows
+
+    def left_out(self) -> NDArray[np.intp]:
+        """Return the rows of the last batch whose conversation is, by all that came so far, left out."""
+        rows, which, flows = self._last
+        self.judge()
+        out = [flow is not None and flow.kind in LEFT_OUT for flow in flows]
+        chosen: NDArray[np.intp] = rows[np.array(out, bool)[which]]
+        return chosen
+
+    def judge(self) -> list[Flow]:
+        """Return all flows, each with its kind."""
+        flows = list(self.flows.values())
+        sound = [item for item in flows if item.link.packets and item.is_sound]
+        speakers = {item.source.address for item in sound}
+        reached = {item.destination for item in sound} | {item.source for item in sound if item.link.peers}
+        hosts = {item.source.address for item in sound if item.link.from_cfs and not item.link.to_cfs}
+        for flow in flows:
+            to_host = not flow.link.from_cfs and flow.destination.address in hosts
+            if flow.link is OTHER:
+                flow.kind = ConversationKind.OTHER if flow.looks_like is OTHER else ConversationKind.UNNAMED
+            elif flow.is_sound or not flow.link.packets:
+                flow.kind = ConversationKind.CFS
+            elif flow.destination in reached or to_host:
+                own = flow.source.address in speakers and 2 * flow.begins >= flow.datagrams
+                flow.kind = ConversationKind.CFS if own else ConversationKind.STRANGER
+            else:
+                flow.kind = ConversationKind.FOREIGN
+        return flows
+
+    def notes(self, *, shown: bool = False) -> list[str]:
+        """Return what is to be said of them, a line each; ``shown``: nothing on a link's port is left out."""
+        lines = foreign(self.judge())
+        told = [line.removesuffix(", left out") for line in lines] if shown else lines
+        return [*unnamed(self.judge()), *told]
+
+    def _flow(self, batch: PacketBatch, row: int, link: Link, *, make: bool) -> Flow | None:
+        addresses = int(batch.source_address[row]), int(batch.destination_address[row])
+        texts = tuple(batch.address(item, row) for item in addresses)
+        ports = int(batch.source_port[row]), int(batch.destination_port[row])
+        key = (*texts, *ports)
+        if make and key not in self.flows:
+            self.flows[key] = Flow(Endpoint(texts[0], ports[0]), Endpoint(texts[1], ports[1]), link)
+        return self.flows.get(key)
+
+
+def foreign(flows: Iterable[Flow]) -> list[str]:
+    """Return a line for each port whose traffic is left out because it is not cFS's."""
+    counts: dict[int, int] = {}
+    for flow in flows:
+        if flow.kind in LEFT_OUT:
+            counts[flow.destination.port] = counts.get(flow.destination.port, 0) + flow.datagrams
+    return [
+        f"{count:,} datagrams on port {port} do not look like cFS, left out"
+        for port, count in sorted(counts.items())
+    ]
+
+
+def unnamed(flows: Iterable[Flow]) -> list[str]:
+    """Return a line for each port whose traffic looks like a link's, and that no option names."""
+    counts: dict[tuple[Link, int], int] = {}
+    for flow in flows:
+        if flow.kind is ConversationKind.UNNAMED:
+            key = flow.looks_like, flow.destination.port
+            counts[key] = counts.get(key, 0) + flow.datagrams
+    return [
+        f"{count:,} datagrams on port {port} look like {link.name} traffic and were left out: "
+        f"name the port with --port {link.label}:{port}"
+        for (link, port), count in sorted(counts.items())
+    ]
+
+
+def _marks(
+    batch: PacketBatch, columns: Columns, rows: NDArray[np.intp], known: NDArray[np.bool_]
+) -> dict[str, NDArray[np.bool_]]:
+    """Return what each of some datagrams looks like, by the names of ``Flow``."""
+    msg_id, findings = columns.msg_id[rows], columns.findings[rows]
+    begins = (msg_id >= 0) & ((msg_id & _BEGINNING[0]) == _BEGINNING[1])
+    mismatched = (findings & np.uint32(Finding.LENGTH_MISMATCH)) != 0
+    sound = begins & (~mismatched | known[msg_id])
+    peer = columns.sbn_msg_type[rows] >= 0
+    begins |= peer & ((findings & np.uint32(Finding.SBN_UNKNOWN_TYPE)) == 0)
+    sound |= peer & ((findings & np.uint32(_NO_MESSAGE)) == 0)
+    marks = {"begins": begins, "sound": sound}
+    other = np.flatnonzero(columns.link[rows] == OTHER)
+    for name, mark in _alike(batch, rows[other]).items():
+        marks[name] = np.zeros(len(rows), bool)
+        marks[name][other] = mark
+    return marks
+
+
+def _alike(batch: PacketBatch, rows: NDArray[np.intp]) -> dict[str, NDArray[np.bool_]]:
+    """Tell which datagrams of no link would be one's by their lengths."""
+    head = gather(batch.data, batch.offset[rows], sbn.HEADER.size)
+    have = batch.length[rows].astype(np.int64)
+    # Bytes that the capture cut off count: a frame has its original length.
+    length = have + (batch.original_length[rows] - batch.frame_length[rows])
+    word = head[:, 0].astype(np.int32) << 8 | head[:, 1]
+    total = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int64) + ccsds.LENGTH_BIAS
+    agrees = (have >= ccsds.PRIMARY.size) & ((word & _BEGINNING[0]) == _BEGINNING[1]) & (total == length)
+    command = (word & cfe.COMMAND_BIT) != 0
+    size = sbn.HEADER.column("msg_size", head).astype(np.int64)
+    fits = (have >= sbn.HEADER.size) & (size == length - sbn.HEADER.size)
+    fits |= (have >= sbn.LEGACY_HEADER.size) & (size == length - sbn.LEGACY_HEADER.size)
+    return {
+        "commands": agrees & command,
+        "telemetry": agrees & ~command,
+        "network": fits & _KNOWN_TYPES[sbn.HEADER.column("msg_type", head)],
+    }

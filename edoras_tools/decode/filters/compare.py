@@ -1,0 +1,291 @@
+"""Comparisons: reads constants according to their field, and tests whole series of values."""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Callable
+from datetime import UTC, datetime
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.decode.filters.series import Series, ValueKind
+from edoras_tools.decode.filters.syntax import Value, ValueRange
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.filters.field import FilterField
+    from edoras_tools.decode.filters.syntax import Comparison
+
+Test = Callable[[Series], "NDArray[np.bool_]"]
+"""Tests every value of a series; returns bool (values,)."""
+
+_INTEGER: Final = re.compile(r"[+-]?(?:0[xX][0-9a-fA-F]+|\d+)")
+_REAL: Final = re.compile(r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|inf|nan)")
+_DURATION: Final = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(ns|us|ms|s|m|h|d)?")
+_UNITS: Final = {
+    "ns": 1,
+    "us": 10**3,
+    "ms": 10**6,
+    "s": 10**9,
+    "m": 60 * 10**9,
+    "h": 3600 * 10**9,
+    "d": 86400 * 10**9,
+}
+_MOMENT: Final = re.compile(r"(\d{4}-\d\d-\d\d(?:[T ]\d\d:\d\d(?::\d\d)?)?)(?:\.(\d{1,9}))?(?:Z| UTC)?")
+_ORDERS: Final[dict[str, Any]] = {
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+_MOST: Final = 1 << 64
+
+
+class Misfit(Exception):  # noqa: N818  it never leaves the compiler
+    """A constant or an operator that a field cannot be compared with.
+
+    Attributes:
+        why: one line.
+        value: the constant; None where the operator is wrong.
+    """
+
+    def __init__(self, why: str, value: Value | None = None) -> None:
+        super().__init__(why)
+        self.why = why
+        self.value = value
+
+
+def test_of(field: FilterField, comparison: Comparison) -> Test:
+    """Return the test that a comparison makes of one field's values.
+
+    ``!=`` and ``not in`` accept a value that differs.
+
+    Raises:
+        Misfit: the field cannot be compared like that.
+    """
+    if field.kind is ValueKind.STRUCT:
+        raise Misfit(f"{field.name} is not a value")
+    symbol, items = comparison.operator, comparison.items
+    if symbol == "matches":
+        return _matches(field, items[0])
+    if symbol == "contains":
+        return _contains(field, items[0])
+    if symbol in {"in", "not in"}:
+        tests = [_item(field, item) for item in items]
+        inside = (
+            tests[0] if len(tests) == 1 else lambda series: np.any([test(series) for test in tests], axis=0)
+        )
+        return inside if symbol == "in" else lambda series: ~inside(series)
+    return _ordered(field, symbol, _single(items[0]))
+
+
+def _single(item: Value | ValueRange) -> Value:
+    assert isinstance(item, Value), "only in takes a range"
+    return item
+
+
+def _item(field: FilterField, item: Value | ValueRange) -> Test:
+    if isinstance(item, Value):
+        return _ordered(field, "==", item)
+    low, high = _ordered(field, ">=", item.low), _ordered(field, "<=", item.high)
+    if field.kind in {ValueKind.NUMBER, ValueKind.DURATION, ValueKind.MOMENT}:
+        bottom, top = constant(field, item.low), constant(field, item.high)
+        if bottom > top:
+            raise Misfit(f"the range ends before it begins: {item.low.text}..{item.high.text}", item.low)
+    return lambda series: low(series) & high(series)
+
+
+def _ordered(field: FilterField, symbol: str, value: Value) -> Test:
+    if field.kind in {ValueKind.TEXT, ValueKind.BYTES}:
+        return _text_equal(field, symbol, value)
+    if field.kind is ValueKind.BOOL and symbol not in {"==", "!="}:
+        raise Misfit(f"{field.name} is {field.kind.value}: compare it with == or !=")
+    wanted = constant(field, value)
+    exact = symbol in {"==", "!="} and field.limits is not None
+    if exact and not field.limits[0] <= wanted <= field.limits[1]:  # type: ignore[index]  # exact says it is there
+        span = " to ".join(f"{item:#x}" if field.base == 16 else str(item) for item in field.limits or ())
+        raise Misfit(f"{field.name} is never {value.text}: it holds {span}", value)
+    if field.dtype.kind == "f":
+        number = float(np.float32(wanted)) if field.dtype.itemsize == 4 else float(wanted)
+        return lambda series: _ORDERS[symbol](series.values, number)
+    if symbol == "!=":
+        same = _ordered(field, "==", value)
+        return lambda series: ~same(series)
+    low, high = _bounds(symbol, wanted)
+    return lambda series: _within(series.values, low, high)
+
+
+def _bounds(symbol: str, wanted: float) -> tuple[float, float]:
+    """Return the least and the greatest whole number that compare like that with a number."""
+    if math.isnan(wanted):
+        return math.inf, -math.inf
+    down, up = (wanted, wanted) if math.isinf(wanted) else (math.floor(wanted), math.ceil(wanted))
+    if symbol == "==":
+        return up, down
+    if symbol in {"<", "<="}:
+        return -math.inf, up - 1 if symbol == "<" else down
+    return down + 1 if symbol == ">" else up, math.inf
+
+
+def _within(values: NDArray[Any], low: float, high: float) -> NDArray[np.bool_]:
+    """Tell which whole numbers lie between two, whatever their width; bools are 0 and 1."""
+    if values.dtype == bool:
+        values = values.view(np.uint8)
+    limits = np.iinfo(values.dtype)
+    if low > limits.max or high < limits.min or low > high:
+        return np.zeros(len(values), bool)
+    if low == high:
+        return values == values.dtype.type(low)  # type: ignore[no-any-return]
+    inside = np.ones(len(values), bool)
+    if low > limits.min:
+        inside &= values >= values.dtype.type(low)
+    if high < limits.max:
+        inside &= values <= values.dtype.type(high)
+    return inside
+
+
+def constant(field: FilterField, value: Value) -> Any:
+    """Return the number that a word means to a field.
+
+    Raises:
+        Misfit: it means none.
+    """
+    text = value.text
+    if field.kind is ValueKind.MOMENT:
+        return _moment(field, value)
+    if value.quoted and not (field.names or field.words):
+        raise Misfit(f"{field.name} is {field.kind.value}, and {_quote(text)} is text", value)
+    if field.kind is ValueKind.BOOL:
+        truth = {"true": 1, "false": 0, "1": 1, "0": 0}.get(text.lower())
+        if truth is None:
+            raise Misfit(f"{field.name} is true or false, not {text}", value)
+        return truth
+    if field.kind is ValueKind.DURATION:
+        match = _DURATION.fullmatch(text)
+        if match is None:
+            raise Misfit(f"{field.name} is a length of time, as 1.5s, 250ms or 10m, not {text!r}", value)
+        return _bounded(round(float(match[1]) * _UNITS[match[2] or "s"]), value)
+    named = {name.lower(): number for number, name in field.names.items()} | dict(field.words)
+    if text.lower() in named:
+        return named[text.lower()]
+    number = _number(text)
+    if number is None:
+        raise Misfit(_no_number(field, text), value)
+    return _bounded(number, value)
+
+
+def _no_number(field: FilterField, text: str) -> str:
+    words = [*field.names.values(), *(word.upper() for word in field.words)]
+    if not words:
+        return f"{field.name} is a number, and {text!r} is none"
+    if len(words) > 10:
+        by_lower = {word.lower(): word for word in words}
+        words = [by_lower[near] for near in get_close_matches(text.lower(), by_lower, 3, 0.5)]
+    return f"{field.name} has no {text!r}" + (f"; there are {', '.join(words)}" if words else "")
+
+
+def _number(text: str) -> int | float | None:
+    if _INTEGER.fullmatch(text):
+        digits = text.lstrip("+-").lower()
+        size = int(digits, 16) if digits.startswith("0x") else int(digits) if len(digits) < 400 else 2 * _MOST
+        return -size if text.startswith("-") else size
+    return float(text) if _REAL.fullmatch(text) else None
+
+
+def _bounded(number: float, value: Value) -> float:
+    if math.isfinite(number) and abs(number) > _MOST and isinstance(number, int):
+        raise Misfit(f"{value.text[:20]}... is beyond every field", value)
+    return number
+
+
+def _moment(field: FilterField, value: Value) -> int:
+    """Return ns since 1970 of a date and time, or of seconds since then."""
+    match = _MOMENT.fullmatch(value.text)
+    if match is not None:
+        try:
+            moment = datetime.fromisoformat(match[1]).replace(tzinfo=UTC)
+        except ValueError as error:
+            raise Misfit(f"{value.text!r} is not a time: {error}", value) from None
+        return int(moment.timestamp()) * 10**9 + int((match[2] or "").ljust(9, "0"))
+    number = None if value.quoted else _number(value.text)
+    if number is None or not math.isfinite(number):
+        example = "2026-11-21T06:14:00.5"
+        raise Misfit(f"{field.name} is a point in time, as {example}, not {value.text!r}", value)
+    return int(_bounded(round(number * 10**9), value))
+
+
+def _lifted(holds: Callable[[Any], bool]) -> Test:
+    """Make a test of many texts from a test of one; each distinct text is tested once."""
+
+    def test(series: Series) -> NDArray[np.bool_]:
+        table = series.table or ()
+        passed: NDArray[np.bool_] = np.fromiter(map(holds, table), bool, len(table))[series.values]
+        return passed
+
+    return test
+
+
+def _text_equal(field: FilterField, symbol: str, value: Value) -> Test:
+    if symbol not in {"==", "!="}:
+        what = "a number" if _number(value.text) is not None and not value.quoted else "text"
+        also = f", and {value.text} is {what}" if what == "a number" else ""
+        raise Misfit(
+            f"{field.name} is {field.kind.value}{also}; "
+            f"{symbol} compares numbers, text takes ==, !=, in, contains and matches"
+        )
+    if field.kind is ValueKind.BYTES:
+        wanted = _bytes(field, value)
+        return (
+            _lifted(lambda item: item == wanted) if symbol == "==" else _lifted(lambda item: item != wanted)
+        )
+    word, alike = value.text, field.alike or operator.eq
+    if field.choices and not any(alike(text, word) for text in field.choices):
+        near = get_close_matches(word, field.choices, 3, 0.5) or field.choices[:5]
+        raise Misfit(f"{field.name} is never {word!r}; there are {', '.join(near)}", value)
+    if symbol == "==":
+        return _lifted(lambda text: alike(text, word))
+    return _lifted(lambda text: not alike(text, word))
+
+
+def _contains(field: FilterField, item: Value | ValueRange) -> Test:
+    value = _single(item)
+    if field.kind is ValueKind.BYTES:
+        wanted = _bytes(field, value)
+        return _lifted(lambda item: wanted in item)
+    if field.kind is ValueKind.TEXT:
+        return _lifted(lambda text: value.text in text)
+    if field.many:
+        return _ordered(field, "==", value)
+    raise Misfit(f"contains looks into text, bytes and lists; {field.name} is {field.kind.value}")
+
+
+def _matches(field: FilterField, item: Value | ValueRange) -> Test:
+    value = _single(item)
+    if field.kind is not ValueKind.TEXT:
+        raise Misfit(f"matches looks into text; {field.name} is {field.kind.value}")
+    try:
+        pattern = re.compile(value.text)
+    except (re.error, RecursionError, OverflowError) as error:
+        raise Misfit(f"{_quote(value.text)} is not a regular expression: {error}", value) from None
+    return _lifted(lambda text: pattern.search(text) is not None)
+
+
+def _bytes(field: FilterField, value: Value) -> bytes:
+    digits = re.sub(r"[\s:]|^0x", "", value.text)
+    try:
+        return bytes.fromhex(digits)
+    except ValueError:
+        raise Misfit(
+            f"{field.name} is bytes: write them in hex, as 00:01:ff, not {value.text!r}", value
+        ) from None
+
+
+def _quote(text: str) -> str:
+    return f'"{text}"' if len(text) <= 40 else f'"{text[:40]}..."'

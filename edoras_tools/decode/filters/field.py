@@ -1,0 +1,131 @@
+"""The fields that filters and tables can read from a packet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+
+from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
+from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Decoded
+
+COLUMN_COST: Final = 0
+"""Cost of what the decoder's columns hold."""
+BYTES_COST: Final = 1
+"""Cost of what is gathered from the bytes."""
+MESSAGE_COST: Final = 2
+"""Cost of what is read from ROS messages in bulk."""
+PACKET_COST: Final = 3
+"""Cost of what takes a dissection of each packet."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterField:
+    """A named value of a packet, or a list of them.
+
+    Attributes:
+        name: in filters, in the tree and in JSON.
+        kind: what the values are.
+        pick: reads it from one packet: a value, a list, or None where the packet has none.
+        read: reads it from many packets at once; None where each must be dissected.
+        scope: the packets that can have it, if ``read`` is None; None for any.
+        cost: of ``read``.
+        dtype: of numbers and truths.
+        limits: least and greatest number that it can hold.
+        base: of the number when it is shown: 10 or 16.
+        digits: at the least, in base 16.
+        names: names of numbers, shown and accepted.
+        words: further names of numbers, accepted only.
+        choices: all texts that it can have, where they are known.
+        alike: tells whether a text matches a word; None: if they are equal.
+        many: whether it is a list.
+        doc: one line.
+    """
+
+    name: str
+    kind: ValueKind
+    pick: Callable[[PacketRows, Decoded], Any]
+    read: Callable[[ColumnRows], Series] | None = None
+    scope: Callable[[ColumnRows], NDArray[np.bool_]] | None = None
+    cost: int = COLUMN_COST
+    dtype: np.dtype[Any] = INDEX_DTYPE
+    limits: tuple[int, int] | None = None
+    base: int = 10
+    digits: int = 1
+    names: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))
+    words: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    choices: Sequence[str] = ()
+    alike: Callable[[str, str], bool] | None = None
+    many: bool = False
+    doc: str = ""
+
+    @property
+    def price(self) -> int:
+        """What it costs to read."""
+        return PACKET_COST if self.read is None else self.cost
+
+    def series(self, rows: PacketRows) -> Series:
+        """Return its values in some packets: in bulk where it can be, else packet by packet."""
+        if not isinstance(rows, ColumnRows):
+            return self._picked(rows)
+        if self.read is not None:
+            return self.read(rows)
+        chosen = np.flatnonzero(self.scope(rows)) if self.scope else np.arange(len(rows), dtype=INDEX_DTYPE)
+        part = PacketRows(rows.context, rows.begin_ns, rows.take(chosen).packets())
+        return self._picked(part).placed(len(rows), chosen)
+
+    def _picked(self, rows: PacketRows) -> Series:
+        values: list[Any] = []
+        owner: list[int] = []
+        holders: list[int] = []
+        for row, decoded in enumerate(rows.packets()):
+            value = self.pick(rows, decoded)
+            if value is None:
+                continue
+            holders.append(row)
+            items = value if isinstance(value, list) else [value]
+            values += items
+            owner += [row] * len(items)
+        places = np.array(owner, INDEX_DTYPE), np.array(holders, INDEX_DTYPE)
+        if self.kind in {ValueKind.TEXT, ValueKind.BYTES}:
+            return Series.of_objects(len(rows), values, *places)
+        if self.kind is ValueKind.STRUCT:
+            values = [0] * len(values)
+        return Series(len(rows), np.array(values, self.dtype), *places)
+
+    def length(self) -> Self:
+        """Return the field of how many values this one has, or of how many characters its text has."""
+        pick, read = self.pick, self.read
+        counted = self.many or self.kind not in {ValueKind.TEXT, ValueKind.BYTES}
+
+        def pick_length(rows: PacketRows, decoded: Decoded) -> int | None:
+            value = pick(rows, decoded)
+            return None if value is None else len(value)
+
+        def read_length(rows: ColumnRows) -> Series:
+            series = read(rows)  # type: ignore[misc]  # used only where it is there
+            return series.lengths() if counted else series.sizes()
+
+        return replace(
+            self,
+            name=f"len({self.name})",
+            kind=ValueKind.NUMBER,
+            pick=pick_length,
+            read=read_length if read else None,
+            dtype=INDEX_DTYPE,
+            limits=None,
+            base=10,
+            names={},
+            words={},
+            choices=(),
+            many=False,
+        )

@@ -1,0 +1,232 @@
+"""Filters: an expression over the fields of packets, evaluated on columns as far as columns go.
+
+``and`` evaluates the cheapest operand first, so that few packets are left for the expensive ones: first the
+decoder's columns, then fields read from the bytes, then ROS messages in bulk, and last fields that need the
+dissection of each packet. See ``docs/filters.md`` for the language.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edoras_tools.decode.filters.compare import Misfit, Test, test_of
+from edoras_tools.decode.filters.names import Names, Unknown
+from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
+from edoras_tools.decode.filters.series import ValueKind
+from edoras_tools.decode.filters.syntax import (
+    Comparison,
+    Expression,
+    Junction,
+    Negation,
+    Operand,
+    Presence,
+    WhereError,
+    parse_filter,
+    parse_names,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.filters.field import FilterField
+    from edoras_tools.model import Columns, Decoded, PacketBatch
+
+
+class Where:
+    """A compiled filter.
+
+    Args:
+        text: the expression.
+        context: what packets are decoded with; gives names their fields.
+        begin_ns: the zero of ``time``; None: the first datagram of the first batch.
+
+    Raises:
+        WhereError: it is not an expression, names no field, or compares what cannot be compared.
+    """
+
+    def __init__(self, text: str, context: Context, begin_ns: int | None = None) -> None:
+        self.text = text
+        self.context = context
+        self._begin_ns = begin_ns
+        self._node = _compile(parse_filter(text), text, Names(context))
+
+    def __str__(self) -> str:
+        return self.text
+
+    def mask(
+        self, batch: PacketBatch, columns: Columns, chosen: NDArray[Any] | None = None
+    ) -> NDArray[np.bool_]:
+        """Return which packets of a batch pass.
+
+        Batches come in the order they were captured: ``time`` counts from the first datagram of the first.
+
+        Args:
+            batch: datagrams.
+            columns: what was decoded from them.
+            chosen: look only at these rows; the result then has one element for each of them.
+        """
+        if self._begin_ns is None and len(batch):
+            self._begin_ns = int(batch.time_ns[0])
+        rows = slice(None) if chosen is None else chosen
+        return self._node.mask(ColumnRows(self.context, self._begin_ns or 0, batch, columns, rows))
+
+    def judge(self, packets: Sequence[Decoded]) -> NDArray[np.bool_]:
+        """Return which single packets pass: the same answer as :meth:`mask`, without columns."""
+        if self._begin_ns is None and packets:
+            self._begin_ns = packets[0].datagram.time_ns
+        return self._node.mask(PacketRows(self.context, self._begin_ns or 0, packets))
+
+
+class _Test:
+    """What every node of a compiled filter is.
+
+    Attributes:
+        price: the highest cost of its fields.
+    """
+
+    price: int
+
+    def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
+        """Return which rows pass."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class _Compared(_Test):
+    """One field, which may be of several types, against constants.
+
+    ``every``: the packet has a value and none of them fails; else one value that passes is enough.
+    """
+
+    tests: Sequence[tuple[FilterField, Test]]
+    every: bool
+    price: int
+
+    def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
+        hit, failed = np.zeros(len(rows), bool), np.zeros(len(rows), bool)
+        for field, test in self.tests:
+            series = field.series(rows)
+            passed = test(series)
+            hit |= series.where(passed)
+            if self.every:
+                failed |= series.where(~passed)
+        return hit & ~failed
+
+
+@dataclass(frozen=True, slots=True)
+class _Present(_Test):
+    fields: Sequence[FilterField]
+    price: int
+
+    def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
+        there = np.zeros(len(rows), bool)
+        for field in self.fields:
+            there |= field.series(rows).present()
+        return there
+
+
+@dataclass(frozen=True, slots=True)
+class _Not(_Test):
+    node: _Test
+    price: int
+
+    def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
+        return ~self.node.mask(rows)
+
+
+@dataclass(frozen=True, slots=True)
+class _Joined(_Test):
+    """All of some nodes, or one of them; ``steps`` groups nodes of one price, the cheapest first."""
+
+    steps: Sequence[Sequence[_Test]]
+    every: bool
+    price: int
+
+    def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
+        join = np.logical_and if self.every else np.logical_or
+        whole = np.full(len(rows), self.every)
+        for step in self.steps:
+            left = np.flatnonzero(whole == self.every)
+            part = rows if len(left) == len(rows) else rows.take(left)
+            if not len(part):
+                break
+            whole[left] = join.reduce([node.mask(part) for node in step])
+        return whole
+
+
+def _compile(node: Expression, text: str, names: Names) -> _Test:
+    match node:
+        case Negation():
+            inner = _compile(node.of, text, names)
+            return _Not(inner, inner.price)
+        case Junction():
+            nodes = sorted((_compile(item, text, names) for item in node.of), key=lambda item: item.price)
+            steps = [tuple(group) for _, group in groupby(nodes, key=lambda item: item.price)]
+            return _Joined(steps, node.every, nodes[-1].price)
+        case Presence():
+            fields = _fields(node.operand, text, names)
+            return _Present(fields, max(field.price for field in fields))
+        case Comparison():
+            return _comparison(node, text, names)
+
+
+def fields(text: str, context: Context, option: str = "--fields") -> list[tuple[str, list[FilterField]]]:
+    """Return what names between commas mean: each name, and its field, or several that share it.
+
+    Raises:
+        WhereError: one is not a field, or a group of fields.
+    """
+    names, found = Names(context), []
+    for operand in parse_names(text, option):
+        items = _fields(operand, text, names, option)
+        if all(item.kind is ValueKind.STRUCT for item in items):
+            why = _is_group(items[0], names)
+            raise WhereError(text, operand.at, operand.end, why, option)
+        found.append((items[0].name, items))
+    return found
+
+
+def _fields(operand: Operand, text: str, names: Names, option: str = "--where") -> list[FilterField]:
+    try:
+        found = [replace(field, name=operand.name) for field in names.find(operand.name)]
+    except Unknown as error:
+        raise WhereError(text, operand.at, operand.end, str(error), option) from None
+    if operand.wrap != "len":
+        return found
+    counted = [item.length() for item in found if item.many or item.kind in {ValueKind.TEXT, ValueKind.BYTES}]
+    if not counted:
+        why = f"len counts what is in a list or a text; {operand.name} is neither"
+        raise WhereError(text, operand.at, operand.end, why, option)
+    return counted
+
+
+def _is_group(field: FilterField, names: Names) -> str:
+    inside = names.inside(field)
+    hint = f"; name one of its fields: {', '.join(inside[:3])}" if inside else ""
+    return f"{field.name} is {field.kind.value}, not a value{hint}"
+
+
+def _comparison(node: Comparison, text: str, names: Names) -> _Test:
+    operand = node.operand
+    fields = _fields(operand, text, names)
+    tests: list[tuple[FilterField, Test]] = []
+    misfit: Misfit | None = None
+    for field in fields:
+        try:
+            tests.append((field, test_of(field, node)))
+        except Misfit as error:
+            misfit = misfit or error
+    if not tests and misfit is not None:
+        if fields[0].kind is ValueKind.STRUCT:
+            raise WhereError(text, operand.at, operand.end, _is_group(fields[0], names))
+        place = misfit.value or node
+        raise WhereError(text, place.at, place.end, misfit.why)
+    every = operand.wrap == "all" or (operand.wrap != "any" and node.operator in {"!=", "not in"})
+    return _Compared(tests, every, max(field.price for field, _ in tests))

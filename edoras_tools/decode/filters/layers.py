@@ -1,0 +1,270 @@
+"""The headers as fields: the layouts' own names, read from where the decoder found each header."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, FilterField
+from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.links.sbn import SBN
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
+from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.cdr import ENCAPSULATION
+from edoras_tools.wire.envelope import DEFAULT
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
+    from edoras_tools.model import Decoded
+    from edoras_tools.wire.layout import Layout, Slot
+
+    Places = tuple[NDArray[np.int64], NDArray[np.int64]]
+    """Which rows have a header, and where in the batch's data it starts."""
+
+_DECODED: Final = {
+    "sbn.msg_type": ("sbn_msg_type", -1),
+    "ccsds.msg_id": ("msg_id", NO_MSG_ID),
+    "cfe_command.function_code": ("function_code", -1),
+}
+"""Fields that are columns: which column, and its value for an absent field."""
+
+_FOUND_BY: Final = {"command": "function_code", "telemetry": "mission_time_ns"}
+"""The column that is -1 where a packet has not this header."""
+
+
+def layer_fields(context: Context) -> Iterator[FilterField]:
+    """Yield every header and every field of it that the tree can show."""
+    for link in context.links:
+        for layout in link.layouts:
+            yield from _header(layout, partial(link.places, layout), by_field=True)
+    yield from _header(ccsds.PRIMARY, _primary)
+    yield from _header(cfe.EXTENDED, _extended)
+    # Of each header the build with the most fields; the actual build is known when packets are read.
+    yield from _header(cfe.COMMAND_EXTENDED, partial(_secondary, "command"), by_field=True)
+    yield from _header(cfe.TELEMETRY, partial(_secondary, "telemetry"), by_field=True)
+    yield from _header(cfe.EVENT, partial(_housekeeping, cfe.EVENT, cfe.EVENT_MSG_ID))
+    yield from _header(
+        cfe.SOFTWARE_BUS_HOUSEKEEPING,
+        partial(_housekeeping, cfe.SOFTWARE_BUS_HOUSEKEEPING, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID),
+    )
+    yield from map(_of_any_format, _header(DEFAULT.layout, None))
+    yield from _header(ENCAPSULATION, _encapsulation)
+    yield from _others()
+
+
+def _others() -> Iterator[FilterField]:
+    """Yield what no layout holds."""
+    words = {name.lower(): value for value, name in MSG_ID_NAMES.items()}
+    yield FilterField(
+        "ccsds.msg_id",
+        ValueKind.NUMBER,
+        _picker("ccsds", "msg_id"),
+        partial(_decoded, *_DECODED["ccsds.msg_id"]),
+        limits=(0, 0xFFFF),
+        base=16,
+        digits=4,
+        words=words,
+        doc="cFE's key: the first word",
+    )
+    yield FilterField(
+        "sbn_sub.msg_ids",
+        ValueKind.NUMBER,
+        _picker("sbn_sub", "msg_ids"),
+        scope=lambda rows: _there(partial(SBN.places, sbn.SUBSCRIPTIONS), rows),
+        limits=(0, 0xFFFFFFFF),
+        base=16,
+        digits=4,
+        many=True,
+        doc="the MsgIds wanted, or no longer wanted",
+    )
+    yield _struct("padding", lambda rows: _padding(rows)[0])
+    yield FilterField(
+        "padding.length",
+        ValueKind.NUMBER,
+        _picker("padding", "length"),
+        lambda rows: Series.of_chosen(_padding(rows)[1], _padding(rows)[0]),
+        doc="bytes after the CDR",
+    )
+    yield FilterField(
+        "padding.stale",
+        ValueKind.BOOL,
+        _picker("padding", "stale"),
+        lambda rows: Series.of_chosen(
+            (rows.column("findings") & np.uint32(Finding.STALE_TAIL)) != 0, _padding(rows)[0]
+        ),
+        dtype=np.dtype(bool),
+        doc="they are of an earlier, longer message",
+    )
+
+
+def _header(
+    layout: Layout, places: Callable[..., Places] | None, *, by_field: bool = False
+) -> Iterator[FilterField]:
+    """Yield a header and its fields.
+
+    Args:
+        layout: the table.
+        places: finds the headers of many packets; None if each packet must be dissected.
+        by_field: ``places`` takes the name of the ``field``: some headers lack the last fields.
+    """
+    name = layout.name
+
+    yield _struct(name, partial(_there, places) if places is not None else None)
+    for slot in layout.slots:
+        of_field = partial(places, field=slot.field.name) if places and by_field else places
+        yield _field(layout, slot, of_field)
+
+
+def _there(places: Callable[[ColumnRows], Places], rows: ColumnRows) -> NDArray[np.bool_]:
+    """Tell which packets have a header."""
+    out = np.zeros(len(rows), bool)
+    out[places(rows)[0]] = True
+    return out
+
+
+def _struct(name: str, there: Callable[[ColumnRows], NDArray[np.bool_]] | None) -> FilterField:
+    return FilterField(
+        name,
+        ValueKind.STRUCT,
+        lambda _, decoded: 0 if decoded.layer(name) else None,
+        there and (lambda rows: Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), there(rows))),
+        cost=BYTES_COST,
+        doc="whether there is this layer",
+    )
+
+
+def _field(layout: Layout, slot: Slot, places: Callable[[ColumnRows], Places] | None) -> FilterField:
+    item, path = slot.field, f"{layout.name}.{slot.field.name}"
+    read: Callable[[ColumnRows], Series] | None
+    if path in _DECODED:
+        read, cost = partial(_decoded, *_DECODED[path]), COLUMN_COST
+    else:
+        read, cost = (partial(_gathered, layout, slot, places), BYTES_COST) if places else (None, BYTES_COST)
+    kind = {"text": ValueKind.TEXT, "bytes": ValueKind.BYTES}.get(item.kind, ValueKind.NUMBER)
+    low, high = (-(slot.mask >> 1) - 1, slot.mask >> 1) if item.kind == "int" else (0, slot.mask)
+    return FilterField(
+        path,
+        kind,
+        _picker(layout.name, item.name),
+        read,
+        cost=cost,
+        dtype=np.dtype(np.uint64 if high > 1 << 62 else np.int64),
+        limits=(low, high) if kind is ValueKind.NUMBER else None,
+        base=item.base,
+        digits=(item.bits + 3) // 4,
+        names=item.names,
+        doc=item.doc,
+    )
+
+
+def _picker(layer: str, name: str) -> Callable[[PacketRows, Decoded], Any]:
+    def pick(_: PacketRows, decoded: Decoded) -> Any:
+        found = decoded.layer(layer)
+        return found.values().get(name) if found else None
+
+    return pick
+
+
+def _decoded(column: str, none: int, rows: ColumnRows) -> Series:
+    values = rows.column(column)
+    return Series.of_chosen(values, values != none)
+
+
+def _gathered(layout: Layout, slot: Slot, places: Callable[[ColumnRows], Places], rows: ColumnRows) -> Series:
+    """Read one field of the headers that a batch holds."""
+    owner, start = places(rows)
+    item = slot.field
+    window = gather(rows.batch.data, start + slot.start, slot.end - slot.start)
+    if item.kind in {"text", "bytes"}:
+        raw = window.tobytes()
+        size = slot.end - slot.start
+        items = [raw[at : at + size] for at in range(0, len(raw), size)]
+        if item.kind == "text":
+            known = {one: one.split(b"\0", 1)[0].decode("utf-8", "replace") for one in set(items)}
+            return Series.of_objects(len(rows), [known[one] for one in items], owner)
+        return Series.of_objects(len(rows), items, owner)
+    values = layout.column(item.name, window, -slot.start)
+    return Series(len(rows), values, None if len(owner) == len(rows) else owner)
+
+
+def _of_any_format(field: FilterField) -> FilterField:
+    """Let a field of the envelope be read in the format that the context's routes have by then."""
+
+    def read(rows: ColumnRows) -> Series:
+        formats = set(rows.context.envelopes) or {DEFAULT}
+        if None in formats or len(formats) > 1:
+            return field.series(rows)
+        envelope = formats.pop() or DEFAULT
+        places = partial(_envelopes, envelope.size)
+        if field.kind is ValueKind.STRUCT:
+            there = np.zeros(len(rows), bool)
+            there[places(rows)[0]] = True
+            return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), there)
+        slot = envelope.layout.by_name[field.name.rpartition(".")[2]]
+        return _gathered(envelope.layout, slot, places, rows)
+
+    return replace(field, read=read)
+
+
+def _primary(rows: ColumnRows) -> Places:
+    start = rows.column("packet_offset")
+    owner = np.flatnonzero(start >= 0)
+    return owner, start[owner]
+
+
+def _secondary(kind: str, rows: ColumnRows, field: str | None = None) -> Places:
+    """Find the ``command`` or ``telemetry`` header, or those of them that have a field."""
+    has = [field is None or field in getattr(item, kind).by_name for item in cfe.HEADERS]
+    headers = rows.column("headers")
+    owner = np.flatnonzero((rows.column(_FOUND_BY[kind]) >= 0) & np.array(has)[headers])
+    start = np.array([item.start for item in cfe.HEADERS])
+    return owner, rows.column("packet_offset")[owner] + start[headers[owner]]
+
+
+def _extended(rows: ColumnRows) -> Places:
+    extended = np.array([item.extended for item in cfe.HEADERS])[rows.column("headers")]
+    owner = np.flatnonzero(extended & (rows.column("packet_length") >= cfe.WITH_EXTENDED.start))
+    return owner, rows.column("packet_offset")[owner] + ccsds.PRIMARY.size
+
+
+def _body(rows: ColumnRows) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
+    """Return which packets have a whole cFE header, where what follows it starts, and its bytes."""
+    whole = (rows.column("function_code") >= 0) | (rows.column("mission_time_ns") >= 0)
+    header = rows.column("header_length")
+    return whole, rows.column("packet_offset") + header, rows.column("packet_length") - header
+
+
+def _housekeeping(layout: Layout, msg_id: int, rows: ColumnRows) -> Places:
+    whole, start, size = _body(rows)
+    owner = np.flatnonzero(whole & (rows.column("msg_id") == msg_id) & (size >= layout.size))
+    owner = owner[rows.routes()[owner] == NO_ROUTE]
+    return owner, start[owner]
+
+
+def _envelopes(size: int, rows: ColumnRows) -> Places:
+    whole, start, have = _body(rows)
+    owner = np.flatnonzero(whole & (rows.routes() != NO_ROUTE) & (have >= size))
+    return owner, start[owner]
+
+
+def _encapsulation(rows: ColumnRows) -> Places:
+    start = rows.column("cdr_offset")
+    owner = np.flatnonzero(start >= 0)
+    return owner, start[owner]
+
+
+def _padding(rows: ColumnRows) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Return which packets have bytes after the CDR, and how many."""
+    end = rows.column("packet_offset") + rows.column("packet_length")
+    length = end - rows.column("cdr_offset") - rows.column("cdr_length")
+    return (rows.column("cdr_offset") >= 0) & (length > 0), length

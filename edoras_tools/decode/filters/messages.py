@@ -1,0 +1,336 @@
+"""The fields of decoded ROS messages and C structs, found by their path.
+
+The rules that this file keeps:
+
+1. A path is names with dots, each with an index or none: ``poses[-1].position.x``. Without an index a list
+   gives all of its values; an index that a message does not have gives none.
+2. One path may be a field of several types: each type gives a ``FilterField`` of its own, and a packet has
+   a value where its own type has one.
+3. A field has two readers: ``pick`` for one decoded packet, ``read`` for the columns of many. Both give the
+   same values; ``tests/decode/filters/test_agreement.py`` checks that.
+4. ``read`` is None where columns are not enough (an index inside a list of lists): those packets are decoded
+   one by one.
+5. The messages of a type are read once for each batch, however many fields of them a filter names.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.decode.filters.field import MESSAGE_COST, FilterField
+from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.ros.types import grammar, schema
+from edoras_tools.structs.bound import Encoded, Held
+from edoras_tools.wire import cfe
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
+    from edoras_tools.model import Decoded
+    from edoras_tools.ros.cdr.columns import MessageColumns
+    from edoras_tools.ros.types.schema import Definition
+    from edoras_tools.structs.bound import Bound
+
+    Owned = tuple[NDArray[np.int64], MessageColumns]
+    """Rows that hold messages, and the messages."""
+
+_PART: Final = re.compile(r"(\w+)(?:\[(-?\d+)\])?")
+_PREFIX: Final = "ros."
+
+
+class _Step(NamedTuple):
+    """One part of a path: the field, and the index of an element, None for all."""
+
+    field: schema.MessageField
+    element: int | None
+
+    @property
+    def listed(self) -> bool:
+        """Whether the field holds several values."""
+        return self.field.shape is not schema.Shape.SCALAR
+
+
+class MessageFieldFinder:
+    """Finds fields of messages by their path.
+
+    Args:
+        context: gives the routes, the types and the C structs.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._routes: dict[str, list[int]] = {}
+        self._definitions: dict[str, Definition] = dict(context.structs.definitions)
+        self._structs: dict[str, list[Bound]] = {}
+        for bound in context.structs.all:
+            self._structs.setdefault(bound.name, []).append(bound)
+        types = context.types
+        for index, route in enumerate(context.mission.routes):
+            if types is None or not types.has(route.type):
+                continue
+            self._routes.setdefault(route.type, []).append(index)
+            for part in grammar.sections(route.type, types.definition(route.type)):
+                self._definitions[part.name] = grammar.parse_definition(
+                    part.name, part.text, part.name, part.line
+                )
+
+    def __bool__(self) -> bool:
+        return bool(self._routes)
+
+    def find(self, path: str) -> list[FilterField]:
+        """Return the field of that path of each type of a route that has it."""
+        wanted = _wanted(path.removeprefix(_PREFIX))
+        found = []
+        for name, routes in self._routes.items():
+            steps = self._steps(name, wanted)
+            if steps:
+                found.append(self._field(path, name, tuple(routes), steps))
+        return found
+
+    def of_structs(self, path: str) -> list[FilterField]:
+        """Return the field of that path of each C struct that has it, or of the one it begins with."""
+        path = path.removeprefix(_PREFIX)
+        name, _, rest = path.partition(".")
+        if name in self._structs:
+            found = [self._of_struct(path, rest, bound) for bound in self._structs[name]]
+        else:
+            every = [bound for bounds in self._structs.values() for bound in bounds]
+            found = [self._of_struct(path, path, bound) for bound in every if not _is_layer(bound)]
+        return [field for field in found if field is not None]
+
+    def _of_struct(self, path: str, inside: str, bound: Bound) -> FilterField | None:
+        """Return the field of a path inside a C struct, if it has one; the struct for an empty path."""
+        if not inside:
+            return FilterField(
+                path,
+                ValueKind.STRUCT,
+                lambda _, decoded: 0 if decoded.message and decoded.message.topic == bound.topic else None,
+                partial(_read_struct, bound),
+                cost=MESSAGE_COST,
+                doc=f"whether there is a {bound.name}",
+            )
+        steps = self._steps(bound.type, _wanted(inside))
+        if not steps:
+            return None
+        member = bound.member([step.field.name for step in steps])
+        field = self._field(path, bound.type, (), steps, bound)
+        return replace(
+            field,
+            names=bound.values(member) if member else {},
+            base=member.base if member else 10,
+            digits=2 * field.dtype.itemsize,
+            doc=(member and member.doc) or f"of {bound.name}",
+        )
+
+    def inside(self, path: str) -> list[str]:
+        """Return the names of what a group of fields holds."""
+        plain = re.sub(r"\[-?\d+\]", "", path.removeprefix(_PREFIX))
+        return sorted({name for name in self.names() if name.startswith(f"{plain}.")})
+
+    def names(self) -> Iterator[str]:
+        """Yield the path of every single value, without indices."""
+        for name in self._routes:
+            yield from self._leaves(schema.full_name(name), "")
+        for name, bounds in self._structs.items():
+            yield from self._leaves(bounds[0].type, f"{name}.")
+
+    def _leaves(self, name: str, prefix: str) -> Iterator[str]:
+        for item in self._definitions[name].fields:
+            path = prefix + item.name
+            if item.type in self._definitions:
+                yield from self._leaves(item.type, f"{path}.")
+            else:
+                yield path
+
+    def _steps(self, name: str, wanted: Sequence[tuple[str, int | None]]) -> list[_Step]:
+        """Return the steps of a path inside a type; empty if there is no such field."""
+        steps: list[_Step] = []
+        definition: Definition | None = self._definitions[schema.full_name(name)]
+        for part, index in wanted:
+            fields = definition.fields if definition else ()
+            item = next((item for item in fields if item.name == part), None)
+            if item is None or (index is not None and item.shape is schema.Shape.SCALAR):
+                return []
+            steps.append(_Step(item, index))
+            definition = self._definitions.get(item.type)
+        return steps
+
+    def _field(
+        self, path: str, name: str, routes: tuple[int, ...], steps: list[_Step], bound: Bound | None = None
+    ) -> FilterField:
+        messages = partial(_messages, name, routes) if bound is None else partial(_struct_messages, bound)
+        scope = (lambda rows: np.isin(rows.routes(), routes)) if bound is None else partial(_holds, bound)
+        last = steps[-1].field.type
+        dtype = np.dtype(schema.PRIMITIVES.get(last, "q"))
+        kind = (
+            ValueKind.STRUCT
+            if last in self._definitions
+            else ValueKind.TEXT
+            if last in schema.STRINGS
+            else ValueKind.BOOL
+            if dtype.kind == "b"
+            else ValueKind.NUMBER
+        )
+        limits = (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)) if dtype.kind in "iu" else None
+        return FilterField(
+            path,
+            kind,
+            partial(_pick, name if bound is None else bound.topic, steps),
+            self._reader(messages, steps),
+            scope=scope,
+            cost=MESSAGE_COST,
+            dtype=dtype,
+            limits=limits if kind is ValueKind.NUMBER else None,
+            many=any(step.listed and step.element is None for step in steps),
+            doc=f"of {name}",
+        )
+
+    def _reader(
+        self, messages: Callable[[ColumnRows], Owned], steps: list[_Step]
+    ) -> Callable[[ColumnRows], Series] | None:
+        """Return what reads a field of many messages; None where columns do not tell."""
+        indices = [step.element for step in steps if step.listed]
+        path = ".".join(step.field.name for step in steps)
+        if steps[-1].field.type in self._definitions:
+            if not indices:
+                return partial(_read_whole, messages)
+            single = self._single(steps[-1].field.type)
+            if not single:
+                return None
+            path = f"{path}.{single}"
+        if len(indices) > 1 and any(index is not None for index in indices):
+            return None
+        index = indices[0] if indices else None
+        return partial(_read, messages, path, index)
+
+    def _single(self, name: str) -> str:
+        """Return the path of a value that every message of a type has exactly one of, if there is any."""
+        for item in self._definitions[name].fields:
+            if item.shape is not schema.Shape.SCALAR:
+                continue
+            if item.type not in self._definitions:
+                return item.name
+            inner = self._single(item.type)
+            if inner:
+                return f"{item.name}.{inner}"
+        return ""
+
+
+def _is_layer(bound: Bound) -> bool:
+    """Tell whether a struct's fields are those of a layer, and found there."""
+    return bound.shipped and bound.key.msg_id in (cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID)
+
+
+def _wanted(path: str) -> list[tuple[str, int | None]]:
+    return [(match[1], None if match[2] is None else int(match[2])) for match in _PART.finditer(path)]
+
+
+def _pick(name: str, steps: Sequence[_Step], _: PacketRows, decoded: Decoded) -> Any:
+    if decoded.message is None or name not in {decoded.message.type, decoded.message.topic}:
+        return None
+    items: list[Any] = [decoded.message.values]
+    many = False
+    for field, index in steps:
+        items = [item[field.name] for item in items]
+        if field.shape is schema.Shape.SCALAR:
+            continue
+        if index is None:
+            items = [value for item in items for value in item]
+            many = True
+        else:
+            items = [item[index] for item in items if -len(item) <= index < len(item)]
+    return items if many else items[0] if items else None
+
+
+def _messages(name: str, routes: tuple[int, ...], rows: ColumnRows) -> Owned:
+    """Return the rows that carry messages of a type, and the messages."""
+
+    def make() -> Owned:
+        owner = np.flatnonzero(np.isin(rows.routes(), routes) & (rows.column("cdr_length") > 0))
+        offset, length = rows.column("cdr_offset")[owner], rows.column("cdr_length")[owner]
+        assert rows.context.types is not None, "messages have types"
+        return owner, rows.context.types.columns(name, rows.batch.data, offset, length)
+
+    found: Owned = rows.once(("messages", name), make)
+    return found
+
+
+def structs_of(rows: ColumnRows) -> dict[Bound, Held]:
+    """Return the rows that hold each C struct."""
+
+    def make() -> dict[Bound, Held]:
+        structs = rows.context.structs
+        there = np.flatnonzero(structs.has[rows.column("msg_id")])
+        return {held.bound: held for held in structs.held(there, rows.column, rows.batch.data)}
+
+    found: dict[Bound, Held] = rows.once("structs", make)
+    return found
+
+
+def _struct_messages(bound: Bound, rows: ColumnRows) -> Owned:
+    """Return the rows that hold a C struct, and its messages."""
+
+    def make() -> Owned:
+        nothing = np.zeros(0, np.int64)
+        held = structs_of(rows).get(bound)
+        encoded = held.encode() if held else Encoded(np.zeros(1, np.uint8), nothing, nothing, 0)
+        columns = rows.context.structs.types.columns(
+            bound.type, encoded.data, encoded.start, encoded.size.astype(np.int32)
+        )
+        return held.rows if held else nothing, columns
+
+    found: Owned = rows.once(("struct", bound.topic), make)
+    return found
+
+
+def _holds(bound: Bound, rows: ColumnRows) -> NDArray[np.bool_]:
+    out = np.zeros(len(rows), np.bool_)
+    out[_struct_messages(bound, rows)[0]] = True
+    return out
+
+
+def _read_struct(bound: Bound, rows: ColumnRows) -> Series:
+    owner = _struct_messages(bound, rows)[0]
+    return Series(len(rows), np.zeros(len(owner), INDEX_DTYPE), owner)
+
+
+def _read_whole(read: Callable[[ColumnRows], Owned], rows: ColumnRows) -> Series:
+    owner, messages = read(rows)
+    owner = owner[messages.valid]
+    return Series(len(rows), np.zeros(len(owner), INDEX_DTYPE), owner)
+
+
+def _read(read: Callable[[ColumnRows], Owned], path: str, index: int | None, rows: ColumnRows) -> Series:
+    owner, messages = read(rows)
+    column, valid = messages.fields[path], messages.valid
+    holders = owner[valid]
+    values: NDArray[Any]
+    if isinstance(column, Ragged):
+        start, counts = column.offsets[:-1], np.diff(column.offsets)
+        if index is None:
+            values, owner = column.values, np.repeat(owner, counts)
+        else:
+            there = (counts > index) if index >= 0 else (counts >= -index)
+            values = column.values[(start + index + (counts if index < 0 else 0))[there]]
+            owner = holders = owner[there]
+    elif column.ndim > 1:
+        inside = index is not None and -column.shape[1] <= index < column.shape[1]
+        if index is None:
+            values, owner = column[valid].reshape(-1), np.repeat(holders, column.shape[1])
+        else:
+            values = column[valid][:, index] if inside else column[:0, 0]
+            owner = holders = holders if inside else holders[:0]
+    else:
+        values, owner = column[valid], holders
+    if values.dtype == object:
+        return Series.of_objects(len(rows), values.tolist(), owner, holders)
+    return Series(len(rows), values, owner, holders)

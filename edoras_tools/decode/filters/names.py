@@ -1,0 +1,361 @@
+"""Which names there are: of the packet itself, of every header, and of every message that a route carries."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, MESSAGE_COST, FilterField
+from edoras_tools.decode.filters.layers import layer_fields
+from edoras_tools.decode.filters.messages import MessageFieldFinder, structs_of
+from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Endpoint, Finding
+from edoras_tools.ros.types.schema import full_name
+from edoras_tools.wire import cfe
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
+    from edoras_tools.model import Decoded
+
+_ALIASES: Final = {
+    "msg_id": "ccsds.msg_id",
+    "sequence_count": "ccsds.packet_sequence_count",
+    "processor_id": "sbn.processor_id",
+    "spacecraft_id": "sbn.spacecraft_id",
+    "message": "ros",
+}
+"""Names of ``sniff --json`` and of the columns, which win over everything else of that name."""
+_BITS: Final = {bit: finding.label for bit, finding in enumerate(Finding)}
+_STRUCT_LAYERS: Final = frozenset({cfe.EVENT.name, cfe.SOFTWARE_BUS_HOUSEKEEPING.name})
+"""Layers that are C structs like others, and share names with them."""
+_CLOSE: Final = 0.6
+
+
+class Unknown(Exception):  # noqa: N818  it never leaves the compiler
+    """A name that is not a field, or more than one; the message says what to write.
+
+    Args:
+        say: makes the message on demand: the search for similar names is slow.
+    """
+
+    def __init__(self, say: Callable[[], str]) -> None:
+        super().__init__()
+        self._say = say
+
+    def __str__(self) -> str:
+        return self._say()
+
+
+class Names:
+    """Finds fields by name.
+
+    Args:
+        context: gives the routes, the types and the options.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._packet: dict[str, list[FilterField]] = {}
+        for field in _packet_fields(context):
+            self._packet.setdefault(field.name, []).append(field)
+        self._layers = {field.name: field for field in layer_fields(context)}
+        self._short: dict[str, list[str]] = {}
+        for name in self._layers:
+            self._short.setdefault(name.rpartition(".")[2], []).append(name)
+        self._messages = MessageFieldFinder(context)
+
+    def find(self, name: str) -> list[FilterField]:
+        """Return the field of a name; several where message types or endpoints share it.
+
+        Raises:
+            Unknown: there is none, or the name is not clear.
+        """
+        if name in self._packet:
+            return self._packet[name]
+        layer = self._layers.get(_ALIASES.get(name, name))
+        if layer is not None:
+            return [layer]
+        if name in _ALIASES:
+            return self._packet[_ALIASES[name]]
+        messages = self._messages.find(name)
+        short = [] if name.startswith("ros.") else self._short.get(name, [])
+        if len(short) + bool(messages) > 1:
+            clear = short + [f"ros.{name}"] * bool(messages)
+            raise Unknown(lambda: f"{name!r} is more than one field; write {' or '.join(clear)}")
+        layers = [self._layers[item] for item in short]
+        # A name of the mission's messages has precedence over the same name of a C struct.
+        if messages or (layers and short[0].partition(".")[0] not in _STRUCT_LAYERS):
+            return messages or layers
+        found = layers + self._messages.of_structs(name)
+        if not found:
+            raise Unknown(partial(self._nothing, name))
+        return found
+
+    def inside(self, field: FilterField) -> list[str]:
+        """Return what a group of fields holds."""
+        if field.name in self._layers:
+            return [name for name in self._layers if name.startswith(f"{field.name}.")]
+        return self._messages.inside(field.name)
+
+    def all(self) -> Iterator[str]:
+        """Yield every name that can be written, without indices."""
+        yield from self._packet
+        yield from _ALIASES
+        yield from self._layers
+        yield from (name for name, layers in self._short.items() if len(layers) == 1)
+        yield from self._messages.names()
+
+    def _nothing(self, name: str) -> str:
+        if "[" in name:
+            plain = name.partition("[")[0]
+            found = self._packet.get(plain) or self._messages.find(plain)
+            if found and not found[0].many:
+                return f"{plain} is not a list of a message, so it takes no index"
+        prefix = "ros." if name.startswith("ros.") else ""
+        known = {item.lower(): prefix + item for item in self.all() if "." in item or "." not in name}
+        near = get_close_matches(name.removeprefix(prefix).lower(), known, 3, _CLOSE)
+        near = near or [item for item in known if item.endswith(f".{name.lower()}")][:3]
+        shown = name if len(name) <= 60 else f"{name[:60]}..."
+        why = f"{shown!r} is not a field; "
+        if near:
+            return why + f"did you mean {' or '.join(known[item] for item in near)}?"
+        if not self._messages:
+            return why + "the fields of messages are known once a mission is named with -c"
+        layers = ", ".join(item for item in self._layers if "." not in item)
+        return why + f"there are {', '.join([*self._packet][:7])} and the fields of {layers} and the messages"
+
+
+def _packet_fields(context: Context) -> Iterator[FilterField]:
+    """Yield the fields of a datagram as a whole."""
+    yield _number("number", "its place in the capture, from 1", lambda item: item.datagram.number)
+    yield _number("time_ns", "when it was captured, ns since 1970", lambda item: item.datagram.time_ns)
+    yield FilterField(
+        "time",
+        ValueKind.DURATION,
+        lambda rows, decoded: decoded.datagram.time_ns - rows.begin_ns,
+        lambda rows: Series(len(rows), rows.datagram("time_ns") - rows.begin_ns),
+        doc="since the capture's first datagram",
+    )
+    yield FilterField(
+        "utc",
+        ValueKind.MOMENT,
+        lambda _, decoded: decoded.datagram.time_ns,
+        lambda rows: Series(len(rows), rows.datagram("time_ns")),
+        doc="when it was captured",
+    )
+    yield FilterField(
+        "mission_time",
+        ValueKind.DURATION,
+        _pick_mission_time,
+        lambda rows: Series.of_chosen(rows.column("mission_time_ns"), rows.column("mission_time_ns") >= 0),
+        doc="a telemetry packet's own time, since the mission's epoch",
+    )
+    yield _number("length", "bytes of the UDP payload", lambda item: len(item.datagram.payload))
+    yield FilterField(
+        "link",
+        ValueKind.NUMBER,
+        lambda _, decoded: int(decoded.link),
+        lambda rows: Series(len(rows), rows.column("link")),
+        limits=(0, 255),
+        names={int(link): link.label for link in (OTHER, *context.links)},
+        doc="which of the links it belongs to",
+    )
+    for side in ("source", "destination"):
+        yield _endpoint(side, side)
+        for name in (f"{side}.address", "address"):
+            yield _address(name, side)
+        for name in (f"{side}.port", "port"):
+            yield _port(name, side)
+    yield _route(context, "topic", [route.topic for route in context.mission.routes], _same_topic)
+    yield _route(context, "type", [route.type for route in context.mission.routes], _same_type)
+    yield FilterField(
+        "findings",
+        ValueKind.NUMBER,
+        lambda _, decoded: [int(bit).bit_length() - 1 for bit in decoded.findings],
+        _read_findings,
+        limits=(0, len(_BITS) - 1),
+        names=_BITS,
+        many=True,
+        doc="departures from what the protocols say",
+    )
+    yield FilterField(
+        "ros",
+        ValueKind.STRUCT,
+        lambda _, decoded: 0 if decoded.message else None,
+        _read_messages,
+        cost=MESSAGE_COST,
+        doc="whether a message was decoded, ROS or a C struct",
+    )
+    yield FilterField(
+        "summary", ValueKind.TEXT, lambda _, decoded: decoded.summary, doc="the packet in a few words"
+    )
+    yield FilterField(
+        "stop",
+        ValueKind.TEXT,
+        lambda _, decoded: str(decoded.stop) if decoded.stop else None,
+        doc="why decoding went no further",
+    )
+    yield FilterField(
+        "payload",
+        ValueKind.BYTES,
+        lambda _, decoded: decoded.datagram.payload,
+        _read_payload,
+        cost=BYTES_COST,
+        doc="the UDP payload",
+    )
+
+
+def _number(name: str, doc: str, pick: Any) -> FilterField:
+    return FilterField(
+        name,
+        ValueKind.NUMBER,
+        lambda _, decoded: pick(decoded),
+        lambda rows: Series(len(rows), rows.datagram(name)),
+        doc=doc,
+    )
+
+
+def _pick_mission_time(_: PacketRows, decoded: Decoded) -> int | None:
+    layer = decoded.layer("cfe_telemetry")
+    if layer is None:
+        return None
+    values = layer.values()
+    return cfe.mission_time_ns(values["seconds"], values["subseconds"])
+
+
+def _read_findings(rows: ColumnRows) -> Series:
+    column = rows.column("findings")
+    there = [bit for bit in _BITS if np.bitwise_or.reduce(column, initial=np.uint32(0)) & np.uint32(1 << bit)]
+    places = [np.flatnonzero(column & np.uint32(1 << bit)) for bit in there]
+    owner = np.concatenate([np.zeros(0, INDEX_DTYPE), *places])
+    values = np.repeat(np.array(there, INDEX_DTYPE), [len(item) for item in places])
+    order = np.argsort(owner, kind="stable")
+    return Series(len(rows), values[order], owner[order], np.arange(len(rows)))
+
+
+def _read_messages(rows: ColumnRows) -> Series:
+    """Tell which packets hold a message: what the decoder found valid, and a type is known for."""
+    types, routes = rows.context.types, rows.context.mission.routes
+    known = np.array([types is not None and types.has(route.type) for route in routes] + [False])
+    invalid = (rows.column("findings") & np.uint32(Finding.CDR_INVALID)) != 0
+    there = known[rows.routes()] & (rows.column("cdr_length") > 0)
+    cut = (rows.column("findings") & np.uint32(Finding.CAPTURE_CUT)) != 0
+    for row in np.flatnonzero(there & cut):
+        # The decoder reports no findings for a packet that the capture cut.
+        invalid[row] = rows.take(np.array([row])).packets()[0].message is None
+    there &= ~invalid
+    for held in structs_of(rows).values():
+        there[held.rows] = True
+    return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), there)
+
+
+def _read_payload(rows: ColumnRows) -> Series:
+    data = rows.batch.data
+    places = zip(rows.datagram("offset").tolist(), rows.datagram("length").tolist(), strict=True)
+    return Series.of_objects(len(rows), [data[at : at + length].tobytes() for at, length in places])
+
+
+def _endpoint(name: str, side: str) -> FilterField:
+    def read(rows: ColumnRows) -> Series:
+        version, port = rows.datagram("ip_version"), rows.datagram(f"{side}_port")
+        address = rows.datagram(f"{side}_address")
+        key = address.astype(np.uint64) << 17 | port.astype(np.uint64) << 1 | (version == 6)
+        return _distinct(rows, key, lambda row: str(Endpoint(_text(rows, side, row), int(port[row]))))
+
+    return FilterField(
+        name,
+        ValueKind.TEXT,
+        lambda _, decoded: str(getattr(decoded.datagram, side)),
+        read,
+        cost=BYTES_COST,
+        alike=_same_endpoint,
+        doc="address and port",
+    )
+
+
+def _address(name: str, side: str) -> FilterField:
+    def read(rows: ColumnRows) -> Series:
+        key = rows.datagram(f"{side}_address").astype(np.uint64) << 1 | (rows.datagram("ip_version") == 6)
+        return _distinct(rows, key, lambda row: _text(rows, side, row))
+
+    return FilterField(
+        name,
+        ValueKind.TEXT,
+        lambda _, decoded: getattr(decoded.datagram, side).address,
+        read,
+        cost=BYTES_COST,
+    )
+
+
+def _port(name: str, side: str) -> FilterField:
+    return FilterField(
+        name,
+        ValueKind.NUMBER,
+        lambda _, decoded: getattr(decoded.datagram, side).port,
+        lambda rows: Series(len(rows), rows.datagram(f"{side}_port")),
+        limits=(0, 0xFFFF),
+    )
+
+
+def _text(rows: ColumnRows, side: str, row: int) -> str:
+    index = int(rows.indices()[row])
+    return rows.batch.address(int(getattr(rows.batch, f"{side}_address")[index]), index)
+
+
+def _distinct(rows: ColumnRows, key: Any, text: Any) -> Series:
+    """Return texts that equal keys share."""
+    _, first, codes = np.unique(key, return_index=True, return_inverse=True)
+    return Series(len(rows), codes.reshape(-1), table=[text(row) for row in first.tolist()])
+
+
+def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> FilterField:
+    texts: list[str] = [*routed, *(getattr(bound, name) for bound in context.structs.all)]
+
+    def pick(_: PacketRows, decoded: Decoded) -> str | None:
+        packet = decoded.layer("ccsds")
+        if packet is None:
+            return None
+        msg_id = packet.values()["msg_id"]
+        route = int(context.routes_on(decoded.link)[msg_id])
+        route = route if route != NO_ROUTE else int(context.any_route_of[msg_id])
+        if route == NO_ROUTE:
+            told: str | None = getattr(decoded.message, name, None)
+            return told
+        return texts[route]
+
+    def read(rows: ColumnRows) -> Series:
+        routes = rows.routes()
+        which = np.where(rows.column("msg_id") == NO_MSG_ID, NO_ROUTE, routes).astype(INDEX_DTYPE)
+        candidates = np.flatnonzero(context.structs.has[rows.column("msg_id")])
+        for bound, members, fits in context.structs.split(candidates, rows.column):
+            which[members[fits]] = len(routed) + context.structs.all.index(bound)
+        there = np.flatnonzero(which != NO_ROUTE)
+        return Series(len(rows), which[there], there, table=texts)
+
+    return FilterField(
+        name,
+        ValueKind.TEXT,
+        pick,
+        read,
+        cost=COLUMN_COST,
+        choices=sorted(set(texts)),
+        alike=alike,
+        doc=f"the {name} of the route, or of the C struct, that its MsgId is",
+    )
+
+
+def _same_endpoint(text: str, word: str) -> bool:
+    return word in {text, text.rpartition(":")[0].strip("[]")}
+
+
+def _same_topic(text: str, word: str) -> bool:
+    return text in {word, f"/{word}"}
+
+
+def _same_type(text: str, word: str) -> bool:
+    return full_name(text) == full_name(word) or text.rpartition("/")[2] == word

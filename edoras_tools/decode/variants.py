@@ -1,0 +1,289 @@
+"""Detects the headers and envelopes of a source from its first packets.
+
+Three kinds of build are in use (:data:`edoras_tools.wire.cfe.HEADERS`), and five formats of the envelope.
+Nothing in a packet names them, so each sound packet is a vote for every kind that fits it:
+
+1. Telemetry with a 16-byte header has four spare bytes of 0 at its end. Where they are not 0, the bytes are
+   the low half of an extended header's time, which goes on as the capture's clock does, or the payload behind
+   a 12-byte header.
+2. A payload starts where known content fits: an event with a printable name, a C struct of that length, a
+   command that its app accepts with that length, or an envelope in front of CDR.
+3. Another kind replaces the usual one only if it fits more packets, and at least two.
+4. A conversation is read with the kinds that are the first to fit two of its packets; where they are
+   several, each packet with the first that fits it (:mod:`edoras_tools.decode.builds`). The first packets of
+   each conversation are looked at, and a sample of all that follow.
+5. What an option or a route states is never detected.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.decode.builds import LOOKED_AT, PLACES, Fitting, conversations, msg_ids
+from edoras_tools.links.table import among
+from edoras_tools.model import NO_ROUTE, Endpoint
+from edoras_tools.units import SECOND
+from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
+from edoras_tools.wire.order import by_value
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.model import PacketBatch
+    from edoras_tools.wire.envelope import EnvelopeFormat
+
+_ENOUGH: Final = 512
+"""Sound packets after which detection ends."""
+_MOST: Final = 4096
+"""Packets of a batch that are looked at."""
+_FIRST: Final = 64
+"""First packets of each conversation that are looked at."""
+_SAMPLE: Final = 256
+"""So many packets of a batch are looked at later, when at least so many have passed."""
+_NAMED: Final = 3
+_EXTENDED: Final = cfe.HEADERS.index(cfe.WITH_EXTENDED)
+_PLAIN: Final = len(cfe.HEADERS)
+"""What a command shows that has no extended header: it is the same with both telemetry headers."""
+_NOTHING: Final = _PLAIN + 1
+_LEAST: Final = 2
+_GOES_ON_S: Final = 5
+"""A clock that counts seconds stays this near the capture's."""
+
+
+class _Kept(NamedTuple):
+    """What is kept of packets: first bytes, length, capture time in s, row of the batch."""
+
+    head: NDArray[np.uint8]
+    length: NDArray[np.int64]
+    time_s: NDArray[np.int64]
+    row: NDArray[np.intp]
+
+    def take(self, rows: NDArray[np.intp]) -> _Kept:
+        return _Kept(self.head[rows], self.length[rows], self.time_s[rows], self.row[rows])
+
+    def and_(self, other: _Kept) -> _Kept:
+        pairs: Iterable[Any] = zip(self, other, strict=True)
+        return _Kept(*map(np.concatenate, pairs))
+
+
+class Variants:
+    """Settles the headers and envelopes of a context while a source's first packets are decoded.
+
+    Args:
+        context: its ``headers`` and ``envelopes`` are set; a line of ``notes`` says so.
+
+    Attributes:
+        settled: nothing is left to detect.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._seek_headers = context.options.headers is None
+        routes = context.mission.routes
+        seek = context.options.envelope is None
+        self._seek_envelopes = {at for at, route in enumerate(routes) if seek and not route.envelope}
+        none = np.zeros(0, np.int64)
+        self._kept = _Kept(np.zeros((0, LOOKED_AT), np.uint8), none, none, none)
+        self._told_at = 0
+        self._left = np.full(PLACES, _FIRST, np.int64)
+        self._passed = self._since = 0
+        self._votes = np.zeros((_NOTHING + 1, PLACES), np.int64)
+        self._names: dict[int, str] = {}
+        self._note = ""
+        self._all_seen = self.settled = not (self._seek_headers or seek)
+
+    def look(self, batch: PacketBatch, link: NDArray[np.uint8]) -> None:
+        """Look at a batch that is about to be decoded; ``link`` has a link a row."""
+        rows = np.flatnonzero(among(link, lambda item: item.packets))
+        if not self._all_seen:
+            kept = self._sound(batch, rows[:_MOST], link)
+            self._kept = self._kept.and_(kept)
+            count = len(self._kept.length)
+            # Live batches are small: the result is computed again each time the number has doubled.
+            if count >= min(2 * self._told_at, _ENOUGH) and count > self._told_at:
+                self._told_at = count
+                self._tell()
+            self._all_seen = count >= _ENOUGH
+        if self._seek_headers and len(rows):
+            self._look_at_conversations(batch, rows, link)
+        self.settled = self._all_seen and not self._seek_headers
+
+    def _sound(self, batch: PacketBatch, rows: NDArray[np.intp], link: NDArray[np.uint8]) -> _Kept:
+        """Return what is kept of those packets of some rows whose length field is right."""
+        start = self._context.header_bytes[link[rows]]
+        length = batch.length[rows].astype(np.int64) - start
+        head = gather(batch.data, batch.offset[rows] + start, LOOKED_AT)
+        total = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int64) + ccsds.LENGTH_BIAS
+        sound = (length > ccsds.PRIMARY.size) & (total == length)
+        sound &= ccsds.PRIMARY.column("packet_version_number", head) == 0
+        sound &= ccsds.PRIMARY.column("secondary_header_flag", head) == 1
+        return _Kept(head[sound], length[sound], batch.time_ns[rows][sound] // SECOND, rows[sound])
+
+    def _tell(self) -> None:
+        context = self._context
+        if self._seek_headers:
+            votes = [int(part.sum()) for part in self._explained(self._kept)]
+            best = int(np.argmax(votes))
+            found = cfe.HEADERS[best] if votes[best] >= _LEAST else cfe.STANDARD
+            if found is not context.headers:
+                context.headers = found
+                context.described["headers"] = found.name
+                context.notes.append(
+                    f"read with cFE's {found.name}, as the packets' bytes show; "
+                    "--telemetry-header 16 reads them with the usual one"
+                )
+            self._settle()
+        if context.options.envelope is None:
+            self._tell_envelopes()
+
+    def _fitting(self, kept: _Kept) -> Fitting:
+        return Fitting(self._context.structs, self._context.command_table, kept.head, kept.length)
+
+    def _explained(self, kept: _Kept) -> list[NDArray[np.bool_]]:
+        """Return for each kind of headers which packets it explains; an extended header's clock goes on."""
+        told = self._fitting(kept)
+        found = [told.by(headers) for headers in cfe.HEADERS]
+        timed = np.flatnonzero(found[_EXTENDED] & ~_commands(kept))
+        if len(timed):
+            found[_EXTENDED][timed] = _goes_on(kept.take(timed))
+        return found
+
+    def _look_at_conversations(
+        self, batch: PacketBatch, rows: NDArray[np.intp], link: NDArray[np.uint8]
+    ) -> None:
+        """Count for some packets of each conversation which headers alone explain them."""
+        place = conversations(batch)[rows]
+        fresh = np.flatnonzero(self._left[place] > 0)[:_MOST]
+        self._passed += len(rows)
+        self._since += len(rows)
+        # Every batch is sampled where there are several builds, else a few batches in all: another build is
+        # another boot, whose Telemetry Output sends from another port.
+        rare = 0 if self._context.builds.several else self._passed // 4
+        if not len(fresh) and self._since < max(_SAMPLE, rare):
+            return
+        self._since = 0
+        sample = np.arange(0, len(rows), max(1, len(rows) // _SAMPLE))
+        kept = self._sound(batch, rows[np.union1d(fresh, sample)], link)
+        own = place[np.searchsorted(rows, kept.row)]
+        first = self._first(kept, own)
+        touched, members = np.unique(own, return_index=True)
+        before = [self._found(value) for value in touched.tolist()]
+        np.subtract.at(self._left, own, 1)
+        np.add.at(self._votes, (first, own), 1)
+        changed = False
+        for value, member, known in zip(touched.tolist(), members.tolist(), before, strict=True):
+            if self._found(value) != known:
+                self._names[value] = _named(batch, int(kept.row[member]))
+                changed = True
+        if changed:
+            if not self._all_seen:
+                self._told_at = len(self._kept.length)
+                self._tell()
+            self._settle()
+
+    def _first(self, kept: _Kept, conversation: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the first kind that explains each packet; what a plain command shows; ``_NOTHING``."""
+        first = np.full(len(kept.length), _NOTHING)
+        for number, headers in enumerate(cfe.HEADERS):
+            open_ = np.flatnonzero(first == _NOTHING)
+            rest = kept.take(open_)
+            fits = open_[self._fitting(rest).by(headers)]
+            first[fits] = number
+        timed = np.flatnonzero((first == _EXTENDED) & ~_commands(kept))
+        for _, members in by_value(conversation[timed]):
+            first[timed[members[~_goes_on(kept.take(timed[members]))]]] = _NOTHING
+        first[(first == 0) & _commands(kept)] = _PLAIN
+        return first
+
+    def _found(self, place: int) -> int:
+        """Return the headers of a conversation, a bit each."""
+        usual = self._context.headers
+        plain = cfe.HEADERS.index(cfe.STANDARD if usual.extended else usual)
+        bits = 0
+        for number in np.flatnonzero(self._votes[:_NOTHING, place] >= _LEAST).tolist():
+            bits |= 1 << (plain if number == _PLAIN else number)
+        return bits
+
+    def _settle(self) -> None:
+        """Let packets be read with what was found, and say so where that is not the usual."""
+        context, usual = self._context, 1 << cfe.HEADERS.index(self._context.headers)
+        found = {place: self._found(place) for place in self._names}
+        context.builds.settle(
+            context.headers, np.array(list(found), np.intp), np.array(list(found.values()), np.uint8)
+        )
+        if self._note in context.notes:
+            context.notes.remove(self._note)
+        others = {place: bits for place, bits in found.items() if bits not in {0, usual}}
+        if others:
+            context.described.pop("headers", None)
+            names = [self._names[place] for place in others]
+            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+            kinds = {
+                headers.name
+                for number, headers in enumerate(cfe.HEADERS)
+                for bits in others.values()
+                if bits >> number & 1
+            }
+            self._note = (
+                f"{', '.join(names[:_NAMED])}{more}: read with cFE's {' or '.join(sorted(kinds))}, as "
+                f"the packets' bytes show; all else with the {context.headers.name}"
+            )
+            context.notes.append(self._note)
+
+    def _tell_envelopes(self) -> None:
+        """Give each route the format that most of its packets carry."""
+        context = self._context
+        msg_id = msg_ids(self._kept.head)
+        for index, members in by_value(context.any_route_of[msg_id]):
+            if index != NO_ROUTE and index not in self._seek_envelopes:
+                continue
+            for command in (False, True):
+                rows = members[((msg_id[members] & cfe.COMMAND_BIT) != 0) == command]
+                found = self._format(rows, command=command)
+                if found is None:
+                    continue
+                if index == NO_ROUTE:
+                    context.unrouted[command] = found
+                elif found != context.envelopes[index]:
+                    context.envelopes[index] = found
+                    context.notes.append(
+                        f"{context.mission.routes[index].topic} is read with the {found} envelope, as its "
+                        "bytes show; --envelope names another"
+                    )
+
+    def _format(self, rows: NDArray[np.intp], *, command: bool) -> EnvelopeFormat | None:
+        """Return the format that fits most of some packets; None where none fits two."""
+        headers = self._context.headers
+        at = headers.command_bytes if command else headers.telemetry_bytes
+        body, have = self._kept.head[rows, at : at + DEFAULT.size + 4], self._kept.length[rows] - at
+        votes = [int(holds(body, have, item).sum()) for item in ENVELOPE_FORMATS]
+        best = int(np.argmax(votes))
+        return ENVELOPE_FORMATS[best] if votes[best] >= _LEAST else None
+
+
+def _commands(kept: _Kept) -> NDArray[np.bool_]:
+    return np.asarray((kept.head[:, 0] & (cfe.COMMAND_BIT >> 8)) != 0)
+
+
+def _goes_on(kept: _Kept) -> NDArray[np.bool_]:
+    """Tell in which telemetry the extended header's clock counts seconds as the capture's does."""
+    extended = cfe.WITH_EXTENDED
+    seconds = extended.telemetry.column("seconds", kept.head, extended.start).astype(np.int64)
+    ahead = seconds - kept.time_s
+    return np.asarray(np.abs(ahead - np.median(ahead)) <= _GOES_ON_S)
+
+
+def _named(batch: PacketBatch, row: int) -> str:
+    """Return how people are told of a row's conversation."""
+    source = Endpoint(batch.address(int(batch.source_address[row]), row), int(batch.source_port[row]))
+    target = Endpoint(
+        batch.address(int(batch.destination_address[row]), row), int(batch.destination_port[row])
+    )
+    return f"{source} > {target}"

@@ -1,0 +1,1 @@
+"""How many were sent, seen and lost on each hop."""

@@ -1,0 +1,141 @@
+"""What was lost before CI, or may wait in its socket, shared out to the messages that were sent to it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.diagnosis.accounting.claims import shares
+from edoras_tools.diagnosis.accounting.fates import LOST_AT, loss_of
+from edoras_tools.diagnosis.accounting.losses import Loss
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.model import NO_MSG_ID
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.accounting.fates import Fate
+    from edoras_tools.diagnosis.accounting.ingest import Before, Ingest
+    from edoras_tools.diagnosis.accounting.losses import Known
+
+
+class BeforeCi:
+    """Shares out the accounts of CI.
+
+    Args:
+        known: what is known.
+        fates: what became of messages, as far as it is told.
+        losses: takes what is lost.
+    """
+
+    def __init__(self, known: Known, fates: Sequence[Fate], losses: list[Loss]) -> None:
+        self._known, self._fates, self.losses = known, fates, losses
+
+    def share(self, account: Ingest) -> None:
+        """Share out all that was lost before a CI."""
+        for before in account.losses:
+            self._before_ci(account, before)
+
+    def wait(self, account: Ingest) -> None:
+        """Share out what waits in a CI's socket at its last count, once all else is told."""
+        self._queue(account, account.waiting - self._more_before_ci(account))
+
+    def _to(self, account: Ingest) -> list[Fate]:
+        """Return what became of the streams that went to a CI."""
+        return [
+            fate
+            for fate in self._fates
+            if fate.stream.link.only_to_cfs and fate.stream.receiver == account.endpoint
+        ]
+
+    def _before_ci(self, account: Ingest, before: Before) -> None:
+        """Share out what was lost before CI: to what did not come out, else by how much was sent."""
+        left, fates = before.lost, self._to(account)
+        evidence = self._before_evidence(account, before)
+        # What did not come out is the likelier; what is lost first may have been before the first count.
+        seen = [fate for fate in fates if fate.seen]
+        spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)]
+        if before is account.losses[0]:
+            spans.insert(1, (seen, 0))
+        for those, since_ns in spans:
+            left -= self._spread(those, before, since_ns, left, evidence)
+        if left and before.cause != "unknown":
+            self._nobodys(before, left, evidence)
+
+    def _spread(
+        self, fates: Sequence[Fate], before: Before, since_ns: int, number: int, evidence: list[str]
+    ) -> int:
+        """Tell up to so many messages of some streams lost before CI; return how many were."""
+        window: list[tuple[Fate, NDArray[np.intp]]] = []
+        for fate in fates:
+            times = self._known.captured(fate.stream)
+            inside = np.flatnonzero((times > since_ns) & (times <= before.end_ns) & fate.open)
+            if len(inside):
+                window.append((fate, inside))
+        most = [len(inside) for _, inside in window]
+        parts = shares(number, most, most)
+        for (fate, inside), share in zip(window, parts, strict=True):
+            if share:
+                chosen = inside[np.linspace(0, len(inside) - 1, share).round().astype(np.intp)]
+                fate.claim(chosen)
+                if before.cause == "unknown":
+                    fate.uncounted += share
+                    continue
+                self.losses.append(loss_of(self._known, fate, before.cause, chosen, evidence))
+        return sum(parts)
+
+    def _more_before_ci(self, account: Ingest) -> int:
+        """Tell lost, in CI's last span of loss, what did not come out and its counts leave room for."""
+        if not account.losses or not account.more:
+            return 0
+        last = account.losses[-1]
+        seen = [fate for fate in self._to(account) if fate.seen]
+        evidence = ["they did not come out, later ones did, and CI's counts leave room for them"]
+        # What is lost first may have been before the first count.
+        since_ns = last.since_ns if len(account.losses) > 1 else 0
+        return self._spread(seen, last, since_ns, account.more, evidence)
+
+    def _queue(self, account: Ingest, number: int) -> None:
+        """Tell which messages may wait in CI's socket at its last count: the latest of those that may."""
+        rows = self._known.rows
+        free = np.ones(len(rows), bool)
+        for fate in self._to(account):
+            free[fate.stream.rows] = fate.open | fate.waits
+        own = account.rows[(rows.time_ns[account.rows] <= account.last_ns) & free[account.rows]]
+        late = own[len(own) - min(number, len(own)) :]
+        for fate in self._to(account):
+            if not fate.seen:
+                behind = self._known.captured(fate.stream) > account.last_ns
+                fate.late = int(behind.sum())
+                fate.open &= ~behind
+            chosen = np.isin(fate.stream.rows, late)
+            fate.queued += int(chosen.sum())
+            fate.open &= ~chosen
+            fate.waits &= ~chosen
+
+    def _nobodys(self, before: Before, number: int, evidence: list[str]) -> None:
+        """Tell of datagrams that CI did not count and that are of no stream, as those without a MsgId."""
+        self.losses.append(
+            Loss(
+                kind=before.cause,
+                instance=NOBODY,
+                hop=LOST_AT[before.cause],
+                msg_id=NO_MSG_ID,
+                stream=None,
+                span=None,
+                lost=number,
+                of=None,
+                start_ns=before.start_ns,
+                end_ns=before.end_ns,
+                confidence="medium",
+                evidence=evidence,
+            )
+        )
+
+    def _before_evidence(self, account: Ingest, before: Before) -> list[str]:
+        taken = account.taken
+        text = f"0x884: CI took {taken:,} of {taken + account.lost + account.waiting:,} datagrams sent to it"
+        return [text, f"{before.lost:,} of them lost between two of its counts"]

@@ -1,0 +1,134 @@
+"""The highest rate that each route can carry, from the mission and the constants of cFS alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
+from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
+from edoras_tools.wire.sbn import HEADER
+
+if TYPE_CHECKING:
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.mission import Mission, Route
+    from edoras_tools.model import Link
+    from edoras_tools.ros import TypeStore
+
+_HOUSEKEEPING_HZ: Final = 10
+"""Housekeeping that shares Telemetry Output's pipe."""
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What a route can carry.
+
+    Attributes:
+        route: the route.
+        limit_hz: messages a second that get through without loss, evenly sent.
+        hop: where the limit is.
+        reason: why.
+        bytes: UDP payload of its messages; None where they vary.
+        traps: what its size runs into, a line each.
+    """
+
+    route: Route
+    limit_hz: float
+    hop: str
+    reason: str
+    bytes: int | None
+    traps: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --predict --json``."""
+        return {
+            "topic": self.route.topic,
+            "type": self.route.type,
+            "link": self.route.link.label,
+            "msg_id": f"0x{self.route.msg_id:04x}",
+            "direction": self.route.direction,
+            "limit_hz": self.limit_hz,
+            "hop": self.hop,
+            "reason": self.reason,
+            "bytes": self.bytes,
+            "traps": list(self.traps),
+        }
+
+
+def predict(mission: Mission, types: TypeStore, profile: SimProfile) -> list[Budget]:
+    """Return the budget of every route of a mission."""
+    return [_budget(route, types, profile) for route in mission.routes]
+
+
+def limit(link: Link, msg_id: int, profile: SimProfile, *, to_cfs: bool) -> tuple[float, str, str]:
+    """Return the highest clean rate of a MsgId on a link, where the limit is, and why."""
+    if link.only_to_cfs:
+        together = profile.ci_datagrams_per_wake * SECOND / profile.ci_wake_ns
+        text = "the application's pipe takes {} of one MsgId, and CI delivers every {} ms"
+        return _ratio(
+            profile.app_msg_limit,
+            profile.ci_wake_ns,
+            "application pipe",
+            f"{text} ({together:g}/s of all together)",
+        )
+    if link.only_from_cfs:
+        waiting = profile.to_limits.get(msg_id, profile.to_default_limit)
+        room = profile.to_pipe_depth - _HOUSEKEEPING_HZ * profile.to_wake_ns // SECOND
+        text = "Telemetry Output's table lets {} of the MsgId wait, and TO sends every {} ms"
+        if waiting >= room:
+            text = "Telemetry Output's pipe has room for {} beside housekeeping, and TO sends every {} ms"
+        return _ratio(min(waiting, room), profile.to_wake_ns, "TO_LAB_TLM_PIPE", text)
+    if not to_cfs:
+        return _ratio(
+            profile.sbn_msg_limit,
+            profile.sbn_wake_ns,
+            "SBN peer pipe",
+            "the SBN peer's pipe takes {} of one MsgId, and SBN serves it every {} ms",
+        )
+    if profile.sbn_polls:
+        return _ratio(
+            profile.app_msg_limit,
+            profile.sbn_wake_ns,
+            "application pipe",
+            "the application's pipe takes {} of one MsgId, and SBN polls every {} ms",
+        )
+    return (
+        0.0,
+        "application pipe",
+        "SBN delivers at once: no limit but the application's own speed; 20/s where SBN polls",
+    )
+
+
+def _ratio(count: int, period_ns: int, hop: str, text: str) -> tuple[float, str, str]:
+    return count * SECOND / period_ns, hop, text.format(count, period_ns // 1_000_000)
+
+
+def _budget(route: Route, types: TypeStore, profile: SimProfile) -> Budget:
+    limit_hz, hop, reason = limit(route.link, route.msg_id, profile, to_cfs=route.to_cfs)
+    fixed = types.fixed_size(route.type) if types.has(route.type) else None
+    size = None
+    if fixed is not None:
+        named = route.envelope if route.envelope and route.envelope != "auto" else str(DEFAULT)
+        header = cfe.COMMAND_HEADER_BYTES if cfe.is_command(route.msg_id) else cfe.TELEMETRY_HEADER_BYTES
+        network = HEADER.size if route.link.peers else 0
+        size = network + header + EnvelopeFormat.named(named).size + fixed
+    return Budget(route, limit_hz, hop, reason, size, tuple(_traps(route, size, profile)))
+
+
+def _traps(route: Route, size: int | None, profile: SimProfile) -> list[str]:
+    if cfe.is_command(route.msg_id) and route.link.only_from_cfs:
+        return [f"0x{route.msg_id:04x} is a command MsgId: TO carries telemetry"]
+    if not cfe.is_command(route.msg_id) and route.link.only_to_cfs:
+        return [f"0x{route.msg_id:04x} is a telemetry MsgId: applications take commands from CI"]
+    if size is None:
+        return []
+    traps = []
+    if route.link.only_to_cfs and size > profile.ci_buffer:
+        traps.append(f"{size} bytes: CI cuts at {profile.ci_buffer}, silently")
+    if route.link.only_from_cfs and size > BRIDGE_BUFFER:
+        traps.append(f"{size} bytes: the ground bridge receives {BRIDGE_BUFFER}")
+    if route.link.peers and not route.to_cfs and size % BRIDGE_LENGTH_MODULUS < HEADER.size:
+        traps.append(f"{size} bytes: {size} mod 256 is below 11, the public flight bridge drops it")
+    return traps

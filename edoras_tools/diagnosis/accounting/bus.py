@@ -1,0 +1,387 @@
+"""What the software bus counted in 0x803, told once: which messages each count is.
+
+Rules:
+
+1. A count belongs to the second between two samples of the counter, and to one message.
+2. A message that is missing from a sequence count was published between its neighbours, in cFE's time. It can
+   be one of the counts made meanwhile, where an event names its MsgId at that pipe, or the pipe was full.
+3. Of commands whose way out can be seen, those that did not come out can be; of others, what events name, and
+   then what was sent faster than a pipe takes.
+4. Who has the least to choose from chooses first, so that as many as possible are explained.
+5. What nothing takes stays what it is: counted, and not known which.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.diagnosis.accounting.claims import Claim, Counts, grouped, settle
+from edoras_tools.diagnosis.accounting.closed import closed_at, silenced_at, silences_of
+from edoras_tools.diagnosis.accounting.losses import (
+    BEHIND,
+    COUNTER_NAMES,
+    COUNTERS,
+    LEAD_NS,
+    PIPE_EVENTS,
+    TAIL_NS,
+    Loss,
+    LossKind,
+    PipeKind,
+)
+from edoras_tools.diagnosis.accounting.pipes import pressed
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.matching.spans import Span
+from edoras_tools.links.table import among
+from edoras_tools.model import Finding
+from edoras_tools.sessions.sequence import MODULUS
+from edoras_tools.units import MILLISECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.accounting.losses import Known
+    from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.diagnosis.verdict import Confidence
+    from edoras_tools.model import Link
+
+_SLACK_NS: Final = 50 * MILLISECOND
+"""By so much the times of two packets of one cFS may be wrong."""
+
+
+def _left_over(parts: Sequence[Part], claims: Sequence[Claim], *, beside: bool) -> list[Claim]:
+    """Return what is left of claims, as counts of a full pipe: it takes no MsgId at all.
+
+    Args:
+        parts: whose the claims are.
+        claims: of one cFS.
+        beside: only those of a pipe that surely was full.
+    """
+    open_ = [item for item in claims if not parts[item.key].closed]
+    full = {
+        (parts[item.key].stream.link, parts[item.key].stream.receiver) for item in open_ if item.overflowed
+    }
+    found = []
+    for item in open_:
+        left = item.number - sum(item.taken.values())
+        stream = parts[item.key].stream
+        if left and (not beside or (stream.link, stream.receiver) in full):
+            found.append(Claim(item.key, item.first, item.last, left, ("overflow",)))
+    return found
+
+
+@dataclass(slots=True)
+class Part:
+    """What is missing from one span of a telemetry stream.
+
+    Attributes:
+        stream: the stream.
+        span: when.
+        owner: the cFS whose pipe it comes out of.
+        missing: how many.
+        kinds: as what they may have been counted.
+        taken: kind to how many were.
+        watched: whether the counters were seen most of the time.
+        outside: how many may be missing before the first count or behind the last.
+        closed: whether the way out was closed: nobody would have sent them.
+        silenced: whether Telemetry Output as a whole was silent until it was enabled.
+    """
+
+    stream: Stream
+    span: Span
+    owner: int
+    missing: int = 0
+    kinds: tuple[PipeKind, ...] = ()
+    taken: dict[PipeKind, int] = field(default_factory=dict)
+    watched: bool = False
+    outside: int = 0
+    closed: bool = False
+    silenced: bool = False
+    evidence: list[str] = field(default_factory=list)
+
+
+class Telemetry:
+    """What is missing from sequence counts, held against the counters.
+
+    Attributes:
+        losses: what was lost.
+        closed: id of a stream to messages that were published while the way out was closed, and that no
+            counter has.
+        silenced: id of a stream to those that Telemetry Output took and did not send until it was enabled.
+        away: id of a stream to those that are missing while the capturing interface was away.
+        silences: sender of telemetry to the times in which that was so.
+        proxied: id of a stream to messages that are missing because a proxy dropped them on purpose.
+        untold: id of a stream to counts that are missing where cut frames do not tell whose they are.
+    """
+
+    def __init__(self, known: Known, counts: dict[int, Counts]) -> None:
+        self._known = known
+        self._counts = counts
+        self.closed: dict[int, int] = {}
+        self.proxied: dict[int, int] = {}
+        self.untold: dict[int, int] = {}
+        self.silenced: dict[int, int] = {}
+        self.away: dict[int, int] = {}
+        self.silences: dict[int, list[tuple[int, int]]] = {}
+        self.losses: list[Loss] = []
+        parts: list[Part] = []
+        claims: dict[int, list[Claim]] = {}
+        for stream in known.streams:
+            if not stream.link.only_to_cfs:
+                self._claim(stream, parts, claims)
+        self._dropped_unseen()
+        for owner, own in claims.items():
+            settle(counts[owner], own)
+            self._given(parts, own)
+        for owner, own in claims.items():
+            # An event that names an application's pipe has its counts; else those of full pipes are these.
+            others = any(
+                (item.instance, item.kind) == (owner, "overflow") and not (item.at_output or item.at_peer)
+                for item in known.culprits
+            )
+            again = _left_over(parts, own, beside=others)
+            settle(counts[owner], again)
+            self._given(parts, again)
+        for part in parts:
+            if part.closed:
+                self._tell_closed(part)
+            else:
+                self._tail(part)
+                self._tell(part)
+
+    def _given(self, parts: Sequence[Part], claims: Sequence[Claim]) -> None:
+        """Add what claims were given to their parts."""
+        for claim in claims:
+            part = parts[claim.key]
+            for kind, number in claim.taken.items():
+                part.taken[kind] = part.taken.get(kind, 0) + number
+
+    def _claim(self, stream: Stream, parts: list[Part], claims: dict[int, list[Claim]]) -> None:
+        """Divide what is missing from a stream by spans and seconds."""
+        known = self._known
+        hop = known.upstream(stream)
+        if hop is None and not (stream.counted and stream.missing.any()):
+            return
+        own = stream.rows
+        missing = stream.missing - self._dropped(stream)
+        made = known.instances.made_ns[own] if stream.instance != NOBODY else known.rows.time_ns[own]
+        if hop is not None:
+            # What was lost further up is that link's loss: here counts what came in and did not go out.
+            due = known.rows.time_ns[hop.into.rows[hop.absent]]
+            # What came just before the last that went out may have waited for the next round.
+            until = known.rows.time_ns[own[-1]] - known.profile.sbn_wake_ns
+            due = due[(due >= known.rows.time_ns[own[0]]) & (due <= until)]
+            at = np.maximum(np.searchsorted(known.rows.time_ns[own], due, "right") - 1, 0)
+            number = np.ones(len(due), np.int64)
+            from_ns, until_ns = due - LEAD_NS, due + LEAD_NS
+        else:
+            at = np.flatnonzero(missing[:-1])
+            number = missing[at]
+            from_ns, until_ns = made[at] - _SLACK_NS, made[at + 1] + _SLACK_NS
+        if not len(at):
+            return
+        owner = known.owner(stream)
+        counts = self._counts.get(owner)
+        if stream.link.only_from_cfs and stream.sender not in self.silences:
+            self.silences[stream.sender] = silences_of(known, stream.sender)
+        silenced = silenced_at(known, stream, at, self.silences.get(stream.sender, ()))
+        behind = np.minimum(at + 1, len(stream) - 1)
+        away = known.away(known.rows.time_ns[own[at]], known.rows.time_ns[own[behind]])
+        if away.any():
+            self.away[id(stream)] = int(number[away].sum())
+        at, number, from_ns, until_ns = at[~away], number[~away], from_ns[~away], until_ns[~away]
+        silenced = silenced[~away]
+        closed = closed_at(known, stream, at)
+        silenced &= ~closed
+        closed |= silenced
+        for index in np.flatnonzero(closed).tolist():
+            part = self._closed_part(stream, int(at[index]), owner, int(number[index]))
+            part.silenced = bool(silenced[index])
+            if counts is not None and stream.link.only_from_cfs:
+                # A pipe that nobody empties fills up: what the software bus counts then is lost.
+                low, high = counts.seconds(np.array([from_ns[index], until_ns[index]])).tolist()
+                claims.setdefault(owner, []).append(
+                    Claim(len(parts), low, high, part.missing, tuple(COUNTERS))
+                )
+            parts.append(part)
+        at, number, from_ns, until_ns = at[~closed], number[~closed], from_ns[~closed], until_ns[~closed]
+        cut = known.spans(stream)
+        which = np.searchsorted([item.first for item in cut], at, "right") - 1
+        for index in np.unique(which).tolist():
+            rows = np.flatnonzero(which == index)
+            part = Part(stream, cut[index], owner, int(number[rows].sum()))
+            gaps = np.zeros(len(own), np.int64)
+            np.add.at(gaps, at[rows], number[rows])
+            part.kinds = self._kinds(part, gaps, via=hop is not None)
+            if counts is not None:
+                first, last = counts.seconds(from_ns[rows]), counts.seconds(until_ns[rows])
+                inside = (first >= 0) & (last < len(counts.times) - 1)
+                part.outside = int(number[rows[~inside]].sum())
+                part.watched = 2 * part.outside <= part.missing
+                claims.setdefault(owner, []).extend(
+                    Claim(len(parts), low, high, total, part.kinds)
+                    for _, low, high, total in grouped(which[rows], first, last, number[rows])
+                )
+            parts.append(part)
+
+    def _dropped_unseen(self) -> None:
+        """Add what a proxy dropped before a stream begins here, or behind its end: no gap shows it."""
+        left: dict[int, int] = {}
+        for stream in self._known.streams:
+            done = self._known.done_to(stream)
+            here = left.setdefault(id(done), len(done.dropped)) - self.proxied.get(id(stream), 0)
+            left[id(done)] = here
+        for stream in self._known.streams:
+            if more := left.pop(id(self._known.done_to(stream)), 0):
+                self.proxied[id(stream)] = self.proxied.get(id(stream), 0) + more
+
+    def _dropped(self, stream: Stream) -> NDArray[np.int64]:
+        """Return how many of what is missing behind each row a proxy dropped on purpose, by their counts."""
+        found = np.zeros(len(stream), np.int64)
+        counts = self._known.done_to(stream).counts(peers=stream.link.peers)
+        if counts:
+            before = self._known.rows.sequence_count[stream.rows].astype(np.int64)
+            for count in counts:
+                # Of gaps that a count fits into, where counts have wrapped, the first that has room.
+                fits = (count - before - 1) % MODULUS < stream.missing
+                at = np.flatnonzero(fits & (found < stream.missing))
+                if len(at):
+                    found[at[0]] += 1
+            self.proxied[id(stream)] = int(found.sum())
+        return found
+
+    def _closed_part(self, stream: Stream, at: int, owner: int, number: int) -> Part:
+        """Return what is missing from a gap in which a stream's way out was closed."""
+        behind = min(at + 1, len(stream) - 1)
+        start_ns, end_ns = self._known.rows.time_ns[stream.rows[[at, behind]]].tolist()
+        return Part(stream, Span(at, behind, start_ns, end_ns, 0, number), owner, number, closed=True)
+
+    def _tell_closed(self, part: Part) -> None:
+        """Make losses of what was counted while the way out was closed; the rest nobody counts."""
+        for kind, number in part.taken.items():
+            pipe = self._known.hop(part.stream)
+            part.evidence = [
+                f"0x803: {COUNTER_NAMES[kind]} +{number:,} while nobody emptied {pipe}",
+                "Telemetry Output was not sending then: it would not have sent them either",
+            ]
+            self.losses.append(self._loss(part, kind, number, part.missing, "medium"))
+        rest = part.missing - sum(part.taken.values())
+        where = self.silenced if part.silenced else self.closed
+        where[id(part.stream)] = where.get(id(part.stream), 0) + rest
+
+    def _kinds(self, part: Part, gaps: NDArray[np.int64], *, via: bool) -> tuple[PipeKind, ...]:
+        """Tell as what the missing of a span may have been counted (rule 2), and collect what says so."""
+        known, stream, span = self._known, part.stream, part.span
+        output = stream.link.only_from_cfs
+        came = f"{part.missing:,} of {span.count + part.missing:,}"
+        part.evidence.append(
+            f"{came} that came in on the SBN link did not go out"
+            if via
+            else f"sequence count: {came} never came"
+        )
+        window = span.start_ns - LEAD_NS, span.end_ns + TAIL_NS
+        found: list[tuple[bool, PipeKind]] = []
+        for kind in COUNTERS:
+            said = known.named(part.owner, stream.msg_id, kind, output=output)
+            told = bool(said and said.within(*window))
+            if said:
+                part.evidence.append(
+                    f"event CFE_SB {PIPE_EVENTS[kind]} x{said.count}: {said.records[0].message}"
+                )
+            # Without its counter a full pipe proves nothing.
+            if told or (self._grown(part, COUNTERS[kind]) and pressed(known, stream, span, kind, gaps)):
+                found.append((not told, kind))
+        return tuple(kind for _, kind in sorted(found, key=lambda item: item[0]))
+
+    def _tail(self, part: Part) -> None:
+        """Take what was lost behind the last message that came: no gap shows it, only the counter does."""
+        counts, stream, span = self._counts.get(part.owner), part.stream, part.span
+        if counts is None or not part.taken or span.last != len(stream) - 1:
+            return
+        made_ns = int(self._known.instances.made_ns[stream.rows[-1]])
+        first, last = counts.seconds(np.array([made_ns, made_ns + TAIL_NS]))
+        most = int(0.7 * span.offered_hz + 2)
+        for kind, number in counts.take(part.kinds, int(first), int(last), most).items():
+            part.taken[kind] = part.taken.get(kind, 0) + number
+            part.missing += number
+
+    def _tell(self, part: Part) -> None:
+        """Make losses of what is missing from a span."""
+        taken = sum(part.taken.values())
+        rest = part.missing - taken
+        if taken and rest > 0:
+            # Where no count was seen, a pipe that was full before and after was full.
+            likeliest = max(part.taken, key=lambda kind: part.taken[kind])
+            more = min(rest, part.outside)
+            part.taken[likeliest] += more
+            rest -= more
+        of = part.span.count + part.missing
+        grown = {kind: self._grown(part, name) for kind, name in COUNTERS.items()}
+        if part.owner in self._counts:
+            part.evidence.append(
+                f"0x803: MsgLimit +{grown['limit']:,}, PipeOverflow +{grown['overflow']:,} in this time"
+            )
+        else:
+            part.evidence.append("0x803 of this cFS is not in the capture, so its counters cannot tell where")
+        for counted, number in part.taken.items():
+            if number:
+                self.losses.append(self._loss(part, counted, number, of, "high"))
+        if rest <= 0:
+            return
+        if part.owner not in self._counts and part.kinds:
+            self.losses.append(self._loss(part, part.kinds[0], rest, of, "high"))
+            return
+        if part.owner not in self._counts and self._cut(part.stream):
+            self.untold[id(part.stream)] = self.untold.get(id(part.stream), 0) + rest
+            return
+        kind: LossKind = "after" if part.watched else "unknown"
+        handed_on = part.stream.link.only_from_cfs and part.stream.instance != part.owner
+        if kind == "after" and handed_on and self._known.upstream(part.stream) is None:
+            part.evidence.append(
+                f"it came over SBN from {self._known.label(part.stream.instance)}, and that link is not in "
+                "the capture: its peer pipe may have lost some of these"
+            )
+            kind = "unknown"
+        if any(grown.values()) and kind == "after":
+            part.evidence.append(
+                f"what these count is others' loss, or told above: {self._known.hop(part.stream)} was not so "
+                "full of this MsgId, and no event names it"
+            )
+        self.losses.append(self._loss(part, kind, rest, of, "medium" if kind == "after" else "low"))
+
+    def _cut(self, stream: Stream) -> bool:
+        """Tell whether the capture cut off when packets were made, without which two cFS are one."""
+        rows = self._known.rows
+        same = (rows.link == stream.link.code) & (rows.msg_id == stream.msg_id)
+        bare = (rows.mission_time_ns[same] <= 0).any()
+        return bool(bare and (rows.has(Finding.CAPTURE_CUT) & among(rows.link, _timed)).any())
+
+    def _grown(self, part: Part, name: str) -> int:
+        track = self._known.tracks.get(part.owner)
+        return track.growth(name, part.span.start_ns - LEAD_NS, part.span.end_ns + TAIL_NS) if track else 0
+
+    def _loss(self, part: Part, kind: LossKind, number: int, of: int, confidence: Confidence) -> Loss:
+        return Loss(
+            kind=kind,
+            instance=part.owner,
+            hop=self._known.hop(part.stream) if kind in COUNTERS else BEHIND,
+            msg_id=part.stream.msg_id,
+            stream=part.stream,
+            span=part.span,
+            lost=number,
+            of=of,
+            start_ns=part.span.start_ns,
+            end_ns=part.span.end_ns,
+            confidence=confidence,
+            evidence=list(part.evidence),
+            comb=self._known.rounds(part.stream, part.span),
+            closed=part.closed,
+        )
+
+
+def _timed(link: Link) -> bool:
+    return link.from_cfs and link.packets

@@ -1,0 +1,89 @@
+"""When the way out of a telemetry stream was closed, so that what is missing then was not sent."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.links.table import among
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.accounting.losses import Known
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+_SILENT_WAKES: Final = 5
+
+
+def closed_at(known: Known, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Tell which gaps of a stream span a time in which its way out was closed."""
+    rows = known.rows
+    behind = np.minimum(at + 1, len(stream) - 1)
+    starts, ends = rows.time_ns[stream.rows[at]], rows.time_ns[stream.rows[behind]]
+    out = np.zeros(len(at), bool)
+    if stream.link.only_from_cfs:
+        # Telemetry Output that speaks from another port started anew, and forgot whom it sends to.
+        out |= rows.source[stream.rows[at]] != rows.source[stream.rows[behind]]
+        for item in known.payloads.output:
+            when = int(rows.time_ns[item.row])
+            if item.function_code in telemetry_output.STOPS and item.msg_id in {-1, stream.msg_id}:
+                out |= (starts - SECOND < when) & (when < ends)
+        return out
+    connection = known.network.crossing(stream.sender, stream.receiver)
+    for index, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        out[index] = bool(
+            (connection and connection.broken_within(start, end))
+            or known.network.unsubscribed_within(stream.msg_id, start, end)
+        )
+    return out
+
+
+def silenced_at(
+    known: Known, stream: Stream, at: NDArray[np.intp], spans: Sequence[tuple[int, int]]
+) -> NDArray[np.bool_]:
+    """Tell which gaps of a stream span a time in which Telemetry Output sent nothing until it was enabled."""
+    times, behind = known.captured(stream), np.minimum(at + 1, len(stream) - 1)
+    out = np.zeros(len(at), bool)
+    for start_ns, end_ns in spans:
+        out |= (times[at] <= start_ns) & (times[behind] >= end_ns)
+    return out
+
+
+def silences_of(known: Known, sender: int) -> list[tuple[int, int]]:
+    """Return when the Telemetry Output behind an endpoint sent nothing, until it was enabled."""
+    rows, output = known.rows, known.instances.output
+    sent = among(rows.link, lambda link: link.only_from_cfs)
+    mine = [port for port in np.unique(rows.source[sent]).tolist() if sender in {port, output(port)}]
+    enabled = [
+        int(rows.time_ns[item.row])
+        for item in known.payloads.output
+        if item.function_code == telemetry_output.ENABLE
+    ]
+    times = rows.time_ns[sent & np.isin(rows.source, mine)]
+    return silences(times, enabled, known.profile.to_wake_ns)
+
+
+def silences(sent_ns: NDArray[np.int64], enabled_ns: Sequence[int], wake_ns: int) -> list[tuple[int, int]]:
+    """Return when a Telemetry Output sent nothing, until it was enabled: between which two of its packets.
+
+    It is silent for longer than it ever waits, and one command that enables it comes just before it goes on:
+    commands that come all the time tell nothing.
+
+    Args:
+        sent_ns: when it sent, in order.
+        enabled_ns: when commands were sent that enable it.
+        wake_ns: its wake-up.
+    """
+    found = []
+    for at in np.flatnonzero(np.diff(sent_ns) > _SILENT_WAKES * wake_ns).tolist():
+        start_ns, end_ns = int(sent_ns[at]), int(sent_ns[at + 1])
+        inside = [when for when in enabled_ns if start_ns < when < end_ns]
+        if inside and min(inside) > end_ns - _SILENT_WAKES * wake_ns:
+            found.append((start_ns, end_ns))
+    return found

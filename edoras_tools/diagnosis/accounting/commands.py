@@ -1,0 +1,227 @@
+"""What went into cFS and did not come out again: message by message where the way out can be seen.
+
+Rules:
+
+1. A message that came out arrived. One that did not, so near the end that it may yet, waits.
+2. What CI did not count was lost before it, whatever became of the rest (``ingest``).
+3. What cFS refused (``refused``) is no loss on the way.
+4. While the application was stopped, and until something comes out again, nothing arrives (``stops``).
+5. What is left may be what the software bus counted (``bus``).
+6. Then, of messages that an application takes in one round and of which the last went on, the others are
+   superseded.
+7. What remains is not accounted for, and said to be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.cfs import names, sbn
+from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
+from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
+from edoras_tools.diagnosis.accounting.leftover import Leftover
+from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, Loss
+from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
+from edoras_tools.diagnosis.accounting.stops import stopped
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.model import NO_ROUTE, Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.accounting.bus import Telemetry
+    from edoras_tools.diagnosis.accounting.claims import Counts
+    from edoras_tools.diagnosis.accounting.ingest import Ingest
+    from edoras_tools.diagnosis.accounting.losses import Known
+    from edoras_tools.diagnosis.matching.crossing import Hop
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Messages that came to nothing by what they are: a verdict's figures."""
+
+    rule: str
+    link: str | None
+    msg_id: int | None
+    hop: str | None
+    start_ns: int
+    end_ns: int
+    lost: int
+    of: int | None
+
+
+class Commands:
+    """What became of everything that went into cFS.
+
+    Attributes:
+        fates: id of a stream to what became of its messages.
+        losses: what was lost.
+        unplaced: id of a refusal to how many of its messages no stream here has.
+        uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
+            nothing that was captured.
+    """
+
+    def __init__(
+        self,
+        known: Known,
+        counts: Mapping[int, Counts],
+        accounts: Sequence[Ingest],
+        refused: Sequence[Refused],
+        telemetry: Telemetry,
+    ) -> None:
+        self._known = known
+        self._telemetry, self._closed = telemetry.losses, telemetry.closed
+        self.losses: list[Loss] = []
+        self.fates: dict[int, Fate] = {}
+        self.unplaced: dict[int, int] = {}
+        for stream in known.streams:
+            if stream.link.only_to_cfs or (stream.link.peers and not stream.counted):
+                self.fates[id(stream)] = follow(known, stream)
+        fates = list(self.fates.values())
+        before_ci, pipes = BeforeCi(known, fates, self.losses), Pipes(known, counts, self.losses)
+        for account in accounts:
+            before_ci.share(account)
+        self._refuse(refused)
+        self.losses += stopped(known, fates)
+        for fate in fates:
+            self._pass_on(fate)
+        pipes.settle(fates)
+        for account in accounts:
+            before_ci.wait(account)
+        for fate in fates:
+            self._rest(fate)
+        older_ns = {item.endpoint: item.older_until_ns for item in accounts}
+        leftover = Leftover(known, counts, self.fates, pipes, older_ns)
+        leftover.share()
+        self.uncaptured = leftover.uncaptured
+        for fate in fates:
+            self._unfollowed(fate)
+        self._number(fates)
+
+    def _refuse(self, refused: Sequence[Refused]) -> None:
+        for item in refused:
+            left = item.lost
+            for fate in self.fates.values():
+                if left and (item.link, item.msg_id) == (fate.stream.link.label, fate.stream.msg_id):
+                    times = self._known.captured(fate.stream)
+                    inside = np.flatnonzero((times >= item.start_ns) & (times <= item.end_ns) & fate.open)[
+                        :left
+                    ]
+                    if len(inside):
+                        fate.refused[item.rule] += fate.claim(inside)
+                    left = 0  # what is not open arrived, or is told of by another verdict
+            self.unplaced[id(item)] = left
+
+    def _pass_on(self, fate: Fate) -> None:
+        """Take those that came out of the application and were lost behind it, which is told there."""
+        behind = {id(hop.out) for hop in fate.hops if hop.rewritten}
+        left = sum(loss.lost for loss in self._telemetry if id(loss.stream) in behind)
+        left += sum(self._closed.get(key, 0) for key in behind)
+        rows = np.flatnonzero(fate.open & ~fate.newer)
+        number = min(left, len(rows))
+        fate.passed_on = fate.claim(rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)])
+        fate.owed = min(left - fate.passed_on, int((fate.open & fate.newer).sum()))
+
+    def _unfollowed(self, fate: Fate) -> None:
+        """Count what nobody can follow, of what nothing else has told."""
+        if fate.unfollowed is not None:
+            fate.unaccounted = min(int((fate.open & fate.unfollowed).sum()), self._untold(fate))
+
+    def _untold(self, fate: Fate) -> int:
+        """Return of how many messages nothing has told what became of them."""
+        told = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
+        taken = sum(fate.refused.values()) + fate.queued + fate.late + fate.uncounted
+        return max(0, len(fate.stream) - told - taken)
+
+    def _number(self, fates: Sequence[Fate]) -> None:
+        """Hold the one stream of commands whose values are cut off against the number that the robot got."""
+        rows = self._known.rows
+        there = np.flatnonzero(rows.link == ROBOT)
+        unseen = [
+            fate
+            for fate in fates
+            if fate.stream.link.only_to_cfs
+            and not fate.seen
+            and (fate.stream.msg_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE)
+        ]
+        if not len(there) or len(unseen) != 1 or any(hop.out.link == ROBOT for hop in self._known.hops):
+            return
+        (fate,) = unseen
+        cut = rows.has(Finding.CAPTURE_CUT)
+        if cut[there].any() or cut[fate.stream.rows].any():
+            left = self._untold(fate) + fate.queued + fate.late
+            fate.reached = min(left, len(there))
+            left -= fate.reached
+            # What the robot got CI had read, counted or not.
+            fate.queued = min(fate.queued, left)
+            fate.late = min(fate.late, left - fate.queued)
+            left -= fate.queued + fate.late
+            late = self._known.captured(fate.stream) > self._known.end_ns - WAITS_NS
+            fate.unaccounted = max(0, left - int(late.sum()))
+
+    def _rest(self, fate: Fate) -> None:
+        """Rules 6 and 7."""
+        if not fate.seen:
+            return
+        newer = fate.open & fate.newer
+        fate.superseded = int(newer.sum())
+        fate.open &= ~newer
+        times, away = self._known.captured(fate.stream), np.zeros(len(fate.open), bool)
+        for hop in fate.hops:
+            if hop.out.link.peers:
+                away |= self._away(hop, times)
+        chosen = np.flatnonzero(fate.open & away)
+        if len(chosen):
+            fate.claim(chosen)
+            text = "the peer that it goes to was not connected"
+            self.losses.append(loss_of(self._known, fate, "away", chosen, [text], hop="SBN peer"))
+        if fate.stream.link.peers:
+            self._rushed(fate, times)
+        unaccounted = int(fate.open.sum())
+        if fate.newer.any():
+            # A newer one that came out and was lost behind that took others' place too.
+            fate.superseded -= min(fate.superseded, fate.owed)
+            fate.passed_on += fate.owed
+            more = min(unaccounted, fate.passed_on)
+            fate.superseded += more
+            unaccounted -= more
+        fate.unaccounted = unaccounted
+
+    def _rushed(self, fate: Fate, times: NDArray[np.int64]) -> None:
+        """Tell lost in SBN's socket what did not come out, and came when SBN had more than it reads."""
+        rows, wake_ns = self._known.rows, self._known.profile.sbn_wake_ns
+        there = np.sort(rows.time_ns[rows.destination == fate.stream.receiver])
+        before = np.searchsorted(there, times, "right") - np.searchsorted(there, times - wake_ns, "right")
+        beyond = times[before > sbn.DATAGRAMS_PER_WAKE]
+        if not len(beyond):
+            return
+        # Others of that time may have been lost behind the application: which they were, no value tells.
+        after = np.minimum(np.searchsorted(beyond, times), len(beyond) - 1)
+        away = np.minimum(np.abs(times - beyond[after]), np.abs(times - beyond[np.maximum(after - 1, 0)]))
+        chosen = np.flatnonzero(fate.open & (away <= LATE_NS))
+        chosen = np.sort(chosen[np.argsort(away[chosen], kind="stable")][: len(beyond)])
+        if len(chosen):
+            fate.claim(chosen)
+            text = (
+                f"up to {int(before.max()):,} datagrams came to it within {wake_ns // 1_000_000} ms, and it "
+                f"reads about {sbn.DATAGRAMS_PER_WAKE}; no counter has what its socket drops"
+            )
+            self.losses.append(loss_of(self._known, fate, "sbn_socket", chosen, [text], hop=SBN_SOCKET))
+
+    def _away(self, hop: Hop, times: NDArray[np.int64]) -> NDArray[np.bool_]:
+        connection = self._known.network.crossing(hop.out.sender, hop.out.receiver)
+        if connection is None:
+            return np.zeros(len(times), bool)
+        return np.array(
+            [
+                connection.broken_within(when, when + WAITS_NS)
+                or self._known.network.unsubscribed_within(hop.out.msg_id, 0, when + WAITS_NS)
+                for when in times.tolist()
+            ],
+            bool,
+        )

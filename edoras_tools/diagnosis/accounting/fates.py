@@ -1,0 +1,171 @@
+"""What became of each message that went into cFS, as far as can be seen where it comes out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs import command_ingest
+from edoras_tools.diagnosis.accounting.losses import BEFORE_CI, CI_SOCKET, Loss
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.accounting.losses import Known, LossKind
+    from edoras_tools.diagnosis.matching.crossing import Hop
+    from edoras_tools.diagnosis.matching.spans import Span
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+WAITS_NS: Final = SECOND
+"""What was sent so short before the end may still come out."""
+
+
+@dataclass(slots=True)
+class Fate:
+    """What became of each message of a stream into cFS.
+
+    Attributes:
+        stream: the stream.
+        hops: where its messages come out; none where that cannot be seen.
+        arrived: bool (rows,), it came out.
+        newer: bool (rows,), it did not, and a newer one of its round did.
+        spans: its messages in time.
+        open: bool (rows,), nothing has told yet what became of it.
+        waits: bool (rows,), it may yet come out.
+        queued: messages that may wait in CI's socket: it has not counted them.
+        refused: rule to messages that came to nothing by what they are.
+        passed_on: messages that came out, and were lost behind that.
+        owed: more such messages, which are among those that seem superseded.
+        superseded: messages that gave way to a newer one.
+        unaccounted: messages of which nothing tells what became.
+        unfollowed: bool (rows,), it was sent when nothing here could show any more what became of it.
+        unfollowed_since: what was said or asked from which on that is so.
+        unseen: bool (rows,), it may have come out while the capturing interface was away.
+        reached: messages that came out by their number alone, where cut frames hide which; None elsewhere.
+        uncounted: messages that CI's first count does not have, and nothing tells why.
+        late: messages that were sent so late that no count of their CI is here after them.
+        doubled: messages that came out more than once.
+    """
+
+    stream: Stream
+    hops: list[Hop]
+    arrived: NDArray[np.bool_]
+    newer: NDArray[np.bool_]
+    spans: list[Span]
+    open: NDArray[np.bool_]
+    waits: NDArray[np.bool_]
+    queued: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+    passed_on: int = 0
+    owed: int = 0
+    superseded: int = 0
+    unaccounted: int = 0
+    unfollowed: NDArray[np.bool_] | None = None
+    unfollowed_since: str = ""
+    unseen: NDArray[np.bool_] | None = None
+    reached: int | None = None
+    uncounted: int = 0
+    late: int = 0
+    doubled: int = 0
+
+    @property
+    def seen(self) -> bool:
+        """Whether it can be seen what comes out."""
+        return bool(self.hops)
+
+    @property
+    def waiting(self) -> int:
+        """How many may yet come out, of those that CI has read."""
+        return int(self.waits.sum() if self.unseen is None else (self.waits & ~self.unseen).sum())
+
+    @classmethod
+    def nothing(cls, stream: Stream) -> Fate:
+        """Return the fate of a stream of which nothing is followed."""
+        none = np.zeros(len(stream), bool)
+        return cls(stream, [], none, none, [], none, none)
+
+    def claim(self, rows: NDArray[np.intp]) -> int:
+        """Take messages that are open; return how many."""
+        own = rows[self.open[rows]]
+        self.open[own] = False
+        return len(own)
+
+
+def follow(known: Known, stream: Stream) -> Fate:
+    """Follow a stream to where it comes out, if that can be seen."""
+    hops = [hop for hop in known.hops if hop.into is stream]
+    size = len(stream)
+    arrived, newer, followed = np.zeros(size, bool), np.zeros(size, bool), np.zeros(size, bool)
+    for hop in hops:
+        arrived |= hop.arrived
+        newer |= hop.newer
+        followed |= hop.known
+    times = known.captured(stream)
+    open_ = followed & ~arrived
+    delay = max((int(np.quantile(hop.delays_ns, 0.99)) for hop in hops if len(hop.delays_ns)), default=0)
+    waiting = open_ & (times > known.end_ns - delay - WAITS_NS)
+    if not hops:
+        open_ = np.ones(size, bool)
+        waiting = np.zeros(size, bool)
+    # What may have come out while the capturing interface was away did so unseen.
+    unseen = known.away(times, times + delay + WAITS_NS)
+    unseen &= open_ & bool(hops)
+    waiting |= unseen
+    return Fate(
+        stream=stream,
+        hops=hops,
+        arrived=arrived,
+        newer=newer & ~arrived,
+        spans=known.spans(stream),
+        open=open_ & ~waiting,
+        waits=waiting,
+        unseen=unseen,
+        doubled=sum(hop.doubled for hop in hops),
+    )
+
+
+def loss_of(
+    known: Known, fate: Fate, kind: LossKind, rows: NDArray[np.intp], evidence: list[str], hop: str = ""
+) -> Loss:
+    """Return the loss of some messages of a stream.
+
+    Args:
+        known: what is known.
+        fate: of the stream.
+        kind: why they were lost.
+        rows: which, as indices into the stream's rows.
+        evidence: what was seen.
+        hop: where; by default where that kind of loss is.
+    """
+    own = known.captured(fate.stream)
+    start_ns, end_ns = int(own[rows].min()), int(own[rows].max())
+    return Loss(
+        kind=kind,
+        instance=NOBODY,
+        hop=hop or LOST_AT[kind],
+        msg_id=fate.stream.msg_id,
+        stream=fate.stream,
+        span=None,
+        lost=len(rows),
+        of=int(((own >= start_ns) & (own <= end_ns)).sum()),
+        start_ns=start_ns,
+        end_ns=end_ns,
+        confidence="high" if fate.seen else "medium",
+        evidence=evidence,
+    )
+
+
+LOST_AT: Final[Mapping[str, str]] = {
+    "network": BEFORE_CI,
+    "socket": CI_SOCKET,
+    "down": command_ingest.NAME,
+    "restart": command_ingest.NAME,
+}
+"""Kind of a loss before CI to where it is."""

@@ -1,0 +1,419 @@
+"""What went to a CI against what it counted in 0x884: what the network or a full socket lost before it.
+
+Rules:
+
+1. CI counts every datagram that it reads, good or bad. At a sample, what was sent so far is what it took,
+   what waits in its socket, and what was lost before it.
+2. What was lost never becomes less, and what waits is not negative: a later sample bounds an earlier one.
+3. A wake-up that reads fewer than CI can read empties the socket: what was sent before it does not wait.
+4. A count that falls began anew: CI or cFS started again. Nobody counted what CI took last; it took what was
+   sent until it was told to restart, or until its cFS fell silent.
+5. Loss while more wait than two wake-ups read is its full socket; at a rate that it can read, the network.
+6. CI takes datagrams in the order in which they came. What it takes before the first one of the capture
+   comes out was sent before the capture began.
+7. Within these bounds the smallest number is lost. The rest waits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from edoras_tools.cfs import command_ingest, executive_services
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.links.table import among
+from edoras_tools.units import MILLISECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.diagnosis.evidence.instances import Instances
+    from edoras_tools.diagnosis.evidence.payloads import Payloads
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.model import Endpoint
+
+Cause = Literal["socket", "network", "down", "restart", "unknown"]
+_SLACK_NS: Final = 100 * MILLISECOND
+"""Tasks on a busy host wake up so late."""
+_LATE_NS: Final = 2 * SECOND
+_STARTS_NS: Final = 5 * SECOND
+"""So long after it booted a cFS has all its applications."""
+_ONE_NS: Final = 15 * SECOND
+_ENDS_NS: Final = 750 * MILLISECOND
+"""An application that is told to stop runs on for up to a second and a half."""
+DRAINS_NS: Final = 15 * SECOND
+"""So long after it was sent CI may read a datagram: what waits in its socket then."""
+_MODULUS: Final = 1 << 32
+_BUSY: Final = 0.9
+"""Of what CI can read at the most; whoever reads so much may have left something."""
+
+
+@dataclass(frozen=True, slots=True)
+class Before:
+    """Datagrams that were lost before a CI in one span of time.
+
+    Attributes:
+        cause: why.
+        lost: how many.
+        start_ns: the first of them was sent after this.
+        end_ns: and the last not after this.
+    """
+
+    cause: Cause
+    lost: int
+    start_ns: int
+    end_ns: int
+
+    @property
+    def since_ns(self) -> int:
+        """From when on what was lost was sent: a count is seen within so long of what it counts."""
+        return self.start_ns - _LATE_NS * (self.cause in {"socket", "network"})
+
+
+@dataclass(slots=True)
+class Ingest:
+    """The account of one CI.
+
+    Attributes:
+        endpoint: where it listens, as the table numbers endpoints.
+        system: its cFS, as ``Instances.systems`` numbers them.
+        rows: datagrams to it, in order of time.
+        first_ns: from here on its count is known.
+        last_ns: until here.
+        taken: by how much its count grew, starts anew included.
+        losses: what was lost before it.
+        waiting: datagrams that were sent before ``last_ns`` and may be waiting in its socket then.
+        more: of those, as many may have been lost with the last of ``losses``: counts alone cannot tell.
+        not_captured: datagrams that it counted and the capture does not show.
+        older_until_ns: it read as fast as it can when the capture began: until then it may have read what was
+            sent before.
+    """
+
+    endpoint: int
+    system: int
+    rows: NDArray[np.intp]
+    first_ns: int
+    last_ns: int
+    taken: int = 0
+    losses: list[Before] = field(default_factory=list)
+    waiting: int = 0
+    more: int = 0
+    not_captured: int = 0
+    older_until_ns: int = 0
+
+    def add(self, loss: Before) -> None:
+        """Take a loss; what the network goes on losing is one."""
+        last = self.losses[-1] if self.losses else None
+        if last and last.cause == loss.cause == "network" and loss.start_ns - last.end_ns < _ONE_NS:
+            loss = Before("network", last.lost + loss.lost, last.start_ns, loss.end_ns)
+            self.losses.pop()
+        self.losses.append(loss)
+
+    @property
+    def lost(self) -> int:
+        """All that was lost before it."""
+        return sum(item.lost for item in self.losses)
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """What the accounts of CI are made from."""
+
+    rows: Rows
+    payloads: Payloads
+    instances: Instances
+    endpoints: Sequence[Endpoint]
+    profile: SimProfile
+    arrived_ns: Mapping[int, NDArray[np.int64]]
+    """CI's endpoint to when commands to it were sent that came out of cFS again, in order."""
+    first_out: Mapping[int, tuple[int, int]]
+    """CI's endpoint to when the first of those came out, and when it had been sent."""
+
+
+def ingests(sources: Sources) -> list[Ingest]:
+    """Return the account of every CI whose counter is in the capture and can be told from others'."""
+    rows = sources.rows
+    samples = _samples(sources)
+    to_ci = np.flatnonzero(among(rows.link, lambda link: link.only_to_cfs) & (rows.length > 0))
+    found = []
+    for system, own in samples.items():
+        host = sources.instances.items[own[0].instance].host
+        there = {
+            sources.instances.systems[at]
+            for at, item in enumerate(sources.instances.items)
+            if item.host == host
+        }
+        endpoint = _endpoint(sources, to_ci, own, alone=len(samples) == 1, shared=len(there) > 1)
+        if endpoint is not None and len(own) > 1:
+            mine = to_ci[rows.destination[to_ci] == endpoint]
+            mine = mine[np.argsort(rows.time_ns[mine], kind="stable")]
+            found.append(_account(sources, endpoint, system, mine, own))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Sample:
+    """One 0x884: when it was seen and made, what CI had read in all, of which boot and from which address."""
+
+    seen_ns: int
+    made_ns: int
+    count: int
+    instance: int
+    source: int
+
+
+def _samples(sources: Sources) -> dict[int, list[_Sample]]:
+    """Return the counts of each cFS, in order of time, all its boots together."""
+    rows, instances = sources.rows, sources.instances
+    samples = sources.payloads.ingest
+    row, counts = samples["row"], (samples["packets"] + samples["errors"]) % _MODULUS
+    found: dict[int, dict[int, _Sample]] = {}
+    own = (instances.of_row[row] != NOBODY) & among(rows.link[row], lambda link: link.only_from_cfs)
+    for at in np.flatnonzero(own).tolist():
+        instance, source = int(instances.of_row[row[at]]), int(rows.source[row[at]])
+        seen = int(samples["time_ns"][at])
+        if instance != instances.owner(source, seen):
+            continue
+        made = int(rows.mission_time_ns[row[at]]) + instances.items[instance].offset_ns
+        sample = _Sample(seen, made, int(counts[at]), instance, source)
+        found.setdefault(instances.systems[instance], {}).setdefault(seen, sample)
+    return {system: [of[when] for when in sorted(of)] for system, of in found.items()}
+
+
+def _endpoint(
+    sources: Sources, to_ci: NDArray[np.intp], own: Sequence[_Sample], *, alone: bool, shared: bool
+) -> int | None:
+    """Return where a cFS's CI listens: the only place, or that of its address and number.
+
+    Args:
+        sources: of the accounts.
+        to_ci: rows of datagrams to any CI.
+        own: its counts.
+        alone: no other cFS counts.
+        shared: another cFS has its address.
+    """
+    places = np.unique(sources.rows.destination[to_ci]).tolist()
+    if len(places) == 1 and alone:
+        return int(places[0])
+    address = sources.endpoints[own[0].source].address
+    here = [place for place in places if sources.endpoints[place].address == address]
+    if len(here) > 1 or shared:
+        names = {sources.instances.items[sample.instance].name for sample in own} - {""}
+        processor = max(names, default="").partition(":")[2]
+        port = command_ingest.PORT + int(processor) - 1 if processor.isdecimal() else 0
+        here = [place for place in here if sources.endpoints[place].port == port]
+    return int(here[0]) if len(here) == 1 else None
+
+
+def _account(
+    sources: Sources, endpoint: int, system: int, mine: NDArray[np.intp], own: Sequence[_Sample]
+) -> Ingest:
+    sent_ns = sources.rows.time_ns[mine]
+    seen = np.array([item.seen_ns for item in own])
+    made = np.array([item.made_ns for item in own])
+    count = np.array([item.count for item in own])
+    account = Ingest(endpoint, system, mine, int(seen[0]), int(seen[-1]))
+    sent = np.searchsorted(sent_ns, seen, "right")
+    starts = [at for at in range(1, len(own)) if _anew(own[at - 1], own[at])]
+    lost = 0
+    for first, end in pairwise([0, *starts, len(own)]):
+        part = slice(first, end)
+        high = sent[part] - count[part]
+        emptied_ns, busy = _emptied(sources.profile, seen[part], made[part], count[part])
+        low = np.where(busy, -_MODULUS, np.searchsorted(sent_ns, emptied_ns, "right") - count[part])
+        if first:
+            ended_ns = _ended_ns(sources, endpoint, own[first - 1], own[first])
+            before = int(np.searchsorted(sent_ns, ended_ns, "right")) - lost
+            down = own[first - 1].instance != own[first].instance
+            begin: tuple[Cause, int] = ("down" if down else "restart", ended_ns)
+        else:
+            begin = _first(sources, own[0], sent_ns)
+            before = 0 if begin[0] == "down" else _older(low, high)
+            if begin[0] != "down":
+                before = min(before, _missing_firstolder(sources, endpoint, sent_ns, own[:end]))
+            if busy[1:2].any():
+                low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
+                idle = np.flatnonzero(np.diff(count[part]) < sources.profile.ci_datagrams_per_wake)
+                behind = int(seen[idle[0] + 1]) if len(idle) else int(seen[-1])
+                account.older_until_ns = min(behind, int(seen[0]) + DRAINS_NS)
+        most = sources.profile.ci_datagrams_per_wake
+        drained = np.diff(count[part], prepend=count[first]) < most
+        unread = 0 if first else _unseen(sources, endpoint, sent_ns, own[0])
+        # What was sent before the capture began may wait, and is not lost here.
+        high = high - before if first else np.minimum(high - before, sent[part])
+        run = _Run(seen[part], low - before, high, drained, 2 * most, unread)
+        lost = _follow(account, run, lost, begin)
+        account.waiting = max(0, int(run.high[-1]) - lost)
+    account.taken = int(sent[-1]) - lost - account.waiting
+    return account
+
+
+def _emptied(
+    profile: SimProfile, seen: NDArray[np.int64], made: NDArray[np.int64], count: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return until when each sample's CI surely had read all there was, and where it read all that it can.
+
+    A sample is older than its datagram by up to a round of Telemetry Output, or as its clock says, and CI
+    read up to a wake-up before.
+    """
+    most, wake_ns = profile.ci_datagrams_per_wake, profile.ci_wake_ns
+    read = np.diff(count, prepend=count[0])
+    steps = np.diff(seen, prepend=seen[0])
+    busy = read > _BUSY * most * np.maximum(1.0, steps / wake_ns)
+    # Fewer than one wake-up can read: it was empty after the last. Else after an earlier one, or never.
+    oldest = np.minimum(seen - profile.to_wake_ns, made) - wake_ns - _SLACK_NS
+    return oldest - np.where(read < most, 0, steps), busy
+
+
+def _anew(before: _Sample, after: _Sample) -> bool:
+    """Tell whether a count began anew between two samples."""
+    return before.instance != after.instance or after.count < before.count
+
+
+def _older(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:
+    """Return how many fewer a first count has than were sent: 0 where all it counts can be in the capture."""
+    if low[0] <= 0 <= high.min():
+        return 0
+    later = np.flatnonzero(np.maximum.accumulate(low) > np.minimum.accumulate(high))
+    return int(high[: later[0] if len(later) else None].min())
+
+
+def _missing_firstolder(
+    sources: Sources, endpoint: int, sent_ns: NDArray[np.int64], own: Sequence[_Sample]
+) -> int:
+    """Return the most that a first count can have fewer than were sent: CI takes one after the other.
+
+    Until a first sample it took no more than it can read in that time. Until the first command of the capture
+    came out it took none that was sent later: what it read was sent before the capture began.
+    """
+    profile, first = sources.profile, own[0]
+    since_ns = int(sent_ns[0]) if len(sent_ns) else first.seen_ns
+    wakes = 2 + (first.seen_ns - since_ns) // profile.ci_wake_ns
+    most = profile.ci_datagrams_per_wake * max(0, wakes) - first.count
+    out_ns, went_ns = sources.first_out.get(endpoint, (0, 0))
+    until = [item for item in own if item.seen_ns <= out_ns]
+    if until:
+        most = min(most, int(np.searchsorted(sent_ns, went_ns, "right")) - until[-1].count)
+    return most
+
+
+def _first(sources: Sources, sample: _Sample, sent_ns: NDArray[np.int64]) -> tuple[Cause, int]:
+    """Return what lost datagrams that were sent before a first count and that it does not have, from when on.
+
+    Mission time begins at a known value, which gives the moment of boot: before it nobody listened.
+    """
+    since_ns = int(sent_ns[0]) - 1 if len(sent_ns) else sample.seen_ns
+    offset_ns = sources.instances.items[sample.instance].offset_ns
+    boot_ns = offset_ns + sources.profile.epoch_offset_s * SECOND
+    return ("down" if since_ns - _STARTS_NS < boot_ns < sample.seen_ns else "network"), since_ns
+
+
+def _unseen(sources: Sources, endpoint: int, sent_ns: NDArray[np.int64], sample: _Sample) -> int | None:
+    """Return how many datagrams were sent before a first count and did not come out; None where unknown."""
+    arrived = sources.arrived_ns.get(endpoint)
+    if arrived is None:
+        return None
+    sent, came = (int(np.searchsorted(times, sample.seen_ns, "right")) for times in (sent_ns, arrived))
+    return sent - came
+
+
+def _ended_ns(sources: Sources, endpoint: int, last: _Sample, first: _Sample) -> int:
+    """Return until when a CI read that then started again."""
+    if last.instance != first.instance:
+        ended_ns = max(last.seen_ns, sources.instances.items[last.instance].last_ns)
+    else:
+        told = [
+            int(sources.rows.time_ns[item.row]) + _ENDS_NS
+            for item in sources.payloads.executive
+            if item.app == command_ingest.NAME and item.function_code in executive_services.ENDS_APP
+        ]
+        between = [when for when in told if last.seen_ns - SECOND < when < first.seen_ns]
+        ended_ns = max(between, default=last.seen_ns)
+    arrived = sources.arrived_ns.get(endpoint)
+    if arrived is None:
+        return ended_ns
+    # What came out again was read: it ended where nothing does for the longest time.
+    begin_ns = last.seen_ns - SECOND
+    inside = arrived[(arrived > begin_ns) & (arrived < first.seen_ns)]
+    bounds = np.concatenate(([begin_ns], inside, [first.seen_ns]))
+    hole = int(np.diff(bounds).argmax())
+    return int(bounds[hole]) if hole else min(ended_ns, int(bounds[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Samples of one count: when seen, and the least and most that was lost until then (rules 1 to 3).
+
+    ``drained`` tells which read fewer than a wake-up can; more than ``many`` wait in a socket that gets full.
+    ``unread`` were sent before the first count and did not come out: lost, or a CI read them that restarted;
+    None where nothing shows what comes out.
+    """
+
+    seen: NDArray[np.int64]
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+    drained: NDArray[np.bool_]
+    many: int
+    unread: int | None
+
+
+@dataclass(slots=True)
+class _Level:
+    """Samples in a row that one number of lost datagrams fits: at least ``low``, at most ``high``."""
+
+    first: int
+    low: int
+    high: int
+
+
+def _levels(run: _Run, lost: int, most: int) -> tuple[list[_Level], int]:
+    """Divide a run into as few levels as fit, and count what CI read and the capture does not show."""
+    shown_less = 0
+    levels = [_Level(0, int(run.low[0]), min(int(run.high[0]), most))]
+    for at in range(len(run.low)):
+        level = levels[-1]
+        least, high = max(level.low, lost), int(run.high[at])
+        shown_less = max(shown_less, least - high)
+        low, high = int(run.low[at]) + shown_less, high + shown_less
+        if low > level.high:
+            levels.append(_Level(at, low, high))
+        else:
+            level.low, level.high = max(level.low, low), min(level.high, high)
+    return levels, shown_less
+
+
+def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int]) -> int:
+    """Go through a run, add what is lost in it to the account; return all that is lost until its end."""
+    # What a first count does not have is older than the capture.
+    levels, shown_less = _levels(run, lost, 0 if begin[0] == "network" else _MODULUS)
+    account.not_captured += shown_less
+    for level in levels:
+        number = max(level.low, lost)
+        if number > lost:
+            cause, since_ns = begin
+            if level.first:
+                empty = np.flatnonzero(run.drained[: level.first])
+                last = int(empty[-1]) if len(empty) else 0
+                # Rule 5: a socket that is full held many before.
+                cause = (
+                    "socket" if int(run.high[last : level.first + 1].max()) - number > run.many else "network"
+                )
+                since_ns = int(run.seen[last])
+                missing_first = int(run.high[: level.first].min())
+                if not account.losses and run.unread is not None:
+                    # As far as its counts tell, these were missing at the first of them already.
+                    lost += max(0, min(run.unread, number - lost, missing_first))
+                elif not account.losses and {cause, begin[0]} == {"network"} and missing_first >= number:
+                    cause, since_ns = "unknown", begin[1]
+            until_ns = int(run.seen[level.first])
+            if number > lost:
+                account.add(Before(cause, number - lost, min(since_ns, until_ns), until_ns))
+        lost = number
+    account.more = max(0, levels[-1].high - lost)
+    return lost

@@ -1,0 +1,280 @@
+"""What a counter of the software bus counted and nothing that came out explains: shared out, or not known.
+
+To what events name, else to what is sent faster than a pipe takes; what is left is lost, and not known which.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.cfs import names, telemetry_output
+from edoras_tools.diagnosis.accounting.claims import shares
+from edoras_tools.diagnosis.accounting.fates import WAITS_NS
+from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
+from edoras_tools.diagnosis.accounting.losses import (
+    APP,
+    COUNTER_NAMES,
+    COUNTERS,
+    LEAD_NS,
+    PIPE_EVENTS,
+    TAIL_NS,
+    Loss,
+)
+from edoras_tools.links.table import carrying
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from edoras_tools.diagnosis.accounting.claims import Counts
+    from edoras_tools.diagnosis.accounting.fates import Fate
+    from edoras_tools.diagnosis.accounting.losses import Known, PipeKind
+    from edoras_tools.diagnosis.accounting.pipes import Pipes
+    from edoras_tools.diagnosis.evidence.events import Culprit, Said
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+
+class Candidate:
+    """What a counter may have counted.
+
+    Attributes:
+        instance: whose counter.
+        kind: which.
+        msg_id: of what.
+        pipe: where it would be lost.
+        stream: its traffic; None where that is not in the capture.
+        sender: who sends it, as an event names it.
+        said: the events that name it.
+        spans: its traffic in time.
+        weight: its share, where it has rivals.
+        since_ns: until then what was counted may have been sent before the capture began.
+    """
+
+    def __init__(
+        self,
+        known: Known,
+        instance: int,
+        kind: PipeKind,
+        msg_id: int,
+        pipe: str,
+        stream: Stream | None,
+        sender: str = "",
+        said: Said | None = None,
+    ) -> None:
+        self.instance, self.kind, self.msg_id, self.pipe = instance, kind, msg_id, pipe
+        self.stream, self.sender, self.said = stream, sender, said
+        self.spans = known.spans(stream) if stream is not None else []
+        self.times = known.captured(stream) if stream is not None else np.zeros(0, np.int64)
+        self._burst_hz = known.profile.app_msg_limit * SECOND / known.profile.ci_wake_ns
+        self.weight: float = said.count if said else 1
+        self.since_ns = 0
+
+    @property
+    def over(self) -> float:
+        """By how much its rate is over what a pipe takes; 0 where that is not known."""
+        seconds = (self.times[-1] - self.times[0]) / SECOND if len(self.times) > 1 else 0.0
+        return max(0.0, len(self.times) / float(seconds) - self._burst_hz) if seconds else 0.0
+
+    def most_at_once(self, period_ns: int) -> int:
+        """Return the most of its messages within a period of time."""
+        ends = np.searchsorted(self.times, self.times + period_ns)
+        return int((ends - np.arange(len(self.times))).max())
+
+    def active(self, start_ns: int, end_ns: int) -> int | None:
+        """Return which of its spans can be counted in a second; None where none can, or another may be."""
+        if end_ns <= self.since_ns:
+            return None
+        if not self.spans:
+            told = self.said is not None and self.said.first_ns - TAIL_NS <= end_ns
+            return 0 if told else None
+        before = [index for index, item in enumerate(self.spans) if item.start_ns - LEAD_NS <= end_ns]
+        # What waits in a socket is delivered, and counted, long after it was sent.
+        return before[-1] if before and start_ns - self.spans[before[-1]].end_ns <= DRAINS_NS else None
+
+    def most(self, span: int) -> int:
+        """Return how many of a span can have been lost."""
+        return self.spans[span].count if self.spans else np.iinfo(np.int32).max
+
+
+class Leftover:
+    """Shares out what counters have left.
+
+    Args:
+        known: what is known.
+        counts: of each instance, less what was told of them.
+        fates: id of a stream to what became of its messages.
+        pipes: tells losses at pipes.
+        older_ns: endpoint of a CI to until when it may have read what was sent before the capture.
+
+    Attributes:
+        uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
+            nothing that was captured.
+    """
+
+    def __init__(
+        self,
+        known: Known,
+        counts: Mapping[int, Counts],
+        fates: Mapping[int, Fate],
+        pipes: Pipes,
+        older_ns: Mapping[int, int],
+    ) -> None:
+        self._known, self._counts, self.fates, self._pipes = known, counts, fates, pipes
+        self._older_ns, self.losses = older_ns, pipes.losses
+        self.uncaptured: dict[int, int] = {}
+
+    def share(self) -> None:
+        """Share out what nothing has taken: to what events name, else to what is sent too fast for a pipe."""
+        for instance, counts in self._counts.items():
+            # What is counted now was sent up to a round of CI before.
+            away = self._known.away(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
+            for kind in COUNTERS:
+                if number := int(counts.left[kind][away].sum()):
+                    self.uncaptured[instance] = self.uncaptured.get(instance, 0) + number
+                    counts.left[kind][away] = 0
+                if counts.left[kind].any():
+                    self._leftover(instance, counts, kind)
+
+    def _leftover(self, instance: int, counts: Counts, kind: PipeKind) -> None:
+        candidates = self._candidates(instance, kind)
+        left = counts.left[kind]
+        groups: dict[tuple[tuple[int, int], ...], list[int]] = {}
+        for second in np.flatnonzero(left).tolist():
+            start_ns, end_ns = int(counts.times[second]), int(counts.times[second + 1])
+            active = tuple(
+                (index, span)
+                for index, item in enumerate(candidates)
+                if (span := item.active(start_ns, end_ns)) is not None
+            )
+            groups.setdefault(active, []).append(second)
+        for active, seconds in groups.items():
+            number = int(left[seconds].sum())
+            weights = [candidates[index].weight for index, _ in active]
+            most = [candidates[index].most(span) for index, span in active]
+            for (index, span), share in zip(active, shares(number, weights, most), strict=True):
+                number -= share
+                if share:
+                    times = int(counts.times[seconds[0]]), int(counts.times[seconds[-1] + 1])
+                    self._blame(candidates[index], span, share, times, len(active))
+            if number:
+                self._unknown(instance, kind, number, counts, seconds)
+
+    def _candidates(self, instance: int, kind: PipeKind) -> list[Candidate]:
+        """Return what may be counted: what events name, else what is sent faster than a pipe takes."""
+        known = self._known
+        found = []
+        for culprit, said in known.culprits.items():
+            # What leaves by a pipe and is seen behind it has gaps, which are counted there.
+            gaps = (culprit.at_output or culprit.at_peer) and any(
+                stream.msg_id == culprit.msg_id and stream.link.peers == culprit.at_peer
+                for stream in known.streams
+            )
+            if (culprit.instance, culprit.kind) != (instance, kind) or gaps:
+                continue
+            fate = self._fed(culprit, instance)
+            if fate is None or not fate.seen:
+                stream = fate.stream if fate else None
+                found.append(
+                    Candidate(
+                        known, instance, kind, culprit.msg_id, culprit.pipe, stream, culprit.sender, said
+                    )
+                )
+        if not found and kind == "limit":
+            found = list(self._suspects(instance))
+        for item in found:
+            if item.stream is not None:
+                item.since_ns = self._older_ns.get(item.stream.receiver, 0)
+        over = [item.over for item in found]
+        if all(over):
+            for item, weight in zip(found, over, strict=True):
+                item.weight = weight
+        return found
+
+    def _fed(self, culprit: Culprit, instance: int) -> Fate | None:
+        """Return the traffic that a culprit's messages came from, if the capture has it."""
+        wanted = carrying("flight" if culprit.sender.startswith("SBN") else "ground", to_cfs=True)
+        return next(
+            (
+                fate
+                for fate in self.fates.values()
+                if fate.stream.msg_id == culprit.msg_id
+                and fate.stream.link is wanted
+                and self._known.goes_to(fate.stream, instance)
+            ),
+            None,
+        )
+
+    def _suspects(self, instance: int) -> Iterator[Candidate]:
+        known, profile = self._known, self._known.profile
+        leaving = {stream.msg_id for stream in known.streams if stream.link.only_from_cfs}
+        for stream in known.streams:
+            if stream.msg_id in names.MSG_ID_NAMES and stream.route == NO_ROUTE:
+                continue
+            fate = self.fates.get(id(stream))
+            if stream.link.only_to_cfs and not (fate and fate.seen):
+                item = Candidate(known, instance, "limit", stream.msg_id, APP, stream)
+                if item.most_at_once(profile.ci_wake_ns) > profile.app_msg_limit:
+                    yield item
+            elif stream.link.peers and stream.msg_id in leaving and known.goes_to(stream, instance):
+                item = Candidate(known, instance, "limit", stream.msg_id, telemetry_output.PIPE, stream)
+                limit = profile.to_limits.get(stream.msg_id, profile.to_default_limit)
+                if item.most_at_once(profile.to_wake_ns) > limit and known.owner(stream) != instance:
+                    yield item
+
+    def _blame(self, item: Candidate, span: int, number: int, times: tuple[int, int], rivals: int) -> None:
+        cut = item.spans[span] if item.spans else None
+        if cut is not None and item.stream is not None and item.said is not None:
+            self._pipes.lose(item.stream, cut, item.kind, number, item.instance)
+            if rivals > 1:
+                self.losses[-1].evidence.append("events name others too: shared out by rates, or by events")
+            return
+        start_ns, end_ns = (cut.start_ns, cut.end_ns) if cut else times
+        text = f"0x803: {COUNTER_NAMES[item.kind]} +{number:,} that nothing else explains"
+        evidence = [text, "no event names it: suppressed, filtered, or lost itself"]
+        if item.said is not None:
+            evidence = [
+                f"event CFE_SB {PIPE_EVENTS[item.kind]} x{item.said.count}: {item.said.records[0].message}",
+                text,
+            ]
+        if rivals > 1:
+            evidence.append("others are suspect too: shared out by how far each is over its limit")
+        self.losses.append(
+            Loss(
+                kind=item.kind,
+                instance=item.instance,
+                hop=item.pipe,
+                msg_id=item.msg_id,
+                stream=item.stream,
+                span=cut,
+                lost=number,
+                of=cut.count if cut else None,
+                start_ns=start_ns,
+                end_ns=end_ns,
+                confidence="medium" if rivals == 1 else "low",
+                evidence=evidence,
+                sender=item.sender,
+            )
+        )
+
+    def _unknown(
+        self, instance: int, kind: PipeKind, number: int, counts: Counts, seconds: list[int]
+    ) -> None:
+        self.losses.append(
+            Loss(
+                kind="unknown",
+                instance=instance,
+                hop="software bus",
+                msg_id=NO_MSG_ID,
+                stream=None,
+                span=None,
+                lost=number,
+                of=None,
+                start_ns=int(counts.times[seconds[0]]),
+                end_ns=int(counts.times[seconds[-1] + 1]),
+                confidence="low",
+                evidence=[f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"],
+            )
+        )

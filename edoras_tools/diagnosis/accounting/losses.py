@@ -1,0 +1,221 @@
+"""What was lost, where and why: the values that the accounts are made of.
+
+A loss is messages of one route, lost at one place for one cause in one span of time. Every message that is
+lost is in one loss and no more; the balance adds them up, and the rules explain them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping  # noqa: TC003  COUNTERS is annotated with it
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from edoras_tools.cfs import sbn, telemetry_output
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.proxied import UNTOUCHED
+from edoras_tools.diagnosis.matching.spans import Comb, Span, comb, spans
+from edoras_tools.model import Peer
+from edoras_tools.units import MILLISECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.diagnosis.evidence.counters import Track
+    from edoras_tools.diagnosis.evidence.events import Culprit, Said
+    from edoras_tools.diagnosis.evidence.instances import Instances
+    from edoras_tools.diagnosis.evidence.payloads import Payloads
+    from edoras_tools.diagnosis.evidence.peers import Network
+    from edoras_tools.diagnosis.evidence.proxied import Proxied, RouteWay
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.matching.crossing import Hop
+    from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.diagnosis.verdict import Confidence
+    from edoras_tools.model import Endpoint
+
+PipeKind = Literal["limit", "overflow"]
+LossKind = (
+    PipeKind
+    | Literal["after", "unknown", "network", "socket", "down", "restart", "stopped", "away", "sbn_socket"]
+)
+"""Over a limit or out of a full pipe; behind cFS; on the way to CI; in CI's socket; while cFS or CI was down;
+while the application was; while an SBN peer was away; unknown: nothing tells where, or of which MsgId."""
+
+LEAD_NS: Final = 700 * MILLISECOND
+"""A loss may be counted so long before the next message of the stream is seen."""
+TAIL_NS: Final = 2500 * MILLISECOND
+"""Housekeeping that tells of it comes within a second, and Telemetry Output holds it for half of one."""
+COUNTERS: Final[Mapping[PipeKind, str]] = {"limit": "msg_limits", "overflow": "pipe_overflows"}
+"""The counter of 0x803 that a loss at a pipe raises."""
+COUNTER_NAMES: Final[Mapping[PipeKind, str]] = {"limit": "MsgLimit", "overflow": "PipeOverflow"}
+PIPE_EVENTS: Final[Mapping[PipeKind, int]] = {"limit": 17, "overflow": 25}
+"""The event of CFE_SB that names it."""
+APP: Final = "application pipe"
+CI_SOCKET: Final = "CI_LAB_APP socket"
+BEFORE_CI: Final = "network before CI"
+SBN_SOCKET: Final = "SBN socket"
+BEHIND: Final = "between cFS and the capture"
+
+
+@dataclass(slots=True)
+class Loss:
+    """Messages of one route that were lost in one span of time.
+
+    Attributes:
+        kind: why.
+        instance: the cFS that lost them.
+        hop: where.
+        msg_id: which.
+        stream: where they were seen, or missed; None where they are not in the capture.
+        span: when; None for all of the capture.
+        lost: how many.
+        of: of how many sent; None where unknown.
+        start_ns: when it began.
+        end_ns: when it ended.
+        confidence: how sure that is.
+        evidence: what was seen.
+        comb: the rounds in which the stream arrives.
+        sender: application that sent them, as an event names it.
+        closed: Telemetry Output was not sending meanwhile: it would not have sent them either.
+    """
+
+    kind: LossKind
+    instance: int
+    hop: str
+    msg_id: int
+    stream: Stream | None
+    span: Span | None
+    lost: int
+    of: int | None
+    start_ns: int
+    end_ns: int
+    confidence: Confidence
+    evidence: list[str] = field(default_factory=list)
+    comb: Comb | None = None
+    sender: str = ""
+    closed: bool = False
+
+    @property
+    def offered_hz(self) -> float:
+        """Messages sent a second, those that were lost included; 0 where that is not known."""
+        seconds = (self.end_ns - self.start_ns) / SECOND
+        return (self.of - 1) / seconds if self.of and seconds > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What losses are told from."""
+
+    rows: Rows
+    payloads: Payloads
+    endpoints: Sequence[Endpoint]
+    streams: Sequence[Stream]
+    instances: Instances
+    tracks: Mapping[int, Track]
+    culprits: Mapping[Culprit, Said]
+    network: Network
+    hops: Sequence[Hop]
+    profile: SimProfile
+    listeners: Mapping[int, int]
+    """Endpoint of a CI to the number of its cFS, where its counts tell."""
+    proxied: Mapping[RouteWay, Proxied]
+    """What a proxy did on purpose to the datagrams of a MsgId, on a link, one way."""
+    outages: Sequence[tuple[int, int]] = ()
+    """From when to when the capturing interface was away."""
+    _spans: dict[int, list[Span]] = field(default_factory=dict)
+
+    def spans(self, stream: Stream) -> list[Span]:
+        """Return the spans of a stream at one rate; worked out once."""
+        if id(stream) not in self._spans:
+            self._spans[id(stream)] = spans(stream, self.rows)
+        return self._spans[id(stream)]
+
+    def captured(self, stream: Stream) -> NDArray[np.int64]:
+        """Return the capture times of a stream's packets: i64, ns since 1970."""
+        return self.rows.time_ns[stream.rows]
+
+    @property
+    def end_ns(self) -> int:
+        """The last datagram."""
+        return int(self.rows.time_ns.max())
+
+    def away(self, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which spans of time hold some of an outage of the capturing interface."""
+        out = np.zeros(len(starts), bool)
+        for start_ns, end_ns in self.outages:
+            out |= (starts < end_ns) & (ends > start_ns)
+        return out
+
+    def done_to(self, stream: Stream) -> Proxied:
+        """Return what a proxy did on purpose to the datagrams of a stream."""
+        to_cfs = stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
+        return self.proxied.get((stream.link.code, to_cfs, stream.msg_id), UNTOUCHED)
+
+    def upstream(self, stream: Stream) -> Hop | None:
+        """Return the hop by which a stream's packets came unchanged, if they did."""
+        return next((hop for hop in self.hops if hop.out is stream and not hop.rewritten), None)
+
+    def owner(self, stream: Stream) -> int:
+        """Return the instance whose pipe a telemetry stream comes out of."""
+        start_ns = int(self.rows.time_ns[stream.rows[0]])
+        if stream.link.only_from_cfs:
+            return self.instances.owner(stream.sender, start_ns)
+        if stream.instance != NOBODY:
+            return stream.instance
+        name = self.network.identity_of.get(stream.sender, "")
+        return self.instances.named(name, start_ns, stream.sender)
+
+    def label(self, instance: int) -> str:
+        """Return how people are told of an instance."""
+        return "a cFS" if instance == NOBODY else self.instances.label(instance)
+
+    def times(self, stream: Stream) -> NDArray[np.int64]:
+        """Return when a stream's MsgId comes out of its pipe, whoever made it: they share what may wait."""
+        times = np.concatenate(
+            [
+                self.rows.time_ns[item.rows]
+                for item in self.streams
+                if (item.link, item.sender, item.receiver, item.msg_id)
+                == (stream.link, stream.sender, stream.receiver, stream.msg_id)
+                or (item.link.only_from_cfs and (item.sender, item.msg_id) == (stream.sender, stream.msg_id))
+            ]
+        )
+        return np.sort(times)
+
+    def rounds(self, stream: Stream, span: Span) -> Comb:
+        """Return the rounds in which a stream's MsgId comes meanwhile."""
+        times = self.times(stream)
+        return comb(times[(times >= span.start_ns) & (times <= span.end_ns)])
+
+    def hop(self, stream: Stream) -> str:
+        """Return the name of the pipe that a telemetry stream comes out of."""
+        if stream.link.only_from_cfs:
+            return telemetry_output.PIPE
+        spacecraft, _, processor = self.network.identity_of.get(stream.receiver, "").partition(":")
+        return sbn.peer_pipe(Peer(int(spacecraft), int(processor))) if processor else "SBN peer pipe"
+
+    def named(self, instance: int, msg_id: int, kind: str, *, output: bool) -> Said | None:
+        """Return the events that name a MsgId at Telemetry Output's pipe, or at a peer's."""
+        for culprit, said in self.culprits.items():
+            if (culprit.instance, culprit.msg_id, culprit.kind) == (instance, msg_id, kind) and (
+                culprit.at_output if output else culprit.at_peer
+            ):
+                return said
+        return None
+
+    def goes_to(self, stream: Stream, instance: int) -> bool:
+        """Tell whether a stream into cFS arrives at an instance, as far as that is known."""
+        if instance == NOBODY:
+            return True
+        item, system = self.instances.items[instance], self.instances.systems[instance]
+        if stream.link.only_to_cfs:
+            known = self.listeners.get(stream.receiver)
+            return known == system if known is not None else system not in self.listeners.values()
+        if item.name and self.network.identity_of.get(stream.receiver, item.name) != item.name:
+            return False
+        here = int(self.instances.hosts[stream.receiver]) == item.host
+        return here or not self.instances.others_named(instance)

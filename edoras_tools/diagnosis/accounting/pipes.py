@@ -1,0 +1,247 @@
+"""What pipes lost of the messages that went into cFS, by what came out again; and when a pipe was full."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs.software_bus import STOPS_AFTER
+from edoras_tools.diagnosis.accounting.claims import Claim, grouped, settle
+from edoras_tools.diagnosis.accounting.losses import (
+    APP,
+    COUNTER_NAMES,
+    COUNTERS,
+    LEAD_NS,
+    PIPE_EVENTS,
+    TAIL_NS,
+    Loss,
+    PipeKind,
+)
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.accounting.claims import Counts
+    from edoras_tools.diagnosis.accounting.fates import Fate
+    from edoras_tools.diagnosis.accounting.losses import Known
+    from edoras_tools.diagnosis.evidence.events import Culprit, Said
+    from edoras_tools.diagnosis.matching.spans import Span
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+LATE_NS: Final = 2 * SECOND
+"""A count is seen within so long of what it counts."""
+_ORDER: Final = ((True, 0), (True, 1), (False, 0), (False, 1), (True, 2), (False, 2))
+"""In which turn messages take counts: whether events name them, and which of ``_standing`` they are."""
+_TURNS: Final = len(_ORDER)
+_MAY_WAIT: Final = 2
+_OVER: Final = 1.02
+_OFTEN: Final = 1
+"""A size of rounds that is met more often shows how deep a pipe is."""
+_FULL: Final = 0.3
+"""Rounds of which so many are full show how many may wait."""
+
+
+def _standing(fate: Fate) -> tuple[NDArray[np.bool_], ...]:
+    """Return which messages are missing, which are and may be superseded, and which may yet come."""
+    return fate.open & ~fate.newer, fate.open & fate.newer, fate.waits
+
+
+class Pipes:
+    """Tells what was lost at pipes, of messages whose way out can be seen.
+
+    Args:
+        known: what is known.
+        counts: of each instance, less what was told of them.
+        losses: takes what is lost.
+    """
+
+    def __init__(self, known: Known, counts: Mapping[int, Counts], losses: list[Loss]) -> None:
+        self._known, self._counts, self.losses = known, counts, losses
+
+    def settle(self, fates: Sequence[Fate]) -> None:
+        """Give messages that did not come out what the software bus counted."""
+        for instance, counts in self._counts.items():
+            claims: list[Claim] = []
+            whose: list[tuple[Fate, int]] = []
+            for fate in fates:
+                if fate.seen and self._known.goes_to(fate.stream, instance) and self._leaves(fate, instance):
+                    self._claims(fate, instance, counts, claims, whose)
+            # What events name comes first, and what no newer one can have superseded.
+            for turn in range(_TURNS):
+                settle(counts, [claim for claim in claims if claim.key % _TURNS == turn])
+            for claim in claims:
+                fate, span = whose[claim.key // _TURNS]
+                if claim.taken:
+                    self._take(fate, span, claim, instance)
+
+    def _leaves(self, fate: Fate, instance: int) -> bool:
+        """Tell whether an instance is the one that a stream into cFS goes to, where several are there."""
+        owners = {self._known.owner(hop.out) for hop in fate.hops if hop.out.link != ROBOT}
+        return not owners or instance in owners or NOBODY in owners
+
+    def _claims(
+        self,
+        fate: Fate,
+        instance: int,
+        counts: Counts,
+        claims: list[Claim],
+        whose: list[tuple[Fate, int]],
+    ) -> None:
+        kinds = [kind for kind in COUNTERS if self._named(fate.stream, kind, instance)[0]]
+        named = bool(kinds)
+        kinds += [kind for kind in COUNTERS if kind not in kinds]
+        times = self._known.captured(fate.stream)
+        cut = fate.spans
+        which = np.searchsorted([item.first for item in cut], np.arange(len(times)), "right") - 1
+        delay = max((hop.last_ns for hop in fate.hops), default=0)
+        since_ns = self._taken_since(fate, times)
+        for place, there in enumerate(_standing(fate)):
+            rows = np.flatnonzero(there)
+            turn = _ORDER.index((named, place))
+            first = counts.seconds(np.maximum(times[rows] - LEAD_NS, since_ns))
+            last = counts.seconds(times[rows] + delay + LATE_NS)
+            if place == _MAY_WAIT:
+                sure = counts.often(first, last)
+                rows, first, last = rows[sure], first[sure], last[sure]
+            for span, low, high, number in grouped(which[rows], first, last, np.ones(len(rows), np.int64)):
+                claims.append(Claim(_TURNS * len(whose) + turn, low, high, number, kinds))
+                whose.append((fate, span))
+
+    def _taken_since(self, fate: Fate, times: NDArray[np.int64]) -> int:
+        """Return from when on a stream was taken: CI first takes what waits from before the capture."""
+        firsts = [hop.first for hop in fate.hops if hop.first is not None]
+        if not firsts or not fate.stream.link.only_to_cfs:
+            return 0
+        out_ns, went_ns = min(firsts)
+        profile = self._known.profile
+        wakes = 1 + int(np.searchsorted(times, went_ns)) // profile.ci_datagrams_per_wake
+        return out_ns - wakes * profile.ci_wake_ns - LEAD_NS
+
+    def _take(self, fate: Fate, span: int, claim: Claim, instance: int) -> None:
+        """Make a loss of what a claim was given."""
+        cut = fate.spans[span]
+        rows = np.arange(cut.first, cut.last + 1)
+        place = _ORDER[claim.key % _TURNS][1]
+        for kind, number in claim.taken.items():
+            chosen = rows[_standing(fate)[place][rows]][:number]
+            fate.open[chosen] = fate.waits[chosen] = False
+            if len(chosen):
+                self.lose(fate.stream, cut, kind, len(chosen), instance)
+
+    def lose(self, stream: Stream, cut: Span, kind: PipeKind, number: int, instance: int) -> None:
+        """Add to the loss at a pipe of a span of a stream."""
+        for loss in self.losses:
+            if (loss.stream, loss.kind, loss.instance) == (stream, kind, instance) and loss.span == cut:
+                loss.lost += number
+                return
+        culprit, said = self._named(stream, kind, instance)
+        evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them"]
+        if said is not None:
+            window = cut.start_ns - LEAD_NS, cut.end_ns + TAIL_NS
+            events = said.within(*window)
+            if events:
+                evidence.insert(0, f"event CFE_SB {PIPE_EVENTS[kind]} x{events}: {said.records[0].message}")
+            track = self._known.tracks[instance]
+            if track.growth(COUNTERS[kind], said.last_ns + LEAD_NS) > 0 and said.count >= STOPS_AFTER - 2:
+                evidence.append(f"cFS stops this event after {STOPS_AFTER}; the counter goes on")
+        else:
+            evidence.append("no event names it: suppressed, filtered, or lost itself")
+        self.losses.append(
+            Loss(
+                kind=kind,
+                instance=instance,
+                hop=culprit.pipe if culprit else APP,
+                msg_id=stream.msg_id,
+                stream=stream,
+                span=cut,
+                lost=number,
+                of=cut.count,
+                start_ns=cut.start_ns,
+                end_ns=cut.end_ns,
+                confidence="high" if culprit else "medium",
+                evidence=evidence,
+                sender=culprit.sender if culprit else "",
+            )
+        )
+
+    def _named(self, stream: Stream, kind: PipeKind, instance: int) -> tuple[Culprit | None, Said | None]:
+        for culprit, said in self._known.culprits.items():
+            if (culprit.instance, culprit.msg_id, culprit.kind) == (instance, stream.msg_id, kind):
+                return culprit, said
+        return None, None
+
+
+def pressed(known: Known, stream: Stream, span: Span, kind: PipeKind, missing: NDArray[np.int64]) -> bool:
+    """Tell whether so much came that a pipe can have lost what is missing from a span of a stream.
+
+    Where a MsgId's limit or a whole pipe is full, what did get in comes out in one burst, and the loss lies
+    beside it; or more of the MsgId is sent in a round, on the average, than the pipe takes.
+
+    Args:
+        known: what is known.
+        stream: of what.
+        span: when.
+        kind: over the MsgId's limit, or out of a full pipe.
+        missing: (rows of the stream,), what is missing behind each.
+    """
+    profile, output = known.profile, stream.link.only_from_cfs
+    period = profile.to_wake_ns if output else profile.sbn_wake_ns
+    own = known.captured(stream)
+    at = np.arange(span.first, min(span.last + 1, len(own) - 1))
+    at = at[missing[at] > 0]
+    if kind == "overflow":
+        sent = (known.rows.link == stream.link) & (known.rows.source == stream.sender)
+        if not output:
+            sent &= known.rows.destination == stream.receiver
+        times = known.rows.time_ns[sent]
+        depth = profile.to_pipe_depth if output else profile.sbn_pipe_depth
+        # Some of what fills the pipe may not be here: half of it tells.
+        full = _full(times, period, min(depth // 2, measured_depth(times, period)))
+        return _beside(full, own[at] - period, own[at + 1] + period, missing[at])
+    limit = (
+        profile.to_limits.get(stream.msg_id, profile.to_default_limit) if output else profile.sbn_msg_limit
+    )
+    rounds, clean = known.rounds(stream, span), limit
+    if rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
+        clean, limit = rounds.most, max(limit, rounds.most)
+    # Others may share the MsgId: the round that was full need not have brought one of this stream's.
+    if _beside(_full(known.times(stream), period, limit), own[at], own[at + 1], missing[at]):
+        return True
+    inside = own[span.first : span.last + 1]
+    later = len(inside) - int(np.searchsorted(inside, inside[0] + period // 2))
+    later += int(missing[span.first : span.last].sum())
+    return later * period > _OVER * clean * (span.end_ns - span.start_ns) > 0
+
+
+def measured_depth(times: NDArray[np.int64], period: int) -> int:
+    """Return how deep a pipe is by the rounds that come out of it: a size often met and never passed."""
+    if len(times) < 2:
+        return int(np.iinfo(np.int64).max)
+    begins = np.flatnonzero(np.diff(times, prepend=times[0] - period) > period // 2)
+    sizes = np.diff(np.append(begins, len(times)))
+    most = int(sizes.max())
+    often = int((sizes == most).sum())
+    return most if often > _OFTEN else int(np.iinfo(np.int64).max)
+
+
+def _full(times: NDArray[np.int64], period: int, most: int) -> NDArray[np.int64]:
+    """Return those of some times at which so many have come in one burst."""
+    burst = np.arange(1, len(times) + 1) - np.searchsorted(times, times - period // 2)
+    return times[burst >= most]
+
+
+def _beside(
+    times: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    missing: NDArray[np.int64],
+) -> bool:
+    """Tell whether most of what is missing is missing where one of some times lies."""
+    there = np.searchsorted(times, ends) > np.searchsorted(times, starts)
+    return int(missing[there].sum()) * 2 > int(missing.sum())

@@ -1,0 +1,477 @@
+"""The balance of every route and hop: what went in, what came out, and what became of the rest.
+
+Rules:
+
+1. In every row ``in + duplicated = out + lost + superseded + waiting + not_captured + unaccounted``, and no
+   figure is negative.
+2. What comes out of a hop goes into the next one of the same messages.
+3. A message is lost, superseded or unaccounted for at one hop only: the sums of all rows count it once.
+4. Every loss that a verdict names is a figure of a row here, and every figure here has a verdict.
+5. A figure says where it was counted.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs.names import message_name
+from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKET
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.proxied import PROXY_HOP
+from edoras_tools.links import table
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from edoras_tools.diagnosis.accounting.commands import Refused
+    from edoras_tools.diagnosis.accounting.fates import Fate
+    from edoras_tools.diagnosis.accounting.losses import Loss, LossKind
+    from edoras_tools.diagnosis.accounting.unheard import Unheard
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+CI_HOP: Final = "CI"
+BUS: Final = "software bus"
+APPLICATION: Final = "application"
+_HOPS: Final = frozenset({PROXY_HOP, CI_HOP, BUS, APPLICATION, BEHIND})
+_BEFORE_CI: Final[tuple[LossKind, ...]] = ("network", "socket", "down", "restart")
+_FIGURES: Final = ("came", "out", "duplicated", "superseded", "waiting", "not_captured", "unaccounted")
+_SEEN: Final = "datagrams in the capture"
+_COUNT: Final = "sequence count"
+_COUNTED: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost", "lost": "0x803"}
+PEER: Final = "SBN peer"
+UNHEARD: Final = "sbn_timeout"
+"""Cause of the loss of what was sent to a peer that timed out: the rule that tells of it."""
+ON_PURPOSE: Final = "/edoras/faults: done on purpose"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What became of the messages of one route at one hop.
+
+    Attributes:
+        route: index of the configured route, or ``NO_ROUTE``.
+        link: label of the link on which the messages are seen.
+        msg_id: which; None where it is not known which.
+        instance: the cFS, as people are told of it; None where unknown.
+        hop: where.
+        came: how many went in.
+        out: how many came out.
+        duplicated: of those, how many more than once.
+        lost: cause to how many.
+        superseded: how many gave way to a newer one.
+        waiting: how many may be on their way still.
+        not_captured: how many could not be followed: nothing here shows what became of them.
+        unaccounted: how many are missing without a cause that the capture shows.
+        counted: figure to where it was counted.
+    """
+
+    route: int
+    link: str
+    msg_id: int | None
+    instance: str | None
+    hop: str
+    came: int
+    out: int
+    duplicated: int = 0
+    lost: Mapping[str, int] = field(default_factory=dict)
+    superseded: int = 0
+    waiting: int = 0
+    not_captured: int = 0
+    unaccounted: int = 0
+    counted: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def all_lost(self) -> int:
+        """How many were lost, of all causes."""
+        return sum(self.lost.values())
+
+    @property
+    def adds_up(self) -> bool:
+        """Whether rule 1 holds."""
+        rest = self.superseded + self.waiting + self.not_captured + self.unaccounted
+        figures = (self.came, self.out, self.duplicated, *self.lost.values(), rest)
+        return min(figures) >= 0 and self.came + self.duplicated == self.out + self.all_lost + rest
+
+    def as_json(self, topic: str | None) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --json``."""
+        return {
+            "topic": topic,
+            "name": message_name(self.msg_id) or None if self.msg_id is not None else None,
+            "link": self.link or None,
+            "msg_id": None if self.msg_id is None else f"0x{self.msg_id:04x}",
+            "instance": self.instance,
+            "hop": self.hop,
+            "in": self.came,
+            "duplicated": self.duplicated,
+            "out": self.out,
+            "lost": self.all_lost,
+            "lost_by": dict(self.lost),
+            "superseded": self.superseded,
+            "waiting": self.waiting,
+            "not_captured": self.not_captured,
+            "unaccounted": self.unaccounted,
+            "counted": dict(self.counted),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """What became of the messages of one route, in one line.
+
+    Attributes:
+        topic: its topic, else the name of the packet, else its MsgId.
+        sent: how many were sent or published.
+        arrived: how many came out at the end; None where that cannot be seen.
+        superseded: how many gave way to a newer one.
+        lost: how many were lost.
+        waiting: how many may be on their way still.
+        not_captured: how many could not be followed.
+        unaccounted: how many are missing without a cause.
+        instance: of which cFS, where several have the route; else None.
+    """
+
+    topic: str
+    sent: int
+    arrived: int | None
+    superseded: int
+    lost: int
+    waiting: int
+    not_captured: int
+    unaccounted: int
+    instance: str | None = None
+
+    def __str__(self) -> str:
+        """Return it as ``12 of 60 /cmd_vel arrived, 40 superseded, 8 lost``."""
+        rest = [
+            f"{number:,} {name}"
+            for name, number in (
+                ("superseded", self.superseded),
+                ("lost", self.lost),
+                ("waiting", self.waiting),
+                ("not captured", self.not_captured),
+                ("unaccounted for", self.unaccounted),
+            )
+            if number
+        ]
+        what = f"{self.topic} ({self.instance})" if self.instance else self.topic
+        if self.arrived is not None:
+            return ", ".join((f"{self.arrived:,} of {self.sent:,} {what} arrived", *rest))
+        return ", ".join((f"{self.sent:,} {what} sent", *(rest or ("none known to be lost",))))
+
+
+def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
+    """Return a line for each configured route, and for each other one of which something is missing.
+
+    Where none is configured there is a line for each; housekeeping of cFS has none.
+    """
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        if row.msg_id is not None and (row.hop in _HOPS or row.link in {"to", "sbn"}):
+            groups.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
+    named = {key: members for key, members in groups.items() if key[0] != NO_ROUTE}
+    others = {key: members for key, members in groups.items() if not message_name(key[2])}
+    unnamed = {key: members for key, members in others.items() if key not in named}
+    missing = {
+        key: members
+        for key, members in unnamed.items()
+        if any(row.all_lost or row.superseded or row.unaccounted for row in members)
+    }
+    chosen = [members for members in {**named, **(missing if named else unnamed)}.values() if members[0].came]
+    found = [_headline(members, topics) for members in chosen]
+    same = Counter(item.topic for item in found)
+    return [
+        replace(item, instance=members[0].instance if same[item.topic] > 1 else None)
+        for item, members in zip(found, chosen, strict=True)
+    ]
+
+
+def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:
+    first, last = members[0], next(row for row in reversed(members) if not row.hop.startswith(PEER))
+    unheard = sum(row.came - row.out for row in members if row.hop.startswith(PEER))
+    msg_id = f"0x{first.msg_id:04x}"
+    return Headline(
+        topic=topics.get(first.route, msg_id),
+        # A cFS that was started again has rows of its own for the same hops.
+        sent=sum(row.came for row in members if row.hop == first.hop),
+        arrived=None
+        if last.hop in {PROXY_HOP, CI_HOP, BUS}
+        else sum(row.out for row in members if row.hop == last.hop)
+        - sum(row.duplicated for row in members)
+        - unheard,
+        superseded=sum(row.superseded for row in members),
+        lost=sum(row.all_lost for row in members),
+        waiting=sum(row.waiting for row in members),
+        not_captured=sum(row.not_captured for row in members),
+        unaccounted=sum(row.unaccounted for row in members),
+    )
+
+
+def balance(case: Case) -> list[Row]:
+    """Return every row of a capture, in the order of the way that messages take."""
+    rows: list[Row] = []
+    lost: dict[int, Counter[str]] = {}
+    for loss in case.losses:
+        if loss.stream is not None:
+            lost.setdefault(id(loss.stream), Counter())[loss.kind] += loss.lost
+    for stream in case.streams:
+        fate = case.commands.fates.get(id(stream))
+        own = lost.get(id(stream), Counter())
+        if fate is not None:
+            rows += _command(case, fate, own)
+        else:
+            rows += _telemetry(case, stream, own)
+        if (silent := case.unheard.get(id(stream))) is not None:
+            rows.append(_peer(rows[-1], silent))
+    rows += _all_dropped(case)
+    rows += [_unseen(case, loss) for loss in case.losses if loss.stream is None]
+    rows += [
+        Row(NO_ROUTE, "", None, case.label(instance), BUS, number, 0, not_captured=number, counted=_COUNTED)
+        for instance, number in case.commands.uncaptured.items()
+    ]
+    rows += [_single(item, left) for item in case.refused if (left := case.commands.unplaced[id(item)])]
+    if case.capture.drops:
+        drops, seen = case.capture.drops, len(case.rows)
+        counted = {"in": "the capture's own counter", "out": _SEEN}
+        rows.append(
+            Row(NO_ROUTE, "", None, None, "capture", drops + seen, seen, not_captured=drops, counted=counted)
+        )
+    return rows
+
+
+def summed(rows: Iterable[Row]) -> tuple[Row, ...]:
+    """Return the rows of several chapters of a capture, each of one route at one hop put together."""
+    found: dict[tuple[Any, ...], Row] = {}
+    for row in rows:
+        key = row.route, row.link, row.msg_id, row.instance, row.hop
+        known = found.get(key)
+        if known is None:
+            found[key] = row
+            continue
+        figures = {name: getattr(known, name) + getattr(row, name) for name in _FIGURES}
+        found[key] = replace(row, lost=dict(Counter(known.lost) + Counter(row.lost)), **figures)
+    return tuple(found.values())
+
+
+def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
+    """Return the rows of what goes into cFS: to CI, over the software bus, through the application."""
+    stream = fate.stream
+    counted = any(stream.link.only_to_cfs and stream.receiver == item.endpoint for item in case.ingests)
+    rows: list[Row] = []
+    whose = case.receiver_label(stream)
+
+    def add(hop: str, came: int, out: int, **figures: Any) -> int:
+        row = Row(
+            route=stream.route,
+            link=stream.link.label,
+            msg_id=stream.msg_id,
+            instance=whose,
+            hop=hop,
+            came=came,
+            out=out,
+            **figures,
+        )
+        rows.append(row)
+        return out
+
+    at = len(stream)
+    done = case.known.done_to(stream)
+    if done.dropped or done.doubled:
+        doubled = min(done.doubled, at)
+        add(PROXY_HOP, at + len(done.dropped) - doubled, at, **_done(len(done.dropped), doubled))
+    if stream.link.only_to_cfs:
+        before = {kind: lost[kind] for kind in _BEFORE_CI if lost[kind]}
+        gone = sum(before.values()) + fate.queued + fate.uncounted
+        late = min(fate.late, at - gone)
+        told = {"in": _SEEN, "out": "0x884" if counted else "not counted: no 0x884 of this CI is here"}
+        at = add(
+            CI_HOP,
+            at,
+            at - gone - late,
+            lost=before,
+            waiting=fate.queued,
+            not_captured=late,
+            unaccounted=fate.uncounted,
+            counted=told,
+        )
+    if full := lost["sbn_socket"]:
+        told = {"in": _SEEN, "out": "not counted: what came out, and what the bus counts"}
+        at = add(SBN_SOCKET, at, at - full, lost={"sbn_socket": full}, counted=told)
+    ended = {kind: lost[kind] for kind in ("stopped", "away") if lost[kind]}
+    on_bus = {kind: lost[kind] for kind in (*COUNTERS, "unknown") if lost[kind]} | dict(fate.refused)
+    if not fate.seen:
+        on_bus |= ended
+    told = {"in": rows[-1].counted["out"] if rows else _SEEN, "lost": "0x803, and what cFS refuses by itself"}
+    if not case.tracks:
+        told["lost"] = "not counted: no 0x803 is here"
+    came = max(at, sum(on_bus.values()))
+    out = came - sum(on_bus.values())
+    unfollowed = 0 if fate.seen or fate.reached is not None else min(fate.unaccounted, out)
+    at = add(BUS, came, out - unfollowed, lost=on_bus, unaccounted=unfollowed, counted=told)
+    if fate.reached is not None:
+        told = {"in": "what the software bus did not lose", "out": "number of datagrams on the robot link"}
+        late = at - fate.reached - fate.unaccounted
+        add(APPLICATION, at, fate.reached, waiting=late, unaccounted=fate.unaccounted, counted=told)
+    if fate.seen:
+        out = int(fate.arrived.sum()) + fate.passed_on
+        rest = at - out - sum(ended.values()) - fate.superseded - fate.waiting - fate.unaccounted
+        ways = ", ".join(
+            "the robot link" if hop.out.link == ROBOT else case.name(hop.out.msg_id) for hop in fate.hops
+        )
+        add(
+            APPLICATION,
+            at,
+            out + fate.doubled,
+            duplicated=fate.doubled,
+            lost=ended,
+            superseded=fate.superseded,
+            waiting=fate.waiting,
+            not_captured=rest,
+            unaccounted=fate.unaccounted,
+            counted={"in": "what the software bus did not lose", "out": f"same values on {ways}"},
+        )
+    return rows
+
+
+def _done(dropped: int, doubled: int) -> dict[str, Any]:
+    """Return the figures of what a proxy did on purpose."""
+    return {
+        "duplicated": doubled,
+        "lost": {PROXY_HOP: dropped} if dropped else {},
+        "counted": dict.fromkeys(("in", "lost", "duplicated"), ON_PURPOSE) | {"out": _SEEN},
+    }
+
+
+def _telemetry(case: Case, stream: Stream, lost: Counter[str]) -> list[Row]:
+    """Return the rows of what cFS publishes: through Telemetry Output's pipe or a peer's, to the capture."""
+    owner = case.known.owner(stream)
+    instance = case.label(owner) if owner != NOBODY else None
+    at_pipe: dict[str, int] = {kind: lost[kind] for kind in COUNTERS if lost[kind]}
+    behind = {kind: lost[kind] for kind in ("after", "unknown") if lost[kind]}
+    closed = case.telemetry.closed.get(id(stream), 0)
+    done = case.known.done_to(stream)
+    dropped = case.telemetry.proxied.get(id(stream), 0)
+    doubled = min(done.doubled, stream.duplicates if stream.counted else len(stream))
+    out = len(stream) - (stream.duplicates if stream.counted else doubled)
+    untold = case.telemetry.untold.get(id(stream), 0)
+    away = case.telemetry.away.get(id(stream), 0)
+    way = out + sum(behind.values()) + untold + away + dropped
+    silenced = case.telemetry.silenced.get(id(stream), 0)
+    known = _COUNT if stream.counted else f"{_SEEN}: it has no sequence count"
+    common = (stream.route, stream.link.label, stream.msg_id, instance)
+    by_proxy = [Row(*common, PROXY_HOP, way, way - dropped + doubled, **_done(dropped, doubled))]
+    return [
+        Row(
+            *common,
+            case.known.hop(stream),
+            way + silenced + sum(at_pipe.values()) + closed,
+            way + silenced,
+            lost=at_pipe,
+            not_captured=closed,
+            counted={
+                "in": known,
+                "lost": "0x803" if owner in case.tracks else "not counted: no 0x803 is here",
+            },
+        ),
+        *((_socket(case, stream, common, way, silenced),) if silenced else ()),
+        *(by_proxy if dropped or doubled else ()),
+        Row(
+            *common,
+            BEHIND,
+            way - dropped + doubled,
+            len(stream),
+            duplicated=max(0, stream.duplicates - doubled),
+            lost=behind,
+            not_captured=away,
+            unaccounted=untold,
+            counted={"in": known, "out": _SEEN},
+        ),
+    ]
+
+
+def _socket(
+    case: Case, stream: Stream, common: tuple[int, str, int, str | None], way: int, silenced: int
+) -> Row:
+    """Return the row of Telemetry Output's socket: what it took and did not send until it was enabled."""
+    failed = any(case.suppressed(span) for span in case.telemetry.silences[stream.sender])
+    return Row(
+        *common,
+        telemetry_output.SOCKET,
+        way + silenced,
+        way,
+        lost={"to_socket": silenced} if failed else {},
+        not_captured=0 if failed else silenced,
+        counted={"in": f"{_COUNT}, less what 0x803 counts", "out": _SEEN},
+    )
+
+
+def _peer(before: Row, silent: Unheard) -> Row:
+    """Return the row of an SBN peer that did not hear all that was sent to it."""
+    return replace(
+        before,
+        hop=f"{PEER} {silent.peer}",
+        came=before.out,
+        out=before.out - silent.lost - silent.unaccounted,
+        duplicated=0,
+        lost={UNHEARD: silent.lost} if silent.lost else {},
+        superseded=0,
+        waiting=0,
+        not_captured=0,
+        unaccounted=silent.unaccounted,
+        counted={"in": _SEEN, "out": "what it was sent while it was not silent"},
+    )
+
+
+def _all_dropped(case: Case) -> list[Row]:
+    """Return the rows of what a proxy dropped and of which nothing else is in the recording."""
+    there = {id(case.known.done_to(stream)) for stream in case.streams}
+    return [
+        Row(
+            int(case.context.routes_on(table.link(link))[msg_id]) if msg_id >= 0 else NO_ROUTE,
+            table.link(link).label,
+            msg_id if msg_id >= 0 else None,
+            None,
+            PROXY_HOP,
+            len(item.dropped),
+            0,
+            **_done(len(item.dropped), 0),
+        )
+        for (link, _, msg_id), item in case.proxied.items()
+        if item.dropped and id(item) not in there
+    ]
+
+
+def _unseen(case: Case, loss: Loss) -> Row:
+    """Return the row of a loss whose traffic is not in the capture."""
+    return Row(
+        NO_ROUTE,
+        "",
+        None if loss.msg_id == NO_MSG_ID else loss.msg_id,
+        case.label(loss.instance),
+        loss.hop,
+        loss.lost,
+        0,
+        lost={loss.kind: loss.lost},
+        counted=_COUNTED,
+    )
+
+
+def _single(item: Refused, left: int) -> Row:
+    """Return the row of messages that were judged by themselves."""
+    came = max(left, item.of or 0)
+    return Row(
+        NO_ROUTE,
+        item.link or "",
+        item.msg_id,
+        None,
+        item.hop or "cFS",
+        came,
+        came - left,
+        lost={item.rule: left},
+        counted={"in": _SEEN, "lost": "each datagram by itself"},
+    )

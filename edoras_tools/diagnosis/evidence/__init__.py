@@ -1,0 +1,1 @@
+"""What a capture holds that the diagnosis concludes from: counters' packets, events, clocks, peers."""

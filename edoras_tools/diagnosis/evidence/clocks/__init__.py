@@ -1,0 +1,1 @@
+"""The clocks of captures and of cFS: aligned, with offset and drift, and made steady."""

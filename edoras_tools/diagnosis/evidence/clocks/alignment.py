@@ -1,0 +1,296 @@
+"""The clocks of two captures of one system held against each other: how far one is ahead, how it drifts.
+
+The second clock minus the first is a line (``clock_lines``). Its offset at the start and its drift are told
+as intervals that hold them:
+
+1. Datagrams that both captured, told by IP identification and bytes: one that travels from the first host
+   to the second is captured there later by the offset and its delay, one that travels back by the offset
+   less its delay. So the least step one way is an upper bound, the greatest step back a lower one.
+2. Streams of which each capture holds a part: a packet with the next sequence count is captured later.
+3. The mission time in the headers of one boot of one cFS, seen in both: capture time minus mission time is
+   the same but for the shortest delay on the way, which is less than the wake-ups of those that hand it on.
+4. What came before what (``causality``): messages and answers of which each capture holds one end.
+
+The first that is there is taken, and the last narrows it down. Where the bounds are too wide to show a
+drift, none is assumed. All hangs on differences of times alone, so that captures that are shifted by any time
+give the same picture.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence.clocks.causality import HANDED_NS, Side, relations
+from edoras_tools.diagnosis.evidence.clocks.lines import (
+    MOST_DRIFT,
+    ClockLine,
+    ClockLines,
+    Ordered,
+    constant_offset,
+    one_way,
+    quickest_ahead,
+)
+from edoras_tools.diagnosis.evidence.instances import Instances
+from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.fingerprint import matches
+from edoras_tools.wire.order import by_value
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.table import Recorder, Rows
+    from edoras_tools.model import Endpoint
+
+_LEAST: Final = 3
+_MANY: Final = 20
+"""Packets of one way of which one was delayed hardly at all."""
+_MOSTLY: Final = 0.9
+_WAKE_NS: Final = 500 * MILLISECOND
+"""The longest time between two wake-ups of a task that sends: Telemetry Output's."""
+_MODULUS: Final = 1 << 14
+_MIX: Final = np.uint64(0x9E3779B97F4A7C15)
+_SAME_NS: Final = 2 * SECOND
+"""Steps of one offset lie within so much of each other, the longest delays taken off."""
+_LONG_NS: Final = 300 * SECOND
+"""In so long some packet was handed on at once."""
+_LOOSE_NS: Final = (0, 100_000, MILLISECOND, 10 * MILLISECOND, 100 * MILLISECOND)
+"""By how much packets that overtake each other may contradict each other, tried one after the other."""
+_TENTH_NS: Final = MILLISECOND // 10
+_BOTH: Final = "packets that both captured"
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """How one capture's clock stands to another's.
+
+    Attributes:
+        line: the second clock minus the first, as near as can be told.
+        low_ns: at the start of the second capture the offset is not less.
+        high_ns: and not more.
+        drift: not less than, and not more than, in ns per ns; None where it cannot be told.
+        by: what it was told by.
+        shared: i64, numbers of the second capture's frames that the first holds too.
+    """
+
+    line: ClockLine
+    low_ns: int
+    high_ns: int
+    drift: tuple[float, float] | None
+    by: str
+    shared: NDArray[np.int64]
+
+    def __str__(self) -> str:
+        low, high = math.floor(self.low_ns / _TENTH_NS) / 10_000, math.ceil(self.high_ns / _TENTH_NS) / 10_000
+        drift = f"its drift cannot be told (less than {MOST_DRIFT * 1e6:.0f} ppm)"
+        if self.drift is not None:
+            least, most = math.floor(self.drift[0] * 1e7) / 10, math.ceil(self.drift[1] * 1e7) / 10
+            drift = (
+                f"and drifts by {self.line.drift * 1e6:+.1f} ppm, between {least:+.1f} and {most:+.1f} ppm"
+            )
+        offset = f"{self.line.offset_ns / SECOND:+.3f} s, between {low:+.4f} and {high:+.4f} s"
+        return f"{offset}, {drift}, told by {self.by}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What pairs tell: the lines they leave, by what, where the offset is likely, what frames both hold."""
+
+    pairs: Sequence[Ordered]
+    lines: ClockLines
+    by: str
+    loose_ns: int = 0
+    near: Sequence[int] = ()
+    shared: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    @classmethod
+    def of(cls, pairs: Sequence[Ordered], by: str, loose_ns: int = 0) -> _Told | None:
+        lines = ClockLines.of(pairs, loose_ns)
+        return cls(pairs, lines, by, loose_ns) if lines else None
+
+    def narrowed(self, pairs: Sequence[Ordered], by: str = "") -> _Told:
+        """Return what further pairs leave of it; itself where they contradict it."""
+        lines = self.lines.within(pairs)
+        if not pairs or not lines:
+            return self
+        told = ", and ".join(filter(None, (self.by, by)))
+        return replace(self, pairs=[*self.pairs, *pairs], lines=lines, by=told)
+
+    @property
+    def line(self) -> ClockLine:
+        """The line that is taken of all: one without a drift, where that agrees with all pairs."""
+        begin, drift = self.lines.begin_ns, 0.0
+        low, high = constant_offset(self.pairs)
+        if low - high > 2 * self.loose_ns:
+            drift = sum(self.lines.drift) / 2
+            low, high = self.lines.drifting(drift)
+        near = [*self.near, *(quickest_ahead(item, begin, drift) for item in self.pairs if item.at_once_ns)]
+        likely = [value for value in near if min(low, high) <= value <= max(low, high)]
+        return ClockLine(begin, int(np.median(likely)) if likely else (low + high) // 2, drift)
+
+    def since(self, start_ns: int) -> Alignment:
+        """Return the result, told for the time at which the second clock shows ``start_ns``."""
+        line = self.line
+        begin = line.set_back(np.array([start_ns]))
+        line = ClockLine(int(begin[0]), int(line.ahead(begin)[0]), line.drift)
+        drift = self.lines.drift if self.lines.drift_known or line.drift else None
+        return Alignment(line, *self.lines.offset(line.begin_ns), drift, self.by, self.shared)
+
+
+def align(first: Recorder, second: Recorder) -> Alignment | None:
+    """Tell how the second capture's clock stands to the first's; None where nothing in them tells."""
+    told = _shared(first, second)
+    if told is None:
+        sides = _side(first), _side(second)
+        coarse = _mission_times(*sides)
+        told = _counted(first, second, coarse) or coarse
+        pairs = relations(*sides, told.line if told else None)
+        ordered = _Told.of(pairs, "what came before what") if pairs else None
+        if told and ordered:
+            told = told.narrowed(ordered.pairs, ordered.by)
+        told = told or ordered
+    return told.since(int(second.rows().time_ns.min())) if told else None
+
+
+def _side(recorder: Recorder) -> Side:
+    rows = recorder.rows()
+    return Side(recorder, rows, Instances(rows, recorder.payloads.events, recorder.endpoints))
+
+
+def _shared(first: Recorder, second: Recorder) -> _Told | None:
+    """Tell it by datagrams that both captured."""
+    a, b = first.rows(), second.rows()
+    ours, theirs = matches(a.bytes_print ^ a.identification, b.bytes_print ^ b.identification)
+    step = b.time_ns[theirs] - a.time_ns[ours]
+    if len(step) < _LEAST:
+        return None
+    near = np.abs(step - np.median(step)) < _SAME_NS + np.ptp(a.time_ns) * MOST_DRIFT
+    if near.mean() < _MOSTLY:
+        return None
+    ours, theirs = ours[near], theirs[near]
+    times = a.time_ns[ours], b.time_ns[theirs]
+    senders = np.array([first.endpoints[row].address for row in a.source[ours].tolist()])
+    best: _Told | None = None
+    for host in sorted(set(senders.tolist())):
+        there = senders == host
+        if there.all():
+            break
+        out, back = (Ordered(times[0][way], times[1][way]) for way in (there, ~there))
+        found = _Told.of([out, back._replace(back=True)], _BOTH)
+        if found and (best is None or found.lines.width < best.lines.width):
+            best = found
+    if best is None:
+        # All travel one way, or were captured at one place: delays are not more than they vary.
+        best = _Told.of(one_way(*times), _BOTH)
+    return replace(best, shared=np.sort(b.number[theirs])) if best else None
+
+
+def _counted(first: Recorder, second: Recorder, coarse: _Told | None) -> _Told | None:
+    """Tell it by counts; ``coarse`` says which of the packets of a count are meant, where it can."""
+    number = {endpoint: index for index, endpoint in enumerate(first.endpoints)}
+    moved = np.array([number.get(endpoint, -1) for endpoint in second.endpoints] or [-1])
+    a, b = first.rows(), second.rows()
+    theirs = _key(b, moved[b.source].astype(np.int64), 0)
+    every = []
+    for ahead in (1, -1):
+        rows = matches(_key(a, a.source.astype(np.int64), ahead), theirs)
+        every.append(Ordered(a.time_ns[rows[0]], b.time_ns[rows[1]], back=ahead < 0))
+    steps = np.concatenate([item.second_ns - item.first_ns for item in every])
+    if not len(steps):
+        return None
+    line = coarse.line if coarse else ClockLine(int(a.time_ns.min()), int(np.median(steps)))
+    room = _SAME_NS + (0 if coarse else np.ptp(a.time_ns) * MOST_DRIFT)
+    near = []
+    for item in every:
+        same = np.abs(item.second_ns - item.first_ns - line.ahead(item.first_ns)) < room
+        near.append(item._replace(first_ns=item.first_ns[same], second_ns=item.second_ns[same]))
+    if min(len(item.first_ns) for item in near) < _LEAST:
+        # As from one file to the next: a few counts go on.
+        return coarse.narrowed([item for item in near if len(item.first_ns)]) if coarse else None
+    if coarse is None and sum(len(item.first_ns) for item in near) < _MOSTLY * len(steps):
+        return None
+    by = "sequence counts that go on from one to the other"
+    # Packets that overtake each other on their way make the bounds cross.
+    return next(filter(None, (_Told.of(near, by, loose_ns) for loose_ns in _LOOSE_NS)), None)
+
+
+def _key(rows: Rows, source: NDArray[np.int64], ahead: int) -> NDArray[np.uint64]:
+    """Return what names a packet of a stream by its count, moved on; 0 where it is not counted."""
+    count = (rows.sequence_count.astype(np.int64) + ahead) % _MODULUS
+    key = np.zeros(len(rows), np.uint64)
+    for part in (source, rows.link, rows.msg_id, rows.processor_id, rows.spacecraft_id, count):
+        key = (key ^ part.astype(np.int64).view(np.uint64)) * _MIX
+        key ^= key >> np.uint64(29)
+    counted = (rows.msg_id != NO_MSG_ID) & ~rows.has(Finding.SEQUENCE_UNSET) & (source >= 0)
+    return np.where(counted, key | np.uint64(1), np.uint64(0))
+
+
+def _mission_times(first: Side, second: Side) -> _Told | None:
+    """Tell it by the mission time of one boot of one cFS, of whose packets both captured some."""
+    ours, theirs = first.instances, second.instances
+    pairs = [
+        (i, j)
+        for i, one in enumerate(ours.items)
+        for j, other in enumerate(theirs.items)
+        if one.name == other.name or not (one.name and other.name)
+    ]
+    if not pairs:
+        return None
+    steps = np.array([theirs.items[j].offset_ns - ours.items[i].offset_ns for i, j in pairs])
+    weights = [min(int((ours.of_row == i).sum()), int((theirs.of_row == j).sum())) for i, j in pairs]
+    order = np.argsort(steps, kind="stable")
+    group = np.concatenate(([0], np.cumsum(np.diff(steps[order]) > 2 * _WAKE_NS)))
+    votes = np.bincount(group, np.array(weights)[order])
+    # Boots of one cFS follow each other: only pairs of the same boot agree with each other.
+    same = [pairs[at] for at in order[group == int(votes.argmax())].tolist()]
+    told = _Told.of([_of_boot(first, second, pair) for pair in same], "the mission time of one cFS in both")
+    alike = [step for pair in same for step in _same_ways(first, second, pair)]
+    return replace(told, near=[int(np.median(alike))]) if told and alike else told
+
+
+def _of_boot(first: Side, second: Side, pair: tuple[int, int]) -> Ordered:
+    """Return when each captured the quickest of a boot's packets of some minutes, as if made at one time."""
+    boots = []
+    for side, index in zip((first, second), pair, strict=True):
+        own = np.flatnonzero(side.instances.of_row == index)
+        boots.append((side.rows.mission_time_ns[own], side.rows.time_ns[own]))
+    begin = max(int(made.min()) for made, _ in boots)
+    windows = [(made - begin) // _LONG_NS for made, _ in boots]
+    common = np.intersect1d(windows[0], windows[1])
+    quickest = []
+    for (made, captured), window in zip(boots, windows, strict=True):
+        held = np.flatnonzero(np.isin(window, common)) if len(common) else np.arange(len(made))
+        place = window[held] if len(common) else np.zeros(len(held), np.int64)
+        order = held[np.lexsort((captured[held] - made[held], place))]
+        place = np.sort(place)
+        at = order[np.flatnonzero(np.diff(place, prepend=place[0] - 1))]
+        quickest.append((made[at], captured[at]))
+    (made, captured), (other, then) = quickest
+    apart = int(np.abs(other - made).max())
+    moved = then - (other - made)
+    return Ordered(captured, moved, early_ns=HANDED_NS, wait_ns=HANDED_NS, each=True, apart_ns=apart)
+
+
+def _same_ways(first: Side, second: Side, pair: tuple[int, int]) -> list[int]:
+    """Return the offset that each way tells that one boot's packets took in both, by the shortest delays."""
+    found: list[dict[tuple[Endpoint, Endpoint], int]] = []
+    for side, index in zip((first, second), pair, strict=True):
+        rows = side.rows
+        own = np.flatnonzero(side.instances.of_row == index)
+        delay = rows.time_ns[own] - rows.mission_time_ns[own]
+        way = rows.source[own].astype(np.int64) << 32 | rows.destination[own]
+        ends = side.recorder.endpoints
+        found.append(
+            {
+                (ends[value >> 32], ends[value & 0xFFFFFFFF]): int(delay[members].min())
+                for value, members in by_value(way)
+                if len(members) >= _MANY
+            }
+        )
+    return [found[1][way] - least for way, least in found[0].items() if way in found[1]]

@@ -1,0 +1,277 @@
+"""How one clock may stand to another: every offset and drift that agrees with what was captured.
+
+1. The second clock minus the first is a straight line over the time of the first: an offset and a drift.
+2. No effect is captured before its cause. Where the cause is in the first capture and the effect in the
+   second, the line is at most what lies between the two; the other way round it is at least that.
+3. What waits for a task that wakes up again and again waits one cycle at most: the other bound.
+4. Each bound cuts a half-plane off the lines there are. What is left is a polygon, whose corners give the
+   intervals of offset and drift. A line stands in it as its values at two times, in ns less a base.
+5. The clocks of two hosts part by less than 500 ppm, the most by which NTP slews a clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, NamedTuple, Self
+
+import numpy as np
+
+from edoras_tools.units import MICROSECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+MOST_DRIFT: Final = 500e-6
+"""No clock gains or loses more on another, in ns per ns."""
+_RESOLUTION_NS: Final = MICROSECOND
+"""Times of capture are rounded to so much."""
+_WINDOW_NS: Final = 300 * SECOND
+"""In so long one of many waited hardly at all."""
+_FAR_NS: Final = 1 << 62
+_PLACES: Final = 512
+"""Bounds from above, or from below, that are kept, each the tightest of its time."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockLine:
+    """A clock that drifts: ahead of another by ``offset_ns`` at one time, and by more later.
+
+    Attributes:
+        begin_ns: the time, by the other clock.
+        offset_ns: by how much it is ahead then.
+        drift: by how much more after each ns, in ns.
+    """
+
+    begin_ns: int
+    offset_ns: int
+    drift: float = 0.0
+
+    def ahead(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return by how much it is ahead at times of the other clock."""
+        gained = np.rint((time_ns - self.begin_ns) * self.drift)
+        return self.offset_ns + np.asarray(gained, np.int64)
+
+    def set_back(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the times of the other clock at which it shows these."""
+        moved = time_ns - self.offset_ns
+        gained = np.rint((moved - self.begin_ns) * (self.drift / (1 + self.drift)))
+        return moved - np.asarray(gained, np.int64)
+
+
+class Ordered(NamedTuple):
+    """Pairs of a cause in one capture and its effect in the other.
+
+    Attributes:
+        first_ns: i64, when the first captured its one of each pair.
+        second_ns: i64, when the second captured the other.
+        back: the causes are in the second capture.
+        early_ns: the effect is captured before the cause by so much at most: 0 where it cannot be.
+        wait_ns: the quickest of them waited so long at the most; None where nothing says so.
+        each: and so did all of them.
+        at_once_ns: the quickest took about so long; None where nothing says so.
+        apart_ns: the two of a pair tell of times that lie so far apart at most.
+    """
+
+    first_ns: NDArray[np.int64]
+    second_ns: NDArray[np.int64]
+    back: bool = False
+    early_ns: int = 0
+    wait_ns: int | None = None
+    each: bool = False
+    at_once_ns: int | None = None
+    apart_ns: int = 0
+
+    @property
+    def took_ns(self) -> NDArray[np.int64]:
+        """From the cause to the effect, by the clock of each."""
+        return self.first_ns - self.second_ns if self.back else self.second_ns - self.first_ns
+
+
+class _Bounds(NamedTuple):
+    """Points that a line passes on one side."""
+
+    time_ns: NDArray[np.int64]
+    ahead_ns: NDArray[np.int64]
+
+
+def _sides(told: Ordered, drift: float) -> tuple[_Bounds, _Bounds]:
+    """Return the points below which a line stays, and those above which it does."""
+    took, apart = told.took_ns, round(told.apart_ns * drift)
+    tight = _tightest(told.first_ns, took)
+    limit = _Bounds(told.first_ns[tight], took[tight] + told.early_ns + apart)
+    waited = _Bounds(tight[:0], tight[:0])
+    if told.wait_ns is not None and told.each:
+        loose = _tightest(told.first_ns, -took)
+        waited = _Bounds(told.first_ns[loose], took[loose] - told.wait_ns - apart)
+    elif told.wait_ns is not None:
+        window = (told.first_ns - told.first_ns.min()) // _WINDOW_NS
+        order = np.lexsort((took, window))
+        quickest = order[np.flatnonzero(np.diff(window[order], prepend=-1))]
+        # Which of them is the quickest depends on the drift that is to be found.
+        unsure = round(min(int(np.ptp(told.first_ns)), _WINDOW_NS) * drift)
+        waited = _Bounds(told.first_ns[quickest], took[quickest] - told.wait_ns - unsure)
+    if told.back:
+        return _Bounds(waited.time_ns, -waited.ahead_ns), _Bounds(limit.time_ns, -limit.ahead_ns)
+    return limit, waited
+
+
+def _tightest(time_ns: NDArray[np.int64], value: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return the rows of the least value, at each of some hundred times."""
+    if len(value) <= _PLACES:
+        return np.arange(len(value))
+    begin = int(time_ns.min())
+    place = (time_ns - begin) * _PLACES // (int(time_ns.max()) - begin + 1)
+    order = np.lexsort((value, place))
+    return order[np.flatnonzero(np.diff(place[order], prepend=-1))]
+
+
+def one_way(first_ns: NDArray[np.int64], second_ns: NDArray[np.int64]) -> list[Ordered]:
+    """Return what packets tell that all went one way: by how much delays vary, they are longer than 0.
+
+    The line below all of them (their hull) touches the two quickest: one early, one late.
+    """
+    took = second_ns - first_ns
+    tight = _tightest(first_ns, took)
+    hull: list[int] = []
+    for row in tight[np.lexsort((took[tight], first_ns[tight]))].tolist():
+        while len(hull) > 1 and _above(first_ns, took, hull[-2], hull[-1], row):
+            hull.pop()
+        if not hull or first_ns[row] > first_ns[hull[-1]]:
+            hull.append(row)
+    middle = (int(first_ns.min()) + int(first_ns.max())) // 2
+    late = next((at for at, row in enumerate(hull) if first_ns[row] >= middle), len(hull) - 1)
+    touched = np.array(hull[max(late - 1, 0) : late + 1])
+    left, right = int(touched[0]), int(touched[-1])
+    slope = (took[right] - took[left]) / max(first_ns[right] - first_ns[left], 1)
+    vary = int(np.median(took - took[left] - (first_ns - first_ns[left]) * slope))
+    return [
+        Ordered(first_ns, second_ns),
+        Ordered(first_ns[touched], second_ns[touched], wait_ns=max(vary, 0), each=True),
+    ]
+
+
+def _above(time_ns: NDArray[np.int64], value: NDArray[np.int64], left: int, at: int, right: int) -> bool:
+    """Tell whether a point is on or above the line from the point on its left to that on its right."""
+    rise = int(value[right] - value[left]) * int(time_ns[at] - time_ns[left])
+    return int(value[at] - value[left]) * int(time_ns[right] - time_ns[left]) >= rise
+
+
+def quickest_ahead(told: Ordered, begin_ns: int, drift: float) -> int:
+    """Return the offset at a time, by the quickest of what happened nearly at once."""
+    took = told.took_ns - (told.at_once_ns or 0)
+    moved = (-took if told.back else took) - np.rint((told.first_ns - begin_ns) * drift).astype(np.int64)
+    return int(moved.max() if told.back else moved.min())
+
+
+def constant_offset(told: Sequence[Ordered]) -> tuple[int, int]:
+    """Return the interval of the offset of a clock that does not drift; low is above high where none fits."""
+    low, high = -_FAR_NS, _FAR_NS
+    for above, below in (_sides(item, 0.0) for item in told):
+        high = min([high, *above.ahead_ns.tolist()])
+        low = max([low, *below.ahead_ns.tolist()])
+    return low, high
+
+
+@dataclass(frozen=True, slots=True)
+class ClockLines:
+    """All lines that agree with what was captured.
+
+    Attributes:
+        begin_ns: the first of the two times at which lines are told apart.
+        span_ns: from it to the second.
+        base_ns: what ``corners`` count from.
+        corners: f64 (n, 2), values at both times, around the polygon; none where no line agrees.
+    """
+
+    begin_ns: int
+    span_ns: int
+    base_ns: int
+    corners: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, told: Sequence[Ordered], loose_ns: int = 0) -> Self | None:
+        """Return the lines that agree with some pairs; None where these do not bound them.
+
+        Args:
+            told: the pairs, at least one.
+            loose_ns: packets overtook each other by so much, or were captured so late.
+        """
+        begin = min(int(item.first_ns.min()) for item in told)
+        span = max(SECOND, max(int(item.first_ns.max()) for item in told) - begin)
+        sides = [_sides(item, MOST_DRIFT) for item in told]
+        above, below = ([bound for side in sides for bound in side[at].ahead_ns.tolist()] for at in (0, 1))
+        if not above or not below:
+            return None
+        base, most = min(above), span * MOST_DRIFT
+        low, high = min(0, min(below) - base) - most - loose_ns, most + loose_ns + _RESOLUTION_NS
+        corners = np.array([(low, low - most), (high, high - most), (high, high + most), (low, low + most)])
+        return cls(begin, span, base, corners).within(told, loose_ns)
+
+    def within(self, told: Iterable[Ordered], loose_ns: int = 0) -> Self:
+        """Return those lines that agree with further pairs; see ``of``."""
+        corners, gives = self.corners, loose_ns + _RESOLUTION_NS
+        for sides in (_sides(item, MOST_DRIFT) for item in told):
+            for sign, side in zip((1, -1), sides, strict=True):
+                part = (side.time_ns - self.begin_ns) / self.span_ns
+                value = side.ahead_ns - self.base_ns
+                for at, bound in zip(part.tolist(), value.tolist(), strict=True):
+                    corners = _cut(corners, sign, at, bound + sign * gives)
+        return replace(self, corners=corners)
+
+    def __bool__(self) -> bool:
+        return len(self.corners) > 0
+
+    @property
+    def drift(self) -> tuple[float, float]:
+        """The least and the greatest drift of a line."""
+        steps = (self.corners[:, 1] - self.corners[:, 0]) / self.span_ns
+        return float(steps.min()), float(steps.max())
+
+    @property
+    def drift_known(self) -> bool:
+        """Whether what was captured bounds the drift on both sides, and not only the most there can be."""
+        low, high = self.drift
+        return max(-low, high) < 0.999 * MOST_DRIFT
+
+    def offset(self, time_ns: int) -> tuple[int, int]:
+        """Return the least and the greatest value of a line at a time."""
+        values = self.corners @ _weights((time_ns - self.begin_ns) / self.span_ns)
+        return self.base_ns + int(np.floor(values.min())), self.base_ns + int(np.ceil(values.max()))
+
+    @property
+    def width(self) -> int:
+        """How far lines lie apart at the most, in ns."""
+        return max(int(np.ptp(self.corners[:, at])) for at in (0, 1))
+
+    def drifting(self, drift: float) -> tuple[int, int]:
+        """Return the interval of the values at ``begin_ns`` of the lines of one drift, one that is theirs."""
+        apart = self.corners[:, 1] - self.corners[:, 0] - drift * self.span_ns
+        after = np.roll(self.corners, -1, axis=0), np.roll(apart, -1)
+        crossing = np.flatnonzero((apart <= 0) != (after[1] <= 0))
+        part = apart[crossing] / (apart[crossing] - after[1][crossing])
+        values = self.corners[crossing, 0] + part * (after[0][crossing, 0] - self.corners[crossing, 0])
+        values = values if len(values) else self.corners[:, 0]
+        return self.base_ns + int(np.floor(values.min())), self.base_ns + int(np.ceil(values.max()))
+
+
+def _weights(part: float) -> NDArray[np.float64]:
+    """Return how much of its values at both times a line has at a time between them, or beside them."""
+    return np.array((1 - part, part))
+
+
+def _cut(corners: NDArray[np.float64], sign: int, part: float, bound: float) -> NDArray[np.float64]:
+    """Return what of a polygon lies on one side of a bound."""
+    room = sign * (bound - corners @ _weights(part))
+    inside = room >= 0
+    if inside.all():
+        return corners
+    kept = []
+    for at in range(len(corners)):
+        if inside[at - 1] != inside[at]:
+            share = room[at - 1] / (room[at - 1] - room[at])
+            kept.append(corners[at - 1] + share * (corners[at] - corners[at - 1]))
+        if inside[at]:
+            kept.append(corners[at])
+    return np.array(kept).reshape(-1, 2)

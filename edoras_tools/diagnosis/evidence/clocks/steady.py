@@ -1,0 +1,164 @@
+"""Clocks that were set while the capture ran, found and taken out before anything is measured.
+
+Time that runs back is the capture's own doing. When a cFS's mission time and the capture's part ways while
+its sequence counts go on, one of the two clocks was set: the capture's where the traffic shows a hole of that
+length, else the cFS's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence.instances import Instances
+from edoras_tools.links.table import among
+from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.order import numbered
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.payloads import EventRecord
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.model import Endpoint
+
+_BACK_NS: Final = SECOND
+_MOST: Final = 16
+_CYCLE_NS: Final = 500 * MILLISECOND
+_WINDOW_NS: Final = 2 * SECOND
+_SURE: Final = 4
+"""Packets of a window of which one was hardly delayed."""
+_MODULUS: Final = 1 << 14
+_NEXT: Final = 16
+_MOST_GO_ON: Final = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """A clock that was set.
+
+    Attributes:
+        clock: whose: ``capture``, or the name of a cFS.
+        row: the first row after it.
+        by_ns: by how much, forward positive.
+    """
+
+    clock: str
+    row: int
+    by_ns: int
+
+
+def steadied(
+    rows: Rows, events: Sequence[EventRecord], endpoints: Sequence[Endpoint]
+) -> tuple[Rows, list[Jump], Instances]:
+    """Return the rows as if no clock had been set, every jump that was taken out, and who made the rows."""
+    rows, jumps = _forward_only(rows)
+    instances = Instances(rows, events, endpoints)
+    while len(jumps) < _MOST and (jump := _parted(rows, instances)) is not None:
+        rows = _without(rows, jump)
+        jumps.append(jump)
+        instances = Instances(rows, events, endpoints)
+    moved = _levelled(rows, instances, jumps)
+    if moved.any():
+        rows = replace(rows, mission_time_ns=rows.mission_time_ns + moved)
+        instances = Instances(rows, events, endpoints)
+    return rows, jumps, instances
+
+
+def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np.int64]:
+    """Return by how much each row's mission time is to be moved: what a cFS's clock slipped or drifted by.
+
+    The shortest delay in a window is less than the time between two wake-ups of Telemetry Output; what it is
+    longer than in the best window is the clock's doing. With several cFS on a network nothing is levelled:
+    two boots at nearly one time look alike, and a level may be the other one's.
+    """
+    moved = np.zeros(len(rows), np.int64)
+    alone = not ((rows.processor_id != 0) & (rows.mission_time_ns > 0)).any()
+    for index, instance in enumerate(instances.items if alone else ()):
+        own = np.flatnonzero(instances.of_row == index)
+        delay = rows.time_ns[own] - rows.mission_time_ns[own] - instance.offset_ns
+        window = (rows.time_ns[own] - rows.time_ns[own[0]]) // _WINDOW_NS
+        edges = np.flatnonzero(np.diff(window, prepend=window[0] - 1))
+        least = np.minimum.reduceat(delay, edges)
+        sure = np.diff(np.append(edges, len(own))) >= _SURE
+        if not sure.any() or least[sure].max() <= _CYCLE_NS:
+            continue
+        # A window with too few packets to tell is as the one before it; one that differs from both beside it
+        # had packets that were kept waiting.
+        level = least[np.maximum.accumulate(np.where(sure, np.arange(len(sure)), int(sure.argmax())))]
+        beside = np.stack((np.append(level[0], level[:-1]), level, np.append(level[1:], level[-1])))
+        beside = np.stack([np.median(beside, axis=0).astype(np.int64)] * 3)
+        beside[0, 1:], beside[2, :-1] = beside[1, :-1], beside[1, 1:]
+        level = beside[1]
+        beside = np.where(np.abs(beside - level) > 2 * _CYCLE_NS, beside, level)
+        # Where the clock slipped within a window, each packet goes by the level that it fits.
+        here = beside[:, np.repeat(np.arange(len(edges)), np.diff(np.append(edges, len(own))))]
+        moved[own] = np.where(here <= delay, here, 0).max(axis=0)
+        for at in np.flatnonzero(np.abs(np.diff(level)) > 2 * _CYCLE_NS)[:_MOST].tolist():
+            step = int(level[at] - level[at + 1])
+            jumps.append(Jump(instance.name or "cFS", int(own[edges[at + 1]]), step))
+    return moved
+
+
+def _forward_only(rows: Rows) -> tuple[Rows, list[Jump]]:
+    """Take out jumps back of the capture's clock."""
+    steps = np.diff(rows.time_ns)
+    back = np.flatnonzero(steps < -_BACK_NS)
+    if not len(back):
+        return rows, []
+    usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
+    moved = np.zeros(len(rows), np.int64)
+    moved[back + 1] = usual - steps[back]
+    jumps = [Jump("capture", at + 1, int(steps[at])) for at in back[:_MOST].tolist()]
+    return replace(rows, time_ns=rows.time_ns + np.cumsum(moved)), jumps
+
+
+def _parted(rows: Rows, instances: Instances) -> Jump | None:
+    """Find an instance that goes on as another, its clock or the capture's set."""
+    order = sorted(range(len(instances.items)), key=lambda index: instances.items[index].first_ns)
+    counts = [_first_and_last(rows, np.flatnonzero(instances.of_row == index)) for index in range(len(order))]
+    for at, after in enumerate(order):
+        for before in order[:at]:
+            first, second = instances.items[before], instances.items[after]
+            named = first.name == second.name or not (first.name and second.name)
+            if not named or first.last_ns > second.first_ns:
+                continue
+            if not _goes_on(counts[before][1], counts[after][0]):
+                continue
+            by = second.offset_ns - first.offset_ns
+            low = int(np.flatnonzero(instances.of_row == before)[-1])
+            high = int(np.flatnonzero(instances.of_row == after)[0])
+            steps = np.diff(rows.time_ns[low : high + 1])
+            widest = int(steps.argmax())
+            if by > 0 and abs(int(steps[widest]) - by) < SECOND + by // 10:
+                return Jump("capture", low + widest + 1, by)
+            return Jump(second.name or first.name or "cFS", high, -by)
+    return None
+
+
+def _first_and_last(rows: Rows, own: NDArray[np.intp]) -> list[dict[tuple[int, ...], int]]:
+    """Return the first and the last count of each MsgId from each endpoint, by link, endpoint and MsgId."""
+    found: list[dict[tuple[int, ...], int]] = []
+    for order in (own, own[::-1]):
+        at = order[numbered(rows.link[order], rows.source[order], rows.msg_id[order])[0]]
+        keys = zip(rows.link[at].tolist(), rows.source[at].tolist(), rows.msg_id[at].tolist(), strict=True)
+        found.append(dict(zip(keys, rows.sequence_count[at].tolist(), strict=True)))
+    return found
+
+
+def _goes_on(last: dict[tuple[int, ...], int], begin: dict[tuple[int, ...], int]) -> bool:
+    """Tell whether most counts of one instance are taken up by another."""
+    steps = [(begin[item] - last[item]) % _MODULUS for item in begin if item in last]
+    return len(steps) > 2 and sum(0 < step <= _NEXT for step in steps) > _MOST_GO_ON * len(steps)
+
+
+def _without(rows: Rows, jump: Jump) -> Rows:
+    later = np.arange(len(rows)) >= jump.row
+    if jump.clock == "capture":
+        return replace(rows, time_ns=rows.time_ns - later * jump.by_ns)
+    timed = later & (rows.mission_time_ns > 0) & among(rows.link, lambda link: link.from_cfs and link.packets)
+    return replace(rows, mission_time_ns=rows.mission_time_ns - timed * jump.by_ns)

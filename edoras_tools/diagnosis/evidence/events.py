@@ -1,0 +1,115 @@
+"""What cFS says about loss in its events, word for word, as values."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, Literal
+
+from edoras_tools.cfs import sbn, software_bus, telemetry_output
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from edoras_tools.diagnosis.evidence.instances import Instances
+    from edoras_tools.diagnosis.evidence.payloads import EventRecord
+
+LossEventKind = Literal["limit", "overflow", "no_subscriber", "invalid", "too_big"]
+
+_KINDS: Final[dict[int, LossEventKind]] = {
+    software_bus.MSG_LIMIT: "limit",
+    software_bus.PIPE_OVERFLOW: "overflow",
+    software_bus.NO_SUBSCRIBERS: "no_subscriber",
+    software_bus.INVALID_MSG_ID: "invalid",
+    software_bus.MSG_TOO_BIG: "too_big",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Culprit:
+    """Whom an event about loss names.
+
+    Attributes:
+        kind: what happened.
+        instance: on which cFS.
+        msg_id: which message.
+        pipe: where it did not fit; empty where the event names none.
+        sender: who sent it.
+    """
+
+    kind: LossEventKind
+    instance: int
+    msg_id: int
+    pipe: str
+    sender: str
+
+    @property
+    def at_pipe(self) -> bool:
+        """Whether it is about a pipe that did not take a message."""
+        return self.kind in {"limit", "overflow"}
+
+    @property
+    def at_output(self) -> bool:
+        """Whether it is Telemetry Output's pipe."""
+        return self.pipe == telemetry_output.PIPE
+
+    @property
+    def at_peer(self) -> bool:
+        """Whether it is the pipe of an SBN peer."""
+        return bool(sbn.PEER_PIPE.fullmatch(self.pipe))
+
+
+@dataclass(slots=True)
+class Said:
+    """How often an event was seen, and when.
+
+    Attributes:
+        records: the events, in order.
+    """
+
+    records: list[EventRecord] = field(default_factory=list)
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        return len(self.records)
+
+    @property
+    def first_ns(self) -> int:
+        """Capture time of the first."""
+        return self.records[0].time_ns
+
+    @property
+    def last_ns(self) -> int:
+        """Capture time of the last."""
+        return self.records[-1].time_ns
+
+    def within(self, start_ns: int, end_ns: int) -> int:
+        """Return how many came in a span of time."""
+        return sum(start_ns <= item.time_ns <= end_ns for item in self.records)
+
+
+def parse_loss_event(record: EventRecord, instance: int = NOBODY) -> Culprit | None:
+    """Return whom an event names, or None where it is not about loss."""
+    kind = _KINDS.get(record.event_id) if record.app == software_bus.NAME else None
+    found = software_bus.EVENTS[record.event_id].pattern.match(record.message) if kind else None
+    if kind is None or found is None:
+        return None
+    parts = found.groupdict()
+    return Culprit(kind, instance, int(parts["msg_id"], 16), parts.get("pipe", ""), parts["sender"])
+
+
+def culprits(events: Iterable[EventRecord], instances: Instances) -> dict[Culprit, Said]:
+    """Return everyone that events name, with the events."""
+    found: dict[Culprit, Said] = {}
+    for record in events:
+        culprit = parse_loss_event(record, instances.saying(record))
+        if culprit:
+            found.setdefault(culprit, Said()).records.append(record)
+    return found
+
+
+def repeats(events: Iterable[EventRecord]) -> Counter[tuple[str, str, int]]:
+    """Return how often each (instance, app, event number) was seen."""
+    return Counter((record.sender, record.app, record.event_id) for record in events)

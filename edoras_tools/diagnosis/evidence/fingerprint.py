@@ -1,0 +1,139 @@
+"""Fingerprints of messages, for finding the same one again on another link.
+
+A message's fingerprint is made of its decoded values, so that another encoding, padding and another time
+stamp do not change it. Fingerprints are u64; 0 means that there is none.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+from zlib import crc32
+
+import numpy as np
+
+from edoras_tools.wire.fingerprint import MIX, WEIGHTS, finished, stirred
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.ros import TypeStore
+    from edoras_tools.ros.cdr.columns import Ragged
+
+
+def of_values(
+    types: TypeStore,
+    type_name: str,
+    data: NDArray[np.uint8],
+    offset: NDArray[np.int64],
+    length: NDArray[np.int32],
+) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+    """Return two fingerprints of each message: of all numbers but time stamps, and of all numbers.
+
+    A type without numbers goes by its strings. Messages that do not decode have none.
+
+    Args:
+        types: the ROS types.
+        type_name: of all the messages.
+        data: u8, the buffer that holds them.
+        offset: i64, first byte of each CDR, encapsulation included.
+        length: i32, bytes of each CDR.
+    """
+    columns = types.columns(type_name, data, offset, length)
+    plain, stamped = (np.zeros(len(columns), np.uint64) for _ in range(2))
+    texts: list[tuple[str, Any]] = []
+    counted = False
+    for name, column in columns.fields.items():
+        values = column if isinstance(column, np.ndarray) else column.values
+        if values.dtype == object:
+            texts.append((name, column))
+            continue
+        counted = True
+        part = _field(name, column)
+        stamped += part
+        if not name.endswith(("stamp.sec", "stamp.nanosec")):
+            plain += part
+    if not counted:
+        for name, column in texts:
+            plain += _text(name, column)
+        stamped = plain
+    plain, stamped = finished(plain), finished(stamped)
+    plain[~columns.valid], stamped[~columns.valid] = 0, 0
+    return plain, stamped
+
+
+def latest_equal(
+    into: NDArray[np.uint64], into_ns: NDArray[np.int64], out: NDArray[np.uint64], out_ns: NDArray[np.int64]
+) -> NDArray[np.intp]:
+    """Return which of ``into`` is the latest equal to each of ``out`` and not later; -1 for none."""
+    prints = np.concatenate((into, out))
+    # What went in sorts before what comes out at the same time.
+    side = np.repeat([0, 1], [len(into), len(out)])
+    order = np.lexsort((side, np.concatenate((into_ns, out_ns)), prints))
+    latest = np.maximum.accumulate(np.where(side[order] == 0, np.arange(len(order)), -1))
+    goes = np.flatnonzero((side[order] == 1) & (latest >= 0))
+    from_ = order[latest[goes]]
+    same = (prints[order[goes]] == prints[from_]) & (prints[from_] != 0)
+    found = np.full(len(out), -1, np.intp)
+    found[order[goes[same]] - len(into)] = from_[same]
+    return found
+
+
+def paired(
+    into: NDArray[np.uint64], into_ns: NDArray[np.int64], out: NDArray[np.uint64], out_ns: NDArray[np.int64]
+) -> NDArray[np.intp]:
+    """Return which of ``into`` each of ``out`` is, each once, -1 for none: equal, the latest not later."""
+    prints = np.concatenate((into, out))
+    side = np.repeat([0, 1], [len(into), len(out)])
+    order = np.lexsort((side, np.concatenate((into_ns, out_ns)), prints))
+    goes = side[order] == 1
+    # What goes in opens a bracket and what comes out closes the one opened last.
+    group = np.cumsum(np.diff(prints[order], prepend=prints[order][:1]) != 0)
+    depth = np.cumsum(np.where(goes, -1, 1))
+    start = np.searchsorted(group, group)
+    before = np.where(start > 0, depth[start - 1], 0)
+    # Brackets that close nothing lift all that follow in their group.
+    lowest = depth - before
+    offset = group * -(2 * len(order) + 1)
+    floor = np.minimum.accumulate(np.minimum(lowest, 0) + offset) - offset
+    level = lowest - floor + goes
+    fresh = goes & (floor < np.where(np.arange(len(order)) == start, 0, np.roll(floor, 1)))
+    usable = np.flatnonzero(~fresh & (prints[order] != 0))
+    by_level = usable[np.lexsort((usable, level[usable], group[usable]))]
+    closes = np.flatnonzero(goes[by_level])
+    found = np.full(len(out), -1, np.intp)
+    found[order[by_level[closes]] - len(into)] = order[by_level[closes - 1]]
+    return found
+
+
+def _field(name: str, column: NDArray[Any] | Ragged) -> NDArray[np.uint64]:
+    """Return what a numeric field adds to the fingerprints, a row each."""
+    key = np.uint64(crc32(name.encode()) * int(MIX) & 0xFFFFFFFFFFFFFFFF)
+    if isinstance(column, np.ndarray):
+        flat = column.reshape(len(column), -1)
+        total = np.zeros(len(column), np.uint64)
+        for index in range(flat.shape[1]):
+            total += stirred(_bits(flat[:, index]) + key) * WEIGHTS[index % len(WEIGHTS)]
+        return total
+    count = np.diff(column.offsets)
+    within = np.arange(len(column.values)) - np.repeat(column.offsets[:-1], count)
+    part = stirred(_bits(column.values) + key) * WEIGHTS[within % len(WEIGHTS)]
+    sums = np.concatenate((np.zeros(1, np.uint64), np.cumsum(part, dtype=np.uint64)))
+    total = sums[column.offsets[1:]] - sums[column.offsets[:-1]] + count.astype(np.uint64) * key
+    return np.asarray(total, np.uint64)
+
+
+def _text(name: str, column: NDArray[Any] | Ragged) -> NDArray[np.uint64]:
+    key = name.encode()
+    rows = (
+        column.tolist()
+        if isinstance(column, np.ndarray)
+        else ["\0".join(column[row].tolist()) for row in range(len(column))]
+    )
+    return np.array([crc32(text.encode("utf-8", "replace"), crc32(key)) for text in rows], np.uint64) * MIX
+
+
+def _bits(values: NDArray[Any]) -> NDArray[np.uint64]:
+    if values.dtype.kind == "f":
+        # 0.0 and -0.0 are one value.
+        return (values.astype(np.float64) + 0.0).view(np.uint64)
+    return values.astype(np.int64).view(np.uint64)

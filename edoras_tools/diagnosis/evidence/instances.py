@@ -1,0 +1,263 @@
+"""Which cFS instance made a telemetry packet: instances on one host share addresses, never a boot time.
+
+Capture time minus mission time is the same for all packets of one boot, but for the delay on the way (a
+second or so). Offsets further apart than that are different boots, or a clock that was set.
+
+Two cFS may have one processor number, and may have been started together: what leaves from two addresses is
+two cFS, whatever they call themselves, and boots are of one cFS where address and name are the same.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
+from edoras_tools.links.table import among
+from edoras_tools.sessions.sequence import BOOT_APART_NS
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
+from edoras_tools.wire.order import numbered
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.payloads import EventRecord
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.model import Endpoint
+
+_LEAST_ROWS: Final = 3
+_BASELINE_NS: Final = 5 * SECOND
+"""In so long some packet is quick, and no clock drifts much."""
+NOBODY: Final = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Instance:
+    """One boot of one cFS.
+
+    Attributes:
+        name: its spacecraft and processor, as ``66:1``; empty where nothing in the capture says.
+        offset_ns: capture time minus mission time, less the shortest delay.
+        first_ns: its first packet here.
+        last_ns: its last packet here.
+        host: the address that it sends from, as a number; all boots of one cFS have it.
+    """
+
+    name: str
+    offset_ns: int
+    first_ns: int
+    last_ns: int
+    host: int
+
+
+class Instances:
+    """The instances of a capture.
+
+    Args:
+        rows: the table.
+        events: what applications said.
+        endpoints: what ``source`` and ``destination`` of the rows index.
+
+    Attributes:
+        items: them, by offset.
+        systems: a number each: boots of one cFS have the same.
+        hosts: i32, endpoint to the number of its address.
+        of_row: i32, the instance that made each row's packet; ``NOBODY`` where the packet has no time.
+        made_ns: i64, when each row's packet was made, in capture time; of one without a time, when captured.
+    """
+
+    def __init__(self, rows: Rows, events: Sequence[EventRecord], endpoints: Sequence[Endpoint]) -> None:
+        numbers: dict[str, int] = {}
+        hosts = [numbers.setdefault(item.address, len(numbers)) for item in endpoints]
+        self.hosts = np.array(hosts, np.int32)
+        self._addresses = list(numbers)
+        self.of_row = np.full(len(rows), NOBODY, np.int32)
+        self.items: list[Instance] = []
+        self._source = rows.source
+        timed = np.flatnonzero(
+            (rows.mission_time_ns > 0) & among(rows.link, lambda link: link.from_cfs and link.packets)
+        )
+        offset = rows.time_ns[timed] - rows.mission_time_ns[timed]
+        order = np.argsort(offset, kind="stable")
+        cuts = np.flatnonzero(np.diff(offset[order]) > BOOT_APART_NS) + 1
+        says = {event.row: event.sender for event in events}
+        for part in np.split(order, cuts):
+            for members in _publishers(rows, timed[part], says, self.hosts):
+                if len(members) >= _LEAST_ROWS:
+                    self._add(rows, members, says)
+        self.systems = self._find_systems()
+        self._owners = self._find_owners(rows)
+        self.made_ns = self._when_made(rows)
+
+    def _add(self, rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> None:
+        self.of_row[members] = len(self.items)
+        times = rows.time_ns[members]
+        offset = int((times - rows.mission_time_ns[members]).min())
+        name = self._name(rows, members, says)
+        # Who hands on others' packets does so through Telemetry Output: on SBN everyone speaks for himself.
+        own = members[among(rows.link[members], lambda link: link.peers)]
+        if not len(own):
+            events = members[rows.msg_id[members] == cfe.EVENT_MSG_ID]
+            own = np.array([row for row in events.tolist() if row in says], np.intp)
+        sent_from = self.hosts[rows.source[own if len(own) else members]]
+        host = int(np.bincount(sent_from).argmax())
+        self.items.append(Instance(name, offset, int(times.min()), int(times.max()), host))
+
+    def _find_systems(self) -> list[int]:
+        """Number the cFS: an address and a name, or an address alone where only one cFS has it."""
+        names: dict[int, set[str]] = {}
+        for item in self.items:
+            names.setdefault(item.host, set()).add(item.name)
+        known: dict[tuple[int, str], int] = {}
+        found = []
+        for item in self.items:
+            named = names[item.host] - {""}
+            name = item.name or (next(iter(named)) if len(named) == 1 else "")
+            found.append(known.setdefault((item.host, name), len(known)))
+        return found
+
+    def label(self, instance: int) -> str:
+        """Return how people are told of an instance, with its address where another cFS has its name."""
+        item = self.items[instance]
+        there = f" at {self._addresses[item.host]}" if self.others_named(instance) else ""
+        return (f"cFS {item.name}" if item.name else "cFS") + there
+
+    def others_named(self, instance: int) -> bool:
+        """Tell whether another cFS has the name of an instance."""
+        return any(
+            item.name == self.items[instance].name and system != self.systems[instance]
+            for item, system in zip(self.items, self.systems, strict=True)
+        )
+
+    @staticmethod
+    def _name(rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> str:
+        """Return who an instance says that it is: in its events, else as SBN sender."""
+        events = members[rows.msg_id[members] == cfe.EVENT_MSG_ID]
+        told = Counter(says[row] for row in events.tolist() if row in says)
+        if told:
+            return told.most_common(1)[0][0]
+        network = members[among(rows.link[members], lambda link: link.peers)]
+        if not len(network):
+            return ""
+        sender = rows.spacecraft_id[network].astype(np.uint64) << 32 | rows.processor_id[network]
+        values, counts = np.unique(sender, return_counts=True)
+        most = int(values[counts.argmax()])
+        return f"{most >> 32}:{most & 0xFFFFFFFF}"
+
+    def _when_made(self, rows: Rows) -> NDArray[np.int64]:
+        """Return when each packet was made, in capture time, by the quickest of its time: clocks drift."""
+        made = rows.time_ns.copy()
+        for index in range(len(self.items)):
+            own = np.flatnonzero((self.of_row == index) & (rows.mission_time_ns > 0))
+            delay = rows.time_ns[own] - rows.mission_time_ns[own]
+            window = (rows.time_ns[own] - rows.time_ns[own].min()) // _BASELINE_NS
+            least = np.full(int(window.max()) + 3, np.iinfo(np.int64).max)
+            np.minimum.at(least, window + 1, delay)
+            quickest = np.minimum(np.minimum(least[:-2], least[2:]), least[1:-1])
+            made[own] -= delay - quickest[window]
+        return made
+
+    def _find_owners(self, rows: Rows) -> dict[int, list[tuple[int, int]]]:
+        """Find whose socket telemetry leaves by: events never come from another instance."""
+        owners: dict[int, list[tuple[int, int]]] = {}
+        telemetry = among(rows.link, lambda link: link.only_from_cfs) & (self.of_row != NOBODY)
+        for source in np.unique(rows.source[telemetry]).tolist():
+            own = telemetry & (rows.source == source)
+            said = own & (rows.msg_id == cfe.EVENT_MSG_ID)
+            found = self.of_row[said if said.any() else own]
+            values, first, counts = np.unique(found, return_index=True, return_counts=True)
+            if said.any():
+                times = rows.time_ns[np.flatnonzero(said)[first]]
+                owners[source] = sorted(zip(times.tolist(), values.tolist(), strict=True))
+            else:
+                owners[source] = [(0, int(values[counts.argmax()]))]
+        return owners
+
+    def output(self, source: int) -> int:
+        """Return where Telemetry Output first sent from, if it restarted and has another port now."""
+        mine = {index for _, index in self._owners.get(source, [])}
+        same = [other for other, known in self._owners.items() if {index for _, index in known} == mine]
+        return same[0] if len(mine) == 1 and NOBODY not in mine and len(same) > 1 else source
+
+    def owner(self, source: int, time_ns: int) -> int:
+        """Return whose Telemetry Output sends from an endpoint at a time; ``NOBODY`` where unknown."""
+        known = self._owners.get(source, [])
+        before = [index for since, index in known if since <= time_ns]
+        return before[-1] if before else known[0][1] if known else NOBODY
+
+    def named(self, name: str, time_ns: int, source: int) -> int:
+        """Return the instance of a name that was there at a time; the nearest where none was.
+
+        Args:
+            name: spacecraft and processor, as ``66:1``.
+            time_ns: when.
+            source: the endpoint that speaks for it: of two of one name, the one of its address is meant.
+        """
+        fits = [index for index, item in enumerate(self.items) if item.name == name]
+        here = [index for index in fits if self.items[index].host == self.hosts[source]]
+        if not fits:
+            return NOBODY
+
+        def away(index: int) -> int:
+            item = self.items[index]
+            return max(item.first_ns - time_ns, time_ns - item.last_ns, 0)
+
+        return min(here or fits, key=away)
+
+    def saying(self, event: EventRecord) -> int:
+        """Return the instance that said something, by the packet's time, else by the name in it."""
+        instance = int(self.of_row[event.row])
+        if instance != NOBODY:
+            return instance
+        return self.named(event.sender, event.time_ns, int(self._source[event.row]))
+
+
+def _publishers(
+    rows: Rows, members: NDArray[np.intp], says: dict[int, str], hosts: NDArray[np.int32]
+) -> list[NDArray[np.intp]]:
+    """Divide the rows of one boot time by who made them, where it is the boot time of two."""
+    members = np.sort(members)
+    output = members[among(rows.link[members], lambda link: link.only_from_cfs)]
+    places = np.unique(hosts[rows.source[output]])
+    if len(places) < 2 and not _conflict(rows, members):
+        return [members]
+    network = members[among(rows.link[members], lambda link: link.peers)]
+    sender = rows.spacecraft_id[network].astype(np.uint64) << 32 | rows.processor_id[network]
+    first, who = numbered(hosts[rows.source[network]], sender)
+    names = [
+        (host, f"{item >> 32}:{item & 0xFFFFFFFF}")
+        for host, item in zip(
+            hosts[rows.source[network[first]]].tolist(), sender[first].tolist(), strict=True
+        )
+    ]
+    # What a Telemetry Output sends is its own, or was handed on and crossed SBN before.
+    from_ = latest_equal(
+        rows.packet_print[network], rows.time_ns[network], rows.packet_print[output], rows.time_ns[output]
+    )
+    events = output[rows.msg_id[output] == cfe.EVENT_MSG_ID]
+    owner = {int(rows.source[row]): says[row] for row in events.tolist() if row in says}
+    first, port = numbered(rows.source[output])
+    peers = tuple(names)
+    for source in rows.source[output[first]].tolist():
+        here = {name for host, name in peers if host == hosts[source]}
+        name = owner.get(source) or (here.pop() if len(here) == 1 else f"from {source}")
+        names.append((int(hosts[source]), name))
+    label = np.concatenate((who, len(peers) + port))
+    label[len(who) :][from_ >= 0] = who[from_[from_ >= 0]]
+    rows_of = np.concatenate((network, output))
+    of_name = np.array([sorted(set(names)).index(name) for name in names])[label]
+    return [np.sort(rows_of[of_name == index]) for index in np.unique(of_name).tolist()]
+
+
+def _conflict(rows: Rows, members: NDArray[np.intp]) -> bool:
+    """Tell whether 0x803 comes with one count and different contents: two instances make it."""
+    counters = members[rows.msg_id[members] == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID]
+    different, _ = numbered(rows.sequence_count[counters], rows.packet_print[counters])
+    counts = np.bincount(rows.sequence_count[counters[different]])
+    return int((counts > 1).sum()) > int((counts > 0).sum()) // 4

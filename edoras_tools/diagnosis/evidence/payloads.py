@@ -1,0 +1,315 @@
+"""What a diagnosis reads of payloads: counters and subscriptions in columns, events and commands singly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+
+from edoras_tools.cfs import command_ingest, executive_services, telemetry_output
+from edoras_tools.errors import TruncatedError
+from edoras_tools.links.table import among
+from edoras_tools.model import Finding
+from edoras_tools.wire import cfe, sbn
+from edoras_tools.wire.fingerprint import of_bytes
+from edoras_tools.wire.order import numbered
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns, PacketBatch
+
+_MOST: Final = 200_000
+"""Of each kind; a link that sends more than this says nothing new with the rest."""
+_BUS_COUNTERS: Final = (
+    cfe.SOFTWARE_BUS_HOUSEKEEPING,
+    (
+        "pipe_overflow_error_counter",
+        "message_limit_error_counter",
+        "no_subscribers_counter",
+        "message_send_error_counter",
+    ),
+)
+_CI_COUNTERS: Final = cfe.COMMAND_INGEST_HOUSEKEEPING, ("ingest_packets", "ingest_errors")
+
+
+@dataclass(slots=True)
+class Samples:
+    """Columns, a row of the table each, with what a payload held: counters, or which subscriptions.
+
+    Taken batch by batch, and joined when they are asked for.
+
+    Attributes:
+        names: of the columns, all i64: ``row`` of the table and ``time_ns`` of capture come first.
+    """
+
+    names: tuple[str, ...]
+    _parts: list[NDArray[np.int64]] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, *names: str) -> Self:
+        """Make one without rows, with these columns behind the first two."""
+        return cls(("row", "time_ns", *names))
+
+    def __len__(self) -> int:
+        return sum(part.shape[1] for part in self._parts)
+
+    def __getitem__(self, name: str) -> NDArray[np.int64]:
+        """Return a column."""
+        column: NDArray[np.int64] = self._whole()[self.names.index(name)]
+        return column
+
+    def add(self, *columns: NDArray[Any]) -> None:
+        """Take rows of a batch."""
+        if len(columns[0]):
+            self._parts.append(np.stack([column.astype(np.int64) for column in columns]))
+
+    def over(self, place: NDArray[np.int64]) -> Self:
+        """Return those that have a place in another table, not below 0, in its order."""
+        told = self._whole().copy()
+        told[0] = place[told[0]]
+        told = told[:, told[0] >= 0]
+        return replace(self, _parts=[told[:, np.argsort(told[0], kind="stable")]])
+
+    def timed(self, time_ns: NDArray[np.int64]) -> Self:
+        """Return them with other capture times, one a row of the table."""
+        told = self._whole().copy()
+        told[1] = time_ns[told[0]]
+        return replace(self, _parts=[told])
+
+    def _whole(self) -> NDArray[np.int64]:
+        if len(self._parts) != 1:
+            self._parts = [np.concatenate([np.zeros((len(self.names), 0), np.int64), *self._parts], axis=1)]
+        return self._parts[0]
+
+
+@dataclass(frozen=True, slots=True)
+class EventRecord:
+    """One 0x808: what an application said.
+
+    Attributes:
+        row: of the table.
+        number: place of the datagram in its source.
+        time_ns: capture time.
+        app: who said it.
+        event_id: its number for it.
+        event_type: 3 and 4 are errors.
+        sender: spacecraft and processor, as ``66:1``.
+        message: the text.
+    """
+
+    row: int
+    number: int
+    time_ns: int
+    app: str
+    event_id: int
+    event_type: int
+    sender: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.app} {self.event_id}: {self.message}"
+
+
+@dataclass(frozen=True, slots=True)
+class SubscriptionMessage:
+    """What a SUB or UNSUB says.
+
+    Attributes:
+        wanted: MsgIds; empty where it could not be read.
+        ident: the $Id it carries.
+    """
+
+    wanted: tuple[int, ...]
+    ident: str
+
+
+@dataclass(frozen=True, slots=True)
+class OutputCommand:
+    """One command to Telemetry Output.
+
+    Attributes:
+        row: of the table.
+        function_code: 6 enables, 4 removes a packet, 2 adds one.
+        address: of an enable, as text.
+        msg_id: of an add or remove; -1 else.
+    """
+
+    row: int
+    function_code: int
+    address: str = ""
+    msg_id: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class ExecutiveCommand:
+    """One command to Executive Services about an application.
+
+    Attributes:
+        row: of the table.
+        function_code: 4 starts, 5 stops, 6 restarts, 7 loads anew.
+        app: its name.
+    """
+
+    row: int
+    function_code: int
+    app: str
+
+
+@dataclass(slots=True)
+class Payloads:
+    """All of them, in order of capture.
+
+    Attributes:
+        housekeeping: of 0x803 what the software bus counted: 16 bits that wrap, the last two 8.
+        ingest: of 0x884 what Command Ingest counted.
+        subscriptions: SUB and UNSUB; ``said`` is a place in ``contents``.
+        contents: what they say, each once.
+        events: of 0x808 what applications said.
+        output: commands to Telemetry Output.
+        executive: commands to Executive Services.
+    """
+
+    housekeeping: Samples = field(
+        default_factory=lambda: Samples.of("pipe_overflows", "msg_limits", "no_subscribers", "send_errors")
+    )
+    ingest: Samples = field(default_factory=lambda: Samples.of("packets", "errors"))
+    subscriptions: Samples = field(default_factory=lambda: Samples.of("said"))
+    contents: list[SubscriptionMessage] = field(default_factory=list)
+    events: list[EventRecord] = field(default_factory=list)
+    output: list[OutputCommand] = field(default_factory=list)
+    executive: list[ExecutiveCommand] = field(default_factory=list)
+    _content: dict[int, int] = field(default_factory=dict)
+
+    def add(self, batch: PacketBatch, columns: Columns, base: int) -> None:
+        """Read what a batch holds.
+
+        Args:
+            batch: the datagrams.
+            columns: of the same rows.
+            base: row of the table that the batch's first datagram has.
+        """
+        downward = among(columns.link, lambda link: link.from_cfs and link.packets)
+        for samples, msg_id, layout, names in (
+            (self.housekeeping, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, *_BUS_COUNTERS),
+            (self.ingest, command_ingest.HOUSEKEEPING_MSG_ID, *_CI_COUNTERS),
+        ):
+            rows = np.flatnonzero(downward & (columns.msg_id == msg_id))
+            # What follows the counters is not read; a capture may have cut it off.
+            size = max(layout.by_name[name].end for name in names)
+            have = columns.packet_length[rows] - columns.header_length[rows]
+            rows = rows[(columns.packet_offset[rows] >= 0) & (have >= size)]
+            payload = gather(batch.data, columns.packet_offset[rows] + columns.header_length[rows], size)
+            counters = [layout.column(name, payload) for name in names]
+            samples.add(base + rows, batch.time_ns[rows], *counters)
+        for row in np.flatnonzero(downward & (columns.msg_id == cfe.EVENT_MSG_ID)).tolist():
+            self._event(batch, row, base, _payload(batch, columns, row))
+        listed = (columns.sbn_msg_type == sbn.MsgType.SUB) | (columns.sbn_msg_type == sbn.MsgType.UNSUB)
+        listed &= (columns.findings & np.uint32(Finding.CAPTURE_CUT)) == 0
+        self._subscribe(batch, np.flatnonzero(listed), base)
+        output = (columns.msg_id == telemetry_output.COMMAND_MSG_ID) & (columns.function_code >= 0)
+        for row in np.flatnonzero(output & ~among(columns.link, lambda link: link.only_from_cfs)).tolist():
+            self._output(int(columns.function_code[row]), row, base, _payload(batch, columns, row))
+        executive = columns.msg_id == executive_services.COMMAND_MSG_ID
+        for row in np.flatnonzero(executive & (columns.function_code >= 0) & ~downward).tolist():
+            self._executive(int(columns.function_code[row]), base + row, _payload(batch, columns, row))
+
+    def over(self, kept: NDArray[np.intp], count: int) -> Payloads:
+        """Return those of the rows that are kept, for a table of only these rows, in their order.
+
+        Args:
+            kept: the rows that are kept, as they shall stand; -1 for one whose payload is not believed.
+            count: rows there were.
+        """
+        place = np.full(count + 1, -1, np.int64)
+        place[kept] = np.arange(len(kept))
+        place[-1] = -1
+
+        def moved(items: list[Any]) -> list[Any]:
+            found = ((int(place[item.row]), item) for item in items)
+            there = sorted((pair for pair in found if pair[0] >= 0), key=lambda pair: pair[0])
+            return [replace(item, row=row) for row, item in there]
+
+        return replace(
+            self,
+            housekeeping=self.housekeeping.over(place),
+            ingest=self.ingest.over(place),
+            subscriptions=self.subscriptions.over(place),
+            events=moved(self.events),
+            output=moved(self.output),
+            executive=moved(self.executive),
+        )
+
+    def timed(self, time_ns: NDArray[np.int64]) -> Payloads:
+        """Return them with other capture times, one a row of the table."""
+        return replace(
+            self,
+            housekeeping=self.housekeeping.timed(time_ns),
+            ingest=self.ingest.timed(time_ns),
+            events=[replace(item, time_ns=int(time_ns[item.row])) for item in self.events],
+        )
+
+    def _event(self, batch: PacketBatch, row: int, base: int, payload: bytes) -> None:
+        if len(payload) < cfe.EVENT.size - 2 or len(self.events) >= _MOST:
+            return
+        read = cfe.EVENT.parse(payload.ljust(cfe.EVENT.size, b"\0"))
+        self.events.append(
+            EventRecord(
+                base + row,
+                int(batch.number[row]),
+                int(batch.time_ns[row]),
+                read["app_name"],
+                read["event_id"],
+                read["event_type"],
+                f"{read['spacecraft_id']}:{read['processor_id']}",
+                read["message"].strip(),
+            )
+        )
+
+    def _subscribe(self, batch: PacketBatch, rows: NDArray[np.intp], base: int) -> None:
+        """Read each SUB and UNSUB once: the public flight bridge says the same twice a second."""
+        start = batch.offset[rows] + sbn.HEADER.size
+        length = batch.length[rows] - sbn.HEADER.size
+        prints = of_bytes(batch.data, start, length)
+        first, which = numbered(prints)
+        places = np.zeros(len(first), np.int64)
+        for number, at in enumerate(first.tolist()):
+            known = self._content.setdefault(int(prints[at]), len(self.contents))
+            if known == len(self.contents):
+                end = int(start[at]) + max(0, int(length[at]))
+                self.contents.append(_subscriptions(batch.data[int(start[at]) : end].tobytes()))
+            places[number] = known
+        self.subscriptions.add(base + rows, batch.time_ns[rows], places[which])
+
+    def _output(self, code: int, row: int, base: int, payload: bytes) -> None:
+        if len(self.output) >= _MOST:
+            return
+        address = payload[:16].split(b"\0")[0].decode("ascii", "replace")
+        edits = {telemetry_output.ADD_PACKET, telemetry_output.REMOVE_PACKET}
+        wanted = int.from_bytes(payload[:4], "little") if code in edits and len(payload) >= 4 else -1
+        self.output.append(
+            OutputCommand(base + row, code, address if code == telemetry_output.ENABLE else "", wanted)
+        )
+
+    def _executive(self, code: int, row: int, payload: bytes) -> None:
+        about_app = {executive_services.START_APP, *executive_services.ENDS_APP}
+        if code in about_app and len(self.executive) < _MOST:
+            name = payload[: executive_services.APP_NAME_BYTES].split(b"\0")[0].decode("ascii", "replace")
+            self.executive.append(ExecutiveCommand(row, code, name))
+
+
+def _subscriptions(payload: bytes) -> SubscriptionMessage:
+    try:
+        ident, wanted = sbn.parse_subscriptions(payload)
+    except TruncatedError:
+        ident, wanted = payload[: sbn.IDENT_BYTES].split(b"\0")[0].decode("ascii", "replace"), ()
+    return SubscriptionMessage(tuple(item.msg_id for item in wanted), ident)
+
+
+def _payload(batch: PacketBatch, columns: Columns, row: int) -> bytes:
+    """Return what lies behind a row's cFE header."""
+    start = int(columns.packet_offset[row])
+    at = start + int(columns.header_length[row])
+    return batch.data[at : start + int(columns.packet_length[row])].tobytes() if start >= 0 else b""

@@ -1,0 +1,310 @@
+"""The Software Bus Network's connections over time, as each cFS must see them.
+
+A peer is connected from its first datagram on, until it says DISCONNECT or nothing for eleven seconds.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.links.table import among
+from edoras_tools.model import Finding
+from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire import sbn
+from edoras_tools.wire.order import numbered
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.diagnosis.evidence.instances import Instances
+    from edoras_tools.diagnosis.evidence.payloads import Payloads
+    from edoras_tools.diagnosis.evidence.table import Rows
+
+ObservedState = Literal["connected", "silent", "timed_out", "disconnected"]
+_LEAST_ROWS: Final = 3
+_ALREADY_NS: Final = SECOND
+_STILL_NS: Final = 3 * SECOND
+"""So long after a time-out nobody sends to a peer any more."""
+_ANSWERS_NS: Final = 500 * MILLISECOND
+SAID_GOODBYE: Final = "the observer sent it DISCONNECT"
+UNSEEN: Final = "nothing of it is seen here since, yet the observer goes on sending to it"
+
+
+SbnParty = tuple[str, int]
+"""An identity, as ``66:3``, and the number of the address that it speaks from."""
+
+
+class PeerChange(NamedTuple):
+    """A peer's state from a time on."""
+
+    time_ns: int
+    state: ObservedState
+    why: str
+
+
+class PeerSilence(NamedTuple):
+    """A time in which a peer said nothing: from its last datagram to its next, or to the end.
+
+    ``given_up`` tells whether it lasted until its observer timed it out; ``change`` is the place of its
+    beginning in the connection's changes.
+    """
+
+    start_ns: int
+    until_ns: int
+    given_up: bool
+    change: int
+
+
+@dataclass(slots=True)
+class Connection:
+    """A peer as one cFS sees it.
+
+    Attributes:
+        peer: who is seen, as ``66:3``.
+        observer: the cFS that sees it.
+        changes: its states, in order.
+        sent_ns: capture times of application messages that the observer sent to it.
+    """
+
+    peer: str
+    observer: str
+    changes: list[PeerChange]
+    sent_ns: NDArray[np.int64]
+
+    def state_at(self, time_ns: int) -> ObservedState | None:
+        """Return the state at a time; None before anything was seen."""
+        before = [change.state for change in self.changes if change.time_ns <= time_ns]
+        return before[-1] if before else None
+
+    def broken_within(self, start_ns: int, end_ns: int) -> bool:
+        """Tell whether messages could not cross at some time of a span."""
+        if self.state_at(start_ns) != "connected":
+            return True
+        return any(
+            start_ns < change.time_ns <= end_ns and change.state != "silent" for change in self.changes
+        )
+
+    def silences(self, end_ns: int) -> Iterator[PeerSilence]:
+        """Yield every silence that the observer noticed, and one that lasts to the end of the capture."""
+        for at, change in enumerate(self.changes):
+            if change.state != "silent" or change.why == UNSEEN:
+                continue
+            later = self.changes[at + 1 :]
+            back = next((item.time_ns for item in later if item.state == "connected"), end_ns)
+            yield PeerSilence(change.time_ns, back, bool(later) and later[0].state == "timed_out", at)
+
+    def sent_in(self, silence: PeerSilence) -> NDArray[np.int64]:
+        """Return when application messages were sent to it in a silence."""
+        return self.sent_ns[(self.sent_ns > silence.start_ns) & (self.sent_ns < silence.until_ns)]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the connection in the shape of ``doctor --json``."""
+        return {
+            "peer": self.peer,
+            "observer": self.observer,
+            "states": [change._asdict() for change in self.changes],
+        }
+
+
+class Network:
+    """Everyone on the Software Bus Network.
+
+    Attributes:
+        identity_of: endpoint to who speaks from there.
+        connections: by (peer, observer), each an identity and the number of its address.
+        datagrams: identity to datagrams sent.
+    """
+
+    def __init__(
+        self,
+        rows: Rows,
+        payloads: Payloads,
+        instances: Instances,
+        profile: SimProfile,
+        outages: Sequence[tuple[int, int]] = (),
+    ) -> None:
+        """Follow every connection.
+
+        Args:
+            rows: the table.
+            payloads: subscriptions.
+            instances: the cFS instances.
+            profile: the constants of cFS.
+            outages: from when to when the capturing interface was away: silence then tells nothing.
+        """
+        self.identity_of: dict[int, str] = {}
+        self.connections: dict[tuple[SbnParty, SbnParty], Connection] = {}
+        self._outages = outages
+        self._hosts = instances.hosts
+        self.datagrams: Counter[str] = Counter()
+        self._profile = profile
+        listed = payloads.subscriptions
+        unsubscribed = np.flatnonzero(rows.sbn_msg_type[listed["row"]] == sbn.MsgType.UNSUB)
+        self._unsubscribed = [
+            (int(rows.time_ns[listed["row"][at]]), payloads.contents[listed["said"][at]].wanted)
+            for at in unsubscribed.tolist()
+        ]
+        network = np.flatnonzero(among(rows.link, lambda link: link.peers) & (rows.sbn_msg_type >= 0))
+        if not len(network):
+            return
+        self._identify(rows, network)
+        flight_software = {item.name for item in instances.items if item.name}
+        timed = network[instances.of_row[network] != NOBODY]
+        speakers = {self.identity_of.get(source, "") for source in np.unique(rows.source[timed]).tolist()}
+        flight_software |= speakers - {""}
+        self._connect(rows, network, flight_software)
+
+    def _identify(self, rows: Rows, network: NDArray[np.intp]) -> None:
+        short = rows.has(Finding.TRUNCATED) & ~rows.has(Finding.CAPTURE_CUT)
+        sound = network[~(rows.has(Finding.SBN_UNKNOWN_TYPE) | short)[network]]
+        for source in np.unique(rows.source[sound]).tolist():
+            own = sound[rows.source[sound] == source]
+            who = rows.spacecraft_id[own].astype(np.uint64) << 32 | rows.processor_id[own]
+            values, counts = np.unique(who, return_counts=True)
+            most = int(values[counts.argmax()])
+            name = f"{most >> 32}:{most & 0xFFFFFFFF}"
+            if counts.max() >= _LEAST_ROWS:
+                self.identity_of[source] = name
+            self.datagrams[name] += int(counts.max())
+
+    def party(self, endpoint: int) -> SbnParty:
+        """Return who speaks from an endpoint: two of one identity are told apart by their addresses."""
+        return self.identity_of.get(endpoint, ""), int(self._hosts[endpoint])
+
+    def _connect(self, rows: Rows, network: NDArray[np.intp], flight_software: set[str]) -> None:
+        parties = [self.party(endpoint) for endpoint in range(len(self._hosts))]
+        first, way = numbered(rows.source[network], rows.destination[network])
+        ends = (rows.source[network[first]].tolist(), rows.destination[network[first]].tolist())
+        ways: dict[tuple[SbnParty, SbnParty], list[int]] = {}
+        for at, (source, target) in enumerate(zip(*ends, strict=True)):
+            ways.setdefault((parties[source], parties[target]), []).append(at)
+        end_ns = int(rows.time_ns[-1])
+        for peer, observer in sorted(ways):
+            if peer[0] and observer[0] in flight_software and peer != observer:
+                heard = network[np.isin(way, ways[peer, observer])]
+                sent = network[np.isin(way, ways.get((observer, peer), []))]
+                said = sent if len(sent) else heard
+                app = sent[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
+                alive_ns = int(rows.time_ns[said[0]])
+                changes = self._changes(rows, heard, alive_ns, end_ns, _farewells(rows, sent))
+                changes = _believed(changes, rows.time_ns[app])
+                self.connections[peer, observer] = Connection(
+                    peer[0], observer[0], changes, rows.time_ns[app]
+                )
+
+    def _changes(
+        self,
+        rows: Rows,
+        heard: NDArray[np.intp],
+        alive_ns: int,
+        end_ns: int,
+        farewells: list[tuple[int, int]],
+    ) -> list[PeerChange]:
+        """Follow one peer's datagrams to one observer, who is there from ``alive_ns`` on.
+
+        Args:
+            rows: the table.
+            heard: the peer's datagrams to the observer.
+            alive_ns: the observer's first datagram.
+            end_ns: the last of the capture.
+            farewells: see ``_farewells``.
+        """
+        timeout = self._profile.sbn_timeout_s * SECOND
+        silent = (self._profile.sbn_heartbeat_s + 1) * SECOND
+        begin_ns = int(rows.time_ns[0])
+        changes: list[PeerChange] = []
+        up, last = False, 0
+        away = [*farewells, (np.iinfo(np.int64).max, 0)]
+        for row in heard.tolist():
+            now, kind = int(rows.time_ns[row]), int(rows.sbn_msg_type[row])
+            if now > away[0][0]:
+                if up:
+                    changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
+                up = False
+                if now < away[0][1]:
+                    continue  # what it is sent, the observer does not take
+                away.pop(0)
+            # What came before the observer was there, nobody heard.
+            if now < alive_ns - 500 * MILLISECOND:
+                continue
+            if up and now - last >= timeout + self._away(last, now):
+                changes += self._silence(last, timeout)
+                up = False
+            if kind == sbn.MsgType.DISCONNECT:
+                if up:
+                    changes.append(PeerChange(now, "disconnected", "it sent DISCONNECT"))
+                up = False
+            elif not up:
+                first = not changes and now - begin_ns < _ALREADY_NS
+                why = "it was when the capture began" if first else f"its {_name(kind)} arrived"
+                changes.append(PeerChange(now, "connected", why))
+                up = True
+            last = now
+        if up and away[0][0] <= end_ns:
+            changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
+        elif up and (quiet := end_ns - last - self._away(last, end_ns)) >= timeout + SECOND:
+            changes += self._silence(last, timeout)
+        elif up and quiet >= silent:
+            text = f"nothing from it since, {(end_ns - last) / SECOND:.1f} s to the end of the capture"
+            changes.append(PeerChange(last, "silent", text))
+        return changes
+
+    def _away(self, start_ns: int, end_ns: int) -> int:
+        """Return for how long of a time the capturing interface was away."""
+        return sum(max(0, min(end, end_ns) - max(start, start_ns)) for start, end in self._outages)
+
+    @staticmethod
+    def _silence(last: int, timeout: int) -> list[PeerChange]:
+        return [
+            PeerChange(last, "silent", "its last datagram; it was killed, stopped or cut off"),
+            PeerChange(last + timeout, "timed_out", f"{timeout // SECOND} s without a word"),
+        ]
+
+    def crossing(self, sender: int, receiver: int) -> Connection | None:
+        """Return the receiving peer's connection, as the sending cFS sees it."""
+        return self.connections.get((self.party(receiver), self.party(sender)))
+
+    def unsubscribed_within(self, msg_id: int, start_ns: int, end_ns: int) -> bool:
+        """Tell whether a MsgId was unsubscribed in a span of time."""
+        return any(start_ns <= when <= end_ns and msg_id in wanted for when, wanted in self._unsubscribed)
+
+
+def _farewells(rows: Rows, sent: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """Return when an observer sent DISCONNECT, and from when on it took the peer's datagrams again.
+
+    It does so when it sends anything else to it: it answers what comes. Never is the largest time there is.
+    """
+    goodbye = rows.sbn_msg_type[sent] == sbn.MsgType.DISCONNECT
+    others = rows.time_ns[sent[~goodbye]]
+    found: list[tuple[int, int]] = []
+    for when in rows.time_ns[sent[goodbye]].tolist():
+        at = int(np.searchsorted(others, when, "right"))
+        again = int(others[at]) - _ANSWERS_NS if at < len(others) else int(np.iinfo(np.int64).max)
+        if not found or when > found[-1][1]:
+            found.append((when, again))
+    return found
+
+
+def _believed(changes: list[PeerChange], sent_ns: NDArray[np.int64]) -> list[PeerChange]:
+    """Take back time-outs that the observer did not see: it went on sending, so the peer was heard there."""
+    out: list[PeerChange] = []
+    for at, change in enumerate(changes):
+        until = changes[at + 1].time_ns if at + 1 < len(changes) else np.iinfo(np.int64).max
+        late = (sent_ns > change.time_ns + _STILL_NS) & (sent_ns < until)
+        if change.state == "timed_out" and late.any():
+            out[-1] = out[-1]._replace(why=UNSEEN)
+            continue
+        out.append(change)
+    return out
+
+
+def _name(kind: int) -> str:
+    return sbn.MSG_TYPE_NAMES.get(kind, f"type 0x{kind:02x}")

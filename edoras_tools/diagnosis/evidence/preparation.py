@@ -1,0 +1,191 @@
+"""What a diagnosis rests on: the recorded rows in order of time, each datagram once, and only what is cFS's.
+
+1. A file whose records are out of order is sorted before anything is made of it; a capture's clock that was
+   set back is not a disorder: the times that cFS's packets carry then go on.
+2. Datagrams of conversations that are not cFS's are left out; those of strangers that did reach a cFS
+   stay, as datagrams that hold no packet.
+3. A datagram that was captured twice is counted once, in front of a proxy and behind it too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind
+from edoras_tools.diagnosis.evidence.copies import find_copies
+from edoras_tools.diagnosis.evidence.relayed import before_proxy
+from edoras_tools.diagnosis.evidence.table import SCATTERED, followed
+from edoras_tools.links.table import among
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.conversations import Flow
+    from edoras_tools.diagnosis.evidence.payloads import Payloads
+    from edoras_tools.diagnosis.evidence.proxied import Proxied, RouteWay
+    from edoras_tools.diagnosis.evidence.table import Recorder, Rows
+    from edoras_tools.model import Endpoint
+
+_MOST_SET: Final = 16
+"""A clock is set back now and then; records that go back more often are out of order."""
+_PLACE: Final = {kind: place for place, kind in enumerate(ConversationKind)}
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """What is left to judge, and what was done about the rest.
+
+    Attributes:
+        rows: the rows.
+        payloads: of these rows.
+        flows: every conversation, with its kind.
+        foreign: datagrams of other programs, left out.
+        copies: datagrams that were captured before.
+        relayed: datagrams that were captured in front of a proxy, and are counted behind it.
+        duplicates: i64, rows that the network doubled.
+        disordered: records that stood behind a later one.
+    """
+
+    rows: Rows
+    payloads: Payloads
+    flows: Sequence[Flow]
+    foreign: int
+    copies: int
+    relayed: int
+    duplicates: NDArray[np.intp]
+    disordered: int
+
+
+def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared:
+    """Prepare what a recorder kept.
+
+    Args:
+        recorder: it.
+        proxied: what a proxy did on purpose.
+    """
+    rows, payloads, disordered = in_time_order(recorder)
+    flows, count = recorder.conversations.judge(), len(rows)
+    kind = _kinds(rows, flows, recorder.endpoints)
+    if not _counted(rows, payloads, kind):
+        # CI did not count them: whatever the ports say, they did not reach it.
+        kind[kind == _PLACE[ConversationKind.STRANGER]] = _PLACE[ConversationKind.FOREIGN]
+    foreign = kind == _PLACE[ConversationKind.FOREIGN]
+    kept = np.flatnonzero(~foreign)
+    told = rows.take(kept) if len(kept) < count else rows
+    pair = told.source.astype(np.int64) << 32 | told.destination
+    relayed = before_proxy(told, proxied)
+    if relayed.any():
+        behind = np.flatnonzero(~relayed)
+        kept, told, pair = kept[behind], told.take(behind), pair[behind]
+    copies = find_copies(told.time_ns, told.identification, pair, told.tap, told.bytes_print)
+    duplicate = copies.duplicate
+    if copies.copy.any():
+        once = np.flatnonzero(~copies.copy)
+        kept, told, duplicate = kept[once], told.take(once), duplicate[once]
+    stranger = kind[kept] == _PLACE[ConversationKind.STRANGER]
+    if stranger.any():
+        told = _emptied(told, stranger)
+    if len(kept) < count or stranger.any():
+        payloads = payloads.over(np.where(stranger, -1, kept), count)
+    return Prepared(
+        rows=told,
+        payloads=payloads,
+        flows=flows,
+        foreign=int(foreign.sum()),
+        copies=int(copies.copy.sum()),
+        relayed=int(relayed.sum()),
+        duplicates=np.flatnonzero(duplicate),
+        disordered=disordered,
+    )
+
+
+def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:
+    """Return what a recorder kept in order of time, and how many records stood behind a later one.
+
+    Sequence counts are followed anew where there were any: gaps are those of the link, not of the file.
+    """
+    rows, payloads = recorder.rows(), recorder.payloads
+    disordered = _disordered(rows)
+    if disordered:
+        order = np.argsort(rows.time_ns, kind="stable")
+        rows, payloads = followed(rows.take(order)), payloads.over(order, len(rows))
+    return rows, payloads, disordered
+
+
+def _kinds(rows: Rows, flows: Sequence[Flow], endpoints: Sequence[Endpoint]) -> NDArray[np.int8]:
+    """Return the kind of each row's conversation, as its place in ``ConversationKind``."""
+    out = np.full(len(rows), _PLACE[ConversationKind.CFS], np.int8)
+    number = {endpoint: index for index, endpoint in enumerate(endpoints)}
+    for flow in flows:
+        if flow.kind in LEFT_OUT and flow.source in number and flow.destination in number:
+            own = (rows.source == number[flow.source]) & (rows.destination == number[flow.destination])
+            out[own] = _PLACE[flow.kind]
+    return out
+
+
+def _counted(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bool:
+    """Tell whether CI's counter holds the strangers' datagrams, as far as it is there to tell."""
+    samples = payloads.ingest
+    if len(samples) < 2:
+        return True
+    steps = np.diff(samples["packets"])
+    grown = int((steps + np.diff(samples["errors"]))[steps >= 0].sum())
+    between = (rows.time_ns >= samples["time_ns"][0]) & (rows.time_ns <= samples["time_ns"][-1])
+    to_ci = between & among(rows.link, lambda link: link.to_cfs and not link.from_cfs)
+    strange = int((to_ci & (kind == _PLACE[ConversationKind.STRANGER])).sum())
+    own = int((to_ci & (kind == _PLACE[ConversationKind.CFS])).sum())
+    return 2 * (grown - own) >= strange
+
+
+def _disordered(rows: Rows) -> int:
+    """Count the records that stand behind a later one, where the file is so and no clock was set."""
+    steps = np.diff(rows.time_ns)
+    back = np.flatnonzero(steps < 0)
+    far = back[steps[back] < -SECOND]
+    if not len(back):
+        return 0
+    seldom = len(back) * SCATTERED < len(rows)
+    if seldom and 0 < len(far) <= _MOST_SET and not _goes_back(rows, far):
+        return 0
+    return len(back)
+
+
+def _goes_back(rows: Rows, far: NDArray[np.intp]) -> bool:
+    """Tell whether the times in cFS's packets go back where the records do: then no clock was set."""
+    timed = np.flatnonzero((rows.mission_time_ns > 0) & among(rows.link, lambda link: link.from_cfs))
+    if not len(timed):
+        return False
+    offset = rows.time_ns[timed] - rows.mission_time_ns[timed]
+    votes = 0
+    for row in far.tolist():
+        at = int(np.searchsorted(timed, row, side="right"))
+        if 0 < at < len(timed):
+            votes += 1 if abs(int(offset[at] - offset[at - 1])) < SECOND else -1
+    return votes > 0
+
+
+def _emptied(rows: Rows, chosen: NDArray[np.bool_]) -> Rows:
+    """Return the rows, some of them as datagrams that hold no packet."""
+    none = {
+        "msg_id": NO_MSG_ID,
+        "route": NO_ROUTE,
+        "function_code": -1,
+        "mission_time_ns": -1,
+        "sbn_msg_type": -1,
+        **dict.fromkeys(("packet_length", "cdr_length", "space", "claimed", "findings"), 0),
+        **dict.fromkeys(("packet_print", "value_print", "stamped_print"), 0),
+    }
+    return replace(
+        rows,
+        **{
+            name: np.where(chosen, np.array(value).astype(getattr(rows, name).dtype), getattr(rows, name))
+            for name, value in none.items()
+        },
+    )

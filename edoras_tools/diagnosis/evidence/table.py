@@ -1,0 +1,357 @@
+"""All that a diagnosis keeps of each datagram: 110 bytes in columns, whatever the datagram's size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+
+from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.decode.conversations import Conversations
+from edoras_tools.diagnosis.evidence import fingerprint, robot
+from edoras_tools.diagnosis.evidence.payloads import Payloads
+from edoras_tools.io.frames.linklayer import network_headers
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.table import among
+from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch
+from edoras_tools.sessions.sequence import SequenceCounts
+from edoras_tools.wire import cfe
+from edoras_tools.wire.fingerprint import of_bytes
+from edoras_tools.wire.order import numbered
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode import Context
+    from edoras_tools.sessions.sequence import SequenceRows
+
+SCATTERED: Final = 20
+"""One record in so many, at the least, stands before an earlier one where a capture is out of order."""
+_SAMPLES: Final = 4
+_ENCAPSULATION: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Columns of one length, one element a datagram, in order of capture.
+
+    ``source`` and ``destination`` index ``Recorder.endpoints``. The rest is as in ``PacketBatch`` and
+    ``Columns``, and:
+
+    Attributes:
+        number: i64, place in the source, from 1.
+        time_ns: i64, capture time.
+        length: i32, bytes of the UDP payload.
+        space: i32, bytes of a packet behind the envelope, padding included; 0 where there is no envelope.
+        claimed: i32, bytes of CDR that an envelope claims and its packet does not hold; 0 elsewhere.
+        identification: u16, of the IPv4 packet; 0 for IPv6.
+        tap: u64, fingerprint of what the frame holds in front of the IP header, and of the time to live:
+            differs where one packet was captured at two places.
+        bytes_print: u64, fingerprint of the whole datagram.
+        counted: bool, the packet has a sequence count, and its sender counts.
+        missing: i32, counts that never came right before the packet; this and the next three are as in
+            ``SequenceRows``, and 0 where nobody counts.
+        duplicates: i32.
+        reordered: i32.
+        restarts: i32.
+        packet_print: u64, fingerprint of the whole space packet.
+        value_print: u64, fingerprint of the message's values but its time stamps.
+        stamped_print: u64, fingerprint of the message's values.
+    """
+
+    number: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    link: NDArray[np.uint8]
+    source: NDArray[np.int32]
+    destination: NDArray[np.int32]
+    sbn_msg_type: NDArray[np.int16]
+    processor_id: NDArray[np.uint32]
+    spacecraft_id: NDArray[np.uint32]
+    msg_id: NDArray[np.int32]
+    sequence_count: NDArray[np.uint16]
+    function_code: NDArray[np.int16]
+    mission_time_ns: NDArray[np.int64]
+    length: NDArray[np.int32]
+    packet_length: NDArray[np.int32]
+    header_length: NDArray[np.uint8]
+    cdr_length: NDArray[np.int32]
+    space: NDArray[np.int32]
+    claimed: NDArray[np.int32]
+    route: NDArray[np.int16]
+    findings: NDArray[np.uint32]
+    identification: NDArray[np.uint16]
+    tap: NDArray[np.uint64]
+    bytes_print: NDArray[np.uint64]
+    counted: NDArray[np.bool_]
+    missing: NDArray[np.int32]
+    duplicates: NDArray[np.int32]
+    reordered: NDArray[np.int32]
+    restarts: NDArray[np.int32]
+    packet_print: NDArray[np.uint64]
+    value_print: NDArray[np.uint64]
+    stamped_print: NDArray[np.uint64]
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def take(self, rows: NDArray[Any] | slice) -> Self:
+        """Return the rows that an index array, a mask or a slice chooses."""
+        return type(self)(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
+
+    def has(self, finding: Finding) -> NDArray[np.bool_]:
+        """Tell which rows have one of these findings."""
+        return np.asarray((self.findings & np.uint32(finding)) != 0)
+
+
+class Recorder:
+    """Takes batches and keeps what a diagnosis needs of them.
+
+    Args:
+        context: what they are decoded with.
+        conversations: of all that came before, to go on with.
+
+    Attributes:
+        conversations: everything on any port, by who spoke to whom.
+        endpoints: the addresses and ports seen, in the order first seen.
+        payloads: counters, events and the like.
+        samples: (link, MsgId) to a few CDR messages, shortest and longest among them.
+        left_out: datagrams that belong to no link.
+    """
+
+    def __init__(self, context: Context, conversations: Conversations | None = None) -> None:
+        self.context = context
+        self.conversations = conversations or Conversations(context)
+        self.endpoints: list[Endpoint] = []
+        self.payloads = Payloads()
+        self.samples: dict[tuple[int, int], dict[int, bytes]] = {}
+        self._index: dict[tuple[int, str, int], int] = {}
+        self._parts: list[Rows] = []
+        self._sequences = SequenceCounts()
+        self._told: list[SequenceRows] = []
+        self._count = 0
+        self.left_out = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def last_ns(self) -> int:
+        """Capture time of the datagram that was taken last; 0 where there is none."""
+        return int(self._parts[-1].time_ns[-1]) if self._parts else 0
+
+    @property
+    def scattered(self) -> bool:
+        """Whether records of any time stand anywhere, so that no part of what was taken stands by itself."""
+        times = np.concatenate([part.time_ns for part in self._parts])
+        first, last = times[: len(times) // 4], times[-len(times) // 4 :]
+        back = int((np.diff(times) < 0).sum())
+        return bool(back * SCATTERED > len(times) and len(first) and last.min() < first.max())
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take a batch; datagrams that carry no packet are left out, but for commands to a robot."""
+        self.conversations.add(batch, columns)
+        chosen = np.flatnonzero(
+            among(columns.link, lambda link: link.packets) | robot.robot_commands(columns, batch)
+        )
+        self.left_out += len(batch) - len(chosen)
+        if not len(chosen):
+            return
+        if len(chosen) < len(batch):
+            batch, columns = batch.take(chosen), columns.take(chosen)
+        self.payloads.add(batch, columns, self._count)
+        offset, length, space, claimed = self._messages(batch, columns)
+        plain, stamped = self._fingerprints(batch, columns, offset, length)
+        there = columns.packet_offset >= 0
+        network, identification, life = network_headers(batch)
+        tap = of_bytes(batch.data, batch.frame_offset, network - batch.frame_offset)
+        told = self._sequences.follow(batch, columns)
+        self._told.append(told)
+        self._parts.append(
+            Rows(
+                number=batch.number,
+                time_ns=batch.time_ns,
+                link=columns.link,
+                source=self._endpoints(batch, batch.source_address, batch.source_port),
+                destination=self._endpoints(batch, batch.destination_address, batch.destination_port),
+                sbn_msg_type=columns.sbn_msg_type,
+                processor_id=columns.processor_id,
+                spacecraft_id=columns.spacecraft_id,
+                msg_id=columns.msg_id,
+                sequence_count=columns.sequence_count,
+                function_code=columns.function_code,
+                mission_time_ns=columns.mission_time_ns,
+                length=batch.length,
+                packet_length=columns.packet_length,
+                header_length=columns.header_length,
+                cdr_length=length,
+                space=space,
+                claimed=claimed,
+                route=columns.route,
+                findings=columns.findings,
+                identification=identification,
+                tap=tap + life,
+                bytes_print=of_bytes(batch.data, batch.offset, batch.length),
+                counted=told.stream >= 0,
+                missing=told.missing,
+                duplicates=told.duplicates,
+                reordered=told.reordered,
+                restarts=told.restarts,
+                packet_print=of_bytes(
+                    batch.data, np.where(there, columns.packet_offset, 0), columns.packet_length
+                ),
+                value_print=plain,
+                stamped_print=stamped,
+            )
+        )
+        self._sample(batch, columns, offset, length)
+        self._count += len(batch)
+
+    def rows(self) -> Rows:
+        """Return all rows so far."""
+        if not self._parts:
+            return _none()
+        if len(self._parts) > 1:
+            self._parts = [
+                Rows(
+                    **{
+                        item.name: np.concatenate([getattr(part, item.name) for part in self._parts])
+                        for item in fields(Rows)
+                    }
+                )
+            ]
+        return _counting(self._parts[0], self._sequences.whole(self._told))
+
+    def _endpoints(
+        self, batch: PacketBatch, address: NDArray[np.uint32], port: NDArray[np.uint16]
+    ) -> NDArray[np.int32]:
+        """Number the endpoints of a batch; few are new."""
+        key = address.astype(np.uint64) << 24 | port.astype(np.uint64) << 8 | batch.ip_version
+        first, which = numbered(key)
+        numbers = np.zeros(len(first), np.int32)
+        for place, row in enumerate(first.tolist()):
+            text, at = batch.address(int(address[row]), row), int(port[row])
+            index = self._index.setdefault((int(batch.ip_version[row]), text, at), len(self.endpoints))
+            if index == len(self.endpoints):
+                self.endpoints.append(Endpoint(text, at))
+            numbers[place] = index
+        return numbers[which]
+
+    def _messages(
+        self, batch: PacketBatch, columns: Columns
+    ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+        """Find where messages lie: as decoded, and behind an envelope that no configured route explains.
+
+        Returns:
+            offset and length of each CDR, the space behind its envelope, and what an envelope claims in vain.
+        """
+        offset, length = columns.cdr_offset.copy(), columns.cdr_length.copy()
+        payload = columns.packet_offset + columns.header_length
+        end = columns.packet_offset + columns.packet_length
+        space = np.where(offset >= 0, (end - offset), 0).astype(np.int32)
+        vain = np.zeros(len(batch), np.int32)
+        open_ = (offset < 0) & (columns.packet_offset >= 0) & ~np.isin(columns.msg_id, list(MSG_ID_NAMES))
+        command = (columns.msg_id & cfe.COMMAND_BIT) != 0
+        for envelope, asked in zip(self.context.unrouted, (open_ & ~command, open_ & command), strict=True):
+            behind = (end - payload - envelope.size).astype(np.int32)
+            rows = np.flatnonzero(asked & (behind >= _ENCAPSULATION))
+            if not len(rows):
+                continue
+            head = gather(batch.data, payload[rows], envelope.size + _ENCAPSULATION)
+            claimed = envelope.layout.column("buffer_length", head).astype(np.uint64)
+            capacity = envelope.layout.column("buffer_capacity", head).astype(np.uint64)
+            start = head[:, envelope.size :]
+            shaped = (start[:, 0] == 0) & (start[:, 1] <= 1) & (start[:, 2] == 0) & (start[:, 3] == 0)
+            shaped &= (claimed >= _ENCAPSULATION) & (claimed < 1 << 31)
+            # A route's envelope is one whatever it looks like; elsewhere its shape has to tell.
+            routed = (columns.findings[rows] & np.uint32(Finding.ENVELOPE_OVERRUN)) != 0
+            over = claimed > behind[rows].astype(np.uint64)
+            told = (over & shaped & (claimed <= capacity)) | routed
+            told &= (columns.findings[rows] & np.uint32(Finding.CAPTURE_CUT)) == 0
+            space[rows[told]] = behind[rows[told]]
+            vain[rows[told]] = np.minimum(claimed[told], (1 << 31) - 1).astype(np.int32)
+            fits = shaped & ~over & (claimed <= capacity) & (columns.route[rows] == NO_ROUTE)
+            offset[rows[fits]] = payload[rows[fits]] + envelope.size
+            length[rows[fits]] = claimed[fits].astype(np.int32)
+            space[rows[fits]] = behind[rows[fits]]
+        return offset, length, space, vain
+
+    def _fingerprints(
+        self,
+        batch: PacketBatch,
+        columns: Columns,
+        offset: NDArray[np.int64],
+        length: NDArray[np.int32],
+    ) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+        plain, stamped = (np.zeros(len(batch), np.uint64) for _ in range(2))
+        types, routes = self.context.types, self.context.mission.routes
+        there = offset >= 0
+        for index in np.unique(columns.route[there]).tolist():
+            rows = np.flatnonzero(there & (columns.route == index))
+            name = routes[index].type if index != NO_ROUTE else ""
+            if name and types is not None and types.has(name):
+                plain[rows], stamped[rows] = fingerprint.of_values(
+                    types, name, batch.data, offset[rows], length[rows]
+                )
+            else:
+                body = of_bytes(batch.data, offset[rows] + _ENCAPSULATION, length[rows] - _ENCAPSULATION)
+                plain[rows] = stamped[rows] = body
+        told = np.flatnonzero(columns.link == ROBOT)
+        if len(told):
+            plain[told], stamped[told] = robot.fingerprints(batch, told, types)
+        return plain, stamped
+
+    def _sample(
+        self, batch: PacketBatch, columns: Columns, offset: NDArray[np.int64], length: NDArray[np.int32]
+    ) -> None:
+        rows = np.flatnonzero(offset >= 0)
+        first, _ = numbered(columns.link[rows], columns.msg_id[rows], length[rows])
+        for row in rows[first].tolist():
+            known = self.samples.setdefault((int(columns.link[row]), int(columns.msg_id[row])), {})
+            size = int(length[row])
+            if len(known) < _SAMPLES and size not in known:
+                known[size] = batch.data[offset[row] : offset[row] + size].tobytes()
+
+
+def followed(rows: Rows) -> Rows:
+    """Return rows with what their sequence counts say in the order that the rows have now.
+
+    Their bytes are gone: in the batch that is followed a packet is its fingerprint, an endpoint its number.
+    """
+    absent, size = np.zeros(len(rows), np.uint16), rows.packet_print.itemsize
+
+    def made(kind: type[Any], **known: Any) -> Any:
+        return kind(**{item.name: getattr(rows, item.name, absent) for item in fields(kind)} | known)
+
+    batch = made(
+        PacketBatch,
+        data=rows.packet_print.view(np.uint8),
+        source_address=rows.source,
+        destination_address=rows.destination,
+        ipv6=(),
+    )
+    columns = made(Columns, packet_offset=np.arange(len(rows)) * size, packet_length=np.full(len(rows), size))
+    sequences = SequenceCounts()
+    return _counting(rows, sequences.whole([sequences.follow(batch, columns)]))
+
+
+def _counting(rows: Rows, told: SequenceRows) -> Rows:
+    """Return rows with what was told of their sequence counts."""
+    return replace(
+        rows,
+        counted=told.stream >= 0,
+        missing=told.missing,
+        duplicates=told.duplicates,
+        reordered=told.reordered,
+        restarts=told.restarts,
+    )
+
+
+def _none() -> Rows:
+    kinds = {"link": "u1", "header_length": "u1", "sequence_count": "u2", "findings": "u4", "counted": "?"}
+    kinds |= dict.fromkeys(("processor_id", "spacecraft_id"), "u4")
+    kinds |= {"identification": "u2"}
+    prints = ("tap", "bytes_print", "packet_print", "value_print", "stamped_print")
+    kinds |= dict.fromkeys(prints, "u8")
+    return Rows(**{item.name: np.zeros(0, kinds.get(item.name, "i8")) for item in fields(Rows)})

@@ -1,0 +1,64 @@
+"""What all verdicts on a loss have in common: which messages, where, when, and how many of how many."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from edoras_tools.diagnosis.accounting.losses import Loss
+    from edoras_tools.diagnosis.case import Case
+
+
+def lost_at(case: Case, loss: Loss, noun: str = "messages") -> str:
+    """Return the start of the sentence: ``12 of 60 messages on 0x0827 (/pose) lost at TO_LAB_TLM_PIPE``."""
+    of = f" of {loss.of:,}" if loss.of else ""
+    told = noun.removesuffix("s") if loss.lost == 1 and not of else noun
+    return f"{loss.lost:,}{of} {told} on {case.name(loss.msg_id)} lost at {loss.hop}"
+
+
+def published(loss: Loss) -> str:
+    """Return ``published at 20/s, ``; nothing where the rate is not known."""
+    return f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
+
+
+def loss_verdict(
+    case: Case,
+    rule: str,
+    loss: Loss,
+    reason: str,
+    *,
+    link: str | None,
+    remedy: str,
+    evidence: Iterable[str] | None = None,
+) -> Verdict:
+    """Return a rule's verdict on a loss, an error.
+
+    Args:
+        case: the capture.
+        rule: id of the rule.
+        loss: what was lost.
+        reason: the sentence.
+        link: label of the link that it concerns.
+        remedy: what to change.
+        evidence: what was seen, in place of the loss' own lines.
+    """
+    return Verdict(
+        rule,
+        Severity.ERROR,
+        reason,
+        msg_id=loss.msg_id,
+        topic=case.topic(loss.msg_id),
+        link=link,
+        hop=loss.hop,
+        lost=loss.lost,
+        of=loss.of,
+        start_ns=loss.start_ns,
+        end_ns=loss.end_ns,
+        evidence=(*(loss.evidence if evidence is None else evidence), *case.drops_text()),
+        remedy=remedy,
+        confidence=loss.confidence,
+    )

@@ -1,0 +1,1 @@
+"""The same message found again on another link or in another capture."""

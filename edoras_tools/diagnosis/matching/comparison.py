@@ -1,0 +1,304 @@
+"""Two captures of the same traffic held against each other, taken at two points of its way.
+
+1. The second's clock is set by the first's, by what both hold (``evidence.clocks``); where nothing tells,
+   by equal packets.
+2. Packets are the same by their bytes, and by their IP identification where they kept it. The rest is paired
+   in order, within the time that both captured.
+3. A host whose packets come later in the second capture sends from the first point to the second; else the
+   other way. What the sender's side has and the other lacks is lost, what only the receiver's side has is
+   extra; the same packet once more is doubled.
+4. What is left on both sides is altered where its sequence count or its values say that it is the same.
+5. Sequence counts that neither has were lost before both points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.cfs.names import message_name
+from edoras_tools.diagnosis.evidence.clocks.alignment import align
+from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
+from edoras_tools.diagnosis.evidence.preparation import prepare
+from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
+from edoras_tools.links import table
+from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.units import MILLISECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.table import Recorder, Rows
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Link
+
+_SCHEMA: Final = 1
+"""Of what ``doctor --against --json`` prints."""
+_LATE_NS: Final = 100 * MILLISECOND
+_LONGEST_NS: Final = 10 * SECOND
+"""No packet is under way between two points for longer."""
+_FEW: Final = 0.01
+"""A smaller part of the packets is the same by chance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One MsgId on one link, in both captures.
+
+    Attributes:
+        link: the link.
+        msg_id: cFE MsgId.
+        topic: its configured topic, or None.
+        back: it goes from the second point to the first.
+        first: packets in the first capture.
+        second: packets in the second.
+        same: packets of both.
+        lost: of the sender's side, not on the other, while the other was capturing.
+        extra: of the receiver's side, never seen on the sender's.
+        doubled: of the receiver's side, once more.
+        altered: the same packet with other bytes.
+        late: of the same, those that took more than 100 ms longer than the quickest.
+        neither: missing by sequence count in both.
+        latency: from one to the other, half the shortest way there and back taken as 0.
+    """
+
+    link: Link
+    msg_id: int
+    topic: str | None
+    back: bool
+    first: int
+    second: int
+    same: int
+    lost: int
+    extra: int
+    doubled: int
+    altered: int
+    late: int
+    neither: int
+    latency: Latency | None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --against --json``."""
+        return {
+            "link": self.link.label,
+            "msg_id": f"0x{self.msg_id:04x}",
+            "topic": self.topic,
+            "name": message_name(self.msg_id) or None,
+            "direction": "second to first" if self.back else "first to second",
+            "first": self.first,
+            "second": self.second,
+            "same": self.same,
+            "lost": self.lost,
+            "extra": self.extra,
+            "doubled": self.doubled,
+            "altered": self.altered,
+            "late": self.late,
+            "neither": self.neither,
+            "latency": self.latency.as_json() if self.latency else None,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureComparison:
+    """All differences of two captures.
+
+    Attributes:
+        offset_ns: the second's clock minus the first's, at the start.
+        drift: by how much more after each ns, in ns; None where that cannot be told.
+        common: whether they hold the same traffic: at least one in a hundred packets is the same.
+        routes: a row for every MsgId of either.
+    """
+
+    offset_ns: int
+    drift: float | None
+    common: bool
+    routes: Sequence[Difference]
+
+    @property
+    def lost(self) -> int:
+        """Packets that were lost between the two, both ways."""
+        return sum(item.lost for item in self.routes)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --against --json``."""
+        return {
+            "schema": _SCHEMA,
+            "offset_ns": self.offset_ns,
+            "drift_ppm": None if self.drift is None else round(self.drift * 1e6, 1),
+            "common": self.common,
+            "lost": self.lost,
+            "routes": [item.as_json() for item in self.routes],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    """One capture: its rows, who sent each, and which of them the network doubled."""
+
+    rows: Rows
+    sender: NDArray[np.str_]
+    doubled: NDArray[np.intp]
+
+    def during(self, times: NDArray[np.int64], margin_ns: int = 0) -> NDArray[np.bool_]:
+        """Tell which times, by its clock, it was capturing at, or nearly."""
+        if not len(self.rows):
+            return np.zeros(len(times), bool)
+        own = self.rows.time_ns
+        return np.asarray((times >= int(own.min()) - margin_ns) & (times <= int(own.max()) + margin_ns))
+
+    def again(self, rows: NDArray[np.intp], paired: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Tell which rows are doubles: by the network, or of a packet with a count that is paired."""
+        same = np.isin(self.rows.packet_print[rows], self.rows.packet_print[paired])
+        return np.isin(rows, self.doubled) | (self.rows.counted[rows] & same)
+
+
+def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> CaptureComparison:
+    """Hold two captures against each other."""
+    topics: dict[tuple[int, int], str] = {(route.link, route.msg_id): route.topic for route in mission.routes}
+    sides = _side(first), _side(second)
+    found = align(first, second)
+    line = found.line if found is not None else ClockLine(0, _equal(*(side.rows for side in sides)))
+    times = line.set_back(sides[1].rows.time_ns)
+    sides = sides[0], replace(sides[1], rows=replace(sides[1].rows, time_ns=times))
+    keys = sorted({key for side in sides for key in _keys(side.rows)})
+    pairs = {key: _pair(*sides, key) for key in keys}
+    back = _back(*sides, list(pairs.values()))
+    routes = [_difference(*sides, key, pairs[key], back) for key in keys]
+    both = [_within(*sides), _within(*sides[::-1])]
+    same = sum(len(ours) for ours, _ in pairs.values())
+    return CaptureComparison(
+        line.offset_ns,
+        found.line.drift if found is not None and found.drift is not None else None,
+        same > _FEW * min(both),
+        [replace(item, topic=topics.get((item.link, item.msg_id))) for item in routes],
+    )
+
+
+def _side(recorder: Recorder) -> _Side:
+    prepared = prepare(recorder, {})
+    names = np.array([item.address for item in recorder.endpoints] or [""])
+    return _Side(prepared.rows, names[prepared.rows.source], prepared.duplicates)
+
+
+def _within(side: _Side, other: _Side) -> int:
+    """Count the packets of one side while the other was capturing."""
+    packets = side.rows.msg_id != NO_MSG_ID
+    return int(other.during(side.rows.time_ns[packets]).sum())
+
+
+def _equal(first: Rows, second: Rows) -> int:
+    """Return the offset by packets that are there once in each; 0 where there are none."""
+    _, ours, theirs = np.intersect1d(first.packet_print, second.packet_print, return_indices=True)
+    steps = (second.time_ns[theirs] - first.time_ns[ours])[first.msg_id[ours] != NO_MSG_ID]
+    return int(np.median(steps)) if len(steps) else 0
+
+
+def _keys(rows: Rows) -> list[tuple[int, int]]:
+    packets = rows.msg_id != NO_MSG_ID
+    both = np.unique(np.stack((rows.link[packets].astype(np.int64), rows.msg_id[packets])), axis=1)
+    return [(int(link), int(msg_id)) for link, msg_id in both.T]
+
+
+def _rows(rows: Rows, link: int, msg_id: int) -> NDArray[np.intp]:
+    return np.flatnonzero((rows.link == link) & (rows.msg_id == msg_id))
+
+
+_Pair = tuple["NDArray[np.intp]", "NDArray[np.intp]"]
+"""Rows of the first, and the rows of the second that are the same packets."""
+
+
+def _pair(first: _Side, second: _Side, key: tuple[int, int]) -> _Pair:
+    """Pair equal packets: those of one IP identification, then the n-th of one with the n-th of the other."""
+    a, b = first.rows, second.rows
+    ours, theirs = _rows(a, *key), _rows(b, *key)
+    known = _nth(a, b, ours[a.identification[ours] != 0], theirs[b.identification[theirs] != 0], marked=True)
+    near = np.abs(b.time_ns[known[1]] - a.time_ns[known[0]]) <= _LONGEST_NS
+    known = known[0][near], known[1][near]
+    ours, theirs = np.setdiff1d(ours, known[0]), np.setdiff1d(theirs, known[1])
+    ours = ours[second.during(a.time_ns[ours], SECOND)]
+    theirs = theirs[first.during(b.time_ns[theirs], SECOND)]
+    rest = _nth(a, b, ours, np.setdiff1d(theirs, second.doubled), marked=False)
+    return np.concatenate((known[0], rest[0])), np.concatenate((known[1], rest[1]))
+
+
+def _nth(a: Rows, b: Rows, ours: NDArray[np.intp], theirs: NDArray[np.intp], *, marked: bool) -> _Pair:
+    if not len(ours) or not len(theirs):
+        return ours[:0], theirs[:0]
+    kind = np.dtype([("print", "u8"), ("mark", "u2"), ("nth", "i8")])
+    sides = []
+    for rows, own in ((a, ours), (b, theirs)):
+        named = np.zeros(len(own), kind)
+        named["print"] = rows.packet_print[own]
+        named["mark"] = rows.identification[own] if marked else 0
+        order = np.argsort(named, order=("print", "mark"), kind="stable")
+        begins = np.flatnonzero(np.append(True, named[order][1:] != named[order][:-1]))
+        named["nth"][order] = np.arange(len(own)) - np.repeat(begins, np.diff(np.append(begins, len(own))))
+        sides.append(named)
+    _, in_a, in_b = np.intersect1d(sides[0], sides[1], return_indices=True)
+    return ours[in_a], theirs[in_b]
+
+
+def _back(first: _Side, second: _Side, pairs: Sequence[_Pair]) -> dict[str, bool]:
+    """Return of each sender whether its packets go from the second point to the first."""
+    if not pairs:
+        return {}
+    ours, theirs = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
+    steps = second.rows.time_ns[theirs] - first.rows.time_ns[ours]
+    senders = first.sender[ours]
+    return {name: float(np.median(steps[senders == name])) < 0 for name in np.unique(senders).tolist()}
+
+
+def _difference(
+    first: _Side, second: _Side, key: tuple[int, int], pair: _Pair, back: dict[str, bool]
+) -> Difference:
+    """Count one MsgId, from the sender's side to the receiver's."""
+    every = [_rows(side.rows, *key) for side in (first, second)]
+    names = np.concatenate([side.sender[own] for side, own in zip((first, second), every, strict=True)])
+    turned = back.get(str(names[0]), False)
+    near, far = (second, first) if turned else (first, second)
+    sent, came = every[::-1] if turned else every
+    ours, theirs = pair[::-1] if turned else pair
+    took = far.rows.time_ns[theirs] - near.rows.time_ns[ours]
+    # What one capture did not live to see is not lost.
+    longest = max(int(took.max(initial=0)), 0)
+    missing = np.setdiff1d(sent, ours)
+    left = near.rows.time_ns[missing]
+    missing = missing[far.during(left) & far.during(left + longest) & ~near.again(missing, ours)]
+    extra = np.setdiff1d(came, theirs)
+    extra = extra[near.during(far.rows.time_ns[extra])]
+    again = far.again(extra, theirs)
+    altered = _altered(near.rows, far.rows, missing, extra[~again])
+    lost, added = len(missing) - altered, int((~again).sum()) - altered
+    absent = [int(side.rows.missing[own].sum()) for side, own in ((near, sent), (far, came))]
+    return Difference(
+        link=table.link(key[0]),
+        msg_id=key[1],
+        topic=None,
+        back=turned,
+        first=len(every[0]),
+        second=len(every[1]),
+        same=len(ours),
+        lost=lost,
+        extra=added,
+        doubled=int(again.sum()),
+        altered=altered,
+        late=int((took - took.min(initial=0) > _LATE_NS).sum()),
+        neither=max(0, min(absent[0] - added, absent[1] - lost)),
+        latency=latency_of(np.maximum(took, 0)),
+    )
+
+
+def _altered(first: Rows, second: Rows, missing: NDArray[np.intp], extra: NDArray[np.intp]) -> int:
+    """Count packets whose count, or whose values, are in both and whose bytes differ."""
+    if not len(missing) or not len(extra):
+        return 0
+    counted = ~first.has(Finding.SEQUENCE_UNSET)[missing]
+    also = ~second.has(Finding.SEQUENCE_UNSET)[extra]
+    by_count = len(np.intersect1d(first.sequence_count[missing[counted]], second.sequence_count[extra[also]]))
+    values = first.value_print[missing[~counted]], second.value_print[extra[~also]]
+    by_value = len(np.intersect1d(*(item[item != 0] for item in values)))
+    return by_count + by_value

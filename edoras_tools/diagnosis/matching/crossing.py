@@ -1,0 +1,244 @@
+"""The same message on two links: what crossed cFS, how long that took, and what never came out.
+
+A packet that cFS only hands on is the same bytes on both; a message that an application reads and writes anew
+has another MsgId and another encoding, and the same values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence.fingerprint import paired
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.model import Finding
+from edoras_tools.units import MILLISECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+_LONGEST_NS: Final = 120 * SECOND
+"""No message is under way for longer: a full socket at CI is read within a minute and a half."""
+_NEWER_NS: Final = 550 * MILLISECOND
+"""Messages that go in further apart are taken in two rounds of CI."""
+_BURST_NS: Final = 20 * MILLISECOND
+_FEW_TOGETHER: Final = 0.1
+_COMMAND: Final = 0x1000
+_ALIKE: Final = 0.5
+_LEAST_DIFFERENT: Final = 3
+_NEARLY_ALL: Final = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """How long messages took, in ms."""
+
+    count: int
+    p50: float
+    p99: float
+    most: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --json``."""
+        return {"count": self.count, "p50_ms": self.p50, "p99_ms": self.p99, "max_ms": self.most}
+
+
+@dataclass(frozen=True, slots=True)
+class Hop:
+    """Messages of one stream that came out again as another.
+
+    Attributes:
+        into: where they go in.
+        out: where they come out; the robot, where its link is ``OTHER``.
+        rewritten: an application read them and wrote them anew; else they are the same packets.
+        known: bool, a row of ``into`` each: it has a fingerprint, so it can be found again.
+        arrived: bool, likewise: it came out.
+        newer: bool, likewise: it did not, and a newer one of the same round did, where only the newest does.
+        doubled: how often one came out that already had.
+        latency: of those whose values occur once.
+        delays_ns: i64, the delay of each of those.
+        out_ns: i64, and when each came out.
+        last_ns: the longest that one took.
+        first: when the first came out, and when it had gone in; None where none did.
+    """
+
+    into: Stream
+    out: Stream
+    rewritten: bool
+    known: NDArray[np.bool_]
+    arrived: NDArray[np.bool_]
+    newer: NDArray[np.bool_]
+    doubled: int
+    latency: Latency | None
+    delays_ns: NDArray[np.int64]
+    out_ns: NDArray[np.int64]
+    last_ns: int
+    first: tuple[int, int] | None
+
+    @property
+    def of(self) -> int:
+        """How many went in that can be found again."""
+        return int(self.known.sum())
+
+    @property
+    def matched(self) -> int:
+        """How many of those came out."""
+        return int(self.arrived.sum())
+
+    @property
+    def absent(self) -> NDArray[np.bool_]:
+        """Which of those did not."""
+        return self.known & ~self.arrived
+
+
+def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, Stream], bool]) -> list[Hop]:
+    """Find every pair of streams of which one is the other, further on; each way out has one way in.
+
+    Args:
+        streams: all of them.
+        rows: the table.
+        follows: tells whether one stream's receiver is the sender of another.
+    """
+    ways_in = [item for item in streams if item.link.to_cfs and item.link.packets]
+    ways_out = [item for item in streams if item.link.from_cfs]
+    best: dict[int, tuple[float, int, Stream, NDArray[np.uint64], NDArray[np.uint64]]] = {}
+    begin_ns, end_ns = (
+        np.array([rows.time_ns[item.rows[place]] for item in ways_out], np.int64) for place in (0, -1)
+    )
+    pairs = (
+        (into, ways_out[at])
+        for into in ways_in
+        for at in np.flatnonzero(
+            (end_ns >= rows.time_ns[into.rows[0]]) & (begin_ns <= rows.time_ns[into.rows[-1]] + _LONGEST_NS)
+        ).tolist()
+    )
+    for into, out in pairs:
+        if not _may_follow(into, out) or not follows(into, out):
+            continue
+        for prints in _prints(into, out, rows):
+            score = _likeness(*prints, sure=out.link == ROBOT)
+            near = -abs((into.msg_id & 0xF) - (out.msg_id & 0xF))
+            if score >= _ALIKE and (score, near) > best.get(id(out), (0.0, 0))[:2]:
+                best[id(out)] = (score, near, into, *prints)
+    hops = []
+    for out in ways_out:
+        if id(out) in best:
+            _, _, into, came, went = best[id(out)]
+            hops.append(_match(into, out, rows, came, went))
+    return [hop for hop in hops if hop.matched]
+
+
+def _may_follow(into: Stream, out: Stream) -> bool:
+    if out.link == ROBOT:
+        return bool(into.msg_id & _COMMAND)
+    if into is out or (into.link.peers and out.link.peers and into.receiver != out.sender):
+        return False
+    if into.msg_id == out.msg_id:
+        return into.instance == out.instance or NOBODY in {into.instance, out.instance}
+    return bool(into.msg_id & _COMMAND) != bool(out.msg_id & _COMMAND)
+
+
+def _prints(into: Stream, out: Stream, rows: Rows) -> list[tuple[NDArray[np.uint64], NDArray[np.uint64]]]:
+    """Return the fingerprints to compare, the strictest first."""
+    if into.msg_id == out.msg_id:
+        cut = rows.has(Finding.CAPTURE_CUT)
+        if into.instance == out.instance != NOBODY and (cut[into.rows].any() or cut[out.rows].any()):
+            # What is left of a packet differs with the headers before it; one cFS gives a count once.
+            return [(_counts(into, rows), _counts(out, rows))]
+        return [(rows.packet_print[into.rows], rows.packet_print[out.rows])]
+    if out.link == ROBOT:
+        # A robot is sent bare numbers: their bytes, and their values as the configured type has them.
+        came = rows.value_print[into.rows]
+        return [(came, kind[out.rows]) for kind in (rows.value_print, rows.stamped_print)]
+    kinds = (rows.stamped_print, rows.value_print)
+    return [
+        (kind[into.rows], kind[out.rows]) for kind in kinds if kind[into.rows].any() and kind[out.rows].any()
+    ]
+
+
+def _counts(stream: Stream, rows: Rows) -> NDArray[np.uint64]:
+    """Return the sequence counts of a stream as fingerprints; 0, which tells nothing, where it has none."""
+    return np.where(rows.counted[stream.rows], rows.sequence_count[stream.rows].astype(np.uint64) + 1, 0)
+
+
+def _likeness(came: NDArray[np.uint64], went: NDArray[np.uint64], *, sure: bool) -> float:
+    """Return what part of the messages that come out went in: 0 where too few differ to tell.
+
+    Args:
+        came: fingerprints of what goes in.
+        went: of what comes out.
+        sure: the same value is no chance, however few there are.
+    """
+    different = np.unique(went[went != 0])
+    if not len(different) or (len(different) < _LEAST_DIFFERENT and not sure):
+        return 0.0
+    alike = float(np.isin(different, came).mean())
+    if sure and alike < _ALIKE:
+        # What comes out first may have gone in before the capture began; what follows did not.
+        there = np.flatnonzero(np.isin(went, came) & (went != 0))
+        behind = np.unique(went[there[0] :][went[there[0] :] != 0]) if len(there) else different[:0]
+        known = np.isin(behind, came)
+        if known.sum() >= _LEAST_DIFFERENT and known.mean() > _NEARLY_ALL:
+            return _ALIKE
+    return alike
+
+
+def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went: NDArray[np.uint64]) -> Hop:
+    """Give every message that came out the latest equal one that had gone in and not come out yet."""
+    in_ns, out_ns = rows.time_ns[into.rows], rows.time_ns[out.rows]
+    from_ = paired(came, in_ns, went, out_ns)
+    goes_row = np.flatnonzero(from_ >= 0)
+    goes_row = goes_row[out_ns[goes_row] - in_ns[from_[goes_row]] <= _LONGEST_NS]
+    from_row = from_[goes_row]
+    delay = out_ns[goes_row] - in_ns[from_row]
+
+    arrived = np.zeros(len(came), bool)
+    arrived[from_row] = True
+    rewritten = out.link == ROBOT or into.msg_id != out.msg_id
+    newer = np.zeros(len(came), bool)
+    if rewritten and _newest_only(out_ns[goes_row]):
+        # Taken in one round: not before the one that came out last, and close to the one that does.
+        never = np.iinfo(np.int64).max
+        next_ns = np.minimum.accumulate(np.where(arrived, in_ns, never)[::-1])[::-1]
+        newer = ~arrived & (next_ns < never) & (came != 0)
+        newer[newer] = next_ns[newer] - in_ns[newer] <= _NEWER_NS
+    values, counts = np.unique(came, return_counts=True)
+    single = np.isin(came[from_row], values[counts == 1])
+    by_time = np.argsort(out_ns[goes_row][single], kind="stable")
+    return Hop(
+        into=into,
+        out=out,
+        rewritten=rewritten,
+        known=came != 0,
+        arrived=arrived,
+        newer=newer,
+        doubled=int(np.isin(went, came[arrived]).sum()) - len(goes_row),
+        latency=latency_of(delay[single]),
+        delays_ns=delay[single][by_time],
+        out_ns=out_ns[goes_row][single][by_time],
+        last_ns=int(delay.max()) if len(delay) else 0,
+        first=min(zip(out_ns[goes_row].tolist(), in_ns[from_row].tolist(), strict=True), default=None),
+    )
+
+
+def _newest_only(out_ns: NDArray[np.int64]) -> bool:
+    """Tell whether messages come out one by one, as those of an application that keeps the newest do."""
+    if len(out_ns) < _LEAST_DIFFERENT:
+        return False
+    return float((np.diff(np.sort(out_ns)) < _BURST_NS).mean()) < _FEW_TOGETHER
+
+
+def latency_of(delay_ns: NDArray[np.int64]) -> Latency | None:
+    """Return the figures of some delays; None where there are none."""
+    if not len(delay_ns):
+        return None
+    p50, p99, most = (round(float(value) / 1e6, 3) for value in np.quantile(delay_ns, (0.5, 0.99, 1.0)))
+    return Latency(len(delay_ns), p50, p99, most)

@@ -1,0 +1,231 @@
+"""Accounting: what was seen of each MsgId on each link, and what its sequence count says is missing.
+
+A stream is one MsgId of one sender on one link. ``sessions.sequence`` has the rules of the counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.links import table
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.table import among
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
+from edoras_tools.sessions.sequence import FORWARD, MODULUS
+from edoras_tools.units import SECOND
+from edoras_tools.wire.order import by_value, numbered
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.instances import Instances
+    from edoras_tools.diagnosis.evidence.table import Rows
+
+_PAUSE_NS: Final = 2 * SECOND
+_PAUSE_FACTOR: Final = 4
+
+
+@dataclass(slots=True)
+class Stream:
+    """One MsgId of one sender on one link.
+
+    Attributes:
+        link: the link.
+        msg_id: cFE MsgId.
+        sender: endpoint it came from.
+        receiver: endpoint it went to.
+        processor: SBN identity of the sender, spacecraft and processor; (0, 0) elsewhere.
+        instance: index of the cFS that made it, ``NOBODY`` where unknown.
+        route: index of its configured route, or ``NO_ROUTE``.
+        rows: of the table, in order.
+        counted: whether its sequence count counts.
+        missing: i64 (rows,), counts that never came between a row and its next.
+        pauses: bool (rows,), the next row came after a pause: what is missing may never have come this way.
+        gaps: counts that never came, before its first row and at pauses too; not at a change of port.
+        duplicates: rows that repeat one.
+        reordered: rows that came late.
+        restarts: times the count began anew.
+    """
+
+    link: Link
+    msg_id: int
+    sender: int
+    receiver: int
+    processor: tuple[int, int]
+    instance: int
+    route: int
+    rows: NDArray[np.intp]
+    counted: bool
+    missing: NDArray[np.int64]
+    pauses: NDArray[np.bool_]
+    gaps: int = 0
+    duplicates: int = 0
+    reordered: int = 0
+    restarts: int = 0
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
+    """Return every stream of a capture."""
+    instance = _whole(rows, instances)
+    packets = np.flatnonzero(rows.msg_id != NO_MSG_ID)
+    link = rows.link[packets].astype(np.int64)
+    # Whoever commands does not count, and may use any number of ports.
+    up, down = among(link, lambda item: item.only_to_cfs), among(link, lambda item: item.only_from_cfs)
+    sender = np.where(up, -1, rows.source[packets])
+    for source in np.unique(sender[down]).tolist():
+        sender[down & (sender == source)] = instances.output(source)
+    receiver = np.where(down, -1, rows.destination[packets])
+    keys = (
+        link,
+        sender,
+        receiver,
+        rows.processor_id[packets],
+        rows.spacecraft_id[packets],
+        rows.msg_id[packets],
+        np.where(up, NOBODY, instance[packets]),
+    )
+    first, which = numbered(*keys)
+    # In the order of their keys, whatever comes first in the capture.
+    order = np.lexsort([key[first] for key in reversed(keys)])
+    number = np.empty_like(order)
+    number[order] = np.arange(len(order))
+    return [_stream(rows, packets[members], instance) for _, members in by_value(number[which])]
+
+
+def find_robots(rows: Rows) -> list[Stream]:
+    """Return what was sent to each robot: bare numbers, no MsgId and no count."""
+    there = np.flatnonzero(rows.link == ROBOT)
+    ends = rows.source[there].astype(np.int64) << 32 | rows.destination[there]
+    return [
+        Stream(
+            link=ROBOT,
+            msg_id=NO_MSG_ID,
+            sender=int(rows.source[there[members[0]]]),
+            receiver=int(rows.destination[there[members[0]]]),
+            processor=(0, 0),
+            instance=NOBODY,
+            route=NO_ROUTE,
+            rows=there[members],
+            counted=False,
+            missing=np.zeros(len(members), np.int64),
+            pauses=np.zeros(len(members), np.bool_),
+        )
+        for _, members in by_value(ends)
+    ]
+
+
+def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
+    """Give packets without a time of their own (wake-ups) the instance whose count they continue."""
+    out = instances.of_row.copy()
+    network = among(rows.link, lambda link: link.peers)
+    output = among(rows.link, lambda link: link.only_from_cfs)
+    cases = ((network, rows.processor_id.astype(np.int64)), (output, rows.source.astype(np.int64)))
+    for there, sender in cases:
+        bare = there & (out == NOBODY) & (rows.msg_id != NO_MSG_ID)
+        timed = there & (instances.of_row != NOBODY)
+        for who in np.unique(sender[bare]).tolist():
+            mine = bare & (sender == who)
+            for msg_id in np.unique(rows.msg_id[mine]).tolist():
+                lost = np.flatnonzero(mine & (rows.msg_id == msg_id))
+                same = timed & (sender == who)
+                # Behind TO several instances share a MsgId; an SBN sender is one instance at a time.
+                same &= (rows.msg_id == msg_id) if there is output else np.ones(len(rows), bool)
+                known = np.flatnonzero(same)
+                if there is output:
+                    lost = _handed_on(rows, lost, instances.of_row, out)
+                if len(known) and len(lost):
+                    out[lost] = _nearest(rows, lost, known, instances.of_row, by_count=there is output)
+    return out
+
+
+def _handed_on(
+    rows: Rows, lost: NDArray[np.intp], instance: NDArray[np.int32], out: NDArray[np.int32]
+) -> NDArray[np.intp]:
+    """Give packets from Telemetry Output the instance that sent the same ones over SBN; return the others."""
+    network = np.flatnonzero(
+        among(rows.link, lambda link: link.peers) & np.isin(rows.msg_id, rows.msg_id[lost])
+    )
+    from_ = latest_equal(
+        rows.packet_print[network], rows.time_ns[network], rows.packet_print[lost], rows.time_ns[lost]
+    )
+    same = from_ >= 0
+    same[same] = rows.time_ns[lost[same]] - rows.time_ns[network[from_[same]]] < _PAUSE_NS
+    out[lost[same]] = out[network[from_[same]]]
+    left: NDArray[np.intp] = lost[~same & (instance[lost] == NOBODY)]
+    return left
+
+
+def _nearest(
+    rows: Rows,
+    lost: NDArray[np.intp],
+    known: NDArray[np.intp],
+    instance: NDArray[np.int32],
+    *,
+    by_count: bool,
+) -> NDArray[np.int32]:
+    best = np.full(len(lost), np.iinfo(np.int64).max)
+    out = np.full(len(lost), NOBODY, np.int32)
+    for index in np.unique(instance[known]).tolist():
+        own = known[instance[known] == index]
+        at = np.searchsorted(rows.time_ns[own], rows.time_ns[lost])
+        for side in (np.maximum(at - 1, 0), np.minimum(at, len(own) - 1)):
+            there = own[side]
+            if by_count:
+                step = rows.sequence_count[lost].astype(np.int64) - rows.sequence_count[there]
+                away = np.abs((step + MODULUS // 2) % MODULUS - MODULUS // 2)
+            else:
+                away = np.abs(rows.time_ns[lost] - rows.time_ns[there])
+            closer = away < best
+            best[closer], out[closer] = away[closer], index
+    return out
+
+
+def _stream(rows: Rows, members: NDArray[np.intp], instance: NDArray[np.int32]) -> Stream:
+    first = int(members[0])
+    routes = rows.route[members]
+    known = routes[routes != NO_ROUTE]
+    missing = rows.missing[members]
+    gaps = int(missing.sum())  # as info has them, which knows of no restart: what follows is for judging
+    if among(rows.link[first], lambda link: link.only_from_cfs):
+        # Each port has a count of its own to follow; that of a Telemetry Output that restarted goes on.
+        moved = np.flatnonzero(np.diff(rows.source[members])) + 1
+        if len(moved):
+            count = rows.sequence_count[members].astype(np.int64)
+            ahead = (count[moved] - count[moved - 1] - 1) % MODULUS % FORWARD
+            missing[moved] = np.where(rows.counted[members[moved]], ahead, 0)
+    return Stream(
+        link=table.link(rows.link[first]),
+        msg_id=int(rows.msg_id[first]),
+        sender=int(rows.source[first]),
+        receiver=int(rows.destination[first]),
+        processor=(int(rows.spacecraft_id[first]), int(rows.processor_id[first])),
+        instance=int(instance[first]) if not table.link(rows.link[first]).only_to_cfs else NOBODY,
+        route=int(known[0]) if len(known) else NO_ROUTE,
+        rows=members,
+        counted=bool(rows.counted[members].any()),
+        missing=np.append(missing[1:], 0),
+        pauses=_pauses(rows.time_ns[members]),
+        gaps=gaps,
+        duplicates=int(rows.duplicates[members].sum()),
+        reordered=int(rows.reordered[members].sum()),
+        # Another cFS counts anew; that is no restart of this one's count.
+        restarts=max(0, int(rows.restarts[members[1:]].sum())),
+    )
+
+
+def _pauses(times: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell after which rows a stream paused: so long as it never does while it runs."""
+    steps = np.diff(times)
+    out = np.zeros(len(times), bool)
+    if len(steps) > 2:
+        usual = float(np.quantile(steps, 0.9))
+        out[:-1] = steps > max(_PAUSE_NS, _PAUSE_FACTOR * usual)
+    return out

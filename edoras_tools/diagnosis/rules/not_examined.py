@@ -1,0 +1,47 @@
+"""What was left out: traffic whose port nobody names, and times in which the interface was away."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from edoras_tools.decode.conversations import unnamed
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.case import Case
+
+ID = "not_examined"
+
+
+def judge(case: Case) -> Iterator[Verdict]:
+    """Say so first: what is below is not the whole link."""
+    for line in unnamed(case.prepared.flows):
+        what, _, remedy = line.partition(": ")
+        yield Verdict(
+            ID,
+            Severity.ERROR,
+            what,
+            hop="capture",
+            start_ns=case.start_ns,
+            end_ns=case.end_ns,
+            evidence=("lengths, types and MsgIds in it agree as only that link's do",),
+            remedy=remedy,
+        )
+    missing = sum(case.telemetry.away.values()) if case.capture.outages and len(case.rows) else 0
+    counted = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"
+    for outage in case.capture.outages:
+        end_ns = outage.end_ns or max(case.end_ns, outage.start_ns)
+        yield Verdict(
+            ID,
+            Severity.WARNING,
+            f"{outage.interface} was away {(end_ns - outage.start_ns) / 1e9:.1f} s: what was sent then "
+            "is not examined",
+            hop="capture",
+            start_ns=outage.start_ns,
+            end_ns=end_ns,
+            evidence=(f"the recorder found it {outage.why}", *((counted,) if missing else ())),
+            remedy="what spans it says nothing of the link: examine before and after, --start and --end",
+        )

@@ -1,0 +1,118 @@
+"""cFE's own five applications as far as a link shows them: no-op, counters, housekeeping once a second."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.cfs import event_services, software_bus
+from edoras_tools.cfs.core import CORE, RESET_ALL_FILTERS
+from edoras_tools.emulator.cfs import EMULATOR_VERSION
+from edoras_tools.emulator.scheduler import Receive, Work
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
+from edoras_tools.wire.packet import function_code_of, length_of, msg_id_of, whole_packet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from edoras_tools.cfs.core import CoreApp
+    from edoras_tools.emulator.cfs import Cfs
+    from edoras_tools.emulator.scheduler import Task
+    from edoras_tools.emulator.services.software_bus import Pipe
+
+LEAP_SECONDS: Final = 37
+_HOUSEKEEPING_WORK: Final = 5
+
+
+def start_core(cfs: Cfs) -> None:
+    """Start the five applications."""
+    profile = cfs.profile
+    loss, nobody = profile.bus_loss_events, profile.bus_no_subscribers_events
+    filters = {
+        software_bus.NAME: {
+            software_bus.NO_SUBSCRIBERS: nobody,
+            software_bus.MSG_LIMIT: loss,
+            software_bus.PIPE_OVERFLOW: loss,
+        }
+    }
+    for item in CORE:
+        cfs.events.register(item.name, now=cfs.scheduler.now, stop_after=filters.get(item.name))
+        pipe = cfs.create_pipe(item.pipe, item.command, item.request, *item.others)
+        cfs.say(item.initialized, version=EMULATOR_VERSION)
+        cfs.spawn(_run(cfs, item, pipe))
+
+
+def _run(cfs: Cfs, core: CoreApp, pipe: Pipe) -> Task:
+    counters = [0, 0]
+    body = _BODIES[core.name]
+    while True:
+        packet = yield Receive(pipe)
+        wanted = msg_id_of(packet)
+        if wanted == core.request:
+            yield Work(_HOUSEKEEPING_WORK * cfs.profile.work_ns)
+            cfs.telemetry(core.telemetry, body(cfs, counters[0] & 0xFF, counters[1] & 0xFF), core.name)
+        elif wanted == core.command:
+            accepted = _command(cfs, core, packet)
+            counters[not accepted] += 1
+            if core.name == software_bus.NAME:
+                cfs.bus.counters.commands, cfs.bus.counters.command_errors = counters
+            yield Work(cfs.profile.work_ns)
+
+
+def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
+    function_code, size = function_code_of(packet), length_of(packet)
+    if function_code == 0:
+        if size != cfe.COMMAND_HEADER_BYTES:
+            if core.bad_length is not None:
+                cfs.say(core.bad_length, msg_id=core.command, code=0, length=size)
+            return False
+        cfs.say(core.no_op, version=EMULATOR_VERSION)
+        return True
+    if core.name == event_services.NAME and function_code == RESET_ALL_FILTERS:
+        name = whole_packet(packet)[8:28].split(b"\0")[0].decode("ascii", "replace")
+        return cfs.events.reset_filters(name)
+    if function_code in core.packets:
+        telemetry, size = core.packets[function_code]
+        cfs.telemetry(telemetry, bytes(size), core.name)
+        return True
+    return False
+
+
+def _executive(_: Cfs, commands: int, errors: int) -> bytes:
+    return bytes([commands, errors]).ljust(148, b"\0")
+
+
+def _events(cfs: Cfs, commands: int, errors: int) -> bytes:
+    head = bytes([commands, errors, 1, 0, 0, 1, 0, 0]) + (cfs.events.sent & 0xFFFF).to_bytes(2, "little")
+    applications = b"".join(
+        index.to_bytes(4, "little")
+        + (item.sent & 0xFFFF).to_bytes(2, "little")
+        + bytes([1, min(item.squelched, 255)])
+        for index, item in enumerate(cfs.events.applications.values(), 0x110001)
+    )
+    return (head.ljust(16, b"\0") + applications)[:144].ljust(144, b"\0")
+
+
+def _bus(cfs: Cfs, _commands: int, _errors: int) -> bytes:
+    return cfs.bus.housekeeping()
+
+
+def _time(cfs: Cfs, commands: int, errors: int) -> bytes:
+    seconds, rest = divmod(cfs.met_ns(), SECOND)
+    words = (seconds, (rest << 32) // SECOND, cfs.profile.epoch_offset_s, 0)
+    flags = bytes(2) + b"\xff\xff" + LEAP_SECONDS.to_bytes(2, "little")
+    body = b"".join((word & 0xFFFFFFFF).to_bytes(4, "little") for word in words)
+    return (bytes([commands, errors]) + flags + body).ljust(32, b"\0")
+
+
+def _tables(_: Cfs, commands: int, errors: int) -> bytes:
+    return bytes([commands, errors]).ljust(284, b"\0")
+
+
+_BODIES: Final[Mapping[str, Callable[[Cfs, int, int], bytes]]] = {
+    "CFE_ES": _executive,
+    event_services.NAME: _events,
+    software_bus.NAME: _bus,
+    "CFE_TIME": _time,
+    "CFE_TBL": _tables,
+}

@@ -1,0 +1,110 @@
+"""The tasks of the Software Bus Network application: the main loop and the receive task."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+from edoras_tools.cfs import sbn as facts
+from edoras_tools.emulator.scheduler import Receive, Work
+from edoras_tools.emulator.services.sbn_node import Actions, SbnNode
+from edoras_tools.model import Endpoint
+from edoras_tools.wire.packet import function_code_of, length_of
+
+if TYPE_CHECKING:
+    from edoras_tools.emulator.cfs import Cfs
+    from edoras_tools.emulator.scheduler import Task
+
+_HOUSEKEEPING = 10
+
+
+class Socket:
+    """A socket's queue in the operating system: of bounded length.
+
+    Attributes:
+        drops: datagrams dropped because it was full.
+    """
+
+    def __init__(self, depth: int) -> None:
+        self.drops = 0
+        self._depth = depth
+        self._queue: deque[bytes] = deque()
+
+    def put(self, data: bytes) -> None:
+        """Add a datagram, or drop it where there is no room."""
+        if len(self._queue) < self._depth:
+            self._queue.append(data)
+        else:
+            self.drops += 1
+
+    def get(self) -> bytes | None:
+        """Take the oldest datagram, or None."""
+        return self._queue.popleft() if self._queue else None
+
+    def __len__(self) -> int:
+        return len(self._queue)
+
+
+class SbnApp:
+    """SBN on an emulated cFS.
+
+    Attributes:
+        node: its state machine.
+        socket: its receive queue.
+    """
+
+    def __init__(self, cfs: Cfs) -> None:
+        self._cfs = cfs
+        cfs.events.register(facts.NAME, now=cfs.scheduler.now)
+        self.node = SbnNode(cfs.profile, cfs.bus, now=cfs.scheduler.now)
+        self.socket = Socket(cfs.profile.socket_queue)
+        self._commands = cfs.create_pipe(facts.PIPE, facts.COMMAND_MSG_ID)
+        cfs.say(facts.SUBSCRIBED_TO_COMMANDS, msg_id=facts.COMMAND_MSG_ID)
+        cfs.listen(cfs.profile.sbn_port, self.receive_datagram)
+        cfs.spawn(self._main())
+        if not cfs.profile.sbn_polls:
+            cfs.spawn(self._receive())
+
+    def receive_datagram(self, data: bytes) -> None:
+        """Put a datagram in the socket's queue."""
+        self.socket.put(data)
+        self._cfs.scheduler.notify(self.socket)
+
+    def _main(self) -> Task:
+        cfs, profile = self._cfs, self._cfs.profile
+        while True:
+            packet = yield Receive(self._commands, profile.sbn_wake_ns)
+            if packet is not None:
+                self._command(packet)
+            restart = not self.node.receiving
+            self._do(self.node.service(now=cfs.scheduler.now))
+            if profile.sbn_polls:
+                while (data := self.socket.get()) is not None:
+                    self._do(self.node.receive_datagram(data, now=cfs.scheduler.now))
+            elif restart:
+                cfs.spawn(self._receive())
+            yield Work(profile.work_ns)
+
+    def _receive(self) -> Task:
+        while True:
+            data = yield Receive(self.socket)
+            actions = self.node.receive_datagram(data, now=self._cfs.scheduler.now)
+            self._do(actions)
+            if actions.failed:
+                return
+            yield Work(self._cfs.profile.work_ns)
+
+    def _do(self, actions: Actions) -> None:
+        cfs = self._cfs
+        for event in actions.events:
+            cfs.report(event)
+        for item in actions.sends:
+            cfs.send(cfs.sbn_endpoint, Endpoint(item.peer.address, item.peer.port), item.data)
+        for packet in actions.publish:
+            cfs.publish(packet, facts.NAME, stamp=False)
+
+    def _command(self, packet: bytes) -> None:
+        if function_code_of(packet) == _HOUSEKEEPING and length_of(packet) == len(packet):
+            self._cfs.say(facts.HOUSEKEEPING_SENT)
+            body = bytes([_HOUSEKEEPING]).ljust(9, b"\0")
+            self._cfs.telemetry(facts.HOUSEKEEPING_MSG_ID, body, facts.NAME)

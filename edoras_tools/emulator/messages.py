@@ -1,0 +1,106 @@
+"""The four ROS messages of the demos, to and from bytes, and the fixed-size structs of the flight apps."""
+
+from __future__ import annotations
+
+from functools import cache
+from math import cos, sin
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.errors import FieldError, WireError
+from edoras_tools.ros import TypeStore
+from edoras_tools.units import SECOND
+from edoras_tools.wire import envelope
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+TWIST: Final = "geometry_msgs/msg/Twist"
+POSE: Final = "geometry_msgs/msg/Pose"
+POSE_STAMPED: Final = "geometry_msgs/msg/PoseStamped"
+JOINT_STATE: Final = "sensor_msgs/msg/JointState"
+
+
+@cache
+def _types() -> TypeStore:
+    return TypeStore()
+
+
+class FixedStruct:
+    """A C struct that messages are copied into: after a shorter message, bytes of a longer one remain.
+
+    Attributes:
+        data: the whole struct.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._bytes = bytearray(size)
+
+    @property
+    def data(self) -> bytes:
+        """The whole struct, stale bytes included."""
+        return bytes(self._bytes)
+
+    def put(self, cdr: bytes) -> None:
+        """Copy a message in, envelope first.
+
+        Raises:
+            FieldError: it does not fit; flight code would write past the end.
+        """
+        content = envelope.DEFAULT.emit(cdr)
+        if len(content) > len(self._bytes):
+            raise FieldError("edoras", "data", f"{len(content)} bytes exceed the struct's {len(self._bytes)}")
+        self._bytes[: len(content)] = content
+
+
+def encode(type_name: str, values: Mapping[str, Any]) -> bytes:
+    """Return the CDR of a message, encapsulation included."""
+    return _types().encode(type_name, values)
+
+
+def decode_envelope(type_name: str, data: bytes) -> Mapping[str, Any] | None:
+    """Return the values of a message in its envelope, or None where they cannot be read."""
+    try:
+        length, _ = envelope.DEFAULT.parse(data)
+        start = envelope.DEFAULT.size
+        return _types().decode(type_name, data[start : start + length])
+    except WireError:
+        return None
+
+
+def std_header(now: int, frame_id: str) -> dict[str, Any]:
+    """Return a std_msgs/Header of a time in ns."""
+    seconds, nanoseconds = divmod(now, SECOND)
+    # 32 bits of seconds: simulated clocks may be set anywhere.
+    return {"stamp": {"sec": seconds & 0x7FFFFFFF, "nanosec": nanoseconds}, "frame_id": frame_id}
+
+
+def pose(x: float, y: float, z: float = 0.0, qz: float = 0.0, qw: float = 1.0) -> dict[str, Any]:
+    """Return a geometry_msgs/Pose turned about z."""
+    return {
+        "position": {"x": x, "y": y, "z": z},
+        "orientation": {"x": 0.0, "y": 0.0, "z": qz, "w": qw},
+    }
+
+
+def pose_stamped(now: int, frame_id: str, x: float, y: float, heading: float) -> bytes:
+    """Return the CDR of a PoseStamped in the plane."""
+    turned = pose(x, y, 0.0, sin(heading / 2), cos(heading / 2))
+    return encode(POSE_STAMPED, {"header": std_header(now, frame_id), "pose": turned})
+
+
+def twist(linear: float, angular: float) -> bytes:
+    """Return the CDR of a Twist in the plane."""
+    flat = {"x": 0.0, "y": 0.0, "z": 0.0}
+    return encode(TWIST, {"linear": flat | {"x": linear}, "angular": flat | {"z": angular}})
+
+
+def joint_state(now: int, names: Sequence[str], positions: Sequence[float]) -> bytes:
+    """Return the CDR of a JointState without velocities and efforts."""
+    values = {
+        "header": std_header(now, ""),
+        "name": list(names),
+        "position": list(positions),
+        "velocity": [],
+        "effort": [],
+    }
+    return encode(JOINT_STATE, values)

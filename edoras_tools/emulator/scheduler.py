@@ -1,0 +1,188 @@
+"""Tasks on a few processors, in simulated time: this makes messages wait, and so some are lost.
+
+A task is a generator that yields what it waits for, much as flight code calls the operating system::
+
+    def ci_lab():
+        while True:
+            packet = yield Receive(pipe, timeout_ns=500_000_000)
+            ...
+            yield Work(8_000)
+
+Rules that it keeps:
+
+1. A task that may run waits for its latency, then in a queue for a processor.
+2. After each ``Work`` it goes to the end of that queue.
+3. Latencies come from a seeded generator: the same seed gives the same run.
+4. Only ``Work`` takes processor time; what a task does between two yields takes none.
+"""
+
+from __future__ import annotations
+
+import heapq
+import random
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator
+
+    from edoras_tools.cfs.profile import SimProfile
+
+
+class Queue(Protocol):
+    """What a task can wait on: a pipe, a socket."""
+
+    def get(self) -> Any:
+        """Take the oldest item, or None."""
+
+    def __len__(self) -> int: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Receive:
+    """Wait for an item; the ``yield`` returns it, or None after the time-out."""
+
+    queue: Queue
+    timeout_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sleep:
+    """Wait for so many ns (``OS_TaskDelay``): a loop with it drifts by the time that its body takes."""
+
+    ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class SleepUntil:
+    """Wait for a point in time (a timer): a loop with it keeps an exact period."""
+
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Use a processor for about so many ns, then let others run."""
+
+    ns: int
+
+
+if TYPE_CHECKING:
+    Task = Generator[Receive | Sleep | SleepUntil | Work, Any, None]
+
+
+class _Running:
+    """A task and what it waits for. A time-out whose ``ticket`` is old is ignored."""
+
+    __slots__ = ("steps", "ticket", "value", "waits_on")
+
+    def __init__(self, steps: Task) -> None:
+        self.steps = steps
+        self.waits_on: Queue | None = None
+        self.ticket = 0
+        self.value: Any = None
+
+
+class Scheduler:
+    """The clock, the processors and the tasks.
+
+    Attributes:
+        now: ns; never goes back.
+    """
+
+    def __init__(self, profile: SimProfile, *, start_ns: int) -> None:
+        self.now = start_ns
+        self._random = random.Random(profile.seed)  # noqa: S311  repeatable latencies, not secrets
+        self._latency = profile.latency_ns
+        self._jitter = profile.work_jitter
+        self._free = profile.cores
+        self._ready: deque[_Running] = deque()
+        self._waiting: dict[int, _Running] = {}
+        self._agenda: list[tuple[int, int, Callable[..., None], tuple[Any, ...]]] = []
+        self._count = 0
+
+    def spawn(self, steps: Task) -> None:
+        """Start a task, now."""
+        self.call_at(self.now, self._enqueue, _Running(steps))
+
+    def call_at(self, time_ns: int, call: Callable[..., None], *arguments: Any) -> None:
+        """Call something that takes no processor time: the outside world, an interrupt."""
+        self._count += 1
+        heapq.heappush(self._agenda, (max(time_ns, self.now), self._count, call, arguments))
+
+    def notify(self, queue: Queue) -> None:
+        """Note that an item was put into a queue: tasks that wait on it may run after their latency."""
+        task = self._waiting.pop(id(queue), None)
+        if task is not None:
+            task.waits_on = None
+            task.ticket += 1
+            task.value = queue
+            self._wake(task, self.now)
+
+    @property
+    def next_ns(self) -> int | None:
+        """When something happens next; None when nothing will."""
+        return self._agenda[0][0] if self._agenda else None
+
+    def run(self, until_ns: int) -> None:
+        """Let time pass up to and including ``until_ns``."""
+        agenda = self._agenda
+        while agenda and agenda[0][0] <= until_ns:
+            self.now, _, call, arguments = heapq.heappop(agenda)
+            call(*arguments)
+        self.now = max(self.now, until_ns)
+
+    def _wake(self, task: _Running, at_ns: int) -> None:
+        self.call_at(at_ns + self._random.randint(*self._latency), self._enqueue, task)
+
+    def _enqueue(self, task: _Running) -> None:
+        self._ready.append(task)
+        self._dispatch()
+
+    def _dispatch(self) -> None:
+        while self._free and self._ready:
+            self._free -= 1
+            self._step(self._ready.popleft())
+
+    def _timeout(self, task: _Running, ticket: int) -> None:
+        if task.ticket == ticket and task.waits_on is not None:
+            self._waiting.pop(id(task.waits_on), None)
+            task.waits_on = None
+            task.ticket += 1
+            self._wake(task, self.now)
+
+    def _work_done(self, task: _Running) -> None:
+        self._free += 1
+        self._ready.append(task)
+        self._dispatch()
+
+    def _step(self, task: _Running) -> None:
+        """Run a task on the processor it was given, up to what it waits for next."""
+        value, task.value = task.value, None
+        if value is not None:
+            value = value.get()
+        while True:
+            try:
+                wish = task.steps.send(value)
+            except StopIteration:
+                break
+            value = None
+            if isinstance(wish, Work):
+                spread = int(wish.ns * self._jitter)
+                took = wish.ns + (self._random.randint(-spread, spread) if spread else 0)
+                self.call_at(self.now + took, self._work_done, task)
+                return
+            if isinstance(wish, Receive):
+                if len(wish.queue):
+                    value = wish.queue.get()
+                    continue
+                task.waits_on = wish.queue
+                self._waiting[id(wish.queue)] = task
+                if wish.timeout_ns is not None:
+                    self.call_at(self.now + wish.timeout_ns, self._timeout, task, task.ticket)
+                break
+            at_ns = wish.time_ns if isinstance(wish, SleepUntil) else self.now + wish.ns
+            self._wake(task, max(at_ns, self.now))
+            break
+        self._free += 1

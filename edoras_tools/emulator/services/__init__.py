@@ -1,0 +1,1 @@
+"""The core services of the emulated cFS, as machines without sockets or clocks."""

@@ -1,0 +1,145 @@
+"""cFE Event Services: filters, squelch, and the event packets that carry what an application says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping  # noqa: TC003  Application's annotations are read by people and tools
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, Self
+
+from edoras_tools.cfs.event_services import NAME, SQUELCHED, EventType
+from edoras_tools.units import MILLISECOND
+from edoras_tools.wire import cfe
+
+if TYPE_CHECKING:
+    from edoras_tools.cfs.event_services import EventText
+    from edoras_tools.cfs.profile import SimProfile
+
+_COST: Final = 1000
+_LONGEST_TEXT: Final = 121  # char[122], the last one NUL
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What an application reports.
+
+    Attributes:
+        app: name of the application.
+        event_id: its number for it.
+        event_type: severity.
+        message: text; what does not fit in 121 bytes is cut when it is sent.
+    """
+
+    app: str
+    event_id: int
+    event_type: EventType
+    message: str
+
+    @classmethod
+    def of(cls, event: EventText, **values: object) -> Self:
+        """Return an event of cFS with its values."""
+        return cls(event.app, event.event_id, event.event_type, event.text.format(**values))
+
+    def __str__(self) -> str:
+        return f"{self.app} {self.event_id}: {self.message}"
+
+
+@dataclass(slots=True)
+class Application:
+    """The state of one application in Event Services.
+
+    Attributes:
+        name: of the application.
+        stop_after: event number to how many of it pass the filter; one that is not named always passes.
+        tokens: thousandths of events that may still be sent.
+        credited_ns: when tokens were last added.
+        seen: event number to how many came since the filter was reset.
+        sent: events that were sent.
+        squelched: events that were not sent because there were no tokens.
+    """
+
+    name: str
+    stop_after: Mapping[int, int]
+    tokens: int
+    credited_ns: int
+    seen: dict[int, int] = field(default_factory=dict)
+    sent: int = 0
+    squelched: int = 0
+
+
+class EventServices:
+    """The events of one cFS instance.
+
+    Attributes:
+        applications: those registered, in order.
+        sent: events that were sent, of all applications.
+        commands: ground commands taken.
+        command_errors: ground commands refused.
+    """
+
+    def __init__(self, profile: SimProfile) -> None:
+        self.profile = profile
+        self.applications: dict[str, Application] = {}
+        self.sent = 0
+        self.commands = 0
+        self.command_errors = 0
+
+    def register(self, name: str, *, now: int, stop_after: Mapping[int, int] | None = None) -> None:
+        """Register an application with its filters.
+
+        Args:
+            name: of the application, 19 characters at most.
+            now: ns.
+            stop_after: event number to how many of it pass.
+        """
+        self.applications[name] = Application(
+            name, stop_after or {}, self.profile.event_burst * _COST, credited_ns=now
+        )
+
+    def reset_filters(self, name: str) -> bool:
+        """Reset the filters of an application; return whether it is registered."""
+        application = self.applications.get(name)
+        if application:
+            application.seen.clear()
+        return application is not None
+
+    def report(self, event: Event, *, now: int) -> list[Event]:
+        """Process an event; return what is sent: nothing, the event, or an event about the squelch."""
+        application = self.applications.get(event.app)
+        if application is None or event.event_type is EventType.DEBUG:
+            return []
+        seen = application.seen[event.event_id] = application.seen.get(event.event_id, 0) + 1
+        if seen > application.stop_after.get(event.event_id, seen):
+            return []
+        if not self._spend(application, now):
+            application.squelched += 1
+            if application.squelched > 1 or event.app == NAME:
+                return []
+            return self.report(Event.of(SQUELCHED, app=event.app), now=now)
+        application.squelched = 0
+        application.sent += 1
+        self.sent += 1
+        return [event]
+
+    def _spend(self, application: Application, now: int) -> bool:
+        """Credit the time that went by, then take the cost of one event; tell whether there was enough."""
+        credit = (now - application.credited_ns) * self.profile.event_rate // MILLISECOND
+        if credit > 0:
+            application.tokens = min(application.tokens + credit, self.profile.event_burst * _COST)
+            application.credited_ns = now
+        enough = application.tokens >= _COST
+        # Below zero an application has to wait longer, by at most one second's tokens.
+        application.tokens = max(application.tokens - _COST, -self.profile.event_rate * _COST)
+        return enough
+
+    def payload(self, event: Event) -> bytes:
+        """Return the payload of the event packet, 156 bytes."""
+        return cfe.EVENT.emit(
+            {
+                "app_name": event.app.encode()[:19],
+                "event_id": event.event_id,
+                "event_type": event.event_type,
+                "spacecraft_id": self.profile.spacecraft_id,
+                "processor_id": self.profile.processor_id,
+                "message": event.message.encode()[:_LONGEST_TEXT],
+            }
+        )

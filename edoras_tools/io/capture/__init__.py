@@ -1,0 +1,1 @@
+"""Live capture: the packet ring, its filters and its devices."""

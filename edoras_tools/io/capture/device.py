@@ -1,0 +1,324 @@
+"""The part that all live sources share: a thread reads a device into a bounded queue; batches come from it.
+
+If a sink stalls (a slow disk, a terminal), this costs memory and no datagrams. When the queue is full, the
+thread stops reading, the kernel's own buffer fills, and the kernel counts what it drops: there is one place
+where frames can be lost, and it has a counter.
+"""
+
+from __future__ import annotations
+
+import queue
+import select
+import socket
+import threading
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.frames.linklayer import Demux, joined_frames
+from edoras_tools.model import PacketBatch, SourceStatistics
+from edoras_tools.wire.window import PADDING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from types import EllipsisType
+
+    from edoras_tools.io.frames.linklayer import FrameBatch
+    from edoras_tools.model import InterfaceOutage, SourceInfo
+
+_AT_ONCE = 4 << 20
+"""Maximum bytes of one batch, or one read of the device if that is more."""
+_GATHER_S = 0.08
+_STEP_S = 0.02
+"""How often to check, while frames gather, whether enough of them wait."""
+_SILENCE_S = 0.1
+"""A frame that comes this long after the last one comes after a silence,"""
+_SOON_S = 0.005
+"""and does not wait longer than this for others."""
+_DRAIN_S = 0.5
+"""How long after ``stop`` the device may take to deliver what it holds,"""
+_DRAIN_TURNS = 500
+"""and how often it is read at least, so that a machine that stalled for this time loses nothing."""
+
+
+class Device(Protocol):
+    """A source of frames that is bound and receiving.
+
+    Attributes:
+        info: information on the source.
+        drops: frames that the kernel lost, as of the last ``count``.
+        linger_s: how long to let frames gather after the first one, except after a silence; 0 if the device
+            gathers them itself.
+        look_s: how often to read even if no file descriptor is readable.
+        outages: when an interface was away.
+    """
+
+    info: SourceInfo
+    drops: int
+    linger_s: float
+    look_s: float
+    outages: list[InterfaceOutage]
+
+    def filenos(self) -> tuple[int, ...]:
+        """Return the file descriptors that become readable when frames have arrived."""
+
+    def read(self) -> FrameBatch | None:
+        """Return the frames that have arrived, a few MiB at most; None if there are none; never wait."""
+
+    def count(self) -> None:
+        """Update ``drops``."""
+
+    def refuse(self) -> None:
+        """Drop every packet from now on, if possible."""
+
+    def drained(self) -> bool:
+        """Return whether everything that came in has been read."""
+
+    def failure(self) -> str | None:
+        """Return why no more frames will come, or None."""
+
+    def close(self) -> None:
+        """Release everything."""
+
+
+class DeviceSource:
+    """A ``Source`` over a ``Device``.
+
+    Reading starts in the constructor: nothing that arrives afterwards is missed without being counted.
+
+    Args:
+        device: is closed by ``close``.
+        ready: called once when ``batches`` starts.
+        told: called by ``batches`` for every interface that goes away, and again when it is back.
+        idle_s: without traffic, an empty batch is yielded this often, or every ``gather_s`` if that is
+            longer, so that sinks flush and displays refresh.
+        queue_bytes: maximum bytes that wait for a slow consumer.
+
+    Attributes:
+        info: information on the source.
+        statistics: the counts so far.
+        started: set when ``batches`` starts.
+        gather_s: minimum time between two batches, unless a few MiB wait: a batch of one datagram costs as
+            much as one of a thousand. The first frames after a silence do not wait.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        *,
+        ready: Callable[[], None] | None = None,
+        told: Callable[[InterfaceOutage], None] | None = None,
+        idle_s: float = 0.1,
+        queue_bytes: int = 128 << 20,
+    ) -> None:
+        self.info = device.info
+        self.statistics = SourceStatistics(outages=device.outages)
+        self.started = threading.Event()
+        self.gather_s = _GATHER_S
+        self._handed = 0.0
+        self._device = device
+        self._ready = ready
+        self._told = told
+        self._news = 0
+        self._idle_s = idle_s
+        self._queue_bytes = queue_bytes
+        self._demux = Demux()
+        # None ends the queue, an exception ends it with an error. Signal handlers may use a SimpleQueue.
+        self._queue: queue.SimpleQueue[FrameBatch | BaseException | None] = queue.SimpleQueue()
+        self._queued = 0  # written by the thread only
+        self._taken = 0  # written by the consumer only
+        self._room = threading.Event()
+        self._stopping = False
+        self._deadline = 0.0  # while stopping: when to stop reading the device
+        self._turns = 0  # and how often it was read since
+        self._closed = False
+        self._wake, self._waker = socket.socketpair()
+        self._waker.setblocking(False)
+        self._thread = threading.Thread(target=self._run, name=f"capture {self.info.name}", daemon=True)
+        self._thread.start()
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Yield what arrived since the last batch, until ``stop`` or until the device fails.
+
+        Raises:
+            CaptureError: the device failed; everything that it delivered has been yielded.
+        """
+        self.started.set()
+        if self._ready is not None:
+            self._ready()
+        nothing = _nothing()
+        while True:
+            self._tell()
+            self._gather()
+            frames, end = self._waiting()
+            self.statistics.kernel_drops = self._device.drops
+            if frames:
+                self._handed = time.monotonic()
+                yield self._hand_over(joined_frames(frames) if len(frames) > 1 else frames[0])
+            elif end is ...:
+                yield nothing
+            if isinstance(end, BaseException):
+                raise end
+            if end is None:
+                return
+
+    def _gather(self) -> None:
+        """Let frames gather after the last batch."""
+        end = self._handed + self.gather_s
+        while not self._stopping and self._queued - self._taken < _AT_ONCE:
+            left = end - time.monotonic()
+            if left <= 0:
+                return
+            time.sleep(min(left, _STEP_S))
+
+    def _waiting(self) -> tuple[list[FrameBatch], BaseException | EllipsisType | None]:
+        """Take what waits, at most a few MiB: large batches cost less, so a slow consumer can catch up.
+
+        Returns:
+            The frames, and what ended the queue; an ellipsis if it has not ended.
+        """
+        taken: list[FrameBatch] = []
+        size = 0
+        idle_s = max(self._idle_s, self.gather_s)
+        while size < _AT_ONCE:
+            try:
+                item = self._queue.get_nowait() if taken else self._queue.get(timeout=idle_s)
+            except queue.Empty:
+                break
+            if item is None or isinstance(item, BaseException):
+                return taken, item
+            taken.append(item)
+            size += item.data.size
+            self._taken += item.data.size
+            self._room.set()
+        return taken, ...
+
+    def stop(self) -> None:
+        """End ``batches`` after what has arrived; for any thread or signal handler, any number of times."""
+        self._stopping = True
+        try:
+            self._waker.send(b"\0")
+        except OSError:  # full: it wakes up anyway; closed: nothing to wake up
+            return
+
+    def close(self) -> None:
+        """Close the device; what it still holds is discarded."""
+        if self._closed:
+            return
+        self._closed = True
+        self.stop()
+        self._room.set()
+        self._thread.join()
+        self.statistics.kernel_drops = self._device.drops
+        self._device.close()
+        self._wake.close()
+        self._waker.close()
+
+    def _tell(self) -> None:
+        """Report interface outages; each is reported when it begins and when it ends."""
+        outages = tuple(self.statistics.outages)
+        count = sum(2 if outage.end_ns else 1 for outage in outages[self._news // 2 :])
+        if self._told is None or count == self._news % 2:
+            return
+        for number in range(self._news, self._news // 2 * 2 + count):
+            outage = outages[number // 2]
+            self._told(outage if number % 2 else replace(outage, end_ns=0))
+            self._news += 1
+
+    def _hand_over(self, frames: FrameBatch) -> PacketBatch:
+        """Demux a batch and update the statistics."""
+        batch = self._demux.demux(frames)
+        statistics = self.statistics
+        statistics.frames += len(frames)
+        statistics.bytes += int(frames.length.sum())
+        statistics.datagrams += len(batch)
+        statistics.skipped = self._demux.skipped
+        return batch
+
+    def _run(self) -> None:
+        """Read the device until stopped; the thread's function."""
+        try:
+            self._read()
+        except BaseException as error:  # noqa: BLE001  raised in the consumer's thread
+            self._queue.put(error)
+        else:
+            self._queue.put(None)
+
+    def _read(self) -> None:
+        device = self._device
+        poll = select.poll()
+        for fileno in (*device.filenos(), self._wake.fileno()):
+            poll.register(fileno, select.POLLIN)
+        failure = None
+        came = 0.0
+        while not self._closed:
+            if (self._stopping or failure) and not self._deadline:
+                device.refuse()
+                self._deadline = time.monotonic() + _DRAIN_S
+                poll.unregister(self._wake.fileno())
+            taken = self._queued
+            more = self._drain()
+            if self._queued > taken:
+                came = time.monotonic()
+            device.count()
+            failure = failure or device.failure()
+            if self._deadline and (device.drained() or self._late()):
+                break
+            if not more and (self._deadline or not failure):
+                poll.poll(5 if self._deadline else 1000 * device.look_s)
+                silent = time.monotonic() - came > _SILENCE_S
+                linger_s = min(device.linger_s, _SOON_S) if silent else device.linger_s
+                time.sleep(0 if self._deadline else linger_s)
+        if failure:
+            raise CaptureError(failure)
+
+    def _drain(self) -> bool:
+        """Queue what the device holds; return whether to continue at once, because there may be more."""
+        while (frames := self._device.read()) is not None:
+            self._queued += frames.data.size
+            self._queue.put(frames)
+            self._wait_for_room()
+            if self._closed or self._late() or (self._stopping and not self._deadline):
+                return True
+        return False
+
+    def _wait_for_room(self) -> None:
+        """Wait while the queue is full; this time does not count for the device's deadline."""
+        while self._queued - self._taken > self._queue_bytes and not self._closed:
+            self._room.wait(self._idle_s)
+            self._room.clear()
+            if self._deadline:
+                self._deadline = time.monotonic() + _DRAIN_S
+
+    def _late(self) -> bool:
+        """Return whether the device has had enough time, and reads, to deliver what it holds."""
+        if not self._deadline:
+            return False
+        self._turns += 1
+        return self._turns > _DRAIN_TURNS and time.monotonic() > self._deadline
+
+
+def _nothing() -> PacketBatch:
+    """Return an empty batch."""
+    wide, narrow = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int32)
+    address, port = np.empty(0, dtype=np.uint32), np.empty(0, dtype=np.uint16)
+    return PacketBatch(
+        data=np.zeros(PADDING, dtype=np.uint8),
+        number=wide,
+        time_ns=wide,
+        link_type=port,
+        frame_offset=wide,
+        frame_length=narrow,
+        original_length=narrow,
+        offset=wide,
+        length=narrow,
+        source_address=address,
+        source_port=port,
+        destination_address=address,
+        destination_port=port,
+        ip_version=np.empty(0, dtype=np.uint8),
+        capture_findings=address,
+    )

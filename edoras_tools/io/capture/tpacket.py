@@ -1,0 +1,201 @@
+"""Reads blocks of a TPACKET_V3 ring, in the kernel's layout, into frames.
+
+A block starts with a descriptor, followed by a chain of packets, each with its own header
+(``linux/if_packet.h``: ``tpacket_block_desc``, ``tpacket3_hdr``, ``sockaddr_ll``); all in native byte order::
+
+    block:   0 version  4 offset_to_priv  8 block_status  12 num_pkts  16 offset_to_first_pkt  20 blk_len
+    packet:  0 next_offset  4 sec  8 nsec  12 snaplen  16 len  20 status  24 mac(2)  26 net(2)
+             28 rxhash  32 vlan_tci  36 vlan_tpid(2)  48 sockaddr_ll(20)  ... mac: the frame
+
+There is space between the ``sockaddr_ll`` and the frame. A VLAN tag that the kernel removed, or a cooked
+header that it did not write, is written there, so that frames need not be moved. (A cooked header has no
+field for a tag, so the tag is left out.) A cooked header replaces an existing link layer header.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2
+from edoras_tools.io.formats.chain import walk_records
+from edoras_tools.io.frames.linklayer import FrameBatch
+from edoras_tools.io.frames.segments import cut
+from edoras_tools.wire.window import read_at
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+BLOCK_HEADER: Final = 48
+"""Bytes of a block's descriptor."""
+ALIGNMENT: Final = 8
+"""V3_ALIGNMENT: packets start at multiples of this."""
+
+VNET_HEADER: Final = np.dtype(
+    [
+        ("flags", "u1"),
+        ("gso_type", "u1"),
+        ("hdr_len", "u2"),
+        ("gso_size", "u2"),
+        ("csum_start", "u2"),
+        ("csum_offset", "u2"),
+    ]
+)
+"""``virtio_net_hdr``, directly before the frame, in native byte order."""
+_UDP_SEGMENTS: Final = 5
+"""VIRTIO_NET_HDR_GSO_UDP_L4."""
+_VLAN_VALID: Final = 1 << 4
+_VLAN_TPID_VALID: Final = 1 << 6
+_DOT1Q: Final = 0x8100
+_TAG_TYPES: Final = (_DOT1Q, 0x88A8, 0x9100)
+_TAG: Final = 4
+_ADDRESSES: Final = 12
+_SOCKADDR: Final = 48
+_SLL2_LENGTH: Final = 20
+_ETHERNET_LENGTH: Final = 14
+# Offset of each byte of an SLL2 header in a little-endian sockaddr_ll: protocol, 2 reserved bytes,
+# interface index, ARPHRD type, packet type, address length, address; _NOTHING means 0.
+_NOTHING: Final = 255
+_LITTLE: Final = (2, 3, _NOTHING, _NOTHING, 7, 6, 5, 4, 9, 8, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19)
+_BIG: Final = (2, 3, _NOTHING, _NOTHING, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19)
+
+
+class PacketRun(NamedTuple):
+    """Consecutive packets of one block, as copied from the ring.
+
+    Attributes:
+        first: offset of the first packet's header, a multiple of ``ALIGNMENT``.
+        end: one past the last byte copied; it may be beyond the last packet.
+        packets: number of packets.
+    """
+
+    first: int
+    end: int
+    packets: int
+
+
+def packet_heads(data: NDArray[np.uint8], runs: Sequence[PacketRun]) -> NDArray[np.int64]:
+    """Return the offsets of the headers of all packets of some runs, in order.
+
+    Args:
+        data: the buffer of the runs, with at least ``framing.PADDING`` bytes after them.
+        runs: at least one.
+    """
+    words, halves = data.view(np.uint32), data.view(np.uint16)
+    return np.concatenate([_packets(words, halves, run) for run in runs])
+
+
+def behind(data: NDArray[np.uint8], head: int) -> int:
+    """Return the distance from this packet's header to the next one; 0 for the last of a closed block."""
+    return int(data.view(np.uint32)[head // 4])
+
+
+def frames(
+    data: NDArray[np.uint8], heads: NDArray[np.int64], link_type: int, number: int, *, told: bool = False
+) -> FrameBatch:
+    """Read packets into frames.
+
+    Args:
+        data: the bytes copied from the ring; tags and cooked headers are written into it.
+        heads: offsets of the packets' headers.
+        link_type: LINKTYPE of the frames; ``LINUX_SLL2`` for a socket of all interfaces.
+        number: number of the first frame.
+        told: whether the kernel describes each packet (``PACKET_VNET_HDR``): one that contains several
+            datagrams is split into them.
+
+    Returns:
+        The frames, over ``data`` except for those that were split.
+    """
+    # Headers are aligned, so every field is an element of a view on the whole buffer.
+    words, halves = data.view(np.uint32), data.view(np.uint16)
+    word, half = heads // 4, heads // 2
+    offset = heads + halves[half + 12]
+    captured = words[word + 3].astype(np.int32)
+    original = words[word + 4].astype(np.int32)
+    status = words[word + 5]
+    time_ns = words[word + 1] * np.int64(1_000_000_000) + words[word + 2]
+    link_bytes = halves[half + 13].astype(np.int64) - halves[half + 12]
+    added = np.zeros(len(heads), dtype=np.int32)
+    beside = read_at(data, offset - VNET_HEADER.itemsize, VNET_HEADER) if told else None
+    if link_type == ETHERNET:
+        rows = np.flatnonzero(status & _VLAN_VALID)
+        if len(rows):
+            _insert_tags(data, words, halves, heads[rows], offset[rows], status[rows])
+            added[rows] = _TAG
+    elif link_type == LINUX_SLL2:
+        _insert_cooked(data, heads, offset + link_bytes, tagged=link_bytes > _ETHERNET_LENGTH)
+        added = (_SLL2_LENGTH - link_bytes).astype(np.int32)
+    found = FrameBatch(
+        data=data,
+        number=np.arange(number, number + len(heads), dtype=np.int64),
+        time_ns=time_ns,
+        link_type=np.full(len(heads), link_type, dtype=np.uint16),
+        offset=offset - added,
+        length=np.maximum(captured + added, 0),
+        original_length=original + added,
+    )
+    if beside is None or not (many := beside["gso_type"] == _UDP_SEGMENTS).any():
+        return found
+    return cut(found, beside["gso_size"] * many, beside["csum_start"] - link_bytes)
+
+
+def _packets(words: NDArray[np.uint32], halves: NDArray[np.uint16], run: PacketRun) -> NDArray[np.int64]:
+    """Return the offsets of the headers of a run's packets; the last one of a closed block has no next."""
+    head, end, count = run
+
+    def successor(at: NDArray[np.int64]) -> NDArray[np.int64]:
+        following = words[at // 4]
+        return np.where(following == 0, end, at + following)
+
+    def step(at: int) -> int:
+        following = int(words[at // 4])
+        return at + following if following else end
+
+    # The distance from header to frame is equal for nearly all packets, so it is a good sign of a header.
+    signs = halves[head // 2 + 12 : end // 2 : ALIGNMENT // 2]
+    alike = np.flatnonzero(signs == signs[:1])
+    seeds = head + alike[:: max(1, math.isqrt(count))] * ALIGNMENT
+    return walk_records(head, end, seeds, successor, step)[0][:count]
+
+
+def _insert_tags(
+    data: NDArray[np.uint8],
+    words: NDArray[np.uint32],
+    halves: NDArray[np.uint16],
+    heads: NDArray[np.int64],
+    offset: NDArray[np.int64],
+    status: NDArray[np.uint32],
+) -> None:
+    """Put the VLAN tags back to their place on the wire, after the addresses (IEEE 802.1Q clause 9)."""
+    tag = np.empty((len(heads), 2), dtype=">u2")
+    tag[:, 0] = np.where(status & _VLAN_TPID_VALID, halves[heads // 2 + 18], _DOT1Q)
+    tag[:, 1] = words[heads // 4 + 8]
+    addresses = data[offset[:, None] + np.arange(_ADDRESSES)]
+    start = (offset - _TAG)[:, None]
+    data[start + np.arange(_ADDRESSES)] = addresses
+    data[start + np.arange(_ADDRESSES, _ADDRESSES + _TAG)] = tag.view(np.uint8)
+
+
+def _insert_cooked(
+    data: NDArray[np.uint8], heads: NDArray[np.int64], offset: NDArray[np.int64], *, tagged: NDArray[np.bool_]
+) -> None:
+    """Write LINKTYPE_LINUX_SLL2 headers before the packets, from the address that the kernel stored.
+
+    Args:
+        data: written into.
+        heads: offsets of the packets' headers.
+        offset: offsets of their network headers.
+        tagged: whether a link layer header has VLAN tags, which are removed with it: the type is
+            the one after them.
+    """
+    places = np.array(_LITTLE if sys.byteorder == "little" else _BIG)
+    headers = data[heads[:, None] + _SOCKADDR + np.minimum(places, _SLL2_LENGTH - 1)]
+    headers[:, places == _NOTHING] = 0
+    rows = np.flatnonzero(tagged & np.isin(headers[:, 0] * np.uint16(256) + headers[:, 1], _TAG_TYPES))
+    headers[rows, :2] = data[offset[rows, None] + np.array([-2, -1])]
+    data[(offset - _SLL2_LENGTH)[:, None] + np.arange(_SLL2_LENGTH)] = headers

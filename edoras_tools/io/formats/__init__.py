@@ -1,0 +1,1 @@
+"""File formats: one folder each, its reader beside its writer."""

@@ -1,0 +1,121 @@
+"""The common part of the pcap and pcapng sinks: a file opened here or by the caller, its errors, its end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.outputs import OutputFile
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
+
+
+class CaptureFileSink:
+    """Writes the frames of batches to a file; the formats implement ``_lay_out`` and ``_finish``.
+
+    Attributes:
+        name: of the file.
+        datagrams: number written.
+        output: the file, if it was opened here.
+    """
+
+    def __init__(self, path_or_file: str | Path | BinaryIO) -> None:
+        """Open the file.
+
+        Args:
+            path_or_file: where to write; a file of the caller is flushed, but not closed.
+
+        Raises:
+            CaptureError: the file cannot be opened.
+        """
+        self.datagrams = 0
+        self.output: OutputFile | None = None
+        self._lent: BinaryIO | None = None
+        self._closed = False
+        if isinstance(path_or_file, str | Path):
+            self.name = str(path_or_file)
+            try:
+                self.output = OutputFile(Path(path_or_file))
+            except (OSError, ValueError) as error:
+                raise self._error("cannot be created", error) from error
+        else:
+            self.name = str(getattr(path_or_file, "name", "output"))
+            self._lent = path_or_file
+
+    def write(self, batch: PacketBatch, columns: Columns | None = None) -> None:
+        """Append the frames of a batch.
+
+        Args:
+            batch: its frames are written in order.
+            columns: not used.
+
+        Raises:
+            CaptureError: the file cannot be written, or its format cannot hold a frame.
+        """
+        del columns
+        self.datagrams += len(batch)
+        if len(batch):
+            self._put(self._lay_out(batch))
+
+    @property
+    def paths(self) -> list[Path]:
+        """The file written, if it was opened here."""
+        return [self.output.path] if self.output else []
+
+    @property
+    def complete(self) -> list[tuple[OutputFile, int]]:
+        """The file once it is complete, and the number of datagrams in it."""
+        return [(self.output, self.datagrams)] if self.output and self._closed else []
+
+    def abandon(self) -> None:
+        """Close the file in its present state; nothing more is written."""
+        self._closed = True
+        self.flush()
+        if self.output:
+            self.output.close()
+
+    def flush(self) -> None:
+        """Write everything received so far to the operating system."""
+        try:
+            if self._lent:
+                self._lent.flush()
+        except (OSError, ValueError) as error:
+            raise self._error("cannot be written", error) from error
+
+    def close(self, statistics: SourceStatistics | None = None) -> None:
+        """Write the end of the format, and close the file if it was opened here.
+
+        Args:
+            statistics: not used; the formats cannot store it.
+        """
+        del statistics
+        if not self._closed:
+            self._closed = True
+            self._finish()
+            self.abandon()
+
+    def _lay_out(self, batch: PacketBatch) -> NDArray[np.uint8]:
+        """Return the bytes of a batch of at least one frame: u8."""
+        raise NotImplementedError
+
+    def _finish(self) -> None:
+        """Write what the format needs after the last frame."""
+
+    def _put(self, data: bytes | NDArray[np.uint8]) -> None:
+        piece = data if isinstance(data, bytes) else data.data
+        try:
+            if self.output:
+                self.output.write(piece)
+            elif self._lent:
+                self._lent.write(piece)
+        except (OSError, ValueError) as error:
+            raise self._error("cannot be written", error) from error
+
+    def _error(self, what: str, error: Exception) -> CaptureError:
+        reason = getattr(error, "strerror", None) or str(error)
+        return CaptureError(f"{self.name}: {what}: {reason}; name another file with -o or make room")

@@ -1,0 +1,107 @@
+"""Chains of records: the position of a record is known only from the length of the one before it.
+
+pcap records, pcapng blocks, the packets of a TPACKET_V3 block and MCAP records are such chains.
+``walk_records`` follows several parts of one chain at the same time: it starts at the one position known to
+be a record and at *seeds*, positions that look like records, and moves all of them forward, with one numpy
+operation for a step of each.
+A part counts only if the proven chain reaches its seed, so the result is exactly that of walking from record
+to record, whatever the payloads contain; a wrong seed costs time, but never gives a wrong result.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+_LANES = 16
+"""With fewer parts than this, a step of all of them costs more than single steps."""
+_BLOCK = 16
+"""Steps between two checks of which parts have arrived."""
+
+
+def walk_records(
+    start: int,
+    end: int,
+    seeds: NDArray[np.int64],
+    successor: Callable[[NDArray[np.int64]], NDArray[np.int64]],
+    step: Callable[[int], int],
+) -> tuple[NDArray[np.int64], int]:
+    """Follow a chain of records from ``start`` as far as the records are complete.
+
+    Args:
+        start: position of the first record.
+        end: one past the last available byte.
+        seeds: increasing positions that may be records; optional, good ones make it fast.
+        successor: position of the record after each of the given ones, never less than the given one; the
+            given one itself if the chain cannot continue. It is called with positions up to ``end + 1``.
+        step: the same for one position.
+
+    Returns:
+        The positions of all complete records (whose successor is not past ``end``), and the position where
+        the walk stopped: ``end``, or the first record that is incomplete or cannot be passed.
+    """
+    seeds = seeds[(seeds > start) & (seeds < end)]
+    starts = np.concatenate((np.array([start], dtype=np.int64), seeds))
+    found, counts, landings = _march(starts, np.append(seeds, end), end, successor)
+    bases = np.cumsum(counts) - counts
+    joined = landings[:-1] == starts[1:]
+    if joined.all() and landings[-1] == end:
+        return found, end
+    # The last part also ends with a break, because nothing follows it.
+    breaks = np.append(np.flatnonzero(~joined), len(starts) - 1)
+    begins = starts.tolist()
+    pieces: list[NDArray[np.int64]] = []
+    lane = 0
+    while True:
+        last = int(breaks[np.searchsorted(breaks, lane)])
+        pieces.append(found[bases[lane] : bases[last] + counts[last]])
+        position = int(landings[last])
+        singles: list[int] = []
+        while (lane := bisect_left(begins, position, last + 1)) == len(begins) or begins[lane] != position:
+            after = step(position) if position < end else position
+            if not position < after <= end:
+                pieces.append(np.array(singles, dtype=np.int64))
+                return np.concatenate(pieces), position
+            singles.append(position)
+            position = after
+        pieces.append(np.array(singles, dtype=np.int64))
+
+
+def _march(
+    starts: NDArray[np.int64],
+    limits: NDArray[np.int64],
+    end: int,
+    successor: Callable[[NDArray[np.int64]], NDArray[np.int64]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Walk every part from its start up to its limit, all at the same time.
+
+    Returns:
+        The complete records below each part's limit, part by part; their number for each part; and where each
+        part ended: at or past its limit, or before it if it could not continue or was left to single steps.
+    """
+    counts = np.zeros(len(starts), dtype=np.int64)
+    landings = starts.copy()
+    lanes = np.arange(len(starts))
+    blocks = [np.empty(0, dtype=np.int64)]
+    while len(lanes) >= _LANES:
+        track = np.empty((_BLOCK + 1, len(lanes)), dtype=np.int64)
+        track[0] = landings[lanes]
+        for here, there in pairwise(track):
+            np.minimum(successor(here), end + 1, out=there)
+        here, there = track[:-1], track[1:]
+        whole = (here < limits[lanes]) & (there > here) & (there <= end)
+        steps = whole.sum(axis=0)
+        blocks.append(here[whole])
+        counts[lanes] += steps
+        landings[lanes] = track[steps, np.arange(len(lanes))]
+        lanes = lanes[steps == _BLOCK]
+    # No part reaches into the next one, so sorting by position gives the order of the parts.
+    return np.sort(np.concatenate(blocks)), counts, landings

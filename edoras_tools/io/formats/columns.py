@@ -1,0 +1,171 @@
+"""Tables that are written column by column: their columns, and files that are complete or do not exist."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import IO, TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.outputs import opener
+from edoras_tools.ros.cdr.columns import Ragged
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from concurrent.futures import Executor, Future
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class TableColumn:
+    """A column of a table.
+
+    Attributes:
+        name: unique in its table.
+        values: one element per row: numbers, bool, ``datetime64[ns]`` (UTC), or ``object`` for texts; of
+            shape (rows, elements) or ``Ragged`` if a row contains a list.
+        there: bool, the rows that have a value; None for all.
+        unit: of the numbers, e.g. ``ns``; empty if unknown.
+    """
+
+    name: str
+    values: NDArray[Any] | Ragged
+    there: NDArray[np.bool_] | None = None
+    unit: str = ""
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def spread(self) -> tuple[NDArray[Any], NDArray[np.int64] | None]:
+        """Return all values in one array, and the start of each row's list in it.
+
+        Returns:
+            The values, and one offset more than rows; None if no row contains a list.
+        """
+        if isinstance(self.values, Ragged):
+            return self.values.values, self.values.offsets
+        if self.values.ndim == 1:
+            return self.values, None
+        rows, width = self.values.shape
+        return self.values.reshape(-1), np.arange(rows + 1, dtype=np.int64) * width
+
+
+@dataclass(frozen=True, slots=True)
+class TableHead:
+    """The description of a table, for formats that store one.
+
+    Attributes:
+        topic: the topic of its messages.
+        type: their ROS type.
+        metadata: names to texts, e.g. the definition of the type.
+    """
+
+    topic: str
+    type: str
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+class TableWriter(Protocol):
+    """Writes a table; its columns are those of the first block, and every later block has the same.
+
+    All methods raise what the file and the library raise; ``TableFile`` makes one error of it.
+    """
+
+    def __init__(self, file: IO[bytes], head: TableHead, columns: Sequence[TableColumn]) -> None:
+        """Start a table; ``columns`` are those of its first block, which is not written yet."""
+
+    def write(self, columns: Sequence[TableColumn]) -> None:
+        """Write some rows."""
+
+    def close(self) -> None:
+        """Write the remaining rows and complete the table; the file stays open."""
+
+
+class TableFile:
+    """A table in a file that appears under its name when it is complete.
+
+    Until then it is written to ``.NAME.part`` in the same folder. If the table cannot be finished, this file
+    is removed, and an existing file stays unchanged. A pipe or device is written directly.
+
+    Args:
+        path: the file.
+        make: the writer of its format.
+        head: the description of the table.
+        columns: of the first block of rows.
+        pool: a thread that writes while the next rows are read.
+
+    Attributes:
+        path: as given.
+        head: as given.
+        rows: written so far.
+
+    Raises:
+        CaptureError: from all methods: it cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        make: Callable[..., TableWriter],
+        head: TableHead,
+        columns: Sequence[TableColumn],
+        pool: Executor,
+    ) -> None:
+        self.path, self.head, self.rows = path, head, 0
+        self._pool = pool
+        self._pending: Future[None] | None = None
+        self._part = path if path.exists() and not path.is_file() else path.with_name(f".{path.name}.part")
+        try:
+            self._file = open(self._part, "wb", opener=opener)  # noqa: SIM115  closed by close() or remove()
+        except OSError as error:
+            raise self._failure(error) from error
+        with self._removed_on_failure():
+            self._writer = make(self._file, head, columns)
+
+    def write(self, columns: Sequence[TableColumn]) -> None:
+        """Write some rows; a failure may be raised by a later call."""
+        with self._removed_on_failure():
+            self._wait()
+            self._pending = self._pool.submit(self._writer.write, columns)
+        self.rows += len(columns[0])
+
+    def close(self) -> None:
+        """Complete the table, and rename the file."""
+        with self._removed_on_failure():
+            self._wait()
+            self._writer.close()
+            self._file.close()
+            if self._part != self.path:
+                self._part.replace(self.path)
+
+    def remove(self) -> None:
+        """Close the file, and remove it if it is incomplete."""
+        with suppress(Exception):
+            self._wait()
+        with suppress(OSError):
+            self._file.close()
+        if self._part != self.path:
+            with suppress(OSError):
+                self._part.unlink(missing_ok=True)
+
+    def _wait(self) -> None:
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            pending.result()
+
+    @contextmanager
+    def _removed_on_failure(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException as error:
+            self.remove()
+            if isinstance(error, OSError):
+                raise self._failure(error) from error
+            raise
+
+    def _failure(self, error: OSError) -> CaptureError:
+        return CaptureError(f"{self.path}: cannot be written: {error.strerror or error}")

@@ -1,0 +1,1 @@
+"""JSON Lines (https://jsonlines.org): one object a row."""

@@ -1,0 +1,57 @@
+"""The values of a column as JSON texts."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from json import dumps
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.formats.columns import TableColumn
+
+_NOT_FINITE: Final = {"nan": '"NaN"', "inf": '"Infinity"', "-inf": '"-Infinity"'}
+
+
+def json_texts(column: TableColumn) -> list[str]:
+    """Return the JSON text of every row of a column; numbers that JSON does not know are texts."""
+    values, offsets = column.spread()
+    texts = _texts(values)
+    if offsets is not None:
+        texts = [f"[{','.join(texts[first:last])}]" for first, last in pairwise(offsets.tolist())]
+    if column.there is None:
+        return texts
+    return [text if there else "null" for text, there in zip(texts, column.there.tolist(), strict=True)]
+
+
+def number_texts(values: NDArray[Any]) -> list[str]:
+    """Return the shortest text of every number that is read back as the same number of its type."""
+    if values.dtype.kind == "f" and values.itemsize < 8:
+        texts: list[str] = values.astype(str).tolist()
+        return texts
+    return list(map(repr, values.tolist()))
+
+
+def time_texts(values: NDArray[np.datetime64]) -> list[str]:
+    """Return times in UTC as ISO 8601, to the ns."""
+    texts: list[str] = np.datetime_as_string(values, "ns", timezone="UTC").tolist()
+    return texts
+
+
+def _texts(values: NDArray[Any]) -> list[str]:
+    kind = values.dtype.kind
+    if kind == "O":
+        items = values.tolist()
+        quoted = {item: dumps(item, ensure_ascii=False) for item in set(items)}
+        return [quoted[item] for item in items]
+    if kind == "b":
+        return ["true" if value else "false" for value in values.tolist()]
+    if kind == "M":
+        return [f'"{text}"' for text in time_texts(values)]
+    texts = number_texts(values)
+    if kind == "f" and not np.isfinite(values).all():
+        return [_NOT_FINITE.get(text, text) for text in texts]
+    return texts

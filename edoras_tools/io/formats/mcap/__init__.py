@@ -1,0 +1,1 @@
+"""MCAP: the reader, the writer of chunks, and recovery."""

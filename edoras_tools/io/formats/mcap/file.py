@@ -1,0 +1,312 @@
+"""One MCAP file on disk: records in sequence, and the summary that completes it.
+
+All records except messages, chunks and their indexes use the record classes of the ``mcap`` library.
+"""
+
+from __future__ import annotations
+
+import struct
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from edoras_tools import __version__
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.mcap.heads import CHUNK_HEAD, CHUNK_INDEX_HEAD, RECORD_HEAD
+from edoras_tools.io.formats.mcap.unpack import ChunkHead
+from edoras_tools.io.outputs import OutputFile
+from edoras_tools.io.topics.names import MAGIC
+from edoras_tools.wire.crc import crc32
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from edoras_tools.io.formats.mcap.index import ChunkMessages
+
+_FOOTER_BYTES_IN_CRC = 9 + 8 + 8
+"""The summary's CRC covers the footer record up to the CRC itself."""
+
+
+@dataclass(slots=True)
+class Summary:
+    """The contents of the data section; becomes the summary section.
+
+    Attributes:
+        chunks: number of chunks.
+        chunk_bytes: uncompressed bytes of all chunks.
+        chunk_indexes: their ChunkIndex records as bytes; as objects they would need too much memory in a long
+            recording.
+        counts: messages of each channel.
+        start_ns: smallest log time; None if there is no message.
+        end_ns: largest log time.
+    """
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: int = 0
+    chunk_bytes: int = 0
+    chunk_indexes: bytearray = field(default_factory=bytearray)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
+    start_ns: int | None = None
+    end_ns: int = 0
+
+    def add_chunk(self, index: bytes, size: int) -> None:
+        """Count a chunk with this uncompressed size, and keep its ChunkIndex record."""
+        self.chunks += 1
+        self.chunk_bytes += size
+        self.chunk_indexes += index
+
+    def add_messages(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> None:
+        """Count messages by channel, with log times from ``start_ns`` to ``end_ns``."""
+        for channel_id, count in counts.items():
+            self.counts[channel_id] = self.counts.get(channel_id, 0) + count
+        self.start_ns = start_ns if self.start_ns is None else min(self.start_ns, start_ns)
+        self.end_ns = max(self.end_ns, end_ns)
+
+    @property
+    def statistics(self) -> Statistics:
+        """The Statistics record."""
+        return Statistics(
+            attachment_count=len(self.attachments),
+            channel_count=len(self.channels),
+            channel_message_counts=self.counts,
+            chunk_count=self.chunks,
+            message_count=sum(self.counts.values()),
+            message_end_time=self.end_ns,
+            message_start_time=self.start_ns or 0,
+            metadata_count=len(self.metadata),
+            schema_count=len(self.schemas),
+        )
+
+    def tail(self, position: int, checksum: int) -> bytes:
+        """Return everything after the data section: DataEnd, summary with its CRC, footer, magic.
+
+        Args:
+            position: end of the data section in the file.
+            checksum: CRC-32 of everything before.
+        """
+        end = record_bytes(DataEnd(checksum))
+        start = position + len(end)
+        groups: list[tuple[Opcode, bytes]] = [
+            (Opcode.SCHEMA, record_bytes(*self.schemas.values())),
+            (Opcode.CHANNEL, record_bytes(*self.channels.values())),
+            (Opcode.STATISTICS, record_bytes(self.statistics)),
+            (Opcode.CHUNK_INDEX, bytes(self.chunk_indexes)),
+            (Opcode.ATTACHMENT_INDEX, record_bytes(*self.attachments)),
+            (Opcode.METADATA_INDEX, record_bytes(*self.metadata)),
+        ]
+        offsets: list[McapRecord] = []
+        summary = b""
+        for opcode, records in groups:
+            if records:
+                offsets.append(SummaryOffset(opcode, start + len(summary), len(records)))
+            summary += records
+        offset_start = start + len(summary)
+        summary += record_bytes(*offsets)
+        unsigned = record_bytes(Footer(start, offset_start, 0))[:_FOOTER_BYTES_IN_CRC]
+        footer = Footer(start, offset_start, crc32(unsigned, crc32(summary)))
+        return end + summary + record_bytes(footer) + MAGIC
+
+
+class McapFile:
+    """An MCAP file that is written from start to end; its methods must not run concurrently.
+
+    Args:
+        path: the file; an existing one is replaced.
+        header: what it starts with; magic and a header record of the ``ros2`` profile by default.
+        offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty where it is not known.
+
+    Attributes:
+        output: the file itself.
+
+    Raises:
+        CaptureError: from every method: the file cannot be written.
+    """
+
+    def __init__(self, path: Path, header: bytes | None = None, offered: str = "") -> None:
+        self.path = path
+        self._offered = offered
+        self.summary = Summary()
+        self._checksum = 0
+        self._held: list[bytes | memoryview] | None = None
+        self._held_bytes = 0
+        try:
+            self.output = OutputFile(path)
+        except OSError as error:
+            raise CaptureError(f"{path}: cannot be created: {error.strerror or error}") from error
+        try:
+            self.add_bytes(_opening() if header is None else header)
+        except CaptureError:
+            self.abandon()
+            raise
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far, including those held back."""
+        return self.output.size + self._held_bytes
+
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Hold back what is added inside, and write it in one call at the end."""
+        self._held = []
+        try:
+            yield
+        finally:
+            pieces, self._held, self._held_bytes = self._held, None, 0
+            self.add_bytes(b"".join(pieces))
+
+    def add_schema(self, name: str, definition: str) -> int:
+        """Write a ``ros2msg`` schema; return its id."""
+        schema = Schema(
+            id=len(self.summary.schemas) + 1, data=definition.encode(), encoding="ros2msg", name=name
+        )
+        self.summary.schemas[schema.id] = schema
+        self.add_bytes(record_bytes(schema))
+        return schema.id
+
+    def add_channel(self, topic: str, schema_id: int, metadata: Mapping[str, str]) -> int:
+        """Write a channel of CDR messages; return its id."""
+        # The ros2 profile of the MCAP registry requires the key; unknown is an empty string.
+        channel = Channel(
+            id=len(self.summary.channels) + 1,
+            topic=topic,
+            message_encoding="cdr",
+            metadata={"offered_qos_profiles": self._offered, **metadata},
+            schema_id=schema_id,
+        )
+        self.summary.channels[channel.id] = channel
+        self.add_bytes(record_bytes(channel))
+        return channel.id
+
+    def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+        """Write an attachment, logged at ``time_ns``."""
+        name = _text(name)
+        record = record_bytes(Attachment(0, time_ns, name, media_type, data))
+        index = AttachmentIndex(self.size, len(record), time_ns, 0, len(data), name, media_type)
+        self.add_bytes(record)
+        self.summary.attachments.append(index)
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        """Write a metadata record."""
+        record = record_bytes(Metadata(name, {key: _text(value) for key, value in values.items()}))
+        index = MetadataIndex(self.size, len(record), name)
+        self.add_bytes(record)
+        self.summary.metadata.append(index)
+
+    def add_chunk(
+        self,
+        raw: bytes | memoryview,
+        packed: bytes | memoryview,
+        messages: ChunkMessages,
+        *,
+        proved: bool = True,
+    ) -> None:
+        """Write a chunk and its message index to the operating system.
+
+        Args:
+            raw: its records.
+            packed: the records, compressed with zstd.
+            messages: the messages in it.
+            proved: write a checksum; False for records that may already be wrong.
+        """
+        compression = "zstd"
+        name = compression.encode()
+        sizes = len(raw), crc32(raw) if proved else 0, len(name)
+        head = CHUNK_HEAD.pack(messages.start_ns, messages.end_ns, *sizes) + name
+        length = len(head) + 8 + len(packed)
+        prefix = RECORD_HEAD.pack(Opcode.CHUNK, length)
+        record = prefix + head + len(packed).to_bytes(8, "little")
+        times = messages.start_ns, messages.end_ns
+        self._put_chunk(
+            [record, packed], ChunkHead(*times, len(raw), 0, compression, 0, len(packed)), messages
+        )
+
+    def copy_chunk(self, record: bytes, head: ChunkHead, messages: ChunkMessages) -> None:
+        """Write a chunk unchanged from another file, with a new message index."""
+        self._put_chunk([record], head, messages)
+
+    def _put_chunk(self, record: list[bytes | memoryview], head: ChunkHead, messages: ChunkMessages) -> None:
+        start, length = self.size, sum(map(len, record))
+        index_start = start + length
+        self.add_bytes(*record, messages.records)
+        places = messages.places.copy()
+        places["offset"] += np.uint64(index_start)
+        name = head.compression.encode()
+        index = b"".join(
+            [
+                CHUNK_INDEX_HEAD.pack(head.start_ns, head.end_ns, start, length, places.nbytes),
+                places.tobytes(),
+                struct.pack("<QI", len(messages.records), len(name)) + name,
+                struct.pack("<QQ", head.length, head.size),
+            ]
+        )
+        self.summary.add_chunk(RECORD_HEAD.pack(Opcode.CHUNK_INDEX, len(index)) + index, head.size)
+        if messages.counts:
+            self.summary.add_messages(messages.counts, messages.start_ns, messages.end_ns)
+
+    def finish(self) -> None:
+        """Write the summary and close the file."""
+        self.add_bytes(self.summary.tail(self.size, self._checksum))
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file in its present state."""
+        self.output.close()
+
+    def add_bytes(self, *pieces: bytes | memoryview) -> None:
+        """Write bytes that need no entry in the summary; when this returns, the operating system has them."""
+        if self._held is not None:
+            self._held += pieces
+            self._held_bytes += sum(map(len, pieces))
+            return
+        for piece in pieces:
+            self._checksum = crc32(piece, self._checksum)
+        try:
+            self.output.write(*pieces)
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def _failure(self, error: OSError) -> CaptureError:
+        return CaptureError(
+            f"{self.path}: cannot be written: {error.strerror or error}; "
+            f"`edoras recover {self.path}` repairs the file"
+        )
+
+
+def _text(name: str) -> str:
+    """Escape what UTF-8 cannot encode: file names may contain bytes that are not text."""
+    return name.encode(errors="backslashreplace").decode()
+
+
+def _opening() -> bytes:
+    return MAGIC + record_bytes(Header("ros2", f"edoras-tools {__version__}"))
+
+
+def record_bytes(*records: McapRecord) -> bytes:
+    """Return records in the format of the file."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data

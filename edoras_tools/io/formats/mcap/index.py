@@ -1,0 +1,161 @@
+"""MessageIndex records: the positions of each channel's messages in a chunk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, INDEX_PLACE
+from edoras_tools.io.topics.names import RECORD_PREFIX_BYTES
+from edoras_tools.wire.order import by_value
+from edoras_tools.wire.window import put_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkMessages:
+    """The messages of one chunk.
+
+    Attributes:
+        start: position of the chunk in the buffer that was divided.
+        end: its end.
+        start_ns: smallest log time; 0 if there is no message.
+        end_ns: largest log time.
+        counts: messages of each channel, in order of the channels.
+        records: the MessageIndex records in sequence.
+        places: start of each channel's record in them, ``INDEX_PLACE``.
+    """
+
+    start: int
+    end: int
+    start_ns: int
+    end_ns: int
+    counts: dict[int, int]
+    records: memoryview
+    places: NDArray[np.void]
+
+
+class MessageIndex:
+    """The messages of a buffer that becomes one or several chunks, added while they go into it."""
+
+    def __init__(self) -> None:
+        self._noted: dict[int, list[tuple[NDArray[np.uint64], NDArray[np.int64]]]] = {}
+
+    def add(
+        self,
+        channel_id: NDArray[np.uint16] | int,
+        log_time: NDArray[np.int64 | np.uint64],
+        position: NDArray[np.int64],
+    ) -> None:
+        """Add at least one message; those of a channel must come in order of their positions.
+
+        Args:
+            channel_id: of each message, or of all.
+            log_time: i64 or u64, ns since 1970; copied.
+            position: i64, start of each message's record in the buffer; not copied.
+        """
+        times = log_time.view(np.uint64)
+        if isinstance(channel_id, int):
+            self._noted.setdefault(channel_id, []).append((times.copy(), position))
+            return
+        for value, rows in by_value(channel_id):
+            self._noted.setdefault(value, []).append((times[rows], position[rows]))
+
+    def divide(self, size: int, limit: int) -> Iterator[ChunkMessages]:
+        """Divide the buffer between messages, into as few chunks of about ``limit`` bytes as possible.
+
+        Args:
+            size: bytes of the buffer in use.
+            limit: a chunk exceeds this by at most one message.
+        """
+        if not self._noted:
+            yield ChunkMessages(0, size, 0, 0, {}, memoryview(b""), np.empty(0, INDEX_PLACE))
+            return
+        channels = np.array(sorted(self._noted))
+        noted = [self._noted[key] for key in channels.tolist()]
+        times = np.concatenate([pair[0] for pairs in noted for pair in pairs])
+        positions = np.concatenate([pair[1] for pairs in noted for pair in pairs])
+        # Shift each channel by the buffer's size, so that one sorted column holds all channels.
+        base = np.arange(len(channels))[:, None] * size
+        positions += np.repeat(base[:, 0], [sum(len(pair[1]) for pair in pairs) for pairs in noted])
+        edges = _edges(positions, base, size, limit)
+        # (channels, chunks): the first message of each, and how many.
+        bounds = np.searchsorted(positions, base + edges)
+        first, counts = bounds[:, :-1], np.diff(bounds, axis=1)
+        entries = np.empty(len(positions), INDEX_ENTRY)
+        entries["log_time"] = times
+        entries["offset"] = positions - np.repeat((base + edges[:-1]).ravel(), counts.ravel())
+        sizes = np.where(counts > 0, counts * INDEX_ENTRY.itemsize + INDEX_HEAD.itemsize, 0)
+        # Entries are ordered by channel, then by chunk; records by chunk, then by channel.
+        record_end = np.cumsum(sizes.T).reshape(sizes.T.shape).T
+        record_start = record_end - sizes
+        shift = record_start + INDEX_HEAD.itemsize - first * INDEX_ENTRY.itemsize
+        data = np.empty(int(record_end[-1, -1]), np.uint8)
+        put_rows(
+            data,
+            np.repeat(shift.ravel(), counts.ravel()) + np.arange(len(entries)) * INDEX_ENTRY.itemsize,
+            entries,
+        )
+        chunk, channel = np.nonzero(counts.T)
+        heads = np.empty(len(chunk), INDEX_HEAD)
+        heads["opcode"] = Opcode.MESSAGE_INDEX
+        heads["length"] = sizes[channel, chunk] - RECORD_PREFIX_BYTES
+        heads["channel_id"] = channels[channel]
+        heads["bytes"] = counts[channel, chunk] * INDEX_ENTRY.itemsize
+        put_rows(data, record_start[channel, chunk], heads)
+        places = np.empty(len(chunk), INDEX_PLACE)
+        places["channel_id"] = channels[channel]
+        places["offset"] = record_start[channel, chunk] - record_start[0, chunk]
+        least, most = (_folded(fold, times, first, counts).tolist() for fold in (np.minimum, np.maximum))
+        named = list(zip(channels[channel].tolist(), counts[channel, chunk].tolist(), strict=True))
+        starts, ends = record_start[0].tolist(), record_end[-1].tolist()
+        begin = 0
+        for at, (start, end) in enumerate(pairwise(edges.tolist())):
+            upto = begin + int(np.count_nonzero(counts[:, at]))
+            yield ChunkMessages(
+                start,
+                end,
+                least[at],
+                most[at],
+                dict(named[begin:upto]),
+                data[starts[at] : ends[at]].data,
+                places[begin:upto],
+            )
+            begin = upto
+
+
+def _edges(positions: NDArray[np.int64], base: NDArray[np.int64], size: int, limit: int) -> NDArray[np.int64]:
+    """Return the start of each chunk of a buffer, and the end of the last one.
+
+    Args:
+        positions: of the messages, for each channel plus its ``base``; increasing.
+        base: (channels, 1).
+        size: bytes of the buffer in use.
+        limit: size of a chunk.
+    """
+    count = max(-(-size // limit), 1)
+    wanted = np.arange(1, count) * size // count
+    last = np.searchsorted(positions, base + wanted, side="right") - 1
+    # If a channel has no message that early, the one found is of another channel, or there is none.
+    starts = np.where(last < 0, 0, np.maximum(positions[last] - base, 0)).max(axis=0)
+    return np.unique(np.concatenate([[0], starts, [size]]))
+
+
+def _folded(
+    fold: np.ufunc, times: NDArray[np.uint64], first: NDArray[np.int64], counts: NDArray[np.int64]
+) -> NDArray[np.uint64]:
+    """Return the smallest or largest time of each chunk, u64, from those of its channels."""
+    there = np.nonzero(counts)
+    none = np.uint64(0) if fold is np.maximum else np.iinfo(np.uint64).max
+    table = np.full(counts.shape, none, np.uint64)
+    table[there] = fold.reduceat(times, first[there])
+    folded: NDArray[np.uint64] = fold.reduce(table, axis=0)
+    return folded

@@ -1,0 +1,384 @@
+"""Reads recordings: the frames of ``/edoras/datagrams``, chunk by chunk.
+
+Messages come in the order of the file, which is the order of the capture. So a capture made from a recording
+is equal to the original one, bit for bit, even if its timestamps step back.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from contextlib import suppress
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Metadata, Schema
+
+from edoras_tools.errors import CaptureError, WireError
+from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD
+from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, chunk_head, unpack_chunk
+from edoras_tools.io.frames.linklayer import Demux, FrameBatch, joined_frames
+from edoras_tools.io.topics.datagrams import DATAGRAM
+from edoras_tools.io.topics.faults import FAULTS_TOPIC, fault_of
+from edoras_tools.io.topics.names import MAGIC, OUTAGE_METADATA_NAME
+from edoras_tools.io.topics.rows import CDR_LE_WORD
+from edoras_tools.model import InterfaceOutage, SourceInfo, SourceStatistics
+from edoras_tools.wire.window import read_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import PacketBatch
+    from edoras_tools.sessions.faults.machine import Fault
+
+_DATAGRAMS = "/edoras/datagrams"
+METADATA_NAMES = ("edoras_opening", "edoras")
+"""The later one has more values; it is missing if a recording was cut off."""
+
+_BATCH_BYTES = 4 << 20
+"""Chunks are small; several are joined to a batch of this size."""
+_KIND = 0xFFFF
+"""The bits of a CDR encapsulation that contain the byte order; the rest are options."""
+
+
+class McapSource:
+    """Reads a recording.
+
+    Args:
+        path: the file.
+
+    Attributes:
+        info: resolution and snap length are those of the original capture; the attachments are its mission
+            files, the definitions its schemas.
+        statistics: frames and datagrams counted so far.
+
+    Raises:
+        CaptureError: it is not an MCAP file, or a complete one without datagrams.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._name = str(path)
+        try:
+            self._file = Path(path).open("rb")  # noqa: SIM115  closed by close()
+            self._size = os.fstat(self._file.fileno()).st_size
+        except OSError as error:
+            raise CaptureError(f"{path}: cannot be opened: {error.strerror or error}") from error
+        self._topics: dict[int, str] = {}
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._attachments: dict[str, bytes] = {}
+        self._definitions: dict[str, str] = {}
+        self.statistics = SourceStatistics(total_bytes=self._size)
+        self._demux = Demux()
+        try:
+            self._check(whole=self._read_front())
+        except BaseException:
+            self.close()
+            raise
+        values: dict[str, str] = {}
+        for name in METADATA_NAMES:
+            values |= self._metadata.get(name, {})
+        self.info = SourceInfo(
+            name=self._name,
+            kind="mcap",
+            time_resolution_ns=_positive(values, "time_resolution_ns", 1),
+            snap_length=_positive(values, "snap_length", 262144),
+            attachments=self._attachments,
+            definitions=self._definitions,
+            read_with=_words(values.get("read_with", "")),
+        )
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Yield the datagrams, chunk by chunk.
+
+        Raises:
+            CaptureError: the file is cut off or damaged, or has no datagrams; raised after all complete
+            chunks.
+        """
+        failure: CaptureError | None = None
+        stray = bytearray()
+        parts: list[FrameBatch] = []
+        position = len(MAGIC)
+        ended = False
+        while not ended and (record := self._prefix(position)) is not None:
+            opcode, start, end = record
+            position = end
+            try:
+                if opcode == Opcode.CHUNK:
+                    offsets, position = self._index(end)
+                    parts.append(self._frames(self._chunk(start, end), offsets, start))
+                elif opcode == Opcode.MESSAGE:
+                    stray += self._read(start - RECORD_HEAD.size, end)
+                    if len(stray) >= _BATCH_BYTES:
+                        parts.append(self._frames(_array(stray), None, start))
+                        stray = bytearray()
+                else:
+                    self._remember(opcode, start, end)
+            except CaptureError as error:
+                failure = failure or error
+            if sum(len(part.data) for part in parts) >= _BATCH_BYTES:
+                self.statistics.position = position
+                yield from self._batch(parts)
+                parts = []
+            ended = opcode == Opcode.DATA_END
+        if stray:
+            parts.append(self._frames(_array(stray), None, position))
+        self.statistics.position = position
+        yield from self._batch(parts)
+        if failure is not None:
+            raise failure
+        if not ended:
+            raise CaptureError(
+                f"{self._name}: is cut off at byte {position} of {self._size}; everything before was read; "
+                f"`edoras recover {self._name}` repairs it"
+            )
+        if _DATAGRAMS not in self._topics.values():
+            raise self._no_datagrams()
+        self.statistics.position = self._size
+
+    def faults(self) -> list[Fault]:
+        """Return the faults that a proxy or a replay injected, as far as the recording is readable."""
+        if FAULTS_TOPIC not in self._topics.values():
+            return []
+        found = []
+        with Path(self._name).open("rb") as file, suppress(McapError, WireError, EOFError, struct.error):
+            for _, _, message in make_reader(file).iter_messages([FAULTS_TOPIC], log_time_order=False):
+                found.append(fault_of(message.data))
+        return found
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _batch(self, parts: list[FrameBatch]) -> Iterator[PacketBatch]:
+        """Make a batch of the frames of several chunks; nothing if there are none."""
+        if not any(map(len, parts)):
+            return
+        frames = joined_frames(parts)
+        batch = self._demux.demux(frames)
+        count = self.statistics
+        count.frames += len(frames)
+        count.datagrams += len(batch)
+        count.skipped = self._demux.skipped
+        count.bytes += int(frames.length.sum())
+        yield batch
+
+    def _frames(self, data: NDArray[np.uint8], offsets: NDArray[np.int64] | None, place: int) -> FrameBatch:
+        """Return the frames in a chunk.
+
+        Args:
+            data: the uncompressed records; without padding, which ``joined_frames`` adds.
+            offsets: start of each datagram message; None if no index gives it.
+            place: position of the chunk in the file, for error messages.
+        """
+        if offsets is None:
+            offsets = self._walk(data)
+        damaged = CaptureError(f"{self._name}: the chunk at byte {place} is damaged and was left out")
+        if len(offsets) and (int(offsets.min()) < 0 or int(offsets.max()) + DATAGRAM.itemsize > len(data)):
+            raise damaged
+        heads = read_at(data, offsets, DATAGRAM)
+        room = heads["record_length"].astype(np.int64) + (RECORD_HEAD.size - DATAGRAM.itemsize)
+        length = heads["frame_length"].astype(np.int64)
+        start = offsets + DATAGRAM.itemsize
+        sound = (
+            (heads["opcode"] == Opcode.MESSAGE)
+            & (heads["encapsulation"] & _KIND == CDR_LE_WORD)
+            & (length <= room)
+            & (start + length <= len(data))
+        )
+        if not sound.all():
+            raise damaged
+        return FrameBatch(
+            data=data,
+            number=heads["number"].astype(np.int64),
+            time_ns=heads["log_time"].astype(np.int64),
+            link_type=heads["link_type"].astype(np.uint16),
+            offset=start,
+            length=length.astype(np.int32),
+            original_length=heads["original_length"].astype(np.int32),
+        )
+
+    def _walk(self, data: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Return the positions of datagram messages in records without an index; also learn channels."""
+        view, size = data.data, data.size
+        found: list[int] = []
+        position = 0
+        while position + RECORD_HEAD.size <= size:
+            opcode, length = RECORD_HEAD.unpack_from(view, position)
+            start, end = position + RECORD_HEAD.size, position + RECORD_HEAD.size + length
+            if end > size:
+                break
+            if opcode == Opcode.CHANNEL:
+                self._learn(opcode, bytes(view[start:end]))
+            elif opcode == Opcode.MESSAGE and length >= 2:
+                channel_id = int.from_bytes(view[start : start + 2], "little")
+                if self._topics.get(channel_id) == _DATAGRAMS:
+                    found.append(position)
+            position = end
+        return np.array(found, dtype=np.int64)
+
+    def _chunk(self, start: int, end: int) -> NDArray[np.uint8]:
+        """Decompress the chunk whose content starts at ``start``."""
+        content = memoryview(self._read(start, end))
+        head = chunk_head(content)
+        if head is not None and head.compression not in COMPRESSIONS:
+            raise CaptureError(
+                f"{self._name}: the chunk at byte {start} is compressed with {head.compression!r}, "
+                "which is not supported; zstd and lz4 are"
+            )
+        raw, proof = unpack_chunk(head, content[head.data :]) if head else (b"", Proof.FAILED)
+        if proof is Proof.FAILED:
+            raise CaptureError(f"{self._name}: the chunk at byte {start} is damaged and was left out")
+        return _array(raw)
+
+    def _index(self, position: int) -> tuple[NDArray[np.int64] | None, int]:
+        """Read the message index after a chunk.
+
+        Returns:
+            The start of each datagram message in the chunk, None if no complete index gives it; and the
+            position of the next record.
+        """
+        found: list[NDArray[np.int64]] = []
+        seen = False
+        while (record := self._prefix(position)) is not None and record[0] == Opcode.MESSAGE_INDEX:
+            _, start, end = record
+            seen = True
+            channel_id = int.from_bytes(self._read(start, min(start + 2, end)), "little")
+            # The record of an unknown channel is in the chunk: then the chunk's records are read one by one.
+            if channel_id not in self._topics:
+                seen = False
+                position = self._skip_index(end)
+                break
+            if self._topics[channel_id] == _DATAGRAMS:
+                entries = self._read(start + INDEX_HEAD.itemsize - RECORD_HEAD.size, end)
+                found.append(
+                    np.frombuffer(entries, INDEX_ENTRY, len(entries) // INDEX_ENTRY.itemsize)[
+                        "offset"
+                    ].astype(np.int64)
+                )
+            position = end
+        if not seen or record is None:
+            return None, position
+        return np.sort(np.concatenate(found)) if found else np.zeros(0, dtype=np.int64), position
+
+    def _skip_index(self, position: int) -> int:
+        while (record := self._prefix(position)) is not None and record[0] == Opcode.MESSAGE_INDEX:
+            position = record[2]
+        return position
+
+    def _check(self, *, whole: bool) -> None:
+        if self._read(0, len(MAGIC)) != MAGIC:
+            raise CaptureError(f"{self._name}: is not an MCAP file")
+        if whole and _DATAGRAMS not in self._topics.values():
+            raise self._no_datagrams()
+
+    def _read_front(self) -> bool:
+        """Read the records before the first message, and the summary; return whether there is a summary."""
+        position = len(MAGIC)
+        while (record := self._prefix(position)) is not None:
+            opcode, start, end = record
+            if opcode in {Opcode.CHUNK, Opcode.MESSAGE, Opcode.DATA_END}:
+                break
+            self._remember(opcode, start, end)
+            position = end
+        footer = RECORD_HEAD.size + 20
+        tail = self._size - len(MAGIC) - footer
+        if tail < position or self._read(self._size - len(MAGIC), self._size) != MAGIC:
+            return False
+        summary = int.from_bytes(self._read(tail + RECORD_HEAD.size, tail + RECORD_HEAD.size + 8), "little")
+        if not 0 < summary <= tail:
+            return False
+        while summary < tail and (record := self._prefix(summary)) is not None:
+            opcode, start, end = record
+            if opcode in {Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX}:
+                place = int.from_bytes(self._read(start, start + 8), "little")
+                there = self._prefix(place)
+                if there is not None:
+                    self._remember(*there)
+            else:
+                self._remember(opcode, start, end)
+            summary = end
+        return True
+
+    def _remember(self, opcode: int, start: int, end: int) -> None:
+        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT}:
+            self._learn(opcode, self._read(start, end))
+
+    def _learn(self, opcode: int, content: bytes) -> None:
+        """Store the contents of a record about the recording; a damaged one is ignored, with a warning."""
+        stream = ReadDataStream(BytesIO(content))
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                if schema.encoding == "ros2msg":
+                    self._definitions[schema.name] = schema.data.decode()
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(stream)
+                self._topics[channel.id] = channel.topic
+            elif opcode == Opcode.METADATA:
+                record = Metadata.read(stream)
+                if record.name == OUTAGE_METADATA_NAME:
+                    self._note(InterfaceOutage.from_text(record.metadata))
+                self._metadata[record.name] = record.metadata
+            else:
+                attachment = Attachment.read(stream)
+                if attachment.media_type == "application/yaml":
+                    self._attachments[attachment.name] = attachment.data
+        except (McapError, struct.error, ValueError, OverflowError):
+            self.statistics.warnings.append(f"{self._name}: a {Opcode(opcode).name} record is damaged")
+
+    def _note(self, outage: InterfaceOutage) -> None:
+        """Store an outage; the record of its end replaces the record of its beginning."""
+        known = {(item.interface, item.start_ns): item for item in self.statistics.outages}
+        before = known.get((outage.interface, outage.start_ns))
+        if before is None or not before.end_ns:
+            known[outage.interface, outage.start_ns] = outage
+        self.statistics.outages[:] = sorted(known.values(), key=lambda item: item.start_ns)
+
+    def _prefix(self, position: int) -> tuple[int, int, int] | None:
+        """Return opcode, start and end of a record's content; None if there is no complete record."""
+        prefix = self._read(position, position + RECORD_HEAD.size)
+        if len(prefix) < RECORD_HEAD.size:
+            return None
+        opcode, length = RECORD_HEAD.unpack(prefix)
+        start = position + RECORD_HEAD.size
+        return (opcode, start, start + length) if start + length <= self._size else None
+
+    def _read(self, start: int, end: int) -> bytes:
+        try:
+            self._file.seek(start)
+            return self._file.read(max(end - start, 0))
+        except OSError as error:
+            raise CaptureError(f"{self._name}: cannot be read: {error.strerror or error}") from error
+
+    def _no_datagrams(self) -> CaptureError:
+        topics = ", ".join(sorted(set(self._topics.values()))) or "none"
+        return CaptureError(
+            f"{self._name}: contains no {_DATAGRAMS}, so no datagrams can be read; its topics are {topics}"
+        )
+
+
+def _array(data: bytes | bytearray | memoryview) -> NDArray[np.uint8]:
+    return np.frombuffer(data, dtype=np.uint8)
+
+
+def _words(text: str) -> dict[str, str]:
+    """Return a JSON object of texts; empty if it is not one."""
+    try:
+        found = json.loads(text or "{}")
+    except ValueError:
+        return {}
+    return {str(name): str(value) for name, value in found.items()} if isinstance(found, dict) else {}
+
+
+def _positive(values: dict[str, str], name: str, default: int) -> int:
+    text = values.get(name, "")
+    return int(text) if text.isdecimal() and int(text) > 0 else default

@@ -1,0 +1,482 @@
+"""Repairs damaged recordings: keeps what can be proved, and builds new what a reader needs.
+
+How records are found: ``scan``. What is kept:
+
+1. A chunk with a correct checksum, with the channels of the file that it belongs to: those of the summary
+   that lists the chunk, else those that were read before it.
+2. Nothing of a chunk with a wrong checksum, or of one that is cut off: a wrong bit often decompresses without
+   error to other bytes. Its readable messages are counted, and kept only on request.
+3. Data that never had a checksum, as far as it can be read: there is no way to check it.
+4. Nothing of a channel that is unknown, or of which two different records exist.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    DataEnd,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+)
+
+from edoras_tools import __version__
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.mcap.file import McapFile, record_bytes
+from edoras_tools.io.formats.mcap.heads import MESSAGE_HEAD, RECORD_HEAD
+from edoras_tools.io.formats.mcap.recovery.numbering import Definitions, Numbering, renumbered
+from edoras_tools.io.formats.mcap.recovery.part import FilePart
+from edoras_tools.io.formats.mcap.recovery.records import FileBytes
+from edoras_tools.io.formats.mcap.recovery.report import LostStretch, Recovery
+from edoras_tools.io.formats.mcap.recovery.scan import Piece, Scan
+from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary, summaries
+from edoras_tools.io.formats.mcap.unpack import Proof
+from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
+from edoras_tools.io.topics.names import MAGIC
+
+if TYPE_CHECKING:
+    from edoras_tools.io.formats.mcap.recovery.walk import Walked
+
+_COPY_BYTES = 1 << 20
+
+
+def verify(source: str | Path, *, unproved: bool = False) -> Recovery:
+    """Read a recording completely, check every checksum, and report what ``recover`` would do.
+
+    Raises:
+        CaptureError: it cannot be read, is not an MCAP file, or has no message that could be kept.
+    """
+    source = Path(source)
+    with FileBytes(source) as file:
+        report = _Assembly(file, None, unproved=unproved).run()
+        if not report.whole and not sum(report.messages.values()):
+            known = any(loss.messages for loss in report.losses) or report.left_out
+            if not known and file.read(0, len(MAGIC)) != MAGIC:
+                raise CaptureError(f"{source}: is not an MCAP file, or one without any complete record")
+            raise CaptureError(f"{source}: it contains nothing to recover{_why(report)}")
+    return report
+
+
+def recover(source: str | Path, target: str | Path, *, unproved: bool = False) -> Recovery:
+    """Repair a damaged or cut-off MCAP file, or several in sequence, written by any program.
+
+    Intact chunks are kept byte for byte. Message index, chunk index, statistics and summary are built new.
+
+    Args:
+        source: the file; it is only read.
+        target: the file to write; it appears when it is complete, and only if ``source`` is not intact.
+        unproved: also keep readable messages of damaged and cut-off chunks.
+
+    Returns:
+        The report.
+
+    Raises:
+        CaptureError: ``source`` cannot be read, is not an MCAP file or has no message that could be kept, or
+            ``target`` cannot be written.
+    """
+    source, target = Path(source), Path(target)
+    if target.exists() and source.exists() and target.samefile(source):
+        raise CaptureError(f"{target}: is the recording itself; name another file to write")
+    report = verify(source, unproved=unproved)
+    if report.whole:
+        return report
+    regular = target.is_file() or not target.exists()
+    made = target.with_name(f"{target.name}.part") if regular else target
+    with FileBytes(source) as file:
+        out = McapFile(made, header=b"")
+        try:
+            report = _Assembly(file, out, unproved=unproved).run()
+            if regular:
+                made.replace(target)
+        except BaseException as error:
+            out.abandon()
+            if regular:
+                made.unlink(missing_ok=True)
+            if isinstance(error, CaptureError):
+                raise CaptureError(
+                    str(error).partition("; `edoras")[0].replace(str(made), str(target))
+                ) from error
+            if isinstance(error, OSError):
+                raise CaptureError(f"{target}: cannot be written: {error.strerror or error}") from error
+            raise
+    return report
+
+
+class _Assembly:
+    """Assembles what the scan finds; ``out`` is None if it is only counted."""
+
+    def __init__(self, file: FileBytes, out: McapFile | None, *, unproved: bool) -> None:
+        self._file = file
+        self._out = out
+        self._unproved = unproved
+        self._scan = Scan(file, summaries(file))
+        self._numbering = Numbering(out)
+        self._parts: list[FilePart] = []
+        self._of: dict[FoundSummary, FilePart] = {}
+        self._current = self._new(0)
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._counts: dict[int, int] = {}
+        self._losses: list[LostStretch] = []
+        self._reasons: dict[str, None] = {}
+        self._headed = False
+        self._open_loss = False
+        self._pieces = self._chunks = self._salvaged = self._proved = self._free = self._left_out = (
+            self._lost_bytes
+        ) = 0
+
+    def run(self) -> Recovery:
+        """Process the whole file, and write the end."""
+        for piece in self._scan.pieces():
+            self._take(piece)
+        self._parts = [part for part in self._parts if part.ended or part.gaps or part.listed or part.others]
+        whole = self._whole()
+        if self._out is not None:
+            opening = self._metadata.get(OPENING_METADATA_NAME)
+            if opening is not None and METADATA_NAME not in self._metadata:
+                self._out.add_metadata(METADATA_NAME, {**opening, "recovered": "true"})
+            self._out.finish()
+        missing = [part.missing for part in self._parts]
+        messages: dict[str, int] = {}
+        for number, count in self._counts.items():
+            topic = self._numbering.topics[number]
+            messages[topic] = messages.get(topic, 0) + count
+        return Recovery(
+            whole=whole,
+            messages=messages,
+            chunks=self._chunks,
+            salvaged=self._salvaged,
+            kept_bytes=self._file.size - self._lost_bytes,
+            lost_bytes=self._lost_bytes,
+            proved=self._proved,
+            unproved=self._free,
+            left_out=self._left_out,
+            lost=any(part.lost for part in self._parts),
+            lost_messages=None if None in missing else sum(item or 0 for item in missing),
+            losses=self._losses,
+            reasons=[] if whole else list(self._reasons),
+        )
+
+    def _take(self, piece: Piece) -> None:
+        if piece.opcode < 0:
+            self._gap(piece)
+        elif piece.opcode == 0:
+            if piece.record:
+                self._current = self._of_place(piece.start) or self._new(piece.start)
+        elif piece.opcode == Opcode.CHUNK:
+            self._chunk(piece)
+        elif piece.opcode == Opcode.MESSAGE_INDEX:
+            self._orphan(piece)
+        else:
+            self._record(piece)
+        self._open_loss = piece.opcode < 0 or (self._open_loss and piece.opcode == Opcode.MESSAGE_INDEX)
+
+    def _new(self, start: int, section: FoundSummary | None = None) -> FilePart:
+        known = (section.schemas, section.channels) if section else ({}, {})
+        part = FilePart(Definitions(*known), section, start)
+        self._parts.append(part)
+        if section is not None:
+            self._of[section] = part
+        return part
+
+    def _of_place(self, place: int) -> FilePart | None:
+        """Return the file that a position certainly belongs to; None if that is unknown."""
+        section = self._scan.section(place)
+        if section is None or not section.owns(place):
+            return None
+        return self._of.get(section) or self._new(section.base, section)
+
+    def _part(self, place: int) -> FilePart:
+        return self._of_place(place) or self._current
+
+    def _gap(self, piece: Piece) -> None:
+        part = self._part(piece.start)
+        if part.ended:  # its summary, which is built new
+            self._reasons["its summary is damaged or cut off"] = None
+            return
+        size = piece.end - piece.start
+        part.gaps = True
+        part.gap_bytes += size
+        count = sum(map(len, piece.entries.values())) if piece.entries else None
+        reason = "no record can be read"
+        times: tuple[int | None, int | None] = (part.last_ns, None)
+        if piece.head is not None and piece.walked is not None:
+            cut = piece.end == self._file.size and not piece.entries
+            reason = "a chunk is cut off" if cut else "a chunk is damaged"
+            if piece.head.start_ns <= piece.head.end_ns and piece.head.end_ns:
+                times = piece.head.start_ns, piece.head.end_ns
+            self._salvage(part, piece, piece.walked)
+        elif not any(self._file.read(piece.start, min(piece.end, piece.start + _COPY_BYTES))):
+            reason = (
+                "zeros; the file was truncated while it was written, or its blocks never reached the disk"
+            )
+        self._lost_bytes += size
+        if self._open_loss and self._losses and piece.end == self._file.size:
+            # Its message index is cut off too, so it does not list all messages.
+            last = self._losses.pop()
+            piece_start, size, reason = last.start, last.bytes + size, last.reason
+            self._losses.append(LostStretch(piece_start, size, reason, None, last.start_ns, last.end_ns))
+            return
+        self._losses.append(LostStretch(piece.start, size, reason, count, *times))
+
+    def _salvage(self, part: FilePart, piece: Piece, walked: Walked) -> None:
+        """Keep the readable messages of a damaged chunk, if requested; otherwise count them."""
+        rows = walked.agree(piece.entries) if piece.entries else np.ones(len(walked), bool)
+        walked = walked.take(rows)
+        if piece.proof is not Proof.NONE and not self._unproved:
+            self._left_out += len(walked)
+            return
+        before = self._total
+        self._keep(part, walked, None)
+        self._salvaged += self._total - before
+        self._free += self._total - before
+        part.others += self._total - before
+
+    def _orphan(self, piece: Piece) -> None:
+        """Use a message index without its chunk: it shows what was lost."""
+        if self._open_loss and self._losses and (last := self._losses[-1]).messages is None:
+            count = sum(map(len, piece.entries.values()))
+            size = last.bytes + piece.end - piece.start
+            times = np.concatenate([item["log_time"] for item in piece.entries.values()])
+            known = (int(times.min()), int(times.max())) if len(times) else (last.start_ns, last.end_ns)
+            self._losses[-1] = LostStretch(last.start, size, last.reason, count, *known)
+            self._lost_bytes += piece.end - piece.start
+        else:
+            self._reasons["a message index belongs to no chunk"] = None
+
+    def _chunk(self, piece: Piece) -> None:
+        self._pieces += 1
+        walked = piece.walked
+        assert walked is not None
+        part = self._part(piece.start)
+        section = self._scan.section(piece.start)
+        packed = (piece.record_end or piece.end) - piece.start
+        if piece.head is not None:
+            packed = piece.head.length
+        times = (piece.head.start_ns, piece.head.end_ns) if piece.head else None
+        fitting = section.listed(walked, times, packed) if section else []
+        if section is not None and fitting:
+            part = self._of.get(section) or self._new(section.base, section)
+        mine = [index for index in fitting if id(index) not in part.claimed]
+        here = [index for index in mine if index.chunk_start_offset + part.start == piece.start] or mine[:1]
+        part.claimed |= set(map(id, here))
+        if (
+            section is not None
+            and section.chunks
+            and not (here and here[0].chunk_start_offset + section.base == piece.start)
+        ):
+            self._reasons["its chunks are not at the positions in its index"] = None
+        if not piece.indexed:
+            self._reasons["a message index does not match its chunk"] = None
+        if not piece.record_end:
+            self._reasons["the head of a chunk is damaged"] = None
+        before = self._total
+        self._keep(part, walked, piece)
+        kept = self._total - before
+        if piece.proof is Proof.CHECKSUM:
+            self._proved += kept
+        else:
+            self._free += kept
+        if here:
+            part.listed += kept
+        else:
+            part.others += kept
+        if kept < len(walked) or not walked.whole:
+            part.gaps = True
+            reason = (
+                "messages of channels without a description" if kept < len(walked) else "a chunk is damaged"
+            )
+            span = piece.end - piece.start
+            count = len(walked) - kept or None
+            self._losses.append(LostStretch(piece.start, span, reason, count, *_span(walked)))
+            self._lost_bytes += span if not kept else 0
+
+    @property
+    def _total(self) -> int:
+        return sum(self._counts.values())
+
+    def _keep(self, part: FilePart, walked: Walked, piece: Piece | None) -> None:
+        """Write the messages of a chunk whose channels are known; unchanged if ``piece`` is intact."""
+        self._begin()
+        definitions = [record for record in walked.others if isinstance(record, Schema | Channel)]
+        for record in definitions:
+            part.definitions.learn(record)
+        ids = np.unique(walked.channel).tolist()
+        known = {key: found for key in ids if (found := part.definitions.channel(key)) is not None}
+        numbers = {key: self._numbering.number(*found) for key, found in known.items()}
+        stands = (
+            piece is not None
+            and piece.record_end > 0
+            and walked.whole
+            and all(numbers.get(key) == key for key in ids)
+            and all(map(part.definitions.agrees, definitions))
+            and all(self._numbering.keeps(item, part.definitions.below(item)) for item in definitions)
+        )
+        inside = {(type(item), item.id) for item in walked.others} if stands else set()
+        for record in walked.others:
+            self._define(part, record, inside=stands)
+        for channel, schema in known.values():
+            if schema is not None:
+                self._numbering.schema(schema, inside=(Schema, schema.id) in inside)
+            self._numbering.channel(channel, schema, inside=(Channel, channel.id) in inside)
+        if not stands:
+            walked = walked.take(np.isin(walked.channel, list(known))).rebuilt(numbers)
+        if not stands and not len(walked):
+            return
+        self._chunks += 1
+        for number in np.unique(walked.channel).tolist():
+            count = int(np.count_nonzero(walked.channel == number))
+            self._counts[number] = self._counts.get(number, 0) + count
+        if len(walked):
+            part.last_ns = int(walked.log_time.max())
+        if self._out is None:
+            return
+        messages = walked.index()
+        if stands and piece is not None and piece.head is not None:
+            stretch = self._file.read(piece.start, piece.record_end)
+            self._out.copy_chunk(stretch, piece.head, messages)
+        else:
+            raw = walked.data.tobytes()
+            proved = piece is not None and piece.proof is Proof.CHECKSUM
+            packed = zstandard.ZstdCompressor(write_checksum=proved).compress(raw)
+            self._out.add_chunk(raw, packed, messages, proved=proved)
+
+    def _record(self, piece: Piece) -> None:
+        part, record = self._part(piece.start), piece.record
+        if piece.opcode == Opcode.MESSAGE:
+            self._message(part, piece)
+        elif isinstance(record, FoundSummary):
+            self._close(record)
+        elif isinstance(record, Schema | Channel):
+            if not part.ended:  # records of a damaged summary prove nothing
+                part.definitions.learn(record)
+                self._define(part, record, inside=False)
+        elif isinstance(record, DataEnd):
+            part.ended = True
+            crc = record.data_section_crc
+            if crc and not part.gaps:
+                part.checked = self._file.crc(part.start, piece.start) == crc
+                if not part.checked:
+                    self._reasons["a record that has no checksum of its own was altered"] = None
+        elif isinstance(record, Header):
+            self._begin(record)
+        elif isinstance(record, Metadata | Attachment) or piece.opcode > Opcode.DATA_END:
+            self._extra(part, piece)
+
+    def _begin(self, header: Header | None = None) -> None:
+        """Write the beginning of the file, once; with a header of our own if there is none."""
+        if self._headed:
+            return
+        self._headed = True
+        if self._out is not None:
+            profile = "ros2" if self._scan.of_ros2 else ""
+            self._out.add_bytes(
+                MAGIC + record_bytes(header or Header(profile, f"edoras-tools {__version__}"))
+            )
+
+    def _define(self, part: FilePart, record: Schema | Channel, *, inside: bool) -> None:
+        """Write a schema or channel where it is read, if it is new; with ``inside`` the chunk contains it."""
+        self._begin()
+        if isinstance(record, Schema):
+            schema = part.definitions.schema(record.id)
+            if schema is not None:
+                self._numbering.schema(schema, inside=inside)
+        elif (found := part.definitions.channel(record.id)) is not None:
+            self._numbering.channel(*found, inside=inside)
+
+    def _message(self, part: FilePart, piece: Piece) -> None:
+        channel_id, _, log_time, _ = MESSAGE_HEAD.unpack_from(piece.record)
+        found = part.definitions.channel(channel_id)
+        if found is None:
+            part.gaps = True
+            span, reason = piece.end - piece.start, "a message of a channel without a description"
+            self._losses.append(LostStretch(piece.start, span, reason, 1, log_time, log_time))
+            self._lost_bytes += span
+            return
+        self._begin()
+        number = self._numbering.channel(*found)
+        self._counts[number] = self._counts.get(number, 0) + 1
+        part.others += 1
+        part.loose += 1
+        part.last_ns = log_time
+        if self._out is not None:
+            content = renumbered(piece.record, number)
+            self._out.add_bytes(RECORD_HEAD.pack(Opcode.MESSAGE, len(content)), content)
+            self._out.summary.add_messages({number: 1}, log_time, log_time)
+
+    def _extra(self, part: FilePart, piece: Piece) -> None:
+        """Copy a metadata record, an attachment, or a private record."""
+        if piece.record and part.section and not part.section.may_hold(piece.record.name):
+            return
+        self._begin()
+        record, length = piece.record, piece.end - piece.start
+        if record is not None:
+            part.names.append(record.name)
+        if isinstance(record, Metadata):
+            self._metadata[record.name] = record.metadata
+        if self._out is None:
+            return
+        summary, place = self._out.summary, self._out.size
+        if isinstance(record, Metadata):
+            summary.metadata.append(MetadataIndex(place, length, record.name))
+        elif isinstance(record, Attachment):
+            times, size = (record.log_time, record.create_time), len(record.data)
+            summary.attachments.append(
+                AttachmentIndex(place, length, *times, size, record.name, record.media_type)
+            )
+        for here in range(piece.start, piece.end, _COPY_BYTES):
+            self._out.add_bytes(self._file.read(here, min(here + _COPY_BYTES, piece.end)))
+
+    def _close(self, section: FoundSummary) -> None:
+        """Note that a file ends here; what was read before belongs to it, even if its start is unknown."""
+        part, current = self._of.get(section) or self._new(section.base, section), self._current
+        if current is not part and current.section is None:
+            part.absorb(current)
+            self._parts.remove(current)
+        part.ended = True
+        self._current = part
+
+    def _whole(self) -> bool:
+        """Return whether the file is intact, and note why not."""
+        part = self._parts[0] if self._parts else self._current
+        section = part.section
+        why = {
+            "it consists of several files": len(self._parts) > 1,
+            "it ends without its last records: what followed is unknown": not part.ended,
+            "it has no intact summary": section is None or section.statistics is None,
+            "a schema or a channel differs from that in its summary": part.definitions.altered,
+        }
+        if section is not None and section.statistics is not None:
+            ends = section.base == 0 and section.end == self._file.size
+            why["it does not begin or end like an MCAP file"] = (
+                not ends
+                or self._file.read(0, len(MAGIC)) != MAGIC
+                or self._file.read(section.end - len(MAGIC), section.end) != MAGIC
+            )
+            why["its statistics do not match its messages"] = section.statistics.message_count != self._total
+            why["its summary has another number of chunks"] = section.statistics.chunk_count != self._pieces
+        for part in self._parts:
+            if part.checked:
+                self._proved += part.loose
+                self._free -= part.loose
+        self._free += sum(part.loose for part in self._parts)
+        for name in {name: None for part in self._parts for name in part.missing_records}:
+            why[f"its record {name} is lost"] = True
+        self._reasons |= {reason: None for reason, holds in why.items() if holds}
+        return not self._reasons and not self._losses
+
+
+def _why(report: Recovery) -> str:
+    return f": {report.losses[0].reason}" if report.losses else ""
+
+
+def _span(walked: Walked) -> tuple[int, int] | tuple[None, None]:
+    return (int(walked.log_time.min()), int(walked.log_time.max())) if len(walked) else (None, None)

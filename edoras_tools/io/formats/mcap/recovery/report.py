@@ -1,0 +1,121 @@
+"""The report of a recovery: what is kept, what is lost, and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+_MOST = 12
+"""Maximum losses that are listed."""
+
+
+@dataclass(frozen=True, slots=True)
+class LostStretch:
+    """A range of the file that is not kept.
+
+    Attributes:
+        start: its first byte.
+        bytes: its length.
+        reason: why it is not kept.
+        messages: messages lost in it; None if that is unknown.
+        start_ns: start of their times, ns since 1970; None if that is unknown.
+        end_ns: end of their times.
+    """
+
+    start: int
+    bytes: int
+    reason: str
+    messages: int | None = None
+    start_ns: int | None = None
+    end_ns: int | None = None
+
+    def __str__(self) -> str:
+        count = "" if self.messages is None else f", {self.messages:,} messages"
+        return f"byte {self.start:,}: {self.bytes:,} bytes{count}{_times(self)}: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """The report of a recovery.
+
+    Attributes:
+        whole: the recording was intact; nothing was written.
+        messages: messages in the result, by topic.
+        chunks: chunks in the result.
+        salvaged: messages in the result from damaged or cut-off chunks.
+        kept_bytes: bytes of the file that were kept.
+        lost_bytes: bytes of the file that could not be kept, without those of a damaged summary.
+        proved: messages in the result with a correct checksum.
+        unproved: messages in the result without a checksum.
+        left_out: readable messages of damaged chunks that were not kept, because nothing proves them.
+        lost: whether something was lost.
+        lost_messages: number of messages lost; None if that is unknown.
+        losses: where.
+        reasons: why it is not intact, one line each.
+    """
+
+    whole: bool
+    messages: dict[str, int] = field(default_factory=dict)
+    chunks: int = 0
+    salvaged: int = 0
+    kept_bytes: int = 0
+    lost_bytes: int = 0
+    proved: int = 0
+    unproved: int = 0
+    left_out: int = 0
+    lost: bool = False
+    lost_messages: int | None = 0
+    losses: list[LostStretch] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)
+
+    def text(self, *, written: bool) -> str:
+        """Return the report for the user.
+
+        Args:
+            written: whether a repaired file was written.
+        """
+        total = sum(self.messages.values())
+        held = f"{total} messages in {self.chunks} chunk{'s' * (self.chunks != 1)}"
+        if self.whole:
+            lines = [f"intact: {held}{'; nothing was written' * written}"]
+        else:
+            lines = [f"{'recovered' if written else 'damaged:'} {held}; {self._lost()}"]
+        if self.unproved:
+            lines.append(
+                f"  {self.unproved} of them have no checksum: they can be read, but nothing proves them"
+            )
+        if self.salvaged:
+            lines.append(f"  {self.salvaged} of these are from chunks that are damaged or cut off")
+        if self.left_out:
+            lines.append(
+                f"  left out: {self.left_out} that can be read but not proved; --unproved keeps them"
+            )
+        lines += [f"  {reason}" for reason in self.reasons]
+        lines += [f"  {loss}" for loss in self.losses[:_MOST]]
+        if len(self.losses) > _MOST:
+            lines.append(f"  and {len(self.losses) - _MOST} more places")
+        if not self.whole:
+            lines += [f"  {count:>9}  {topic}" for topic, count in sorted(self.messages.items())]
+        return "\n".join(lines)
+
+    def _lost(self) -> str:
+        if not self.lost:
+            return "nothing is lost"
+        count = "the number of lost messages is unknown"
+        if self.lost_messages is not None:
+            count = f"{self.lost_messages} messages are lost"
+        return f"{count}, {self.lost_bytes} bytes could not be kept"
+
+
+def _times(loss: LostStretch) -> str:
+    said = [_time(value) for value in (loss.start_ns, loss.end_ns)]
+    return f", {said[0] or 'the start'} to {said[1] or 'the end'}" if any(said) else ""
+
+
+def _time(time_ns: int | None) -> str:
+    if time_ns is None:
+        return ""
+    try:
+        return f"{datetime.fromtimestamp(time_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3]
+    except (OverflowError, ValueError, OSError):
+        return f"{time_ns} ns"

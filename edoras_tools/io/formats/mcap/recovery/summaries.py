@@ -1,0 +1,153 @@
+"""The summary sections of a file that may be damaged, or may consist of several files."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from mcap.opcode import Opcode
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    Footer,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+
+from edoras_tools.io.formats.mcap.heads import RECORD_HEAD
+from edoras_tools.io.formats.mcap.recovery.records import parse
+from edoras_tools.io.topics.names import MAGIC
+from edoras_tools.wire.crc import crc32
+
+if TYPE_CHECKING:
+    from edoras_tools.io.formats.mcap.recovery.records import FileBytes
+    from edoras_tools.io.formats.mcap.recovery.walk import Walked
+
+_FOOTER: Final = re.compile(re.escape(b"\x02\x14" + bytes(7)))
+_DATA_END: Final = re.compile(re.escape(b"\x0f\x04" + bytes(7)))
+_FOOTER_BYTES: Final = RECORD_HEAD.size + 20
+_DATA_END_BYTES: Final = RECORD_HEAD.size + 4
+_CRC_BYTES: Final = 4
+_FAR: Final = 256 << 20
+"""A summary is searched for in this many bytes before its footer."""
+ChunkKey = tuple[int, int, int, int]
+"""What identifies a chunk: first and last log time, compressed and uncompressed size."""
+
+
+@dataclass(eq=False, slots=True)
+class FoundSummary:
+    """An intact summary, or a placeholder for one that is missing.
+
+    Attributes:
+        base: start of its file; offsets in the summary count from there.
+        start: start of the summary.
+        end: its end, with footer and magic.
+        proven: whether a file does begin at ``base``.
+        complete: whether there is a summary.
+        schemas: by id.
+        channels: by id.
+        statistics: None if there are none.
+        names: names of the attachments and metadata records.
+        chunks: the chunk indexes, by what identifies a chunk.
+    """
+
+    base: int = 0
+    start: int = 0
+    end: int = 0
+    proven: bool = False
+    complete: bool = False
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    statistics: Statistics | None = None
+    names: list[str] = field(default_factory=list)
+    chunks: dict[ChunkKey, list[ChunkIndex]] = field(default_factory=dict)
+
+    def owns(self, place: int) -> bool:
+        """Return whether a position is certainly in the file of this summary."""
+        return self.proven and self.base <= place < self.end
+
+    def may_hold(self, name: str) -> bool:
+        """Return whether an attachment or metadata record of this name may belong to this file."""
+        counted = self.statistics
+        every = counted is not None and len(self.names) == counted.attachment_count + counted.metadata_count
+        return not every or name in self.names
+
+    def listed(self, walked: Walked, head: tuple[int, int] | None, packed: int) -> list[ChunkIndex]:
+        """Return the index of a chunk, if it belongs to this file; several if chunks cannot be distinguished.
+
+        Args:
+            walked: the contents of the chunk.
+            head: the times in its head.
+            packed: its compressed size.
+        """
+        sizes = packed, len(walked.data)
+        found = self.chunks.get((*head, *sizes), []) if head else []
+        if not found and len(walked):
+            found = self.chunks.get((int(walked.log_time.min()), int(walked.log_time.max()), *sizes), [])
+        return found
+
+
+def summaries(file: FileBytes) -> list[FoundSummary]:
+    """Return the summaries with a correct checksum, and complete ones without a checksum; in order."""
+    found: list[FoundSummary] = []
+    for place in file.find(_FOOTER, 0, file.size):
+        footer = parse(Opcode.FOOTER, file.read(place + RECORD_HEAD.size, place + _FOOTER_BYTES))
+        if isinstance(footer, Footer) and footer.summary_start:
+            section = _summary(file, place, footer)
+            if section is not None:
+                # Summaries inside this one's file are part of a message or an attachment.
+                found = [item for item in found if not section.owns(item.start)]
+                found.append(section)
+    return found
+
+
+def _summary(file: FileBytes, place: int, footer: Footer) -> FoundSummary | None:
+    ends = [at + _DATA_END_BYTES for at in file.find(_DATA_END, max(0, place - _FAR), place)]
+    for start in (footer.summary_start, *reversed(ends)):
+        if start > place:
+            continue
+        data = file.read(start, place + _FOOTER_BYTES - _CRC_BYTES)
+        if footer.summary_crc and crc32(data) != footer.summary_crc:
+            continue
+        section = _read(data[: place - start])
+        if section is None:
+            continue
+        section.base, section.start = start - footer.summary_start, start
+        end = place + _FOOTER_BYTES
+        section.end = end + len(MAGIC) * (file.read(end, end + len(MAGIC)) == MAGIC)
+        section.proven = section.base == 0 or (
+            section.base > 0 and file.read(section.base, section.base + len(MAGIC)) == MAGIC
+        )
+        return section
+    return None
+
+
+def _read(data: bytes) -> FoundSummary | None:
+    """Read a summary; None if it does not consist only of records."""
+    section = FoundSummary(complete=True)
+    place = 0
+    while place < len(data):
+        if place + RECORD_HEAD.size > len(data):
+            return None
+        opcode, length = RECORD_HEAD.unpack_from(data, place)
+        start = place + RECORD_HEAD.size
+        place = start + length
+        record = parse(opcode, data[start:place])
+        if place > len(data) or (record is None and opcode < Opcode.DATA_END):
+            return None
+        if isinstance(record, Schema):
+            section.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            section.channels[record.id] = record
+        elif isinstance(record, Statistics):
+            section.statistics = record
+        elif isinstance(record, AttachmentIndex | MetadataIndex):
+            section.names.append(record.name)
+        elif isinstance(record, ChunkIndex):
+            times = record.message_start_time, record.message_end_time
+            sizes = record.compressed_size, record.uncompressed_size
+            section.chunks.setdefault((*times, *sizes), []).append(record)
+    return section

@@ -1,0 +1,178 @@
+"""Reads the records inside a chunk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, MESSAGE_HEAD, RECORD_HEAD
+from edoras_tools.io.formats.mcap.index import MessageIndex
+from edoras_tools.io.formats.mcap.recovery.records import parse
+from edoras_tools.io.topics.rows import OPCODE_MESSAGE, RECORD
+from edoras_tools.wire.window import copy_rows, read_at
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.formats.mcap.index import ChunkMessages
+
+_HEAD: Final = np.dtype(RECORD)
+_CHANNEL_AT: Final = RECORD_HEAD.size
+"""Position of the channel's id in a Message record, u16."""
+Entries = dict[int, "NDArray[np.void]"]
+"""The contents of a message index: log times and offsets of each channel, ``INDEX_ENTRY``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Walked:
+    """Consecutive records.
+
+    Attributes:
+        data: the chunk.
+        channel: u16, of each message.
+        log_time: u64, of each message.
+        start: i64, start of its record.
+        end: i64, end of its record.
+        others: the other records, parsed: schemas and channels.
+        used: bytes that contain complete records; the rest, if any, is not a record.
+    """
+
+    data: NDArray[np.uint8]
+    channel: NDArray[np.uint16]
+    log_time: NDArray[np.uint64]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    others: list[Any]
+    used: int
+
+    def __len__(self) -> int:
+        return len(self.channel)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the chunk contains only complete records."""
+        return self.used == len(self.data)
+
+    def take(self, rows: NDArray[np.bool_]) -> Walked:
+        """Return only some of its messages, without the other records."""
+        fields = (self.channel[rows], self.log_time[rows], self.start[rows], self.end[rows])
+        return Walked(self.data, *fields, [], self.used)
+
+    def agree(self, entries: Entries) -> NDArray[np.bool_]:
+        """Return for each message whether an index contains it, with channel, log time and position."""
+        said = np.empty(sum(map(len, entries.values())), _ENTRY)
+        said["channel"] = np.repeat([*entries], [len(item) for item in entries.values()])
+        for name in INDEX_ENTRY.names or ():
+            said[name] = np.concatenate([np.zeros(0, "<u8"), *(item[name] for item in entries.values())])
+        mine = np.empty(len(self), _ENTRY)
+        mine["channel"], mine["log_time"], mine["offset"] = self.channel, self.log_time, self.start
+        said = said[np.argsort(said["offset"], kind="stable")]
+        if np.array_equal(said, mine):
+            return np.ones(len(self), bool)
+        wide = f"V{_ENTRY.itemsize}"
+        return np.isin(mine.view(wide), said.view(wide))
+
+    def index(self) -> ChunkMessages:
+        """Return the message index of the chunk."""
+        index = MessageIndex()
+        if len(self):
+            index.add(self.channel, self.log_time, self.start)
+        (made,) = index.divide(len(self.data), len(self.data) or 1)
+        return made
+
+    def rebuilt(self, ids: Mapping[int, int]) -> Walked:
+        """Return only the messages, joined, with new channel ids."""
+        length = self.end - self.start
+        ends = np.cumsum(length)
+        starts = ends - length
+        data = np.empty(int(ends[-1]) if len(self) else 0, np.uint8)
+        copy_rows(data, starts, self.data, self.start, length)
+        channel = self.channel.copy()
+        for old, new in ids.items():
+            channel[self.channel == old] = new
+        for shift in (0, 8):
+            data[starts + _CHANNEL_AT + shift // 8] = (channel >> shift).astype(np.uint8)
+        return Walked(data, channel, self.log_time, starts, ends, [], len(data))
+
+
+_ENTRY: Final = np.dtype([("channel", "<u2"), *INDEX_ENTRY.descr])
+
+
+def walk(raw: bytes | memoryview, entries: Entries | None = None) -> Walked:
+    """Return the records of a chunk.
+
+    Args:
+        raw: the chunk, uncompressed.
+        entries: its message index; if that is correct, messages are not handled one by one in Python.
+    """
+    data = np.frombuffer(raw, np.uint8)
+    if entries:
+        found = _at(
+            data, np.sort(np.concatenate([item["offset"] for item in entries.values()]).astype(np.int64))
+        )
+        if found is not None:
+            return found
+    return _one_by_one(data)
+
+
+def _at(data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Walked | None:
+    """Return the records, if messages start at these positions; otherwise None."""
+    if not len(starts) or starts[0] < 0 or starts[-1] + _HEAD.itemsize > len(data):
+        return None
+    heads = read_at(data, starts, _HEAD)
+    length = heads["record_length"]
+    if (
+        (heads["opcode"] != OPCODE_MESSAGE).any()
+        or (length > len(data)).any()
+        or (length < MESSAGE_HEAD.size).any()
+    ):
+        return None
+    ends = starts + length.astype(np.int64) + RECORD_HEAD.size
+    befores = np.concatenate([[0], ends])
+    afters = np.concatenate([starts, [len(data)]])
+    if (befores > afters).any():
+        return None
+    others: list[Any] = []
+    for gap in np.flatnonzero(befores != afters).tolist():
+        part = _one_by_one(data[befores[gap] : afters[gap]])
+        if len(part) or not part.whole:
+            return None
+        others += part.others
+    fields = (heads["channel_id"].copy(), heads["log_time"].copy(), starts, ends)
+    return Walked(data, *fields, others, len(data))
+
+
+def _one_by_one(data: NDArray[np.uint8]) -> Walked:
+    view = data.data
+    rows: list[tuple[int, int, int, int]] = []
+    others: list[Any] = []
+    place = 0
+    while place + RECORD_HEAD.size <= len(data):
+        opcode, length = RECORD_HEAD.unpack_from(view, place)
+        start, end = place + RECORD_HEAD.size, place + RECORD_HEAD.size + length
+        if end > len(data) or opcode == 0:
+            break
+        if opcode == Opcode.MESSAGE and length >= MESSAGE_HEAD.size:
+            channel_id, _, log_time, _ = MESSAGE_HEAD.unpack_from(view, start)
+            rows.append((channel_id, log_time, place, end))
+        else:
+            record = parse(opcode, bytes(view[start:end]))
+            if record is None:
+                break
+            others.append(record)
+        place = end
+    channel, log_time, starts, ends = zip(*rows, strict=True) if rows else ((), (), (), ())
+    return Walked(
+        data,
+        np.array(channel, np.uint16),
+        np.array(log_time, np.uint64),
+        np.array(starts, np.int64),
+        np.array(ends, np.int64),
+        others,
+        place,
+    )

@@ -1,0 +1,160 @@
+"""Decompresses chunks, and checks what proves their contents."""
+
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+
+from edoras_tools.io.formats.mcap.heads import CHUNK_HEAD, MAX_CHUNK_BYTES
+from edoras_tools.wire.crc import crc32
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+COMPRESSIONS = ("", "zstd", "lz4")
+CHUNK_HEAD_BYTES = CHUNK_HEAD.size + 16 + 8
+"""Bytes of a chunk's head with up to 16 letters for the compression."""
+_LENGTH = struct.Struct("<Q")
+_PIECE_BYTES = 1 << 12
+_UNKNOWN_SIZE = (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR)
+
+
+class Proof(Enum):
+    """What proves that a chunk's bytes are those that were written."""
+
+    CHECKSUM = "its checksum is right"
+    NONE = "it has no checksum"
+    FAILED = "its checksum or its compression is wrong"
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkHead:
+    """A chunk's record up to its data.
+
+    Attributes:
+        start_ns: smallest log time.
+        end_ns: largest log time.
+        size: uncompressed bytes of its records.
+        crc: CRC-32 of these; 0 if the writer gave none.
+        compression: "", "zstd", "lz4", or an unknown name.
+        data: start of the compressed bytes, counted from the record's content.
+        length: number of compressed bytes.
+    """
+
+    start_ns: int
+    end_ns: int
+    size: int
+    crc: int
+    compression: str
+    data: int
+    length: int
+
+
+def chunk_head(content: bytes | memoryview) -> ChunkHead | None:
+    """Read the head at the start of a chunk's content; None if it cannot be read."""
+    with suppress(struct.error, UnicodeDecodeError):
+        start_ns, end_ns, size, crc, named = CHUNK_HEAD.unpack_from(content)
+        place = CHUNK_HEAD.size + named
+        (length,) = _LENGTH.unpack_from(content, place)
+        compression = bytes(content[CHUNK_HEAD.size : place]).decode()
+        return ChunkHead(start_ns, end_ns, size, crc, compression, place + _LENGTH.size, length)
+    return None
+
+
+def unpack_chunk(head: ChunkHead, packed: bytes | memoryview) -> tuple[bytes | memoryview, Proof]:
+    """Decompress a chunk, and return what proves it; for a damaged one the bytes are empty.
+
+    A zstd or lz4 frame may have its own checksum. It proves the records even if the head is damaged.
+    """
+    try:
+        raw, checked = _decompress(head, packed)
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError, ValueError):
+        return b"", Proof.FAILED
+    if checked or (head.crc and crc32(raw) == head.crc):
+        return raw, Proof.CHECKSUM
+    if head.crc or len(raw) != head.size:
+        return b"", Proof.FAILED
+    return raw, Proof.NONE
+
+
+def _decompress(head: ChunkHead, packed: bytes | memoryview) -> tuple[bytes | memoryview, bool]:
+    """Return a chunk's records, and whether the compression's own checksum proved them."""
+    if head.compression == "":
+        return packed, False
+    if head.compression == "zstd":
+        frame = zstandard.get_frame_parameters(packed)
+        size = head.size if frame.content_size in _UNKNOWN_SIZE else frame.content_size
+        if size > MAX_CHUNK_BYTES:
+            raise ValueError(size)
+        raw = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+        if len(raw) < head.size <= MAX_CHUNK_BYTES:  # several frames in sequence
+            with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
+                return reader.read(head.size), False
+        return raw, frame.has_checksum
+    if head.compression != "lz4":
+        raise ValueError(head.compression)
+    checked = lz4.frame.get_frame_info(packed)["content_checksum"]
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    raw = decompressor.decompress(packed, max_length=min(head.size, MAX_CHUNK_BYTES) + 1)
+    return raw, checked and decompressor.eof
+
+
+def inflate(head: ChunkHead, packed: bytes) -> bytes:
+    """Decompress a damaged or cut chunk as far as possible; nothing proves the result."""
+    return b"".join(_inflate(packed, head.compression, min(head.size, MAX_CHUNK_BYTES)))
+
+
+def frame_at(data: bytes) -> tuple[bytes, int] | None:
+    """Read a zstd frame that has a checksum.
+
+    Args:
+        data: starts with the frame.
+
+    Returns:
+        Its contents and its length; None if there is no such frame.
+    """
+    try:
+        if not zstandard.get_frame_parameters(data).has_checksum:
+            return None
+        inflater = zstandard.ZstdDecompressor().decompressobj()
+        pieces, filled = [], 0
+        for start in range(0, len(data), _PIECE_BYTES):
+            pieces.append(inflater.decompress(data[start : start + _PIECE_BYTES]))
+            filled += len(pieces[-1])
+            if inflater.eof:
+                end = min(start + _PIECE_BYTES, len(data)) - len(inflater.unused_data)
+                return b"".join(pieces), end
+            if filled > MAX_CHUNK_BYTES:
+                break
+    except zstandard.ZstdError:
+        pass
+    return None
+
+
+def _inflate(packed: bytes, compression: str, size: int) -> Iterator[bytes]:
+    if compression == "":
+        yield packed
+        return
+    inflater: Any
+    failures: tuple[type[Exception], ...]
+    if compression == "zstd":
+        inflater, failures = zstandard.ZstdDecompressor().decompressobj(), (zstandard.ZstdError,)
+    elif compression == "lz4":
+        inflater, failures = lz4.frame.LZ4FrameDecompressor(), (RuntimeError, EOFError)
+    else:
+        return
+    with suppress(*failures):
+        # In small pieces, to get everything before a damaged place.
+        filled = 0
+        for start in range(0, len(packed), _PIECE_BYTES):
+            piece = inflater.decompress(packed[start : start + _PIECE_BYTES])
+            filled += len(piece)
+            if filled > size:
+                return
+            yield piece

@@ -1,0 +1,282 @@
+"""Recordings: MCAP files that Foxglove, rosbags and any other reader can open."""
+
+from __future__ import annotations
+
+import json
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from edoras_tools import __version__
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.mcap.chunks import ChunkWriter
+from edoras_tools.io.formats.mcap.file import McapFile
+from edoras_tools.io.formats.recording import RecordingOptions
+from edoras_tools.io.topics.faults import fault_messages
+from edoras_tools.io.topics.names import OUTAGE_METADATA_NAME
+from edoras_tools.io.topics.streams import FAULTS, Streams, Topic
+from edoras_tools.model import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.io.outputs import OutputFile
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceInfo, SourceStatistics
+    from edoras_tools.ros import TypeStore
+    from edoras_tools.sessions.faults.machine import Fault
+
+METADATA_NAME = "edoras"
+"""The metadata record of a complete recording."""
+OPENING_METADATA_NAME = "edoras_opening"
+"""The values known at the start, so that a cut-off recording has them too."""
+
+_STEPS = 8
+"""When files are split by size, the size is checked this many times per file."""
+_STEP_ROWS = 64
+"""The fewest datagrams between two checks: each takes 1-2 ms, and a recorder that is behind loses frames."""
+_ROW_BYTES = 200
+"""Approximate bytes of a datagram's messages besides its frame."""
+
+
+class McapSink:
+    """Writes batches to an MCAP file, or to several if it is split.
+
+    Messages are in the order of the batches: for each datagram the complete datagram, then the message inside
+    it. ``log_time`` is the capture time, ``publish_time`` the packet's own time mapped to UTC
+    (``MissionClock``), ``sequence`` the packet sequence count.
+
+    Args:
+        path: the file, replaced if it exists; when split ``NAME_0.mcap``, ``NAME_1.mcap`` and so on.
+        mission: its routes become channels, its files attachments.
+        types: provides the schemas.
+        info: of the source, for the metadata record.
+        options: the contents, and how files are split.
+        statistics: the source's, if ``/edoras/link_statistics`` is to show its kernel drops live.
+
+    Attributes:
+        files: the files written, with their summaries.
+        complete: the complete ones, with the number of datagrams in each.
+
+    Raises:
+        CaptureError: from every method: the file cannot be written.
+        RouteError: a route's type is unknown.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        mission: Mission,
+        types: TypeStore,
+        info: SourceInfo,
+        options: RecordingOptions = RecordingOptions(),  # noqa: B008  frozen
+        *,
+        statistics: SourceStatistics | None = None,
+    ) -> None:
+        self._path = Path(path)
+        self._mission = mission
+        self._types = types
+        self._info = info
+        self._options = options
+        self._live = statistics
+        self._streams = Streams(
+            mission,
+            types,
+            statistics,
+            datagrams=options.datagrams,
+            structs=options.structs,
+            add=self._add_topic,
+        )
+        self._faults_id = 0
+        self._noted: list[InterfaceOutage] = []
+        self._count = 0
+        self._start_ns = 0
+        self._state: Literal["open", "failed", "closed"] = "open"
+        self.files: list[McapFile] = []
+        self.complete: list[tuple[OutputFile, int]] = []
+        self._chunks = self._open_file()
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files written."""
+        return [file.path for file in self.files]
+
+    @property
+    def output(self) -> OutputFile:
+        """The file being written."""
+        return self.files[-1].output
+
+    @property
+    def datagrams(self) -> int:
+        """Number of datagrams in that file."""
+        return self._count
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Write a batch and its columns."""
+        first = 0
+        while first < len(batch):
+            last = self._make_room(batch, first)
+            rows = slice(first, last)
+            whole = last - first == len(batch)
+            with self._failing():
+                self._append(*(batch, columns) if whole else (batch.take(rows), columns.take(rows)))
+            first = last
+
+    def write_faults(self, faults: Sequence[Fault]) -> None:
+        """Write injected faults, with times in ns since 1970; creates the topic if it does not exist."""
+        with self._failing():
+            if not self._faults_id:
+                self._faults_id = self._add_topic(FAULTS)
+            self._chunks.append([fault_messages(faults, self._faults_id)], len(faults))
+
+    def flush(self) -> None:
+        """End and write the current chunk: if the process is killed, only later messages are lost."""
+        with self._failing():
+            self._note_outages()
+            self._chunks.flush()
+
+    def close(self, statistics: SourceStatistics) -> None:
+        """Write the rest, the metadata and the summary; after a failed write only close the file."""
+        if self._state == "open":
+            with self._failing():
+                self._chunks.append([self._streams.finish()], 1)
+                self._close_file(statistics)
+            self._state = "closed"
+
+    def abandon(self) -> None:
+        """Close the file in its present state; nothing more is written."""
+        self._state = "failed"
+        self._chunks.abandon()
+        self.files[-1].abandon()
+
+    def _add_topic(self, topic: Topic) -> int:
+        """Create a topic that not every recording has; return its channel."""
+        self._chunks.flush()  # until then the file belongs to the thread
+        structs = self._streams.structs
+        types = structs.types if topic.type in structs.definitions else self._types
+        file = self.files[-1]
+        return file.add_channel(
+            topic.name, file.add_schema(topic.type, types.definition(topic.type)), topic.metadata
+        )
+
+    def _append(self, batch: PacketBatch, columns: Columns) -> None:
+        self._attach(int(batch.time_ns[0]))
+        self._chunks.append(self._streams.messages(batch, columns), len(batch))
+        self._count += len(batch)
+
+    def _make_room(self, batch: PacketBatch, first: int) -> int:
+        """Start a new file if row ``first`` needs one; return the end of the rows that fit into the file."""
+        last = len(batch)
+        now = int(batch.time_ns[first])
+        if self._options.split_ns and self._count and now - self._start_ns >= self._options.split_ns:
+            self._next_file()
+        if self._options.split_bytes and self._count and self._chunks.size_bound >= self._options.split_bytes:
+            self.flush()
+            if self.files[-1].size >= self._options.split_bytes * (1 - 1 / _STEPS):
+                self._next_file()
+        if self._count == 0:
+            self._start_ns = now
+        if self._options.split_ns:
+            late = np.flatnonzero(batch.time_ns[first:] - self._start_ns >= self._options.split_ns)
+            last = first + int(late[0]) if len(late) else last
+        if self._options.split_bytes:
+            filled = np.cumsum(batch.frame_length[first:last].astype(np.int64) + _ROW_BYTES)
+            step = int(np.searchsorted(filled, self._options.split_bytes // _STEPS))
+            last = min(last, first + max(step, _STEP_ROWS))
+        return last
+
+    def _next_file(self) -> None:
+        with self._failing():
+            self._close_file(self._live)
+            self._chunks = self._open_file()
+
+    def _open_file(self) -> ChunkWriter:
+        path = self._path
+        if self._options.split_bytes or self._options.split_ns:
+            path = path.with_name(f"{path.stem}_{len(self.files)}{path.suffix}")
+        file = McapFile(path, offered=self._options.offered)
+        self.files.append(file)
+        try:
+            self._begin(file)
+        except CaptureError:
+            file.abandon()
+            raise
+        return ChunkWriter(file)
+
+    def _begin(self, file: McapFile) -> None:
+        """Write what precedes the messages."""
+        self._count = self._faults_id = 0
+        streams = self._streams
+        schemas = {name: file.add_schema(name, text) for name, text in streams.definitions.items()}
+        streams.number(
+            [file.add_channel(topic.name, schemas[topic.type], topic.metadata) for topic in streams.topics]
+        )
+        file.add_metadata(OPENING_METADATA_NAME, self._opening())
+
+    def _close_file(self, statistics: SourceStatistics | None) -> None:
+        file = self.files[-1]
+        self._note_outages()
+        self._chunks.close()
+        self._attach(0)
+        counted = (
+            {}
+            if statistics is None
+            else {"kernel_drops": statistics.kernel_drops, "skipped": statistics.skipped}
+        )
+        file.add_metadata(
+            METADATA_NAME,
+            {
+                **self._opening(),
+                "datagrams": str(self._count),
+                "clock_offset_ns": json.dumps(self._streams.clock.offsets()),
+                **{key: str(value) for key, value in counted.items()},
+            },
+        )
+        file.finish()
+        self.complete.append((file.output, self._count))
+
+    def _note_outages(self) -> None:
+        """Write outages of the source's interface since the last call: as messages and as metadata."""
+        outages = list(self._live.outages) if self._live else []
+        news = [outage for place, outage in enumerate(outages) if [outage] != self._noted[place : place + 1]]
+        if not news:
+            return
+        self._noted = outages
+        self._chunks.append([self._streams.outages(news)], len(news))
+        self._chunks.flush()  # until then the file belongs to the thread
+        for outage in news:
+            values = {key: str(value or 0) for key, value in outage.as_json().items()}
+            self.files[-1].add_metadata(OUTAGE_METADATA_NAME, values)
+
+    def _attach(self, time_ns: int) -> None:
+        """Write the mission files before the first chunk of a file, so that a cut-off recording has them."""
+        file = self.files[-1]
+        if self._count == 0 and not file.summary.attachments:
+            for name, data in self._mission.files.items():
+                file.add_attachment(name, "application/yaml", data, max(time_ns, 0))
+
+    def _opening(self) -> dict[str, str]:
+        return {
+            "tool": "edoras-tools",
+            "version": __version__,
+            "source": self._info.name,
+            "source_kind": self._info.kind,
+            "filter": self._options.filter,
+            "time_resolution_ns": str(self._info.time_resolution_ns),
+            "snap_length": str(self._info.snap_length),
+            "read_with": json.dumps(dict(self._info.read_with)),
+            "findings": json.dumps({bit.label: int(bit) for bit in Finding}),
+        }
+
+    @contextmanager
+    def _failing(self) -> Iterator[None]:
+        """After the first failed write, close the file as it is: closing the sink must not fail again."""
+        if self._state != "open":
+            raise CaptureError(f"{self.files[-1].path}: the recording is {self._state}")
+        try:
+            yield
+        except CaptureError:
+            self.abandon()
+            raise

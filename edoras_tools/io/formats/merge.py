@@ -1,0 +1,165 @@
+"""Merges several sources in order of time, with one batch of each in memory."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from itertools import chain
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics, concatenate
+from edoras_tools.wire.window import PADDING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.io import Source
+    from edoras_tools.sessions.faults.machine import Fault
+
+
+def recorded_faults(source: Source) -> list[Fault]:
+    """Return the faults that a proxy or a replay injected, if the source is a recording that has them."""
+    told: Callable[[], list[Fault]] | None = getattr(source, "faults", None)
+    return told() if told else []
+
+
+def merge_sources(sources: Sequence[Source]) -> Source:
+    """Read several sources as one, in order of time.
+
+    Every source keeps its own order: a datagram that is earlier than its predecessor is treated as if it had
+    the same time. Of equal times, the source named first comes first. Datagrams are numbered from 1. If a
+    source ends with an error, the others are read to their end before it is raised.
+
+    Args:
+        sources: at least one; a single one is returned as it is. For files: a source that waits would make
+            all wait.
+    """
+    return sources[0] if len(sources) == 1 else MergedSource(sources)
+
+
+class MergedSource:
+    """See ``merge_sources``."""
+
+    def __init__(self, sources: Sequence[Source]) -> None:
+        self._sources = list(sources)
+        self._statistics = SourceStatistics()
+
+    @property
+    def info(self) -> SourceInfo:
+        """Information on all sources: all names, the finest resolution, the largest snap length."""
+        infos = [source.info for source in self._sources]
+        kinds = {info.kind for info in infos}
+        return SourceInfo(
+            name=", ".join(info.name for info in infos),
+            kind=kinds.pop() if len(kinds) == 1 else "merged",
+            time_resolution_ns=min(info.time_resolution_ns for info in infos),
+            snap_length=max(info.snap_length for info in infos),
+            attachments={name: data for info in reversed(infos) for name, data in info.attachments.items()},
+            definitions={name: text for info in reversed(infos) for name, text in info.definitions.items()},
+            read_with={name: text for info in reversed(infos) for name, text in info.read_with.items()},
+        )
+
+    @property
+    def statistics(self) -> SourceStatistics:
+        """The sums of the sources' statistics."""
+        total = self._statistics
+        for item in fields(SourceStatistics):
+            values = [getattr(source.statistics, item.name) for source in self._sources]
+            setattr(total, item.name, [*chain(*values)] if isinstance(values[0], list) else sum(values))
+        return total
+
+    def faults(self) -> list[Fault]:
+        """Return the injected faults of all recordings."""
+        return [fault for source in self._sources for fault in recorded_faults(source)]
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Yield all datagrams in order of time; see ``Source.batches``.
+
+        Raises:
+            CaptureError: a source raised it; with the messages of all.
+        """
+        errors: list[str] = []
+        heads = [_Head(source, errors) for source in self._sources]
+        number = 1
+        while heads := [head for head in heads if head.fill()]:
+            until = min(int(head.keys[-1]) for head in heads)
+            # The first source that ends at this time may deliver it completely: later ones hold it back.
+            last = next(place for place, head in enumerate(heads) if head.keys[-1] == until)
+            parts = [head.take(until, whole=place <= last) for place, head in enumerate(heads)]
+            batch = _in_order([part for part in parts if part is not None])
+            yield replace(batch, number=np.arange(number, number + len(batch)))
+            number += len(batch)
+        if errors:
+            raise CaptureError("; ".join(errors))
+
+    def close(self) -> None:
+        """Close all sources."""
+        for source in self._sources:
+            source.close()
+
+
+class _Head:
+    """The waiting datagrams of a source.
+
+    Attributes:
+        keys: i64, the sort key of each datagram: the largest time up to it.
+    """
+
+    def __init__(self, source: Source, errors: list[str]) -> None:
+        self._batches = source.batches()
+        self._errors = errors
+        self._rest: PacketBatch | None = None
+        self._latest = np.iinfo(np.int64).min
+        self.keys: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+
+    def fill(self) -> bool:
+        """Read until some datagram waits; False at the end of the source."""
+        while not len(self.keys):
+            try:
+                self._rest = next(self._batches, None)
+            except CaptureError as error:
+                self._errors.append(str(error))
+                return False
+            if self._rest is None:
+                return False
+            self.keys = np.maximum.accumulate(np.maximum(self._rest.time_ns, self._latest))
+        return True
+
+    def take(self, until: int, *, whole: bool) -> tuple[PacketBatch, NDArray[np.int64]] | None:
+        """Return the datagrams before a time, and with ``whole`` also those of that time; with their keys."""
+        count = int(np.searchsorted(self.keys, until, side="right" if whole else "left"))
+        if not count or self._rest is None:
+            return None
+        part, keys = self._rest, self.keys
+        self._latest = int(keys[count - 1])
+        self.keys = keys[count:]
+        if len(self.keys):
+            part, self._rest = part.take(slice(count)), part.take(slice(count, None))
+        return part, keys[:count]
+
+
+def _in_order(parts: list[tuple[PacketBatch, NDArray[np.int64]]]) -> PacketBatch:
+    """Interleave batches by key; of equal keys, the first batch comes first."""
+    if len(parts) == 1:
+        return parts[0][0]
+    order = np.argsort(np.concatenate([keys for _, keys in parts]), kind="stable")
+    return concatenate([_trim(batch) for batch, _ in parts]).take(order)
+
+
+def _trim(batch: PacketBatch) -> PacketBatch:
+    """Drop the bytes before and after those that the rows use, so that they are not copied."""
+    start = int(min(batch.frame_offset.min(), batch.offset.min()))
+    end = (
+        int(max((batch.frame_offset + batch.frame_length).max(), (batch.offset + batch.length).max()))
+        + PADDING
+    )
+    return replace(
+        batch,
+        data=batch.data[start:end],
+        frame_offset=batch.frame_offset - start,
+        offset=batch.offset - start,
+    )

@@ -1,0 +1,136 @@
+"""Opens a capture by its content, not by its name."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
+from edoras_tools.io.formats.stream import ByteStream, CompressedStream, FileStream, Window
+from edoras_tools.io.formats.table import MCAP, PCAPNG, READABLE
+
+if TYPE_CHECKING:
+    from edoras_tools.io import Source
+
+_SECTION_HEADER = b"\x0a\x0d\x0d\x0a"
+_MCAP = b"\x89MCAP0\r\n"
+_COMPRESSED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
+_LONGEST_MAGIC = 8
+_MODIFIED_PCAP = {b"\x34\xcd\xb2\xa1", b"\xa1\xb2\xcd\x34"}
+_OTHERS = (
+    (b"GMBU", "a Microsoft Network Monitor capture"),
+    (b"RTSS", "a Microsoft Network Monitor capture"),
+    (b"snoop\x00\x00\x00", "a snoop capture"),
+    (b"#ROSBAG", "a ROS 1 bag"),
+    (b"SQLite f", "an SQLite database (perhaps a rosbag2 one)"),
+    (b"PK\x03\x04", "a zip archive"),
+    (b"BZh", "bzip2 data"),
+    (b"\xfd7zXZ\x00", "xz data"),
+    (b"\x7fELF", "a program"),
+)
+"""How some other files start that users may try to open."""
+_CONVERT = "captures can be made readable with: editcap -F pcapng IN OUT"
+
+
+def open_file(path: str | Path) -> Source:
+    """Open a capture or a recording by its content: pcap, pcapng (perhaps with gzip or zstd) or MCAP.
+
+    Args:
+        path: a file, a named pipe, or ``-`` for standard input.
+
+    Raises:
+        CaptureError: ``path`` cannot be read.
+    """
+    name = str(path)
+    stream: ByteStream = FileStream(_open(path), name)
+    try:
+        return _tell(stream, path)
+    except BaseException:
+        stream.close()
+        raise
+
+
+def _tell(stream: ByteStream, path: str | Path) -> Source:
+    """Make the source for the format that the first bytes show."""
+    head = _head(stream)
+    wrapped = ""
+    for magic, kind in _COMPRESSED.items():
+        if head.startswith(magic):
+            wrapped = kind
+            stream = CompressedStream(stream, kind, head)
+            head = _head(stream)
+            break
+    if not head:
+        what = f"contains only an empty {wrapped} stream" if wrapped else "is empty"
+        raise CaptureError(f"{stream.name}: {what}; a capture has at least a header")
+    if head[:4] in MAGICS:
+        return PcapSource(Window(stream, head))
+    if head.startswith(_SECTION_HEADER):
+        source: Source = PCAPNG.source()(Window(stream, head))
+        return source
+    if head.startswith(_MCAP):
+        return _mcap(stream, path, wrapped)
+    raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")
+
+
+def _mcap(stream: ByteStream, path: str | Path, wrapped: str) -> Source:
+    if wrapped or not stream.total_bytes:
+        where = f"inside {wrapped} data" if wrapped else "from a pipe"
+        raise CaptureError(
+            f"{stream.name}: an MCAP recording cannot be read {where}; save it as a plain file first"
+        )
+    stream.close()
+    source: Source = MCAP.source()(Path(path))
+    return source
+
+
+def _open(path: str | Path) -> io.FileIO:
+    if str(path) == "-":
+        try:
+            # A duplicate, so that closing the source does not close standard input.
+            return io.FileIO(os.dup(sys.stdin.fileno()), "rb")
+        except (AttributeError, OSError, ValueError) as error:
+            raise CaptureError("-: there is no standard input; name a file") from error
+    try:
+        return io.FileIO(path, "rb")
+    except FileNotFoundError as error:
+        raise CaptureError(f"{path}: there is no such file; check the name") from error
+    except IsADirectoryError as error:
+        raise CaptureError(f"{path}: is a directory; name a capture in it") from error
+    except PermissionError as error:
+        raise CaptureError(f"{path}: may not be read by this user; check its permissions") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise CaptureError(f"{path}: cannot be opened: {reason}") from error
+
+
+def _head(stream: ByteStream) -> bytes:
+    """Read the bytes of the longest magic number; fewer at the end of the stream."""
+    buffer = bytearray(_LONGEST_MAGIC)
+    filled = 0
+    while filled < _LONGEST_MAGIC and (count := stream.fill(memoryview(buffer)[filled:])):
+        filled += count
+    return bytes(buffer[:filled])
+
+
+def _looks_like(head: bytes, wrapped: str) -> str:
+    """Return what a file that is not a capture seems to be, and what to do."""
+    inside = f"{wrapped} data that contains " if wrapped else "looks like "
+    can = f"{READABLE} can be read"
+    if head[:4] in _MODIFIED_PCAP:
+        return f"a modified pcap (magic {head[:4].hex()}), whose records differ from file to file; {_CONVERT}"
+    for magic, what in _OTHERS:
+        if head.startswith(magic):
+            return f"{inside}{what}; {can}; {_CONVERT}"
+    if len(head) < 4:
+        return f"ends after {len(head)} bytes, before its format can be recognised; {can}"
+    for magic, kind in _COMPRESSED.items():
+        if head.startswith(magic):
+            return f"{inside}{kind} data again; unpack it once"
+    if all(byte in b"\t\n\r\x1b" or 32 <= byte < 127 for byte in head):
+        return f"{inside}text; {can}"
+    return f"is not a capture (it starts with {head.hex(' ')}); {can}"

@@ -1,0 +1,154 @@
+"""pcap files: a 24-byte header, then records of a 16-byte header and a frame (draft-ietf-opsawg-pcap)."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.chain import walk_records
+from edoras_tools.io.formats.records import LARGEST_FRAME, RecordSource
+from edoras_tools.io.frames.linklayer import FrameBatch
+from edoras_tools.model import SourceInfo
+from edoras_tools.wire.window import read_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.formats.stream import Window
+
+FILE_HEADER_BYTES = 24
+RECORD_HEADER_BYTES = 16
+MAGICS = {
+    b"\xd4\xc3\xb2\xa1": ("<", 1000),
+    b"\xa1\xb2\xc3\xd4": (">", 1000),
+    b"\x4d\x3c\xb2\xa1": ("<", 1),
+    b"\xa1\xb2\x3c\x4d": (">", 1),
+}
+"""Byte order, and the unit of the timestamps' second half in ns."""
+_LARGEST_SNAP_LENGTH = 16 << 20
+"""A larger snap length is not trusted; Wireshark's own limit is far below."""
+_STRIDE = 16 << 10
+_SIGHT = 512
+"""A seed is searched for in the first _SIGHT bytes of every _STRIDE."""
+
+
+class PcapSource(RecordSource):
+    """The datagrams of a pcap file, with micro- or nanoseconds, in either byte order."""
+
+    def __init__(self, window: Window) -> None:
+        """Read the file header.
+
+        Args:
+            window: the file from its first byte on, including the magic number.
+
+        Raises:
+            CaptureError: the header is incomplete, or its version is not supported.
+        """
+        super().__init__(window)
+        name = window.stream.name
+        while window.end < FILE_HEADER_BYTES:
+            if not window.advance(0):
+                raise CaptureError(f"{name}: ends inside the pcap file header, at byte {window.end} of 24")
+        header = window.data[:FILE_HEADER_BYTES].tobytes()
+        self._order, self._unit_ns = MAGICS[header[:4]]
+        major, minor, _, _, snap_length, network = struct.unpack(f"{self._order}HHiIII", header[4:])
+        if major != 2:
+            raise CaptureError(f"{name}: pcap version {major}.{minor} is not supported; 2.4 is")
+        # The upper half contains whether each frame ends with a frame check sequence, and its length.
+        self._link_type = network & 0xFFFF
+        self._limit = max(LARGEST_FRAME, snap_length if snap_length <= _LARGEST_SNAP_LENGTH else 0)
+        self._info = SourceInfo(name, "pcap", self._unit_ns, snap_length or LARGEST_FRAME)
+        self._at = FILE_HEADER_BYTES
+
+    @property
+    def info(self) -> SourceInfo:
+        """Information on the source."""
+        return self._info
+
+    def _frames(self) -> Iterator[FrameBatch]:
+        data, start, end = self._window.data, self._at, self._window.end
+        captured_at = np.ndarray((data.size - 11,), dtype="V4", buffer=data.data, offset=8, strides=(1,))
+        dtype = f"{self._order}u4"
+        unpack = struct.Struct(f"{self._order}I").unpack_from
+
+        def successor(positions: NDArray[np.int64]) -> NDArray[np.int64]:
+            after: NDArray[np.int64] = captured_at[positions].view(dtype) + positions
+            after += RECORD_HEADER_BYTES
+            return after
+
+        def step(position: int) -> int:
+            return position + RECORD_HEADER_BYTES + int(unpack(data.data, position + 8)[0])
+
+        positions, stop = walk_records(start, end, self._seeds(data, start, end), successor, step)
+        headers = read_at(data, positions, np.dtype((dtype, 4)))
+        captured = headers[:, 2].astype(np.int64)
+        absurd = captured > self._limit
+        if absurd.any():
+            first = int(absurd.argmax())
+            stop = int(positions[first])
+            positions, headers, captured = positions[:first], headers[:first], captured[:first]
+        self._at = stop
+        if len(positions):
+            yield self._batch(data, positions, headers, captured)
+        if stop + RECORD_HEADER_BYTES <= end:
+            claimed = step(stop) - stop - RECORD_HEADER_BYTES
+            if claimed > self._limit:
+                raise self._error(
+                    stop,
+                    f"record {{}} claims a frame of {claimed} bytes, but the maximum is {self._limit}; "
+                    "the file is damaged from there on",
+                )
+
+    def _batch(
+        self,
+        data: NDArray[np.uint8],
+        positions: NDArray[np.int64],
+        headers: NDArray[np.uint32],
+        captured: NDArray[np.int64],
+    ) -> FrameBatch:
+        time_ns = headers[:, 0].astype(np.int64)
+        time_ns *= 1_000_000_000
+        time_ns += headers[:, 1].astype(np.int64) * self._unit_ns
+        first = self.statistics.frames + 1
+        return FrameBatch(
+            data=data,
+            number=np.arange(first, first + len(positions)),
+            time_ns=time_ns,
+            link_type=np.full(len(positions), self._link_type, dtype=np.uint16),
+            offset=positions + RECORD_HEADER_BYTES,
+            length=captured.astype(np.int32),
+            original_length=headers[:, 3].astype(np.int32),
+        )
+
+    def _seeds(self, data: NDArray[np.uint8], start: int, end: int) -> NDArray[np.int64]:
+        """Return positions that look like two consecutive records, about one in every stride."""
+        count = (end - start) // _STRIDE - 1
+        if count < 1:
+            return np.empty(0, dtype=np.int64)
+        # A cheap first test: few bytes equal the first byte of the current record's time.
+        base = start + _STRIDE
+        first = 0 if self._order == ">" else 3
+        sight = np.ndarray(
+            (count, _SIGHT), dtype=np.uint8, buffer=data.data, offset=base + first, strides=(_STRIDE, 1)
+        )
+        lane, place = np.divmod(np.flatnonzero(sight == data[start + first]), _SIGHT)
+        positions: NDArray[np.int64] = base + lane * _STRIDE + place
+        sound, after = self._look(data, positions, end)
+        sound[sound] = self._look(data, after[sound], end)[0]
+        lane, positions = lane[sound], positions[sound]
+        return positions[np.flatnonzero(np.diff(lane, prepend=-1))]
+
+    def _look(
+        self, data: NDArray[np.uint8], positions: NDArray[np.int64], end: int
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Return which positions have a plausible record header, and the position of the next record."""
+        header = read_at(data, positions, np.dtype((f"{self._order}u4", 4)))
+        captured = header[:, 2].astype(np.int64)
+        sound = (header[:, 1] < 1_000_000_000 // self._unit_ns) & (captured > 0) & (captured <= LARGEST_FRAME)
+        after = positions + RECORD_HEADER_BYTES + captured
+        return sound & (header[:, 3] >= captured) & (after < end), np.minimum(after, end)

@@ -1,0 +1,297 @@
+"""pcapng files: sections of blocks, either byte order (draft-ietf-opsawg-pcapng).
+
+It reads section headers, interface descriptions, and the three kinds of packet blocks, and skips every other
+block. A simple packet block has no time: its frames get 1970-01-01.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from edoras_tools.io.formats.chain import walk_records
+from edoras_tools.io.formats.pcapng.timescale import TimeScale
+from edoras_tools.io.formats.records import LARGEST_FRAME, RecordSource
+from edoras_tools.io.frames.linklayer import FrameBatch
+from edoras_tools.model import SourceInfo
+from edoras_tools.wire.window import read_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.formats.stream import Window
+
+SECTION_HEADER = 0x0A0D0D0A
+INTERFACE_DESCRIPTION = 1
+_OBSOLETE_PACKET = 2
+"""Obsolete; like ``ENHANCED_PACKET``, with a 16-bit interface number."""
+SIMPLE_PACKET = 3
+ENHANCED_PACKET = 6
+_BYTE_ORDER_MAGIC = 0x1A2B3C4D
+_LARGEST_BLOCK = 16 << 20
+_LEAST_BYTES = {
+    SECTION_HEADER: 28,
+    INTERFACE_DESCRIPTION: 20,
+    _OBSOLETE_PACKET: 32,
+    SIMPLE_PACKET: 16,
+    ENHANCED_PACKET: 32,
+}
+_IF_TSRESOL = 9
+_IF_TSOFFSET = 14
+_MULTIPLE_OF_4 = 0xFFFFFFFC
+_STRIDE = 16 << 10
+_SIGHT = 512
+"""A seed is searched for in the first _SIGHT bytes of every _STRIDE."""
+
+
+class _Interface(NamedTuple):
+    """The contents of an interface description block."""
+
+    link_type: int
+    snap_length: int
+    scale: TimeScale
+
+
+class _Blocks(NamedTuple):
+    """Complete blocks of one section: their positions, and their first seven words."""
+
+    position: NDArray[np.int64]
+    words: NDArray[np.uint32]
+
+    @property
+    def type(self) -> NDArray[np.uint32]:
+        return self.words[:, 0]
+
+    @property
+    def length(self) -> NDArray[np.int64]:
+        return self.words[:, 1].astype(np.int64)
+
+    def take(self, rows: NDArray[np.int64] | slice) -> _Blocks:
+        return _Blocks(self.position[rows], self.words[rows])
+
+
+class PcapngSource(RecordSource):
+    """The datagrams of a pcapng file, from all its sections and interfaces."""
+
+    unit = "the block of record"
+
+    def __init__(self, window: Window) -> None:
+        """Read up to the first packet, so that ``info`` includes the interfaces before it.
+
+        Args:
+            window: the file from its first byte on.
+
+        Raises:
+            CaptureError: the first section header is damaged.
+        """
+        super().__init__(window)
+        self._order = "<"
+        self._interfaces: list[_Interface] = []
+        self._seen: list[_Interface] = []
+        while window.end < _LEAST_BYTES[SECTION_HEADER]:
+            if not window.advance(0):
+                raise self._error(0, "the file ends inside its section header")
+        self._begin_section(0)
+        self._lead()
+
+    @property
+    def info(self) -> SourceInfo:
+        """Information on the part read so far: its finest time resolution and largest snap length."""
+        return SourceInfo(
+            name=self._window.stream.name,
+            kind="pcapng",
+            time_resolution_ns=min((item.scale.resolution_ns for item in self._seen), default=1000),
+            snap_length=max((item.snap_length for item in self._seen), default=0) or LARGEST_FRAME,
+        )
+
+    def _lead(self) -> None:
+        """Skip the complete blocks before the first packet."""
+        window = self._window
+        while window.end - self._at >= 12:
+            kind, length = struct.unpack_from(f"{self._order}II", window.data.data, self._at)
+            if kind in {_OBSOLETE_PACKET, SIMPLE_PACKET, ENHANCED_PACKET} or length < 12 or length % 4:
+                return
+            if self._at + length > window.end or (kind == SECTION_HEADER and self._at):
+                return
+            if kind == INTERFACE_DESCRIPTION and length >= _LEAST_BYTES[kind]:
+                self._add_interface(self._at, length)
+            self._at += length
+
+    def _frames(self) -> Iterator[FrameBatch]:
+        window = self._window
+        while window.end - self._at >= 16:
+            start = self._at
+            if window.data[start : start + 4].tobytes() == SECTION_HEADER.to_bytes(4):
+                self._begin_section(start)
+            blocks, self._at = self._blocks(start)
+            sound = self._sound(blocks)
+            if not sound.all():
+                fault = int(sound.argmin())
+                self._at = int(blocks.position[fault])
+                blocks = blocks.take(slice(fault))
+            frames = self._read_packets(blocks)
+            if len(frames):
+                yield frames
+            if reason := self._refusal(self._at):
+                raise self._error(
+                    self._at, f"the block of record {{}} {reason}; the file is damaged from there on"
+                )
+            if self._at == start:
+                return
+
+    def _begin_section(self, at: int) -> None:
+        data = self._window.data[at : at + 16].tobytes()
+        orders = {_BYTE_ORDER_MAGIC.to_bytes(4, "little"): "<", _BYTE_ORDER_MAGIC.to_bytes(4, "big"): ">"}
+        if data[8:12] not in orders:
+            raise self._error(at, "the section header before record {} has no byte-order magic")
+        self._order = orders[data[8:12]]
+        major, minor = struct.unpack_from(f"{self._order}HH", data, 12)
+        if major != 1:
+            raise self._error(
+                at, f"the section of record {{}} is pcapng {major}.{minor}, which is not supported"
+            )
+        self._interfaces = []
+
+    def _add_interface(self, at: int, length: int) -> None:
+        body = self._window.data[at + 8 : at + length - 4].tobytes()
+        link_type, _, snap_length = struct.unpack_from(f"{self._order}HHI", body)
+        scale = TimeScale()
+        place = 8
+        while place + 4 <= len(body):
+            code, size = struct.unpack_from(f"{self._order}HH", body, place)
+            value = body[place + 4 : place + 4 + size]
+            if code == _IF_TSRESOL and size == 1 and value:
+                scale = replace(scale, exponent=value[0] & 0x7F, base=2 if value[0] & 0x80 else 10)
+            elif code == _IF_TSOFFSET and len(value) == 8:
+                scale = replace(scale, offset_s=struct.unpack(f"{self._order}q", value)[0])
+            place += 4 + (size + 3 & ~3)
+        self._interfaces.append(_Interface(link_type, snap_length, scale))
+        self._seen.append(self._interfaces[-1])
+
+    def _blocks(self, start: int) -> tuple[_Blocks, int]:
+        """Return the complete blocks of one section, and their end."""
+        data, end = self._window.data, self._window.end
+        dtype = np.dtype(f"{self._order}u4")
+        length_at = np.ndarray((data.size - 7,), dtype="V4", buffer=data, offset=4, strides=(1,))
+        unpack = struct.Struct(f"{self._order}I").unpack_from
+
+        def successor(positions: NDArray[np.int64]) -> NDArray[np.int64]:
+            length = length_at[positions].view(dtype)
+            after: NDArray[np.int64] = (length & np.uint32(_MULTIPLE_OF_4)) + positions
+            return after
+
+        def step(position: int) -> int:
+            return position + (int(unpack(data.data, position + 4)[0]) & _MULTIPLE_OF_4)
+
+        positions, stop = walk_records(start, end, self._seeds(start, end, dtype), successor, step)
+        blocks = _Blocks(positions, read_at(data, positions, np.dtype((dtype, 7))))
+        sections = np.flatnonzero(blocks.type[1:] == SECTION_HEADER)
+        if len(sections):
+            first = int(sections[0]) + 1
+            return blocks.take(slice(first)), int(positions[first])
+        return blocks, stop
+
+    def _seeds(self, start: int, end: int, dtype: np.dtype[np.uint32]) -> NDArray[np.int64]:
+        """Return positions that look like a packet block, about one in every stride."""
+        data = self._window.data
+        count = (end - start) // _STRIDE - 1
+        if count < 1:
+            return np.empty(0, dtype=np.int64)
+        base = start + _STRIDE
+        sight = np.ndarray((count, _SIGHT // 4), dtype=dtype, buffer=data, offset=base, strides=(_STRIDE, 4))
+        lane, place = np.divmod(np.flatnonzero(sight == ENHANCED_PACKET), _SIGHT // 4)
+        positions: NDArray[np.int64] = base + lane * _STRIDE + place * 4
+        length = read_at(data, positions + 4, dtype).astype(np.int64)
+        sound = (length >= _LEAST_BYTES[ENHANCED_PACKET]) & (length & 3 == 0) & (positions + length <= end)
+        positions, lane, length = positions[sound], lane[sound], length[sound]
+        sound = read_at(data, positions + length - 4, dtype) == length
+        positions, lane = positions[sound], lane[sound]
+        return positions[np.flatnonzero(np.diff(lane, prepend=-1))]
+
+    def _sound(self, blocks: _Blocks) -> NDArray[np.bool_]:
+        """Return which blocks are valid for their type and length; add the interfaces among them."""
+        kind, length = blocks.type, blocks.length
+        sound: NDArray[np.bool_] = (length >= 12) & (length & 3 == 0)
+        tail = np.where(sound, blocks.position + length - 4, blocks.position + 4)
+        sound &= read_at(self._window.data, tail, f"{self._order}u4") == blocks.words[:, 1]
+        for of_kind, least in _LEAST_BYTES.items():
+            alike = kind == of_kind
+            if alike.any():
+                sound &= ~alike | (length >= least)
+        described = np.flatnonzero(sound & (kind == INTERFACE_DESCRIPTION))
+        for row in described.tolist():
+            self._add_interface(int(blocks.position[row]), int(length[row]))
+        full = (kind == ENHANCED_PACKET) | (kind == _OBSOLETE_PACKET)
+        sound &= ~full | (blocks.words[:, 5] <= length - 32)
+        packet = full | (kind == SIMPLE_PACKET)
+        sound &= ~packet | (self._interface_of(blocks) < len(self._interfaces))
+        return sound
+
+    def _refusal(self, at: int) -> str:
+        """Return why the block at ``at`` cannot be read; empty if it is only incomplete so far."""
+        data, end = self._window.data.data, self._window.end
+        if end - at < 8:
+            return ""
+        kind, length = struct.unpack_from(f"{self._order}II", data, at)
+        if kind == SECTION_HEADER:
+            return ""
+        if length > _LARGEST_BLOCK or length % 4 or length < _LEAST_BYTES.get(kind, 12):
+            return f"claims a length of {length} bytes, which is impossible for its type"
+        if at + length > end:
+            return ""
+        if struct.unpack_from(f"{self._order}I", data, at + length - 4)[0] != length:
+            return "has two lengths that differ"
+        if kind in {_OBSOLETE_PACKET, ENHANCED_PACKET}:
+            captured = struct.unpack_from(f"{self._order}I", data, at + 20)[0]
+            if captured > length - 32:
+                return f"claims a frame of {captured} bytes, more than the block has"
+        return "uses an interface that the section does not describe"
+
+    def _interface_of(self, blocks: _Blocks) -> NDArray[np.int64]:
+        interface = blocks.words[:, 2].astype(np.int64)
+        kind = blocks.type
+        obsolete = kind == _OBSOLETE_PACKET
+        if obsolete.any():
+            half = interface >> 16 if self._order == ">" else interface & 0xFFFF
+            interface = np.where(obsolete, half, interface)
+        interface[kind == SIMPLE_PACKET] = 0
+        return interface
+
+    def _read_packets(self, blocks: _Blocks) -> FrameBatch:
+        kind = blocks.type
+        packets = (kind == ENHANCED_PACKET) | (kind == _OBSOLETE_PACKET) | (kind == SIMPLE_PACKET)
+        if not packets.all():
+            blocks = blocks.take(np.flatnonzero(packets))
+        words = blocks.words
+        simple = blocks.type == SIMPLE_PACKET
+        captured, original, offset = words[:, 5], words[:, 6], blocks.position + 28
+        if simple.any():
+            snap_length = np.uint32(self._interfaces[0].snap_length or LARGEST_FRAME)
+            held = np.minimum(blocks.length - 16, snap_length)
+            original = np.where(simple, words[:, 2], original)
+            captured = np.where(simple, np.minimum(original, held), captured)
+            offset = np.where(simple, blocks.position + 12, offset)
+        ticks = words[:, 3].astype(np.uint64) << np.uint64(32) | words[:, 4]
+        interface = self._interface_of(blocks)
+        time_ns = np.empty(len(ticks), dtype=np.int64)
+        link_type = np.empty(len(ticks), dtype=np.uint16)
+        for number in np.unique(interface).tolist():
+            rows = interface == number
+            time_ns[rows] = self._interfaces[number].scale.to_ns(ticks[rows])
+            link_type[rows] = self._interfaces[number].link_type
+        time_ns[simple] = 0
+        first = self.statistics.frames + 1
+        return FrameBatch(
+            data=self._window.data,
+            number=np.arange(first, first + len(ticks)),
+            time_ns=time_ns,
+            link_type=link_type,
+            offset=offset,
+            length=captured.astype(np.int32),
+            original_length=original.astype(np.int32),
+        )

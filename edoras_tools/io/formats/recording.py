@@ -1,0 +1,30 @@
+"""The contents of a recording, independent of its format."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from edoras_tools.structs import Structs
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingOptions:
+    """What a recording contains, and how files are split.
+
+    Attributes:
+        filter: the filter that selected the datagrams, for the metadata record.
+        split_bytes: start a new file before one grows larger than about this; 0: never.
+        split_ns: start a new file when one covers this much capture time; 0: never.
+        datagrams: whether to write ``/edoras/datagrams``.
+        structs: C structs in packets; None: only cFE's own.
+        offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
+    """
+
+    filter: str = ""
+    split_bytes: int = 0
+    split_ns: int = 0
+    datagrams: bool = True
+    structs: Structs | None = None
+    offered: str = ""

@@ -1,0 +1,121 @@
+"""The common part of capture file readers: windows of records to frames, frames to datagrams, counting."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.model import SourceStatistics
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.formats.stream import Window
+    from edoras_tools.io.frames.linklayer import FrameBatch
+    from edoras_tools.model import PacketBatch, SourceInfo
+
+LARGEST_FRAME = 262144
+"""Captured bytes of a frame that every reader accepts, even if the file has a smaller snap length."""
+
+
+class RecordSource(ABC):
+    """A source that reads records from windows of a stream.
+
+    A format implements how records become frames.
+
+    Attributes:
+        statistics: the counts so far.
+    """
+
+    unit = "record"
+    """The format's name for its records."""
+
+    def __init__(self, window: Window) -> None:
+        self.statistics = SourceStatistics(total_bytes=window.stream.total_bytes)
+        self._window = window
+        self._demux = Demux()
+        self._at = 0
+        """Position in the window of the first byte that is not yet in a frame."""
+
+    @property
+    @abstractmethod
+    def info(self) -> SourceInfo:
+        """Information on the source, as far as it was read."""
+
+    @abstractmethod
+    def _frames(self) -> Iterator[FrameBatch]:
+        """Read the complete records of the window from ``_at`` on, and move ``_at`` after them.
+
+        Raises:
+            CaptureError: a record is damaged; raised after all records before it.
+        """
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Yield all datagrams; see ``Source.batches``."""
+        try:
+            yield from self._batches()
+        finally:
+            self._warn()
+            self.close()
+
+    def borrow(self, room: Callable[[int], NDArray[np.uint8]]) -> None:
+        """Read into memory from ``room(size)``, u8, instead of newly allocated memory.
+
+        ``room`` must not return memory that batches still use, or that it returned last.
+        """
+        self._window.room = room
+
+    def close(self) -> None:
+        """Close the file."""
+        self._window.stream.close()
+
+    def _batches(self) -> Iterator[PacketBatch]:
+        window = self._window
+        while True:
+            for frames in self._frames():
+                batch = self._count(frames)
+                if len(batch):
+                    yield batch
+            if not window.advance(self._at):
+                break
+            self._at = 0
+        if self._at < window.end:
+            raise self._error(
+                self._at,
+                f"ends inside {self.unit} {{}}; the capture was probably cut off while being written",
+            )
+
+    def _count(self, frames: FrameBatch) -> PacketBatch:
+        statistics = self.statistics
+        batch = self._demux.demux(frames)
+        statistics.frames += len(frames)
+        statistics.bytes += int(frames.length.sum())
+        statistics.datagrams += len(batch)
+        statistics.skipped = self._demux.skipped
+        statistics.position = self._window.stream.position
+        return batch
+
+    def _warn(self) -> None:
+        name = self._window.stream.name
+        for link_type in sorted(self._demux.unknown_link_types):
+            self.statistics.warnings.append(
+                f"{name}: frames of link type {link_type} are not supported; skipped"
+            )
+        if self._demux.incomplete:
+            self.statistics.warnings.append(
+                f"{name}: {self._demux.incomplete} fragmented datagrams lack fragments in the capture"
+            )
+
+    def _error(self, at: int, what: str) -> CaptureError:
+        """Return the error for the record at ``at``; ``{}`` in ``what`` becomes its number and position."""
+        frames = self.statistics.frames
+        place = f"{frames + 1} at byte {self._window.base + at}"
+        read = (
+            "no packet was read" if not frames else f"{frames} packet{'s' * (frames > 1)} before it were read"
+        )
+        return CaptureError(f"{self._window.stream.name}: {what.format(place)}; {read}")

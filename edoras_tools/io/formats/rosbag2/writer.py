@@ -1,0 +1,230 @@
+"""rosbag2 directories: a recording in MCAP storage, and the ``metadata.yaml`` that ``ros2 bag`` needs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Final
+
+from ruamel.yaml import YAML
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.mcap.writer import McapSink
+from edoras_tools.io.formats.recording import RecordingOptions
+from edoras_tools.io.outputs import check_links, opener
+from edoras_tools.ros import TypeStore
+from edoras_tools.ros.type_hash import type_hash
+from edoras_tools.ros.types.standard import distros
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edoras_tools.io.formats.mcap.file import McapFile
+    from edoras_tools.io.outputs import OutputFile
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
+    from edoras_tools.sessions.faults.machine import Fault
+
+_VERSIONS: Final = {"iron": 8, "jazzy": 9}
+"""Version of the metadata format since a distribution; older ones read at most ``_OLDEST``."""
+_OLDEST: Final = 5
+_WITH_HASHES: Final = 7
+_WITH_DISTRO: Final = 8
+_WITH_NAMED_QOS: Final = 9
+_FOREVER: Final = {"sec": 9223372036, "nsec": 854775807}
+_QOS: Final = {
+    "history": ("keep_last", 1),
+    "depth": (10, 10),
+    "reliability": ("reliable", 1),
+    "durability": ("volatile", 2),
+    "deadline": (_FOREVER, _FOREVER),
+    "lifespan": (_FOREVER, _FOREVER),
+    "liveliness": ("automatic", 1),
+    "liveliness_lease_duration": (_FOREVER, _FOREVER),
+    "avoid_ros_namespace_conventions": (False, False),
+}
+"""ROS's default quality of service, as the bridges use it: by name from version 9 on, before by number."""
+
+
+class Rosbag2Sink:
+    """Writes batches to ``NAME/NAME_0.mcap`` and so on, and ``NAME/metadata.yaml`` when closed.
+
+    Args:
+        path: the directory; it is created, and must be empty.
+        mission: see ``McapSink``.
+        types: see ``McapSink``.
+        info: see ``McapSink``.
+        options: see ``McapSink``.
+        statistics: see ``McapSink``.
+
+    Raises:
+        CaptureError: from every method: the directory or a file in it cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        mission: Mission,
+        types: TypeStore,
+        info: SourceInfo,
+        options: RecordingOptions = RecordingOptions(),  # noqa: B008  frozen
+        *,
+        statistics: SourceStatistics | None = None,
+    ) -> None:
+        self._path, self._types = Path(path), types
+        try:
+            check_links(self._path)
+            self._path.mkdir(parents=True, exist_ok=True)
+            occupied = any(self._path.iterdir())
+        except OSError as error:
+            raise CaptureError(f"{path}: cannot be made a directory: {error.strerror or error}") from error
+        if occupied:
+            raise CaptureError(f"{path}: is not empty; name a new directory")
+        # rosbag2 numbers its files even if there is only one.
+        suffix = "" if options.split_bytes or options.split_ns else "_0"
+        self._sink = McapSink(
+            self._path / f"{self._path.name}{suffix}.mcap",
+            mission,
+            types,
+            info,
+            replace(options, offered=_text(_offered(_version(types.distro)))),
+            statistics=statistics,
+        )
+        self._closed = False
+
+    @property
+    def paths(self) -> list[Path]:
+        """The directory written."""
+        return [self._path]
+
+    @property
+    def output(self) -> OutputFile:
+        """The file being written."""
+        return self._sink.output
+
+    @property
+    def datagrams(self) -> int:
+        """Number of datagrams in that file."""
+        return self._sink.datagrams
+
+    @property
+    def complete(self) -> list[tuple[OutputFile, int]]:
+        """The complete files, with the number of datagrams in each."""
+        return self._sink.complete
+
+    def abandon(self) -> None:
+        """Close the file in its present state; nothing more is written."""
+        self._closed = True
+        self._sink.abandon()
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Write a batch and its columns."""
+        self._sink.write(batch, columns)
+
+    def write_faults(self, faults: Sequence[Fault]) -> None:
+        """Write injected faults; see ``McapSink``."""
+        self._sink.write_faults(faults)
+
+    def flush(self) -> None:
+        """Write everything received so far to the file."""
+        self._sink.flush()
+
+    def close(self, statistics: SourceStatistics) -> None:
+        """Complete the storage, and write ``metadata.yaml``."""
+        if self._closed:
+            return
+        self._closed = True
+        place = self._sink.output.place  # somewhere else, if it was moved
+        self._sink.close(statistics)
+
+        target = (place.parent if place else self._path) / "metadata.yaml"
+        try:
+            with open(target, "w", encoding="utf-8", opener=opener) as file:
+                _yaml(_metadata(self._sink.files, self._types), file)
+        except OSError as error:
+            raise CaptureError(f"{target}: cannot be written: {error.strerror or error}") from error
+
+
+def _yaml(content: Any, file: IO[str]) -> None:
+    writer = YAML(typ="safe", pure=True)
+    writer.representer.ignore_aliases = lambda _: True
+    writer.dump(content, file)
+
+
+def _version(distro: str) -> int:
+    names = distros()
+    place = names.index(distro) if distro in names else len(names)
+    return max(
+        (version for name, version in _VERSIONS.items() if names.index(name) <= place), default=_OLDEST
+    )
+
+
+def _offered(version: int) -> str | list[dict[str, Any]]:
+    """Return the quality of service of every topic, in the notation of a metadata version."""
+    if version >= _WITH_NAMED_QOS:
+        return [{name: by_name for name, (by_name, _) in _QOS.items()}]
+    return _text([{name: by_number for name, (_, by_number) in _QOS.items()}])
+
+
+def _text(offered: str | list[dict[str, Any]]) -> str:
+    """Return it as text, as in a channel of the storage."""
+    if isinstance(offered, str):
+        return offered
+    text = StringIO()
+    _yaml(offered, text)
+    return text.getvalue().rstrip()
+
+
+def _metadata(files: list[McapFile], types: TypeStore) -> dict[str, Any]:
+    """Return the content of ``metadata.yaml`` as the distribution of the types writes it."""
+    version = _version(types.distro)
+    offered = _offered(version)
+    summaries = [file.summary for file in files]
+    filled = [summary for summary in summaries if summary.start_ns is not None]
+    start = min((summary.start_ns or 0 for summary in filled), default=0)
+    end = max((summary.end_ns for summary in filled), default=0)
+    topics: dict[tuple[str, str], int] = {}
+    for summary in summaries:
+        for channel_id, channel in summary.channels.items():
+            key = (channel.topic, summary.schemas[channel.schema_id].name)
+            topics[key] = topics.get(key, 0) + summary.counts.get(channel_id, 0)
+    schemas = {item.name: item.data.decode() for summary in summaries for item in summary.schemas.values()}
+    written = TypeStore(types.distro, definitions=schemas)
+
+    def described(topic: str, type_name: str) -> dict[str, Any]:
+        hashed = {"type_description_hash": type_hash(written, type_name)} if version >= _WITH_HASHES else {}
+        return {
+            "name": topic,
+            "type": type_name,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": offered,
+            **hashed,
+        }
+
+    return {
+        "rosbag2_bagfile_information": {
+            "version": version,
+            "storage_identifier": "mcap",
+            "duration": {"nanoseconds": end - start},
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "message_count": sum(topics.values()),
+            "topics_with_message_count": [
+                {"topic_metadata": described(*names), "message_count": count}
+                for names, count in topics.items()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file.path.name for file in files],
+            "files": [
+                {
+                    "path": file.path.name,
+                    "starting_time": {"nanoseconds_since_epoch": file.summary.start_ns or 0},
+                    "duration": {"nanoseconds": file.summary.end_ns - (file.summary.start_ns or 0)},
+                    "message_count": sum(file.summary.counts.values()),
+                }
+                for file in files
+            ],
+            **({"custom_data": None, "ros_distro": types.distro} if version >= _WITH_DISTRO else {}),
+        }
+    }

@@ -1,0 +1,257 @@
+"""Watches the files of a recording: if one is moved or deleted, recording continues in another file.
+
+Rules that it keeps:
+
+1. Once a second, and at the end, the file being written is compared with the file at its path: inode and
+   size. Any change by others is reported at once, and kept in ``losses``.
+2. A file that was moved is completed at its new place. One that was deleted, replaced or truncated is closed
+   in its present state: its datagrams are lost, and counted.
+3. Another output of the same kind is started at a free name beside the first (``outputs.path_beside``).
+4. Complete files, e.g. those of a split recording, are checked once more at the end.
+5. To survive power cuts, everything is flushed, and file and folder are synced, at an interval and at the
+   end. A complete file is synced once more, and then not again. A thread waits for the disk, so that a slow
+   disk does not delay writing; while it waits, no other sync is started.
+"""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io import Sink
+from edoras_tools.io.outputs import path_beside, to_disk
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from edoras_tools.io.outputs import OutputFile
+    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
+    from edoras_tools.sessions.faults.machine import Fault
+
+_LOOK_S: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class OutputLoss:
+    """A file that was moved, deleted or changed by others, while it was written or later.
+
+    Attributes:
+        path: its original path.
+        fate: what happened to it, e.g. ``was deleted``.
+        datagrams: number of datagrams in it.
+        kept: whether it is complete at another place.
+        complete: whether it was already complete when it happened.
+    """
+
+    path: Path
+    fate: str
+    datagrams: int
+    kept: bool
+    complete: bool = False
+
+    def __str__(self) -> str:
+        if self.complete:
+            held = plural(self.datagrams, "datagram")
+            return f"{self.path} {self.fate} when it was complete: it held {held}"
+        what = "are there" if self.kept else "are lost"
+        return f"{self.path} {self.fate} while it was written: {self.datagrams:,} datagrams {what}"
+
+
+class FileSink(Sink, Protocol):
+    """A sink that writes files."""
+
+    @property
+    def paths(self) -> Sequence[Path]:
+        """The files written, or their directory."""
+        ...
+
+    @property
+    def output(self) -> OutputFile | None:
+        """The file being written; None if this sink did not open it."""
+        ...
+
+    @property
+    def datagrams(self) -> int:
+        """Number of datagrams that are, or will be, in the file being written."""
+        ...
+
+    @property
+    def complete(self) -> Sequence[tuple[OutputFile, int]]:
+        """The complete files, with the number of datagrams in each."""
+        ...
+
+    def abandon(self) -> None:
+        """Close the file in its present state; nothing more is written."""
+
+
+class WatchedSink:
+    """A sink that continues if its file is lost.
+
+    Args:
+        path: the output.
+        begin: opens a sink at a path.
+        told: called with a line for each file that was lost.
+        statistics: of the source, for files that are completed before the end.
+        clock: monotonic time in s.
+        sync_s: interval at which everything is synced to the disk; 0: never.
+
+    Attributes:
+        losses: the files that were lost.
+
+    Raises:
+        CaptureError: from every method: the output cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        begin: Callable[[Path], FileSink],
+        told: Callable[[str], None],
+        statistics: SourceStatistics,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        sync_s: float = 0,
+    ) -> None:
+        self.losses: list[OutputLoss] = []
+        self._path, self._begin, self._told = path, begin, told
+        self._statistics = statistics
+        self._clock = clock
+        self._looked = self._synced = clock()
+        self._sync_s = sync_s
+        self._on_disk: set[Path] = set()
+        """Files that are complete and synced."""
+        self._disk = ThreadPoolExecutor(1, "edoras-sync")
+        self._syncing: Future[None] | None = None
+        self._over: list[Path] = []
+        self._complete: list[tuple[OutputFile, int]] = []
+        self._sink: FileSink | None = begin(path)
+        self._closed = False
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files written, or their directories, without lost ones."""
+        return [*self._over, *(self._sink.paths if self._sink else ())]
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Write a batch and its columns."""
+        self._look()
+        self._open().write(batch, columns)
+        self._sync()
+
+    def write_faults(self, faults: Sequence[Fault]) -> None:
+        """Write injected faults, if the format stores them."""
+        take = getattr(self._sink, "write_faults", None)
+        if take is not None:
+            take(faults)
+
+    def flush(self) -> None:
+        """Write everything received so far to the file."""
+        self._open().flush()
+        self._look()
+        self._sync()
+
+    def close(self, statistics: SourceStatistics) -> None:
+        """Complete the output."""
+        if self._closed:
+            return
+        self._closed = True
+        sink = self._sink
+        if sink is None or self._let_go(statistics):
+            self._check_complete(None)
+            return
+        sink.close(statistics)
+        self._check_complete(sink)
+        if self._sync_s:
+            self._disk.shutdown()
+            if self._syncing:
+                self._syncing.result()
+            self._to_disk(self._files(), None)
+
+    def abandon(self) -> None:
+        """Close the file in its present state; nothing more is written."""
+        self._closed = True
+        self._disk.shutdown(wait=False)
+        if self._sink:
+            self._sink.abandon()
+
+    def _open(self) -> FileSink:
+        if self._sink is None:
+            raise CaptureError(f"{self._path}: the recording is closed")
+        return self._sink
+
+    def _sync(self) -> None:
+        now = self._clock()
+        if not self._sync_s or now - self._synced < self._sync_s:
+            return
+        if self._syncing:
+            if not self._syncing.done():
+                return
+            self._syncing.result()
+        self._synced = now
+        sink = self._open()
+        sink.flush()
+        current = sink.output.path if sink.output else None
+        self._syncing = self._disk.submit(self._to_disk, self._files(), current)
+
+    def _files(self) -> list[Path]:
+        return [item for path in self.paths for item in (path.iterdir() if path.is_dir() else (path,))]
+
+    def _to_disk(self, files: Sequence[Path], current: Path | None) -> None:
+        """Sync files that may not be on the disk; ``current`` is still being written."""
+        for path in files:
+            if path not in self._on_disk:
+                try:
+                    with suppress(FileNotFoundError):  # it was removed: this is reported elsewhere
+                        to_disk(path)
+                except OSError as error:
+                    raise CaptureError(f"{path}: cannot be synced: {error.strerror or error}") from error
+        self._on_disk.update(path for path in files if path != current)
+
+    def _look(self) -> None:
+        now = self._clock()
+        if now - self._looked < _LOOK_S:
+            return
+        self._looked = now
+        if self._let_go(self._statistics):
+            path = path_beside(self._path)
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise CaptureError(f"{path.parent}: cannot be made: {error.strerror or error}") from error
+            self._sink = self._begin(path)
+            self._told(f"{self.losses[-1]}; continuing in {path}")
+
+    def _check_complete(self, sink: FileSink | None) -> None:
+        """Check the files that are complete."""
+        self._over, self._sink = self.paths, None
+        for output, count in [*self._complete, *(sink.complete if sink else ())]:
+            if fate := output.fate():
+                self.losses.append(OutputLoss(output.path, fate, count, kept=False, complete=True))
+                self._over = [path for path in self._over if path != output.path and path.exists()]
+
+    def _let_go(self, statistics: SourceStatistics) -> bool:
+        """Close the sink if its file was moved or deleted; complete the file if it still exists."""
+        sink = self._sink
+        fate = sink.output.fate() if sink and sink.output else ""
+        if not fate or sink is None or sink.output is None:
+            return False
+        self._sink = None
+        path, count = sink.output.path, sink.datagrams
+        kept = fate != "was truncated" and sink.output.place is not None
+        self._over += [other for other in sink.paths if other not in {path, path.parent}]
+        self._complete += sink.complete
+        if kept:
+            try:
+                sink.close(statistics)
+            except CaptureError:
+                kept = False
+        with suppress(CaptureError):
+            sink.abandon()
+        self.losses.append(OutputLoss(path, fate, count, kept))
+        return True

@@ -1,0 +1,313 @@
+"""One client of a Foxglove server: its subscriptions, and what waits for it. No socket, no clock.
+
+1. A message on a subscribed topic is sent, waits, or is dropped; at any time these add up to all messages.
+2. It counts as sent when its last byte was taken. The queue is limited: nobody waits for a client.
+3. If not all messages of one call fit, the latest are kept. Messages already in the queue stay.
+4. Answers are never dropped: a client with too many waiting answers is disconnected.
+5. At most one time of the clock waits, and it is the latest.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections import deque
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import parse_qs
+
+import numpy as np
+from websockets.frames import Frame, Opcode
+from websockets.http11 import Request
+from websockets.protocol import State
+from websockets.server import ServerProtocol
+from websockets.typing import Subprotocol
+
+from edoras_tools.errors import WireError
+from edoras_tools.io.foxglove import protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+    from websockets.http11 import Response
+
+    from edoras_tools.io.topics.rows import Records
+    from edoras_tools.model import Endpoint
+
+MOST_MESSAGES: Final = 8192
+"""Maximum messages that wait for a client."""
+MOST_WAITING_BYTES: Final = 8 << 20
+"""Maximum bytes of messages that wait for a client; a single message may be larger."""
+MOST_ANSWERS: Final = 1000
+"""Maximum answers that wait for a client."""
+_MOST_RECEIVED: Final = 1 << 20
+"""Maximum bytes of a message from a client."""
+_MOST_CHANNELS: Final = 1000
+"""Maximum channels that a client may advertise."""
+_PIECES: Final = 64
+"""Maximum pieces given to a socket at once."""
+_GOING_AWAY: Final = 1001
+_SILENT: Final = logging.getLogger("edoras_tools.websocket")
+_SILENT.disabled = True  # Python would print reports of loggers without a handler: every failed handshake.
+
+
+@dataclass(slots=True)
+class _Piece:
+    """Bytes to send: an answer, or frames with messages.
+
+    Attributes:
+        ends: i64, end of each message in them; None for an answer.
+        sizes: i64, bytes of the first 0, 1, 2, ... messages without their heads.
+        taken: bytes taken by the socket.
+        sent: messages taken completely.
+    """
+
+    data: memoryview
+    ends: NDArray[np.int64] | None = None
+    sizes: NDArray[np.int64] | None = None
+    taken: int = 0
+    sent: int = 0
+
+
+class FoxgloveClient:
+    """A client, from connecting to closing.
+
+    Args:
+        address: where it connects from.
+        publishes: whether it may publish.
+        controls: whether it may control playback.
+
+    Attributes:
+        address: as given.
+        opened: whether it was admitted.
+        failed: whether to disconnect it now.
+        ending: whether to disconnect it when everything is sent.
+        dropped: messages dropped because it was too slow.
+        published: messages accepted from it.
+        refused: messages refused.
+    """
+
+    def __init__(self, address: Endpoint, *, publishes: bool, controls: bool) -> None:
+        self.address, self._publishes, self._controls = address, publishes, controls
+        self._websocket = ServerProtocol(
+            subprotocols=[Subprotocol(name) for name in protocol.SUBPROTOCOLS],
+            max_size=_MOST_RECEIVED,
+            logger=_SILENT,
+        )
+        self._response: Response | None = None
+        self._text, self._fragments = False, bytearray()
+        self._subscription = np.zeros(0, np.int64)
+        self._channels: dict[int, protocol.Channel] = {}
+        self._queue: deque[_Piece] = deque()
+        self._clock: _Piece | None = None
+        self._clock_ns = -1
+        self._answers = self._waiting = self._waiting_bytes = self._sent = self._sent_bytes = 0
+        self.dropped = self.published = self.refused = 0
+        self.opened = self.failed = self.ending = False
+
+    @property
+    def connected(self) -> bool:
+        """Whether it was admitted, and has not left."""
+        return self.opened and not self.failed and self._websocket.state is State.OPEN
+
+    def receive(self, data: bytes) -> list[protocol.ClientEvent]:
+        """Handle received bytes, ``b""`` at the end of the connection; return the events for the server."""
+        if data:
+            self._websocket.receive_data(data)
+        else:
+            self._websocket.receive_eof()
+        events = [event for item in self._websocket.events_received() for event in self._read(item)]
+        self._collect()
+        return events
+
+    def accept(self, topics: int, answers: Sequence[dict[str, Any] | bytes]) -> None:
+        """Admit it, with this number of topics, and send it these answers first."""
+        assert self._response is not None
+        self._subscription = np.full(topics, -1, np.int64)
+        self._websocket.send_response(self._response)
+        self.opened = True
+        self._collect()
+        for answer in answers:
+            self.tell(answer)
+
+    def refuse(self, status: int, text: str) -> None:
+        """Refuse it with an HTTP status and a line of text."""
+        self._websocket.send_response(self._websocket.reject(status, f"{text}\n"))
+        self._collect()
+
+    def close(self) -> None:
+        """Send a close frame, after everything that waits."""
+        if self.connected:
+            self._websocket.send_close(_GOING_AWAY)
+            self._collect()
+
+    def add_topic(self) -> None:
+        """Allow it to subscribe to one more topic."""
+        self._subscription = np.append(self._subscription, -1)
+
+    def wants(self, place: int) -> bool:
+        """Return whether it has subscribed to a topic."""
+        return bool(self._subscription[place] >= 0)
+
+    def give(self, records: Records) -> None:
+        """Queue messages of the topics that it subscribed to; if not all fit, the latest."""
+        subscription = self._subscription[records.channel_id]
+        rows = np.flatnonzero(subscription >= 0)
+        if not len(rows) or not self.connected:
+            return
+        length = records.end[rows] - records.start[rows]
+        kept = self._fitting(length)
+        self.dropped += len(rows) - kept
+        if kept:
+            rows, length = rows[-kept:], length[-kept:]
+            frames, ends = protocol.message_frames(records, rows, subscription[rows])
+            sizes = np.concatenate([[0], np.cumsum(length)])
+            self._queue.append(_Piece(frames.data, ends, sizes))
+            self._waiting += kept
+            self._waiting_bytes += int(sizes[-1])
+
+    def tell(self, answer: dict[str, Any] | bytes) -> None:
+        """Queue an answer, as text or binary message."""
+        if self.connected:
+            if isinstance(answer, bytes):
+                self._websocket.send_binary(answer)
+            else:
+                self._websocket.send_text(json.dumps(answer).encode())
+            self._collect()
+
+    def tell_time(self, time_ns: int) -> None:
+        """Send a time for its clock, ns since 1970."""
+        if self.connected and time_ns != self._clock_ns:
+            self._clock_ns = time_ns
+            data = memoryview(Frame(Opcode.BINARY, protocol.time(time_ns)).serialize(mask=False))
+            if self._clock is not None and not self._clock.taken:
+                self._clock.data = data
+            else:
+                self._clock = _Piece(data)
+                self._append(self._clock)
+
+    def answer(self, channel: protocol.Channel, why: str) -> None:
+        """Count a message that it published; if it was refused, tell it why."""
+        if why:
+            self.refused += 1
+            self.tell(protocol.error_status(why, channel.topic))
+        else:
+            self.published += 1
+
+    def to_send(self) -> list[memoryview]:
+        """Return the pieces for the socket; call ``taken`` afterwards."""
+        return [piece.data[piece.taken :] for piece in islice(self._queue, _PIECES)]
+
+    def taken(self, count: int) -> None:
+        """Note that a socket took this many bytes of ``to_send``."""
+        while count:
+            piece = self._queue[0]
+            step = min(count, len(piece.data) - piece.taken)
+            piece.taken += step
+            count -= step
+            if piece.ends is not None and piece.sizes is not None:
+                sent = int(np.searchsorted(piece.ends, piece.taken, side="right"))
+                size = int(piece.sizes[sent] - piece.sizes[piece.sent])
+                self._sent += sent - piece.sent
+                self._waiting -= sent - piece.sent
+                self._sent_bytes += size
+                self._waiting_bytes -= size
+                piece.sent = sent
+            if piece.taken == len(piece.data):
+                self._queue.popleft()
+                self._answers -= piece.ends is None
+                if piece is self._clock:
+                    self._clock = None
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts of the messages that it subscribed to, and of those that it published."""
+        return {
+            "address": str(self.address),
+            "sent": self._sent,
+            "bytes": self._sent_bytes,
+            "dropped": self.dropped,
+            "waiting": self._waiting,
+            "published": self.published,
+            "refused": self.refused,
+        }
+
+    def _fitting(self, length: NDArray[np.int64]) -> int:
+        """Return how many of the last messages can be queued."""
+        latest = np.cumsum(length[::-1][: MOST_MESSAGES - self._waiting])
+        fits = int(np.searchsorted(latest, MOST_WAITING_BYTES - self._waiting_bytes, side="right"))
+        return fits if self._waiting else max(fits, 1)
+
+    def _read(self, item: Request | Response | Frame) -> Iterator[protocol.ClientEvent]:
+        """Handle a request or a frame; yield what only the server can answer."""
+        if isinstance(item, Request):
+            self._response = self._websocket.accept(item)
+            if self._response.status_code == 101:
+                # ws://HOST:PORT/?token=...: in the handshake a web page can only choose the URL.
+                given = parse_qs(item.path.partition("?")[2]).get("token", [""])
+                yield protocol.Opening(item.headers.get("Origin"), given[-1])
+            else:
+                self._websocket.send_response(self._response)
+        elif (
+            isinstance(item, Frame)
+            and item.opcode in {Opcode.TEXT, Opcode.BINARY, Opcode.CONT}
+            and self.connected
+        ):
+            if item.opcode is not Opcode.CONT:
+                self._text, self._fragments = item.opcode is Opcode.TEXT, bytearray()
+            self._fragments += item.data
+            if item.fin:
+                try:
+                    yield from self._obey(protocol.read_request(bytes(self._fragments), text=self._text))
+                except WireError as error:
+                    self.tell(protocol.error_status(str(error)))
+
+    def _obey(self, request: protocol.Request) -> Iterator[protocol.ClientEvent]:
+        match request:
+            case protocol.Subscribe(wanted):
+                for number, place in wanted:
+                    self._subscribe(number, place)
+            case protocol.Unsubscribe(numbers):
+                self._subscription[np.isin(self._subscription, numbers)] = -1
+            case protocol.Control():
+                if not self._controls:
+                    raise WireError("this server does not support playbackControl")
+                yield request
+            case _ if not self._publishes:
+                raise WireError("this server does not support clientPublish")
+            case protocol.Advertise(channels):
+                if len(self._channels) + len(channels) > _MOST_CHANNELS:
+                    raise WireError(f"no client may advertise more than {_MOST_CHANNELS} channels")
+                self._channels |= {channel.number: channel for channel in channels}
+                yield request
+            case protocol.Unadvertise(numbers):
+                for number in numbers:
+                    self._channels.pop(number, None)
+            case protocol.Publish(number, data):
+                if number not in self._channels:
+                    raise WireError(f"channel {number} was not advertised")
+                yield protocol.Published(self._channels[number], data)
+
+    def _subscribe(self, number: int, place: int) -> None:
+        if place >= len(self._subscription):
+            self.tell(protocol.error_status(f"there is no channel {place} to subscribe to"))
+        elif self.wants(place) or number in self._subscription:
+            self.tell(
+                protocol.error_status(f"channel {place} or subscription {number} is subscribed already")
+            )
+        else:
+            self._subscription[place] = number
+
+    def _collect(self) -> None:
+        """Queue what the WebSocket wants to send."""
+        for data in self._websocket.data_to_send():
+            if data:
+                self._append(_Piece(memoryview(data)))
+            else:
+                self.ending = True
+
+    def _append(self, answer: _Piece) -> None:
+        self._queue.append(answer)
+        self._answers += 1
+        self.failed |= self._answers > MOST_ANSWERS

@@ -1,0 +1,64 @@
+"""Which web pages may connect: a browser lets any page connect to this machine, and sends its origin."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from ipaddress import ip_address
+from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
+
+from edoras_tools.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_FOXGLOVE: Final = ("https://*.foxglove.dev", "file://")
+"""Foxglove in a browser, and desktop apps; for a local file a browser sends ``null``."""
+_ORIGIN: Final = re.compile(r"null|[a-z][a-z0-9+.-]*://[^\s/@?#\\]*")
+
+
+@dataclass(frozen=True, slots=True)
+class OriginCheck:
+    """Which web pages may connect: Foxglove's, those served by this machine, and more origins by name.
+
+    Programs send no origin, and need none.
+
+    Attributes:
+        origins: more origins (RFC 6454), e.g. ``https://viz.example.org``; ``*`` allows all.
+        tell: called with a note when a page was refused, on any thread.
+
+    Raises:
+        ConfigError: a text is not an origin.
+    """
+
+    origins: tuple[str, ...] = ()
+    tell: Callable[[str], None] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the origins."""
+        for origin in self.origins:
+            if origin != "*" and not _ORIGIN.fullmatch(origin.lower()):
+                raise ConfigError(f"{origin!r} is not an origin; write it like https://viz.example.org")
+
+    def admits(self, origin: str) -> bool:
+        """Return whether a page of this origin may connect; the origin as the browser sends it."""
+        origin = origin.lower()
+        if "*" in self.origins:
+            return True
+        if not _ORIGIN.fullmatch(origin):
+            return False
+        allowed = (*_FOXGLOVE, *map(str.lower, self.origins))
+        return any(origin == item or fnmatchcase(origin, item) for item in allowed) or _is_here(origin)
+
+
+def _is_here(origin: str) -> bool:
+    try:
+        parts = urlsplit(origin)
+        host = parts.hostname or ""
+        if parts.scheme not in {"http", "https"}:
+            return False
+        return host == "localhost" or host.endswith(".localhost") or ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,282 @@
+"""Messages of the Foxglove WebSocket protocol, to bytes and back: no socket, no state.
+
+Text messages are JSON objects with an ``op``. Binary ones start with one byte for their kind; integers are
+little-endian. Both subprotocols have the same messages, except that playback control needs
+``foxglove.sdk.v1``.
+https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.errors import WireError
+from edoras_tools.io.foxglove.playback import PlaybackRequest
+from edoras_tools.io.foxglove.publishing import MESSAGE_ENCODINGS
+from edoras_tools.units import SECOND
+from edoras_tools.wire.window import copy_rows, put_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.foxglove.playback import PlaybackState
+    from edoras_tools.io.topics.rows import Records
+    from edoras_tools.io.topics.streams import Topic
+
+SUBPROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+"""Supported subprotocols, the preferred one first."""
+
+_MESSAGE: Final = 1
+_MESSAGE_FIELDS: Final = [("operation", "u1"), ("subscription", "<u4"), ("time", "<u8")]
+_BINARY: Final = 0x82
+"""First byte of a complete binary frame (RFC 6455 5.2)."""
+_FRAMES: Final = tuple(
+    np.dtype([("first", "u1"), *length, *_MESSAGE_FIELDS])
+    for length in (
+        [("length", "u1")],
+        [("code", "u1"), ("length", ">u2")],
+        [("code", "u1"), ("length", ">u8")],
+    )
+)
+"""Heads of frames with a message, by how their length is written (RFC 6455 5.2); includes its own head."""
+_FRAME_BYTES: Final = np.array([head.itemsize for head in _FRAMES])
+_FIELD_BYTES: Final = np.dtype(_MESSAGE_FIELDS).itemsize
+_LENGTH_CODES: Final = (0, 126, 127)
+_SHORTEST: Final = (126, 1 << 16)
+"""The smallest payloads in bytes that need the second and the third head."""
+
+_TIME: Final = struct.Struct("<BQ")
+_PLAYBACK_STATE: Final = struct.Struct("<BBQf?I")
+_PUBLISHED: Final = struct.Struct("<BI")
+_CONTROL: Final = struct.Struct("<BBf?QI")
+_STATUSES: Final = ("Playing", "Paused", "Buffering", "Ended")
+_ERROR: Final = 2
+_TEXT_MOST: Final = 1000
+"""Maximum characters of a status, and bytes of a request's id, because clients' texts are repeated."""
+
+
+class Channel(NamedTuple):
+    """A topic that a client advertises, with the client's own number."""
+
+    number: int
+    topic: str
+    type: str
+    encoding: str
+
+
+class Subscribe(NamedTuple):
+    """Subscribe to topics: number of the subscription, index of the topic."""
+
+    wanted: Sequence[tuple[int, int]]
+
+
+class Unsubscribe(NamedTuple):
+    """End subscriptions, by their numbers."""
+
+    subscriptions: Sequence[int]
+
+
+class Advertise(NamedTuple):
+    """Announce channels to publish on."""
+
+    channels: Sequence[Channel]
+
+
+class Unadvertise(NamedTuple):
+    """End channels, by their numbers."""
+
+    channels: Sequence[int]
+
+
+class Publish(NamedTuple):
+    """Publish a message on the channel with this number."""
+
+    channel: int
+    data: bytes
+
+
+class Control(NamedTuple):
+    """Control playback; the answer contains the request's id."""
+
+    request: PlaybackRequest
+    request_id: str
+
+
+class Opening(NamedTuple):
+    """Ask for admission, with a web page's origin (None: not a web page) and the token in the URL."""
+
+    origin: str | None
+    token: str
+
+
+class Published(NamedTuple):
+    """A message was published."""
+
+    channel: Channel
+    data: bytes
+
+
+ClientEvent = Opening | Advertise | Published | Control
+"""The requests of a client that its server must handle."""
+Request = Subscribe | Unsubscribe | Advertise | Unadvertise | Publish | Control
+
+
+def read_request(message: bytes, *, text: bool) -> Request:
+    """Read a text or binary message of a client.
+
+    Raises:
+        WireError: it is not a supported request; says why.
+    """
+    try:
+        return _read_text(json.loads(message)) if text else _read_binary(message)
+    except (ValueError, RecursionError, KeyError, TypeError, AttributeError, struct.error) as error:
+        raise WireError(f"not understood: {type(error).__name__} {error}") from None
+
+
+def _read_text(said: dict[str, Any]) -> Request:
+    match said["op"]:
+        case "subscribe":
+            return Subscribe(
+                [(_number(item["id"]), _number(item["channelId"])) for item in said["subscriptions"]]
+            )
+        case "unsubscribe":
+            return Unsubscribe([_number(item) for item in said["subscriptionIds"]])
+        case "advertise":
+            return Advertise(
+                [
+                    Channel(
+                        _number(item["id"]),
+                        *(_text(item[key]) for key in ("topic", "schemaName", "encoding")),
+                    )
+                    for item in said["channels"]
+                ]
+            )
+        case "unadvertise":
+            return Unadvertise([_number(item) for item in said["channelIds"]])
+        case other:
+            raise WireError(f"this server does not support {_text(other)}")
+
+
+def _read_binary(message: bytes) -> Request:
+    operation = message[:1]
+    if operation == b"\x01":
+        _, channel = _PUBLISHED.unpack_from(message)
+        return Publish(channel, message[_PUBLISHED.size :])
+    if operation == b"\x03":
+        _, command, speed, seeks, time_ns, length = _CONTROL.unpack_from(message)
+        request_id = message[_CONTROL.size :]
+        if command > 1 or len(request_id) != length or length > _TEXT_MOST:
+            raise WireError("not understood: a malformed playback control request")
+        request = PlaybackRequest(command == 0, speed, time_ns if seeks else None)
+        return Control(request, request_id.decode())
+    raise WireError(f"this server does not support operation {operation.hex() or 'none'}")
+
+
+def _number(value: object) -> int:
+    if type(value) is not int or not 0 <= value < 1 << 32:
+        raise WireError(f"not understood: {str(value)[:40]!r} is not a 32-bit number")
+    return value
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise WireError(f"not understood: {str(value)[:40]!r} is not text")
+    return value
+
+
+def server_info(
+    name: str, session: str, *, publish: bool, range_ns: tuple[int, int] | None
+) -> dict[str, Any]:
+    """Return a server's first message: its name, and what clients may do.
+
+    Args:
+        name: of the server, shown by clients.
+        session: clients that reconnect keep their state if it is the same.
+        publish: whether clients may publish.
+        range_ns: start and end of the recording that is played, ns since 1970; None: the traffic is live.
+    """
+    info: dict[str, Any] = {"op": "serverInfo", "name": name, "capabilities": ["time"], "sessionId": session}
+    if publish:
+        info["capabilities"].append("clientPublish")
+        info["supportedEncodings"] = list(MESSAGE_ENCODINGS)
+    if range_ns is not None:
+        info["capabilities"].append("playbackControl")
+        for key, time_ns in zip(("dataStartTime", "dataEndTime"), range_ns, strict=True):
+            seconds, rest = divmod(time_ns, SECOND)
+            info[key] = {"sec": seconds, "nsec": rest}
+    return info
+
+
+def channel(place: int, topic: Topic, definition: str) -> dict[str, Any]:
+    """Return the description of a topic: its number, and the complete ``ros2msg`` text of its type."""
+    return {
+        "id": place,
+        "topic": topic.name,
+        "encoding": "cdr",
+        "schemaName": topic.type,
+        "schemaEncoding": "ros2msg",
+        "schema": definition,
+        **({"metadata": dict(topic.metadata)} if topic.metadata else {}),
+    }
+
+
+def advertise(channels: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the message that offers topics, described by ``channel``."""
+    return {"op": "advertise", "channels": channels}
+
+
+def error_status(text: str, about: str = "") -> dict[str, Any]:
+    """Return the message that shows a problem; a later one about the same thing replaces it."""
+    status = {"op": "status", "level": _ERROR, "message": text[:_TEXT_MOST]}
+    return {**status, "id": about[:_TEXT_MOST]} if about else status
+
+
+def time(time_ns: int) -> bytes:
+    """Return the message that sets a client's clock, ns since 1970."""
+    return _TIME.pack(2, time_ns)
+
+
+def playback_state(state: PlaybackState, request_id: str = "") -> bytes:
+    """Return the message with the state of playback, as an answer if a request id is given."""
+    name = request_id.encode()
+    fields = _STATUSES.index(state.status), state.time_ns, state.speed, state.seeked, len(name)
+    return _PLAYBACK_STATE.pack(5, *fields) + name
+
+
+def message_frames(
+    records: Records, rows: NDArray[np.int64], subscriptions: NDArray[np.int64]
+) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Return WebSocket frames with messages of topics.
+
+    Args:
+        records: the messages.
+        rows: i64, which messages, at least one.
+        subscriptions: i64, the subscription number for each of ``rows``.
+
+    Returns:
+        u8, the frames in sequence; i64, the end of each.
+    """
+    length = records.end[rows] - records.start[rows]
+    payload = length + _FIELD_BYTES
+    kinds = np.searchsorted(_SHORTEST, payload, side="right")
+    head_bytes = _FRAME_BYTES[kinds]
+    ends = np.cumsum(head_bytes + length)
+    starts = ends - head_bytes - length
+    frames = np.empty(int(ends[-1]), np.uint8)
+    for kind in np.unique(kinds).tolist():
+        these = np.flatnonzero(kinds == kind)
+        heads = np.empty(len(these), _FRAMES[kind])
+        heads["first"], heads["length"] = _BINARY, payload[these]
+        if kind:
+            heads["code"] = _LENGTH_CODES[kind]
+        heads["operation"] = _MESSAGE
+        heads["subscription"], heads["time"] = subscriptions[these], records.log_time[rows[these]]
+        put_rows(frames, starts[these], heads)
+    copy_rows(frames, starts + head_bytes, np.frombuffer(records.data, np.uint8), records.start[rows], length)
+    return frames, ends

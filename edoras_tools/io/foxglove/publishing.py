@@ -1,0 +1,79 @@
+"""Messages that clients of a Foxglove server publish: checked against the topic's type, and sent as CDR."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.ros.types.schema import full_name
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from edoras_tools.ros import TypeStore
+
+MESSAGE_ENCODINGS: Final = ("cdr", "json")
+"""Encodings that clients may publish in."""
+
+
+class Publisher:
+    """The topics that clients may publish.
+
+    Args:
+        types: the ROS types.
+        unknown: returns why a topic that was not added may not be published.
+    """
+
+    def __init__(self, types: TypeStore, unknown: Callable[[str], str]) -> None:
+        self._types, self._unknown = types, unknown
+        self._topics: dict[str, tuple[str, Callable[[bytes], str | None]]] = {}
+
+    @property
+    def topics(self) -> list[str]:
+        """The topics that may be published, sorted."""
+        return sorted(self._topics)
+
+    def accept(self, topic: str, type_name: str, send: Callable[[bytes], str | None]) -> None:
+        """Allow clients to publish a topic.
+
+        Args:
+            topic: its name.
+            type_name: its type, known to ``types``.
+            send: sends a message as CDR, on the server's thread; returns why it was refused, or None.
+        """
+        self._topics[topic] = type_name, send
+
+    def refusal(self, topic: str, type_name: str, encoding: str) -> str:
+        """Return why a client may not publish a topic with this type and encoding; empty if it may."""
+        if topic not in self._topics:
+            return self._unknown(topic)
+        wanted = self._topics[topic][0]
+        if full_name(type_name) != full_name(wanted):
+            return f"{topic} has type {wanted}, not {type_name or 'a type without name'}"
+        if encoding not in MESSAGE_ENCODINGS:
+            return f"{topic}: {encoding} is not understood; publish {' or '.join(MESSAGE_ENCODINGS)}"
+        return ""
+
+    def publish(self, topic: str, type_name: str, encoding: str, data: bytes) -> str:
+        """Send a client's message; return why it was refused, or an empty text."""
+        why = self.refusal(topic, type_name, encoding)
+        if why:
+            return why
+        wanted, send = self._topics[topic]
+        try:
+            return send(self._cdr(wanted, encoding, data)) or ""
+        except EdorasError as error:
+            return f"{topic}: {error}"
+
+    def _cdr(self, type_name: str, encoding: str, data: bytes) -> bytes:
+        if encoding == "cdr":
+            self._types.decode(type_name, data)
+            return data
+        try:
+            values = json.loads(data)
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(f"is not JSON: {error}") from None
+        if not isinstance(values, dict):
+            raise ConfigError("a message must be a JSON object")
+        return self._types.encode(type_name, values)

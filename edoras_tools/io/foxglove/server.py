@@ -1,0 +1,421 @@
+"""A Foxglove WebSocket server: topics to many clients, none of which can delay another or the caller.
+
+The publishing thread also sends what the sockets take at once, because on a busy machine the server's thread
+may not run for a while. That thread sends the rest, and does everything else. A lock protects the
+connections; nobody waits while holding it, and publisher and player are called without it.
+"""
+
+from __future__ import annotations
+
+import hmac
+import math
+import os
+import re
+import secrets
+import selectors
+import socket
+import threading
+import time
+from collections import Counter, deque
+from contextlib import suppress
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import urlencode
+
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.io.foxglove import protocol
+from edoras_tools.io.foxglove.origins import OriginCheck
+from edoras_tools.model import Endpoint
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from edoras_tools.io.foxglove.client import FoxgloveClient
+    from edoras_tools.io.foxglove.playback import PlaybackState, Player
+    from edoras_tools.io.foxglove.publishing import Publisher
+    from edoras_tools.io.topics.rows import Records
+    from edoras_tools.io.topics.streams import Topic
+
+HERE: Final = Endpoint("127.0.0.1", 8765)
+"""Foxglove's default address of a server; other machines cannot reach it."""
+MOST_CLIENTS: Final = 64
+"""Maximum clients, and maximum connections that are not yet clients. If there are more of those, the oldest
+one of the address with the most is closed."""
+_BACKLOG: Final = 4096
+"""Connections that the kernel keeps until they are accepted; it drops the request of one more, and a client
+tries again only after 1, 3 and 7 s."""
+_AT_ONCE: Final = 256
+"""Connections accepted before the others are served."""
+PATIENCE_S: Final = 5.0
+"""Maximum time until a connection must be a client."""
+_GOODBYE_S: Final = 1.0
+_PAUSE_S: Final = 0.05
+_BUFFER_BYTES: Final = 1 << 18
+"""Bytes that the kernel may hold for a client; those cannot be dropped any more."""
+_MOST_LISTED: Final = 256
+"""Clients that have left and are listed singly; earlier ones are summed up."""
+_MOST_TOLD: Final = 8
+"""Maximum origins that are reported, because pages can have any number of them."""
+_SUMS: Final = ("sent", "dropped", "published", "refused")
+
+
+@dataclass(frozen=True, slots=True)
+class ServerOptions:
+    """How clients are served.
+
+    Attributes:
+        listen: address and port; with port 0 the system chooses.
+        origins: which web pages may connect.
+        publisher: handles messages that clients publish; None: they may not publish.
+        player: plays a recording; None: the traffic is live.
+        token: clients must give it in the URL, ``?token=...``; empty: no token is needed.
+    """
+
+    listen: Endpoint = HERE
+    origins: OriginCheck = field(default_factory=OriginCheck)
+    publisher: Publisher | None = None
+    player: Player | None = None
+    token: str = field(default="", repr=False)
+
+
+@dataclass(slots=True, eq=False)
+class _Connection:
+    """A socket, its client, and when it is closed at the latest, in s of the monotonic clock."""
+
+    socket: socket.socket
+    client: FoxgloveClient
+    until: float
+
+    def send(self) -> bool:
+        """Send what the socket takes; return whether anything remains.
+
+        Raises:
+            OSError: the other end has closed.
+        """
+        pieces = self.client.to_send()
+        if pieces:
+            with suppress(BlockingIOError):
+                self.client.taken(self.socket.sendmsg(pieces))
+        return bool(self.client.to_send())
+
+
+class FoxgloveServer:
+    """A server that listens from construction on.
+
+    Args:
+        name: shown by clients.
+        topics: topics to offer; their indices are the channel ids of published messages.
+        definition: returns the complete ``ros2msg`` text of a topic's type.
+        options: how clients are served.
+
+    Attributes:
+        endpoint: the address that it listens on.
+
+    Raises:
+        CaptureError: the address cannot be used.
+        ConfigError: ``websockets`` is not installed.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        topics: Sequence[Topic],
+        definition: Callable[[str], str],
+        options: ServerOptions = ServerOptions(),
+    ) -> None:
+        if find_spec("websockets") is None:
+            raise ConfigError(
+                "Foxglove needs websockets, which is not installed: pip install 'edoras-tools[live]'"
+            )
+        self._name, self._definition, self._options = name, definition, options
+        self._channels = [
+            protocol.channel(place, topic, definition(topic.type)) for place, topic in enumerate(topics)
+        ]
+        self._session = secrets.token_hex(8)
+        self._lock = threading.Lock()
+        self._connections: dict[socket.socket, _Connection] = {}
+        self._open: tuple[_Connection, ...] = ()
+        self._departed: deque[dict[str, Any]] = deque()
+        self._before: Counter[str] = Counter()
+        self._told: set[str] = set()
+        self._closing = self._woken = False
+        self._listener = _listen(options.listen)
+        self.endpoint = Endpoint(*self._listener.getsockname()[:2])
+        self._wake_end, self._waker = socket.socketpair()
+        self._selector = selectors.DefaultSelector()
+        for opened in (self._listener, self._wake_end, self._waker):
+            opened.setblocking(False)
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(self._wake_end, selectors.EVENT_READ)
+        self._thread = threading.Thread(target=self._run, name="foxglove", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """The URL that clients connect to."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.endpoint.address, self.endpoint.address)  # noqa: S104
+        return f"ws://{Endpoint(host, self.endpoint.port)}"
+
+    @property
+    def asks_token(self) -> bool:
+        """Whether clients must give a token."""
+        return bool(self._options.token)
+
+    @property
+    def app_url(self) -> str:
+        """The URL that opens Foxglove with this server; without the token, which its site would see."""
+        return "https://app.foxglove.dev/?" + urlencode(
+            {"ds": "foxglove-websocket", "ds.url": self.url}, safe="/:"
+        )
+
+    @property
+    def clients(self) -> tuple[FoxgloveClient, ...]:
+        """The connected clients."""
+        return tuple(connection.client for connection in self._open)
+
+    def add(self, topic: Topic) -> int:
+        """Offer another topic; return its index."""
+        definition = self._definition(topic.type)
+        with self._lock:
+            place = len(self._channels)
+            self._channels.append(protocol.channel(place, topic, definition))
+            for client in self.clients:
+                client.add_topic()
+                client.tell(protocol.advertise(self._channels[place:]))
+        self._wake()
+        return place
+
+    def wanted(self, place: int) -> bool:
+        """Return whether any client has subscribed to a topic."""
+        return any(client.wants(place) for client in self.clients)
+
+    def publish(self, records: Records) -> None:
+        """Queue messages for their subscribers; never waits for a client."""
+        self._each(lambda client: client.give(records))
+
+    def tell_time(self, time_ns: int) -> None:
+        """Send a time for the clients' clocks, ns since 1970."""
+        self._each(lambda client: client.tell_time(time_ns))
+
+    def tell_state(self, state: PlaybackState) -> None:
+        """Send the state of playback to clients; each also gets it when it connects."""
+        self._each(lambda client: client.tell(protocol.playback_state(state)))
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts, one row for each client: those that left most recently, then the connected ones."""
+        with self._lock:
+            clients = [*self._departed, *(client.summary() for client in self.clients)]
+            sums = {key: self._before[key] + sum(item[key] for item in clients) for key in _SUMS}
+            connections = self._before["clients"] + len(clients)
+        return {"url": self.url, "connections": connections, "clients": clients, **sums}
+
+    def close(self) -> None:
+        """Close all clients and stop listening; calling it again does nothing."""
+        self._closing = True
+        self._wake()
+        self._thread.join()
+        for opened in (self._wake_end, self._waker):
+            opened.close()
+        self._selector.close()
+
+    def _each(self, act: Callable[[FoxgloveClient], None]) -> None:
+        with self._lock:
+            remains = False
+            for connection in self._open:
+                act(connection.client)
+                with suppress(OSError):  # it has closed; the server's thread notices it too
+                    remains |= connection.send() or connection.client.failed
+        if remains:
+            self._wake()
+
+    def _wake(self) -> None:
+        if not self._woken:
+            self._woken = True
+            with suppress(OSError):  # it is already awake, or closed
+                self._waker.send(b"\0")
+
+    # The following runs on the server's thread.
+
+    def _run(self) -> None:
+        closing = False
+        while not closing or self._connections:
+            until = min((item.until for item in self._connections.values()), default=math.inf)
+            wait = None if until == math.inf else max(until - time.monotonic(), 0)
+            for key, _ in self._selector.select(wait):
+                if key.fileobj is self._listener:
+                    self._accept_all()
+                elif key.fileobj is self._wake_end:
+                    self._wake_end.recv(4096)
+                elif key.fileobj in self._connections:
+                    self._receive(key.data)
+            self._woken = False  # first, so that later calls wake it again
+            if self._closing and not closing:
+                closing = True
+                self._end()
+            now = time.monotonic()
+            for connection in tuple(self._connections.values()):
+                if not self._send(connection, now):
+                    self._remove(connection)
+
+    def _accept_all(self) -> None:
+        """Accept waiting connections and read their requests: most request at once, and so are not closed."""
+        strangers = {item: None for item in self._connections.values() if not item.client.opened}
+        for _ in range(_AT_ONCE):
+            try:
+                connection = self._accept()
+            except BlockingIOError:
+                return
+            except OSError:
+                time.sleep(_PAUSE_S)  # the other end has closed, or there are no more file descriptors
+                return
+            self._receive(connection)
+            if not connection.client.opened:
+                strangers[connection] = None
+            if len(strangers) > MOST_CLIENTS:
+                addresses = Counter(item.client.address.address for item in strangers)
+                most = addresses.most_common(1)[0][0]
+                oldest = next(item for item in strangers if item.client.address.address == most)
+                del strangers[oldest]
+                self._remove(oldest)
+
+    def _accept(self) -> _Connection:
+        from edoras_tools.io.foxglove.client import FoxgloveClient  # websockets takes 30 ms to import
+
+        accepted, address = self._listener.accept()
+        accepted.setblocking(False)
+        accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        accepted.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+        client = FoxgloveClient(
+            Endpoint(*address[:2]),
+            publishes=self._options.publisher is not None,
+            controls=self._options.player is not None,
+        )
+        connection = _Connection(accepted, client, time.monotonic() + PATIENCE_S)
+        self._connections[accepted] = connection
+        self._selector.register(accepted, selectors.EVENT_READ, connection)
+        return connection
+
+    def _receive(self, connection: _Connection) -> None:
+        try:
+            data = connection.socket.recv(_BUFFER_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        with self._lock:
+            events = connection.client.receive(data)
+        for event in events:
+            self._answer(connection, event)
+        if not data:
+            connection.until = 0
+
+    def _answer(self, connection: _Connection, event: protocol.ClientEvent) -> None:
+        client, publisher, player = connection.client, self._options.publisher, self._options.player
+        match event:
+            case protocol.Advertise(channels) if publisher is not None:
+                refusals = {item.topic: publisher.refusal(*item[1:]) for item in channels}
+                with self._lock:
+                    for topic, why in refusals.items():
+                        if why:
+                            client.tell(protocol.error_status(why, topic))
+            case protocol.Published(channel, data) if publisher is not None:
+                why = publisher.publish(*channel[1:], data)
+                with self._lock:
+                    client.answer(channel, why)
+            case protocol.Control(request, request_id) if player is not None:
+                state = player.control(request)
+                with self._lock:
+                    for other in self.clients:
+                        other.tell(protocol.playback_state(state, request_id if other is client else ""))
+            case protocol.Opening(origin, token):
+                self._admit(connection, origin, token)
+
+    def _admit(self, connection: _Connection, origin: str | None, token: str) -> None:
+        options, client, player = self._options, connection.client, self._options.player
+        state = [] if player is None else [protocol.playback_state(player.state)]
+        stranger = origin is not None and not options.origins.admits(origin)
+        with self._lock:
+            if stranger:
+                client.refuse(403, "Pages of this origin may not connect; --allow-origin allows them.")
+            elif options.token and not _same(token, options.token):
+                client.refuse(401, "A token is required: connect to this address with ?token=... at its end.")
+            elif len(self._open) >= MOST_CLIENTS:
+                client.refuse(503, f"{MOST_CLIENTS} clients are connected, which is the maximum.")
+            else:
+                info = protocol.server_info(
+                    self._name,
+                    self._session,
+                    publish=options.publisher is not None,
+                    range_ns=None if player is None else player.range_ns,
+                )
+                client.accept(len(self._channels), [info, protocol.advertise(self._channels), *state])
+                self._open = (*self._open, connection)
+                connection.until = math.inf
+        if stranger and options.origins.tell is not None:
+            self._tell(re.sub(r"[^!-~]", "?", str(origin))[:100], options.origins.tell)
+
+    def _tell(self, origin: str, tell: Callable[[str], None]) -> None:
+        if origin not in self._told and len(self._told) < _MOST_TOLD:
+            self._told.add(origin)
+            tell(f"a web page of {origin} was refused as a client; --allow-origin {origin} allows it")
+
+    def _send(self, connection: _Connection, now: float) -> bool:
+        """Send what a socket takes; return whether to keep the connection."""
+        opened, client = connection.socket, connection.client
+        try:
+            with self._lock:
+                remains = connection.send()
+            if client.ending and not remains:
+                opened.shutdown(socket.SHUT_WR)
+        except OSError:
+            return False
+        if client.ending:
+            connection.until = min(connection.until, now + _GOODBYE_S)
+        wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if remains else 0)
+        if self._selector.get_key(opened).events != wanted:
+            self._selector.modify(opened, wanted, connection)
+        return connection.until > now and not client.failed
+
+    def _remove(self, connection: _Connection) -> None:
+        opened, client = connection.socket, connection.client
+        self._selector.unregister(opened)
+        del self._connections[opened]
+        with self._lock:  # no thread may be sending on it
+            with suppress(OSError):
+                opened.shutdown(socket.SHUT_RDWR)
+            opened.close()
+            if client.opened:
+                self._open = tuple(item for item in self._open if item is not connection)
+                self._departed.append(client.summary())
+                if len(self._departed) > _MOST_LISTED:
+                    first = self._departed.popleft()
+                    self._before.update({"clients": 1, **{key: first[key] for key in _SUMS}})
+
+    def _end(self) -> None:
+        self._selector.unregister(self._listener)
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        until = time.monotonic() + _GOODBYE_S
+        with self._lock:
+            for connection in self._connections.values():
+                connection.until = until if connection.client.opened else 0
+                connection.client.close()
+
+
+def _same(given: str, token: str) -> bool:
+    """Compare tokens in constant time, so that the time does not show how much is correct."""
+    return hmac.compare_digest(given.encode(errors="surrogatepass"), token.encode(errors="surrogatepass"))
+
+
+def _listen(endpoint: Endpoint) -> socket.socket:
+    try:
+        family, *_, address = socket.getaddrinfo(endpoint.address, endpoint.port, type=socket.SOCK_STREAM)[0]
+        return socket.create_server(address[:2], family=family, backlog=_BACKLOG)
+    except (OSError, UnicodeError, OverflowError) as error:
+        number = getattr(error, "errno", None) or 0
+        why = os.strerror(number) if number > 0 else getattr(error, "strerror", None) or str(error)
+        raise CaptureError(
+            f"{endpoint}: cannot listen: {why}; name another port (0: any free port) or address"
+        ) from None

@@ -1,0 +1,124 @@
+"""Shows live traffic in Foxglove: sends the contents of a recording to connected clients."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from edoras_tools.io.foxglove.diagnostics import DIAGNOSTICS, Diagnostics
+from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
+from edoras_tools.io.topics.faults import fault_messages
+from edoras_tools.io.topics.rows import lay_out
+from edoras_tools.io.topics.streams import FAULTS, Streams, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, Finding, PacketBatch, SourceInfo, SourceStatistics
+    from edoras_tools.ros import TypeStore
+    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.structs import Structs
+
+
+class FoxgloveSink:
+    """Serves batches over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
+
+    Topics, types and messages are those of a recording, plus ``/diagnostics``. Whole datagrams are only made
+    while a client has subscribed to them.
+
+    Args:
+        mission: its routes become topics.
+        types: provides the schemas.
+        info: of the source; gives the server its name.
+        options: how clients are served.
+        levels: the level of each finding in the diagnostics: 0 OK, 1 warning, 2 error.
+        statistics: the source's, for losses of the capture itself.
+        structs: C structs in packets; None: only cFE's own.
+
+    Attributes:
+        server: the server; it listens from construction on.
+
+    Raises:
+        CaptureError: the address cannot be used.
+        ConfigError: ``websockets`` is not installed.
+        RouteError: a route's type is unknown.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        types: TypeStore,
+        info: SourceInfo,
+        options: ServerOptions = ServerOptions(),  # noqa: B008  frozen
+        *,
+        levels: Mapping[Finding, int] | None = None,
+        statistics: SourceStatistics | None = None,
+        structs: Structs | None = None,
+    ) -> None:
+        self._mission, self._types, self._info = mission, types, info
+        self._levels, self._counted = levels or {}, statistics
+        self._faults, self._structs = -1, structs
+        self._late: dict[str, int] = {}
+        self._begin()
+        topics = [*self._streams.topics, DIAGNOSTICS]
+        definitions = {
+            **self._streams.definitions,
+            **{item.type: types.definition(item.type) for item in (DIAGNOSTICS, FAULTS)},
+            **{
+                item.type: self._streams.structs.types.definition(item.type)
+                for item in self._streams.structs.all
+            },
+        }
+        self._diagnostics_id = len(topics) - 1
+        self.server = FoxgloveServer(f"edoras: {info.name}", topics, definitions.__getitem__, options)
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Send a batch to clients."""
+        if not len(batch):
+            return
+        # Whole datagrams are the first topic, and the most expensive.
+        streams = self._streams.messages(batch, columns, datagrams=self.server.wanted(0))
+        streams.append(self._diagnostics.messages(batch, columns, self._diagnostics_id))
+        if self.server.clients:
+            self.server.publish(lay_out(streams, len(batch)))
+            self.show_time(int(batch.time_ns[-1]))
+
+    def write_faults(self, faults: Sequence[Fault]) -> None:
+        """Send injected faults, with times in ns since 1970; the first call adds their topic."""
+        if self._faults < 0:
+            self._faults = self.server.add(FAULTS)
+        if self.server.clients:
+            self.server.publish(lay_out([fault_messages(faults, self._faults)], len(faults)))
+
+    def show_time(self, time_ns: int) -> None:
+        """Send a time for the clients' clocks, ns since 1970."""
+        self.server.tell_time(time_ns)
+
+    def restart(self) -> None:
+        """Reset the statistics, because the following messages have other times."""
+        self._begin()
+
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
+
+    def close(self, statistics: SourceStatistics) -> None:  # noqa: ARG002  required by Sink
+        """Close all clients."""
+        self.server.close()
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts of the messages; see ``FoxgloveServer.summary``."""
+        return self.server.summary()
+
+    def _add_topic(self, topic: Topic) -> int:
+        """Offer a topic when its first message comes; return its index."""
+        if topic.name not in self._late:
+            self._late[topic.name] = self.server.add(topic)
+        return self._late[topic.name]
+
+    def _begin(self) -> None:
+        self._streams = Streams(
+            self._mission, self._types, self._counted, structs=self._structs, add=self._add_topic
+        )
+        self._diagnostics = Diagnostics(
+            self._mission, self._types, self._info.name, self._levels, self._counted
+        )

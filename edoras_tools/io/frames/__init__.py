@@ -1,0 +1,1 @@
+"""Link layers to payloads and back: frames, IP, fragments."""

@@ -1,0 +1,261 @@
+"""Makes frames for payloads without headers: received by a socket, or made up.
+
+The frames are LINKTYPE_RAW, so that the rest of the pipeline, and every reader of a capture written from
+them, sees what a capture would contain. Lengths, addresses, ports and checksums are correct; fields that a
+socket does not know have default values (identification 0, time to live 64).
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.io.frames.linklayer import LINKTYPE_RAW, FrameBatch
+from edoras_tools.wire.window import PADDING, copy_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Endpoint
+
+ENDS: Final = np.dtype(
+    [
+        ("version", "u1"),
+        ("source", "u1", 16),
+        ("destination", "u1", 16),
+        ("source_port", "u2"),
+        ("destination_port", "u2"),
+    ]
+)
+"""Source and destination: IP version, addresses (for IPv4 the first 4 bytes), UDP ports."""
+_ENDS_COPIED: Final = np.dtype(f"V{ENDS.itemsize}")
+"""The same without its fields, because numpy copies it ten times as fast."""
+_UDP_BYTES: Final = 8
+_HEADER_BYTES: Final = np.array([0, 0, 0, 0, 20 + _UDP_BYTES, 0, 40 + _UDP_BYTES], np.int64)
+"""By IP version: bytes of the headers before each payload."""
+HEADER_BYTES: Final = 40 + _UDP_BYTES + 2
+"""Maximum bytes that a page needs for a datagram besides its payload."""
+_TIME_TO_LIVE: Final = 64
+_UDP: Final = 17
+_ROWS: Final = 256
+_BYTES: Final = 1 << 16
+
+
+def ends_of(source: Endpoint, destination: Endpoint) -> NDArray[np.void]:
+    """Return two endpoints as a value of ``ENDS``; if only one is IPv6, the other is mapped to IPv6."""
+    addresses = [ipaddress.ip_address(item.address.partition("%")[0]) for item in (source, destination)]
+    version = max(item.version for item in addresses)
+    ends = np.zeros((), ENDS)
+    ends["version"], ends["source_port"], ends["destination_port"] = version, source.port, destination.port
+    for name, address in zip(("source", "destination"), addresses, strict=True):
+        mapped = address if address.version == version else ipaddress.ip_address(f"::ffff:{address}")
+        ends[name][: len(mapped.packed)] = list(mapped.packed)
+    return ends
+
+
+class FramePage:
+    """Payloads with space before each for its headers, which are written for all at once.
+
+    Args:
+        rows: initial number of datagrams; more are possible, but need a copy.
+        size: initial number of bytes, likewise.
+
+    Attributes:
+        rows: number of datagrams.
+        used: their bytes, headers included.
+        time_ns: i64, ns since 1970; the first ``rows`` elements are valid.
+    """
+
+    def __init__(self, rows: int = _ROWS, size: int = _BYTES) -> None:
+        self.rows = self.used = 0
+        self.time_ns = np.empty(rows, np.int64)
+        self._data = np.zeros(size + PADDING, np.uint8)
+        self._offset = np.empty(rows, np.int64)
+        self._length = np.empty(rows, np.int32)
+        self._ends = np.empty(rows, _ENDS_COPIED)
+
+    @property
+    def size(self) -> int:
+        """Allocated bytes for payloads and headers."""
+        return len(self._data)
+
+    def add(
+        self,
+        data: NDArray[np.uint8],
+        start: NDArray[np.int64],
+        length: NDArray[np.integer[Any]],
+        time_ns: NDArray[np.int64],
+        ends: NDArray[np.void],
+    ) -> None:
+        """Copy payloads.
+
+        Args:
+            data: u8, contiguous; contains the payloads.
+            start: i64 (n,), start of each.
+            length: integer (n,), its bytes.
+            time_ns: i64 (n,), ns since 1970.
+            ends: ``ENDS``, one for all or (n,).
+        """
+        header = _HEADER_BYTES[ends["version"]]
+        stride = (header + length + 2) & ~1  # the next one starts at an even offset, after a zero byte
+        stop = self.used + np.cumsum(stride)
+        rows = slice(self.rows, self.rows + len(length))
+        used = int(stop[-1]) if len(length) else self.used
+        self._reserve(rows.stop, used)
+        offset = stop - stride
+        copy_rows(self._data, offset + header, data, start, length)
+        self._offset[rows], self._length[rows], self.time_ns[rows] = offset, length, time_ns
+        self._ends[rows] = ends.view(_ENDS_COPIED)
+        self.rows, self.used = rows.stop, used
+
+    def part(self, rows: NDArray[np.int64]) -> FramePage:
+        """Return a page of some rows, in this order."""
+        page, ends = FramePage(), self._ends[rows].view(ENDS)
+        start = self._offset[rows] + _HEADER_BYTES[ends["version"]]
+        page.add(self._data, start, self._length[rows], self.time_ns[rows], ends)
+        return page
+
+    def frames(self, number: int, rows: NDArray[np.int64] | None = None) -> FrameBatch:
+        """Write the headers; return frames over the page's own bytes.
+
+        Args:
+            number: number of the first frame.
+            rows: which datagrams, in this order; None for all.
+        """
+        chosen = slice(0, self.rows) if rows is None else rows
+        data, offset, length, ends = (
+            self._data[: self.used + PADDING],
+            self._offset[chosen],
+            self._length[chosen],
+            self._ends[chosen].view(ENDS),
+        )
+        for version in np.unique(ends["version"]).tolist():
+            of = np.flatnonzero(ends["version"] == version)
+            _write_headers(data, version, offset[of], length[of], ends[of])
+        whole = length + _HEADER_BYTES[ends["version"]].astype(np.int32)
+        return FrameBatch(
+            data=data,
+            number=np.arange(number, number + len(offset), dtype=np.int64),
+            time_ns=self.time_ns[chosen],
+            link_type=np.full(len(offset), LINKTYPE_RAW, np.uint16),
+            offset=offset,
+            length=whole,
+            original_length=whole,
+        )
+
+    def _reserve(self, rows: int, size: int) -> None:
+        """Make space for this total number of rows and bytes."""
+        if size > len(self._data) - PADDING:
+            self._data = _grown(self._data, self.used, max(size, 2 * self.used) + PADDING)
+        if rows > len(self.time_ns):
+            more = max(rows, 2 * self.rows)
+            for name in ("time_ns", "_offset", "_length", "_ends"):
+                setattr(self, name, _grown(getattr(self, name), self.rows, more))
+
+
+def frames_of(datagrams: Iterable[tuple[int, Endpoint, Endpoint, bytes]], number: int = 1) -> FrameBatch:
+    """Make frames of datagrams one by one, for small numbers of them.
+
+    Args:
+        datagrams: for each its time in ns since 1970, source, destination and payload.
+        number: number of the first frame.
+    """
+    times, sources, destinations, payloads = zip(*datagrams, strict=True)
+    known: dict[tuple[Endpoint, Endpoint], NDArray[np.void]] = {}
+    pairs = list(zip(sources, destinations, strict=True))
+    for pair in pairs:
+        if pair not in known:
+            known[pair] = ends_of(*pair)
+    length = np.array([len(item) for item in payloads], np.int64)
+    page = FramePage(len(length), int(length.sum()) + len(length) * HEADER_BYTES)
+    page.add(
+        np.frombuffer(b"".join(payloads) + bytes(PADDING), np.uint8),
+        np.cumsum(length) - length,
+        length,
+        np.array(times, np.int64),
+        np.array([known[pair] for pair in pairs], ENDS),
+    )
+    return page.frames(number)
+
+
+def _write_headers(
+    data: NDArray[np.uint8],
+    version: int,
+    offset: NDArray[np.int64],
+    length: NDArray[np.int32],
+    ends: NDArray[np.void],
+) -> None:
+    """Write the headers before some payloads (RFC 791, RFC 8200, RFC 768).
+
+    Args:
+        data: u8; each payload starts after its offset plus its headers' size, and is followed by a zero byte.
+        version: 4 or 6.
+        offset: start of each frame; even.
+        length: bytes of each payload.
+        ends: ``ENDS``, all of this version.
+    """
+    whole = int(_HEADER_BYTES[version])
+    size = whole - _UDP_BYTES
+    header = np.zeros((len(offset), whole), dtype=np.uint8)
+    if version == 4:
+        header[:, 0] = 0x45
+        _put(header, 2, whole + length)
+        header[:, 8] = _TIME_TO_LIVE
+        header[:, 9] = _UDP
+        addresses = 12
+    else:
+        header[:, 0] = 0x60
+        _put(header, 4, _UDP_BYTES + length)
+        header[:, 6] = _UDP
+        header[:, 7] = _TIME_TO_LIVE
+        addresses = 8
+    width = (size - addresses) // 2
+    header[:, addresses : addresses + width] = ends["source"][:, :width]
+    header[:, addresses + width : size] = ends["destination"][:, :width]
+    _put(header, size, ends["source_port"])
+    _put(header, size + 2, ends["destination_port"])
+    _put(header, size + 4, _UDP_BYTES + length)
+    if version == 4:
+        _put(header, 10, internet_checksum(_words(header[:, :size]).sum(axis=1)))
+    # The UDP checksum covers addresses, protocol and UDP length, then header and payload (RFC 768).
+    total = _words(header[:, addresses:]).sum(axis=1) + _UDP + _UDP_BYTES + length
+    checksum = internet_checksum(total + _payload_sums(data, offset + whole, length))
+    _put(header, size + 6, np.where(checksum == 0, 0xFFFF, checksum))
+    data[offset[:, None] + np.arange(whole)] = header
+
+
+def _grown(array: NDArray[Any], used: int, size: int) -> NDArray[Any]:
+    """Return a larger copy; the new part is zero."""
+    larger = np.zeros(size, array.dtype)
+    larger[:used] = array[:used]
+    return larger
+
+
+def _put(header: NDArray[np.uint8], at: int, values: NDArray[Any]) -> None:
+    """Write a column of 16-bit fields, big-endian."""
+    header[:, at : at + 2] = values.astype(">u2").view(np.uint8).reshape(-1, 2)
+
+
+def _words(header: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Read rows of bytes as rows of big-endian 16-bit words."""
+    return np.ascontiguousarray(header).view(">u2").astype(np.int64)
+
+
+def _payload_sums(
+    data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.int32]
+) -> NDArray[np.int64]:
+    """Return the sum of each payload's 16-bit words; an odd last byte is paired with the zero after it."""
+    running = np.concatenate(([0], np.cumsum(data[: data.size // 2 * 2].view(">u2"), dtype=np.int64)))
+    sums: NDArray[np.int64] = running[(start + length + 1) // 2] - running[start // 2]
+    return sums
+
+
+def internet_checksum(total: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Fold sums into the Internet checksum (RFC 1071)."""
+    total = (total & 0xFFFF) + (total >> 16)
+    total = (total & 0xFFFF) + (total >> 16)
+    return ~total & 0xFFFF

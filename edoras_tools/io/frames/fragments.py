@@ -1,0 +1,137 @@
+"""Reassembles IP fragments, with limited memory and time (RFC 791 section 3.2, RFC 8200 section 4.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+MAX_PAYLOAD = 65535
+"""Maximum bytes of IP payload that fragments can address."""
+_PIECE_OVERHEAD = 128
+"""Memory of a stored piece besides its bytes, so that floods of tiny fragments are limited as well."""
+
+
+@dataclass(slots=True)
+class _Partial:
+    """An incomplete datagram.
+
+    Attributes:
+        time_ns: capture time of its first fragment to arrive.
+        pieces: start and bytes, in order of arrival.
+        units: one bit for each 8 bytes that have arrived.
+        total: bytes of the whole payload; -1 until the last fragment has come.
+        stored: bytes that count for the reassembler's limit.
+        ports: source and destination port; 0 until the first fragment has come.
+    """
+
+    time_ns: int
+    pieces: list[tuple[int, bytes]] = field(default_factory=list)
+    units: int = 0
+    total: int = -1
+    stored: int = 0
+    ports: tuple[int, int] = (0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Fragment:
+    """One captured fragment of a UDP datagram.
+
+    Attributes:
+        key: IP version, identification, source and destination address, which all fragments of a datagram
+            share.
+        time_ns: capture time.
+        start: position of its bytes in the IP payload; a multiple of 8.
+        more: whether more fragments follow it.
+        whole: whether the capture has all of its bytes.
+        data: its bytes.
+    """
+
+    key: tuple[int, int, bytes, bytes]
+    time_ns: int
+    start: int
+    more: bool
+    whole: bool
+    data: bytes
+
+
+class Reassembler:
+    """Collects fragments until a datagram is complete.
+
+    If bytes arrive twice, the first are kept. A fragment that contradicts the others (past the end, another
+    end, a length that is not a multiple of 8) is ignored, and so is one that the capture cut.
+
+    Attributes:
+        abandoned: datagrams dropped after a timeout or at the memory limit.
+    """
+
+    def __init__(self, *, timeout_ns: int = 30_000_000_000, limit: int = 16 << 20) -> None:
+        self.abandoned = 0
+        self._timeout_ns = timeout_ns
+        self._limit = limit
+        self._stored = 0
+        self._partials: dict[tuple[int, int, bytes, bytes], _Partial] = {}
+
+    @property
+    def pending(self) -> int:
+        """Number of incomplete datagrams."""
+        return len(self._partials)
+
+    def add(self, fragment: Fragment) -> tuple[bytes | None, tuple[int, int]]:
+        """Add a fragment.
+
+        Returns:
+            The IP payload if this fragment completed it, else None; and the UDP ports, 0 while unknown.
+        """
+        self._expire(fragment.time_ns)
+        partial = self._partials.setdefault(fragment.key, _Partial(fragment.time_ns))
+        self._store(partial, fragment)
+        if partial.total >= 0 and partial.units == (1 << -(-partial.total // 8)) - 1:
+            del self._partials[fragment.key]
+            self._stored -= partial.stored
+            return _join(partial), partial.ports
+        while self._stored > self._limit:
+            self._abandon_oldest()
+        return None, partial.ports
+
+    def _store(self, partial: _Partial, fragment: Fragment) -> None:
+        start, data = fragment.start, fragment.data
+        if start == 0 and len(data) >= 4:
+            partial.ports = int.from_bytes(data[0:2]), int.from_bytes(data[2:4])
+        stop = start + len(data)
+        first, last = start // 8, -(-stop // 8)
+        if (
+            not fragment.whole
+            or not data
+            or stop > MAX_PAYLOAD
+            or (fragment.more and len(data) % 8)
+            or (partial.total >= 0 and (stop > partial.total if fragment.more else stop != partial.total))
+            or (not fragment.more and partial.units >> last)
+        ):
+            return
+        if not fragment.more:
+            partial.total = stop
+        units = ((1 << (last - first)) - 1) << first
+        if units & ~partial.units:
+            partial.units |= units
+            partial.pieces.append((start, data))
+            partial.stored += len(data) + _PIECE_OVERHEAD
+            self._stored += len(data) + _PIECE_OVERHEAD
+
+    def _expire(self, now_ns: int) -> None:
+        while self._partials:
+            oldest = next(iter(self._partials.values()))
+            if now_ns - oldest.time_ns <= self._timeout_ns:
+                return
+            self._abandon_oldest()
+
+    def _abandon_oldest(self) -> None:
+        partial = self._partials.pop(next(iter(self._partials)))
+        self._stored -= partial.stored
+        self.abandoned += 1
+
+
+def _join(partial: _Partial) -> bytes:
+    """Join the pieces; where they overlap, the first to arrive is used."""
+    payload = bytearray(partial.total)
+    for start, data in reversed(partial.pieces):
+        payload[start : start + len(data)] = data
+    return bytes(payload)

@@ -1,0 +1,323 @@
+"""Captured frames to UDP datagrams, in columns: link layer, VLAN tags, IPv4, IPv6 and their fragments.
+
+Every source of frames uses this. The result has one row for each frame that contains UDP over IP:
+
+- A payload has the length in the UDP header, limited by the length in the IP header and by what was captured;
+  so padding of short Ethernet frames is left out. A UDP length of 0, or above that of IP, is not trusted: the
+  IP length is used.
+- ``CAPTURE_CUT`` is set if the capture cut the frame, or the IP length exceeds the frame.
+- A fragment's row has no payload and ``FRAGMENT`` is set, so that all frames can be written again. The row
+  of the fragment that completes the datagram has the whole payload, which is appended to the batch's
+  ``data``, and ``FRAGMENT`` is not set. Ports are 0 until the first fragment of a datagram was seen.
+
+Frames that are not UDP over IP, or whose IP header is incomplete or damaged, are skipped and counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from edoras_tools.io.frames.fragments import Fragment, Reassembler
+from edoras_tools.io.frames.network import (
+    HOP_LIMIT,
+    IPV4_HEADER,
+    UDP_BYTES,
+    UDP_HEADER,
+    IpPayloads,
+    ipv4,
+    ipv6,
+    merge_rows,
+)
+from edoras_tools.model import Finding, PacketBatch
+from edoras_tools.wire.window import PADDING, read_at
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+LINKTYPE_RAW = 101
+"""The packet starts with its IP header."""
+_PROTOCOL_FIELD = {1: (14, 12), 113: (16, 14), 276: (20, 0)}
+"""Bytes of the link header, and position of its EtherType: Ethernet, Linux cooked v1 and v2."""
+_FAMILY_FIELD = (0, 108)
+"""BSD loopback: 4 bytes of address family, in the byte order of the capturing host (0) or network (108)."""
+_RAW = (12, 14, LINKTYPE_RAW, 228, 229)
+"""Raw IP: no link header; the first nibble is the version."""
+_VLAN = (0x8100, 0x88A8, 0x9100)
+_IPV4 = 0x0800
+_IPV6 = 0x86DD
+_FAMILY_VERSION = {2: 4, 10: 6, 24: 6, 28: 6, 30: 6}
+"""AF_INET is 2 everywhere; AF_INET6 differs on Linux, NetBSD and OpenBSD, FreeBSD, macOS."""
+
+
+_TYPE_AND_IPV4 = np.dtype([("ether_type", ">u2"), *IPV4_HEADER.descr])
+"""An EtherType, and the header that usually follows: one memory access instead of two."""
+
+
+class _Located(NamedTuple):
+    """Positions of network headers; one element for each frame.
+
+    Attributes:
+        network: i64, start of each.
+        version: u8, IP version; 0 if there is no IP header.
+        header: structured, with the fields of ``IPV4_HEADER``, whatever the bytes are; None if not read.
+    """
+
+    network: NDArray[np.int64]
+    version: NDArray[np.uint8]
+    header: NDArray[np.void] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FrameBatch:
+    """Captured frames in columns over one contiguous byte buffer; all arrays have the same length.
+
+    Attributes:
+        data: u8. ``PADDING`` bytes after the last frame should be readable; if not, the buffer is copied.
+        number: i64, number of the frame in its source, from 1.
+        time_ns: i64, capture time, ns since 1970-01-01 UTC.
+        link_type: u16, pcap LINKTYPE.
+        offset: i64, start of the frame in ``data``.
+        length: i32, captured bytes.
+        original_length: i32, bytes on the wire.
+    """
+
+    data: NDArray[np.uint8]
+    number: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    link_type: NDArray[np.uint16]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int32]
+    original_length: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+def joined_frames(parts: Sequence[FrameBatch]) -> FrameBatch:
+    """Join batches, at least one, in one padded buffer."""
+    sizes = np.array([0, *(len(part.data) for part in parts)])
+    columns = {
+        item.name: np.concatenate([getattr(part, item.name) for part in parts])
+        for item in fields(FrameBatch)
+        if item.name != "data"
+    }
+    columns["offset"] += np.repeat(np.cumsum(sizes)[:-1], [len(part) for part in parts])
+    return FrameBatch(
+        np.concatenate([*(part.data for part in parts), np.zeros(PADDING, np.uint8)]), **columns
+    )
+
+
+def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint8]]:
+    """Return where each row's network header starts, its IPv4 identification, and its time to live.
+
+    The identification is 0 for IPv6, which has none.
+    """
+    frames = FrameBatch(
+        batch.data,
+        batch.number,
+        batch.time_ns,
+        batch.link_type,
+        batch.frame_offset,
+        batch.frame_length,
+        batch.original_length,
+    )
+    network = Demux()._locate(batch.data, frames).network  # noqa: SLF001  of this module
+    header = read_at(batch.data, network, IPV4_HEADER)
+    four = batch.ip_version == 4
+    life = read_at(batch.data, network + HOP_LIMIT, np.uint8)
+    return (
+        network,
+        np.where(four, header["identification"], 0).astype(np.uint16),
+        np.where(four, header["time_to_live"], life),
+    )
+
+
+def demux(frames: FrameBatch) -> PacketBatch:
+    """Turn frames into datagrams without state from earlier frames; see ``Demux``."""
+    return Demux().demux(frames)
+
+
+class Demux:
+    """Turns frames into datagrams; remembers fragments from batch to batch.
+
+    Attributes:
+        skipped: frames so far that contained no UDP over IP.
+        unknown_link_types: link types seen that cannot be read.
+    """
+
+    def __init__(self) -> None:
+        self.skipped = 0
+        self.unknown_link_types: set[int] = set()
+        self._reassembler = Reassembler()
+
+    @property
+    def incomplete(self) -> int:
+        """Fragmented datagrams that were dropped or still lack fragments."""
+        return self._reassembler.abandoned + self._reassembler.pending
+
+    def demux(self, frames: FrameBatch) -> PacketBatch:
+        """Turn frames into datagrams, one row for each frame that contains UDP or a fragment of it."""
+        data, end = frames.data, frames.offset + frames.length
+        if len(frames) and int(end.max()) + PADDING > data.size:
+            data = np.concatenate((data, np.zeros(PADDING, dtype=np.uint8)))
+        network, version, header = self._locate(data, frames)
+        if (version == 4).all():
+            transport = ipv4(data, network, end, header)
+        else:
+            four, six = np.flatnonzero(version == 4), np.flatnonzero(version == 6)
+            transport = merge_rows(
+                [(four, ipv4(data, network[four], end[four])), (six, ipv6(data, network[six], end[six]))]
+            )
+        self.skipped += len(frames) - len(transport.position)
+        return self._datagrams(data, _choose(frames, transport.rows), transport)
+
+    def _locate(self, data: NDArray[np.uint8], frames: FrameBatch) -> _Located:
+        """Find where each network header starts, and the IP version."""
+        types = frames.link_type
+        if len(types) and (types == types[0]).all():
+            return self._locate_one(int(types[0]), data, frames.offset, frames.offset + frames.length)
+        network = frames.offset.copy()
+        version = np.zeros(len(frames), dtype=np.uint8)
+        for link_type in np.unique(types):
+            rows = np.flatnonzero(types == link_type)
+            offset = frames.offset[rows]
+            end = offset + frames.length[rows]
+            network[rows], version[rows], _ = self._locate_one(int(link_type), data, offset, end)
+        return _Located(network, version)
+
+    def _locate_one(
+        self, link_type: int, data: NDArray[np.uint8], offset: NDArray[np.int64], end: NDArray[np.int64]
+    ) -> _Located:
+        if link_type in _PROTOCOL_FIELD:
+            size, at = _PROTOCOL_FIELD[link_type]
+            if at + 2 < size:
+                protocol = read_at(data, offset + at, ">u2")
+                return _untag(data, offset + size, protocol.astype(np.uint16), end)
+            header = read_at(data, offset + at, _TYPE_AND_IPV4)
+            return _untag(data, offset + size, header["ether_type"].astype(np.uint16), end, header)
+        version = np.zeros(len(offset), dtype=np.uint8)
+        if link_type in _RAW:
+            version[:] = read_at(data, offset, np.uint8) >> 4
+            return _Located(offset, version)
+        if link_type not in _FAMILY_FIELD:
+            self.unknown_link_types.add(link_type)
+            return _Located(offset, version)
+        family = read_at(data, offset, "<u4")
+        for value, number in _FAMILY_VERSION.items():
+            version[(family == value) | (family == value << 24)] = number
+        return _Located(offset + 4, version)
+
+    def _datagrams(self, data: NDArray[np.uint8], frames: FrameBatch, transport: IpPayloads) -> PacketBatch:
+        """Read UDP headers; ``frames`` and ``transport`` have the same rows."""
+        frame_end = frames.offset + frames.length
+        start = np.minimum(transport.position, frame_end)
+        have = np.minimum(transport.end, frame_end) - start
+        udp = read_at(data, start, UDP_HEADER) if transport.udp is None else transport.udp
+        announced = transport.end - transport.position
+        length = udp["length"].astype(np.int64)
+        believed = (length >= UDP_BYTES) & (length <= announced)
+        if not believed.all():
+            length = np.where(believed, length, announced)
+        source_port = udp["source_port"].astype(np.uint16)
+        destination_port = udp["destination_port"].astype(np.uint16)
+        if len(have) and have.min() < UDP_BYTES:
+            source_port[have < 4] = destination_port[have < 4] = 0
+            length = np.maximum(length, UDP_BYTES)
+            have = np.maximum(have, UDP_BYTES)
+        cut = (transport.end > frame_end) | (frames.length < frames.original_length)
+        batch = PacketBatch(
+            data=data,
+            number=frames.number,
+            time_ns=frames.time_ns,
+            link_type=frames.link_type,
+            frame_offset=frames.offset,
+            frame_length=frames.length,
+            original_length=frames.original_length,
+            offset=np.minimum(start + UDP_BYTES, frame_end),
+            length=(np.minimum(length, have) - UDP_BYTES).astype(np.int32),
+            source_address=transport.source,
+            source_port=source_port,
+            destination_address=transport.destination,
+            destination_port=destination_port,
+            ip_version=transport.version,
+            capture_findings=cut * np.uint32(Finding.CAPTURE_CUT),
+            ipv6=transport.addresses,
+        )
+        return self._assemble(batch, transport) if transport.fragment.any() else batch
+
+    def _assemble(self, batch: PacketBatch, transport: IpPayloads) -> PacketBatch:
+        """Write the rows of fragments into the new columns of ``batch``, and add completed datagrams."""
+        data, used = [batch.data], batch.data.size
+        frame_end = batch.frame_offset + batch.frame_length
+        for row in np.flatnonzero(transport.fragment).tolist():
+            start, end = int(transport.position[row]), int(transport.end[row])
+            payload, ports = self._reassembler.add(
+                Fragment(
+                    key=_key(batch, row, int(transport.identification[row])),
+                    time_ns=int(batch.time_ns[row]),
+                    start=int(transport.fragment[row]) & 0xFFF8,
+                    more=bool(transport.fragment[row] & 1),
+                    whole=end <= frame_end[row],
+                    data=batch.data[start : min(end, int(frame_end[row]))].tobytes(),
+                )
+            )
+            batch.source_port[row], batch.destination_port[row] = ports
+            if payload is None or len(payload) < UDP_BYTES:
+                batch.length[row] = 0
+                batch.capture_findings[row] |= Finding.FRAGMENT
+                continue
+            announced = int.from_bytes(payload[4:6])
+            size = announced if UDP_BYTES <= announced <= len(payload) else len(payload)
+            data.append(np.frombuffer(payload, dtype=np.uint8)[UDP_BYTES:size])
+            batch.offset[row], batch.length[row] = used, size - UDP_BYTES
+            used += size - UDP_BYTES
+        data.append(np.zeros(PADDING, dtype=np.uint8))
+        return replace(batch, data=np.concatenate(data))
+
+
+def _untag(
+    data: NDArray[np.uint8],
+    position: NDArray[np.int64],
+    protocol: NDArray[np.uint16],
+    end: NDArray[np.int64],
+    header: NDArray[np.void] | None = None,
+) -> _Located:
+    """Skip VLAN tags (IEEE 802.1Q, nested too) and return the IP version from the EtherType.
+
+    Args:
+        data: u8, the buffer.
+        position: i64, start of the data after the EtherType; written to.
+        protocol: u16, the EtherType; written to.
+        end: i64, one past each frame's last captured byte.
+        header: the bytes that would be IPv4 headers if there were no tags.
+    """
+    rows = np.flatnonzero(np.isin(protocol, _VLAN))
+    if len(rows):
+        header = None
+    while len(rows := rows[position[rows] + 4 <= end[rows]]):
+        protocol[rows] = read_at(data, position[rows] + 2, ">u2")
+        position[rows] += 4
+        rows = rows[np.isin(protocol[rows], _VLAN)]
+    version = (protocol == _IPV4) * np.uint8(4) + (protocol == _IPV6) * np.uint8(6)
+    return _Located(position, version, header)
+
+
+def _key(batch: PacketBatch, row: int, identification: int) -> tuple[int, int, bytes, bytes]:
+    version = int(batch.ip_version[row])
+    addresses = int(batch.source_address[row]), int(batch.destination_address[row])
+    if version == 6:
+        return version, identification, batch.ipv6[addresses[0]], batch.ipv6[addresses[1]]
+    return version, identification, addresses[0].to_bytes(4), addresses[1].to_bytes(4)
+
+
+def _choose(frames: FrameBatch, rows: NDArray[np.int64] | None) -> FrameBatch:
+    if rows is None:
+        return frames
+    return FrameBatch(
+        frames.data, *(getattr(frames, item.name)[rows] for item in fields(FrameBatch) if item.name != "data")
+    )

@@ -1,0 +1,215 @@
+"""IPv4 and IPv6 headers in columns: from the start of the network header to the start of its UDP header.
+
+RFC 791 and RFC 8200. Only packets with UDP are kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.wire.window import read_at
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+UDP = 17
+UDP_HEADER = np.dtype([("source_port", ">u2"), ("destination_port", ">u2"), ("length", ">u2")])
+"""RFC 768, without the checksum."""
+UDP_BYTES = 8
+
+IPV4_HEADER = np.dtype(
+    [
+        ("version_length", "u1"),
+        ("service", "u1"),
+        ("total_length", ">u2"),
+        ("identification", ">u2"),
+        ("fragment", ">u2"),
+        ("time_to_live", "u1"),
+        ("protocol", "u1"),
+        ("checksum", ">u2"),
+        ("source", ">u4"),
+        ("destination", ">u4"),
+        ("source_port", ">u2"),
+        ("destination_port", ">u2"),
+        ("length", ">u2"),
+    ]
+)
+"""Without options, and the UDP header that follows: one memory access instead of two."""
+_IPV6 = np.dtype(
+    [
+        ("version_class_flow", ">u4"),
+        ("payload_length", ">u2"),
+        ("next_header", "u1"),
+        ("hop_limit", "u1"),
+        ("source", "V16"),
+        ("destination", "V16"),
+    ]
+)
+HOP_LIMIT = 7
+"""Position of the hop limit, IPv6's time to live."""
+_EXTENSION = np.dtype(
+    [("next_header", "u1"), ("length", "u1"), ("fragment", ">u2"), ("identification", ">u4")]
+)
+_FRAGMENT_HEADER = 44
+_AUTHENTICATION_HEADER = 51
+_NO_NEXT_HEADER = 59
+_EXTENSIONS = (0, 43, _FRAGMENT_HEADER, _AUTHENTICATION_HEADER, 60, 135, 139, 140)
+"""Hop-by-hop, routing, fragment, authentication, destination options, mobility, HIP, shim6."""
+
+
+@dataclass(frozen=True, slots=True)
+class IpPayloads:
+    """UDP, or fragments of it, as IP headers describe it; one element for each packet that was kept.
+
+    Attributes:
+        rows: i64, which of the given packets were kept, in order; None for all of them.
+        version: u8, 4 or 6.
+        source: u32, IPv4 address, or index into ``addresses``.
+        destination: u32, as ``source``.
+        position: i64, start of the UDP header or of a fragment's data.
+        end: i64, one past the last byte of the IP payload, captured or not.
+        fragment: u16, 0 for a whole packet; for a fragment, the position of its bytes in the whole payload (a
+            multiple of 8), plus 1 if more follow.
+        identification: u32, the same in all fragments of a packet; 0 for a whole IPv6 packet.
+        addresses: IPv6 addresses, 16 bytes each.
+        udp: structured, with the fields of ``UDP_HEADER``; None if they were not read yet.
+    """
+
+    rows: NDArray[np.int64] | None
+    version: NDArray[np.uint8]
+    source: NDArray[np.uint32]
+    destination: NDArray[np.uint32]
+    position: NDArray[np.int64]
+    end: NDArray[np.int64]
+    fragment: NDArray[np.uint16]
+    identification: NDArray[np.uint32]
+    addresses: tuple[bytes, ...] = ()
+    udp: NDArray[np.void] | None = None
+
+
+def ipv4(
+    data: NDArray[np.uint8],
+    network: NDArray[np.int64],
+    end: NDArray[np.int64],
+    header: NDArray[np.void] | None = None,
+) -> IpPayloads:
+    """Read IPv4 headers.
+
+    Args:
+        data: u8, the buffer.
+        network: i64, start of each header; the buffer has at least 28 bytes from there.
+        end: i64, one past each frame's last captured byte.
+        header: structured, with the fields of ``IPV4_HEADER``, if they were already read.
+    """
+    if header is None:
+        header = read_at(data, network, IPV4_HEADER)
+    # Version 4 and 5 to 15 words: 0 to 10.
+    words = header["version_length"] - np.uint8(0x45)
+    length: NDArray[np.int64] = (words.astype(np.int64) << 2) + 20
+    total = header["total_length"].astype(np.int64)
+    if not total.all():
+        # A length of 0 is a packet captured before the interface segmented it (segmentation offload).
+        total = np.where(total == 0, end - network, total)
+    flags = header["fragment"].astype(np.uint16)
+    fragment = ((flags & 0x1FFF) << 3 | flags >> 13 & 1).astype(np.uint16)
+    keep = (words <= 10) & (header["protocol"] == UDP)
+    keep &= end - network >= 20
+    keep &= total - length >= (np.where(fragment, 1, UDP_BYTES) if fragment.any() else UDP_BYTES)
+    rows = None
+    if not keep.all():
+        rows = np.flatnonzero(keep)
+        header, words, network, length = header[rows], words[rows], network[rows], length[rows]
+        total, fragment = total[rows], fragment[rows]
+    return IpPayloads(
+        rows=rows,
+        version=np.full(len(header), 4, dtype=np.uint8),
+        source=header["source"].astype(np.uint32),
+        destination=header["destination"].astype(np.uint32),
+        position=network + length,
+        end=network + total,
+        fragment=fragment,
+        identification=header["identification"].astype(np.uint32),
+        udp=header if not words.any() else None,
+    )
+
+
+def ipv6(data: NDArray[np.uint8], network: NDArray[np.int64], end: NDArray[np.int64]) -> IpPayloads:
+    """Read IPv6 headers and their extension headers.
+
+    Args:
+        data: u8, the buffer.
+        network: i64, start of each header; the buffer has at least 40 bytes from there.
+        end: i64, one past each frame's last captured byte.
+    """
+    header = read_at(data, network, _IPV6)
+    position = network + 40
+    length = header["payload_length"].astype(np.int64)
+    # A length of 0 is a jumbogram or segmentation offload: the rest of the frame.
+    stop = np.where(length == 0, end, position + length)
+    whole = (header["version_class_flow"] >> 28 == 6) & (position <= end)
+    following = np.where(whole, header["next_header"], _NO_NEXT_HEADER)
+    fragment = np.zeros(len(network), dtype=np.uint16)
+    identification = np.zeros(len(network), dtype=np.uint32)
+    reach = np.minimum(stop, end)
+    rows = np.flatnonzero(np.isin(following, _EXTENSIONS))
+    while len(rows := rows[position[rows] + 8 <= reach[rows]]):
+        extension = read_at(data, position[rows], _EXTENSION)
+        kind = following[rows]
+        units = extension["length"].astype(np.int64)
+        size = np.where(kind == _AUTHENTICATION_HEADER, (units + 2) << 2, (units + 1) << 3)
+        position[rows] += np.where(kind == _FRAGMENT_HEADER, 8, size)
+        following[rows] = extension["next_header"]
+        # A fragment header for the whole packet (RFC 6946) is skipped like any other.
+        split = np.where(kind == _FRAGMENT_HEADER, extension["fragment"] & 0xFFF9, 0)
+        fragment[rows] = split
+        identification[rows] = np.where(split, extension["identification"], 0)
+        rows = rows[(split == 0) & np.isin(following[rows], _EXTENSIONS)]
+    kept = np.flatnonzero((following == UDP) & (stop >= position + np.where(fragment, 1, UDP_BYTES)))
+    source, destination, addresses = _number(header["source"][kept], header["destination"][kept])
+    return IpPayloads(
+        rows=kept,
+        version=np.full(len(kept), 6, dtype=np.uint8),
+        source=source,
+        destination=destination,
+        position=position[kept],
+        end=stop[kept],
+        fragment=fragment[kept],
+        identification=identification[kept],
+        addresses=addresses,
+    )
+
+
+def _number(
+    source: NDArray[np.void], destination: NDArray[np.void]
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32], tuple[bytes, ...]]:
+    """Replace 16-byte addresses by indices into a table of the distinct ones."""
+    every = np.concatenate((source, destination))
+    halves = every.view(np.uint64).reshape(-1, 2)
+    order = np.lexsort((halves[:, 0], halves[:, 1]))
+    inorder = halves[order]
+    first = np.ones(len(every), dtype=np.bool_)
+    first[1:] = (inorder[1:] != inorder[:-1]).any(axis=1)
+    index = np.empty(len(every), dtype=np.uint32)
+    index[order] = np.cumsum(first) - 1
+    table = tuple(every[row].tobytes() for row in order[first])
+    return index[: len(source)], index[len(source) :], table
+
+
+def merge_rows(parts: list[tuple[NDArray[np.int64], IpPayloads]]) -> IpPayloads:
+    """Merge the results for several selections of rows, in the order of the rows.
+
+    Args:
+        parts: the selected packets, and what was read of them; at most one part has addresses.
+    """
+    chosen = [replace(part, rows=asked if part.rows is None else asked[part.rows]) for asked, part in parts]
+    columns = {
+        item.name: np.concatenate([getattr(part, item.name) for part in chosen])
+        for item in fields(IpPayloads)
+        if item.name not in {"addresses", "udp"}
+    }
+    order = np.argsort(columns["rows"], kind="stable")
+    addresses = next((part.addresses for part in chosen if part.addresses), ())
+    return IpPayloads(**{name: column[order] for name, column in columns.items()}, addresses=addresses)

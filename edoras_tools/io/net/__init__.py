@@ -1,0 +1,1 @@
+"""UDP in and out."""

@@ -1,0 +1,193 @@
+"""Datagrams from plain UDP sockets: no privilege is needed, and this machine is the receiver."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.capture.device import DeviceSource
+from edoras_tools.io.frames.build import ENDS, FramePage
+from edoras_tools.io.net.buffer import SLOTS, make_buffer
+from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
+from edoras_tools.model import Endpoint, InterfaceOutage, SourceInfo
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from edoras_tools.io.frames.linklayer import FrameBatch
+
+_READ_BYTES: Final = 1 << 20
+"""Approximate bytes of payloads per read, divided among the sockets."""
+_RECEIVE_BUFFER: Final = 16 << 20
+_LINGER_S: Final = 0.05
+_FILL_RATE: Final = 40_000_000
+"""Bytes per second, as the kernel counts them (about 800 for a small datagram), that buffers must hold."""
+_PORT: Final = slice(2, 4)
+_ADDRESS: Final = {4: slice(4, 8), 6: slice(8, 24)}
+"""Position of port and IP address in a socket address, by IP version."""
+
+
+class _Bound(NamedTuple):
+    socket: socket.socket
+    version: int
+    port: int
+
+
+class Sockets:
+    """Bound UDP sockets that are read together.
+
+    Args:
+        endpoints: addresses and ports to bind; with port 0 the system chooses one.
+        receive_buffer: bytes to request for each socket; the kernel may limit it.
+
+    Attributes:
+        info: describes the source.
+        drops: datagrams that the kernel lost because a receive buffer was full.
+        linger_s: how long to let datagrams gather; short enough for the receive buffers.
+        look_s: how often to read even if no socket is readable.
+        outages: always empty.
+        endpoints: the addresses and ports that were bound.
+
+    Raises:
+        CaptureError: an endpoint cannot be bound, or there is none.
+    """
+
+    def __init__(self, endpoints: Iterable[Endpoint], receive_buffer: int = _RECEIVE_BUFFER) -> None:
+        self.drops = 0
+        self.linger_s = _LINGER_S
+        self.look_s = 0.1
+        self.outages: list[InterfaceOutage] = []
+        self._bound: list[_Bound] = []
+        self._buffer = make_buffer()
+        self._page = FramePage()
+        self._number = 1
+        try:
+            self.endpoints = tuple(self._bind(endpoint, receive_buffer) for endpoint in endpoints)
+        except CaptureError:
+            self.close()
+            raise
+        if not self.endpoints:
+            raise CaptureError("no endpoint to listen on: name one as HOST:PORT")
+        self.info = SourceInfo(", ".join(str(endpoint) for endpoint in self.endpoints), "udp")
+
+    def _bind(self, endpoint: Endpoint, receive_buffer: int) -> Endpoint:
+        instead = "capture from the interface with -i, which sees its datagrams without taking the port"
+        opened = open_bound(endpoint, instead=instead, buffer_bytes=receive_buffer, destinations=True)
+        local = local_endpoint(opened)
+        given = opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        self.linger_s = min(self.linger_s, given / _FILL_RATE)
+        self._bound.append(_Bound(opened, 6 if opened.family == socket.AF_INET6 else 4, local.port))
+        return local
+
+    def filenos(self) -> tuple[int, ...]:
+        """Return the file descriptors that become readable when a datagram arrives."""
+        return tuple(bound.socket.fileno() for bound in self._bound)
+
+    def read(self) -> FrameBatch | None:
+        """Return the datagrams that have arrived, about a MiB at most, in order of time; None if none.
+
+        Datagrams that came to one socket after another one had been read are kept for the next read;
+        otherwise times could go back between two reads.
+        """
+        page = self._page
+        while True:
+            kept = page.rows
+            whole_ns = time.time_ns()  # later datagrams have later times
+            for bound in self._bound:
+                if not self._drain(bound, page):
+                    whole_ns = min(whole_ns, int(page.time_ns[page.rows - 1]))
+            fresh = page.rows > kept
+            order = np.argsort(page.time_ns[: page.rows], kind="stable")
+            count = len(order)
+            if fresh and len(self._bound) > 1:
+                count = int(np.searchsorted(page.time_ns[order], whole_ns, "right"))
+            if count or not fresh:
+                break
+        if not count:
+            return None
+        frames = page.frames(self._number, order[:count])
+        self._number += count
+        self._page = page.part(order[count:])
+        return frames
+
+    def _drain(self, bound: _Bound, page: FramePage) -> bool:
+        """Add a socket's datagrams to a page, up to its share; return whether that was all of them."""
+        buffer, share = self._buffer, page.used + _READ_BYTES // len(self._bound)
+        while page.used < share:
+            count = buffer.receive(bound.socket)
+            if count <= 0:
+                return True
+            senders = buffer.senders(count).view(np.uint8).reshape(count, -1)
+            ends = np.zeros(count, ENDS)
+            width = 4 if bound.version == 4 else 16
+            ends["version"], ends["destination_port"] = bound.version, bound.port
+            ends["source"][:, :width] = senders[:, _ADDRESS[bound.version]]
+            ends["source_port"] = np.ascontiguousarray(senders[:, _PORT]).view(">u2")[:, 0]
+            ends["destination"][:, :width] = buffer.destinations(count, bound.version)
+            page.add(
+                buffer.slots.reshape(-1),
+                buffer.starts[:count],
+                buffer.length[:count],
+                buffer.times(count),
+                ends,
+            )
+            if count < SLOTS:
+                return True
+        return False
+
+    def count(self) -> None:
+        """Read the kernel's drop counters."""
+        self.drops = sum(kernel_drops(bound.socket) for bound in self._bound)
+
+    def refuse(self) -> None:
+        """Receive nothing from now on: each socket is connected to itself, so no other sender is accepted."""
+        for bound in self._bound:
+            with contextlib.suppress(OSError):
+                bound.socket.connect(bound.socket.getsockname())
+
+    def drained(self) -> bool:
+        """Return True: a read that finds nothing has found everything."""
+        return True
+
+    def failure(self) -> str | None:
+        """Return None: a UDP socket does not fail between reads."""
+        return None
+
+    def close(self) -> None:
+        """Close the sockets."""
+        for bound in self._bound:
+            bound.socket.close()
+
+
+class UdpSource(DeviceSource):
+    """Datagrams that are sent to this process, received on plain UDP sockets.
+
+    IPv6 sockets take only IPv6, so that ``0.0.0.0`` and ``::`` can be used together.
+
+    Args:
+        endpoints: addresses and ports to bind; with port 0 the system chooses one.
+        ready: called once when ``batches`` starts; nothing that arrives after construction is missed.
+        receive_buffer: bytes to request for each socket; the kernel may limit it.
+
+    Attributes:
+        endpoints: the addresses and ports that were bound.
+
+    Raises:
+        CaptureError: an endpoint cannot be bound, or there is none.
+    """
+
+    def __init__(
+        self,
+        endpoints: Iterable[Endpoint],
+        *,
+        ready: Callable[[], None] | None = None,
+        receive_buffer: int = _RECEIVE_BUFFER,
+    ) -> None:
+        sockets = Sockets(endpoints, receive_buffer)
+        self.endpoints = sockets.endpoints
+        super().__init__(sockets, ready=ready)

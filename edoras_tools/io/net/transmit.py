@@ -1,0 +1,191 @@
+"""UDP sockets for sending on deadlines: one that sends to one target, and one that only listens.
+
+Rules of a transmitter:
+
+1. Its socket is connected, so that the kernel reports refusals, and blocks while it is full: nothing is lost
+   on this machine.
+2. A single datagram, which has a deadline, is sent by one system call without a copy. Many are sent by few
+   system calls.
+3. Each datagram is counted once, as sent or under its system error. A refusal is counted in addition: it
+   answers a datagram that was sent.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, Self
+
+import numpy as np
+
+from edoras_tools.io.net.address import resolve
+from edoras_tools.io.net.mmsg import SendMany, usable
+from edoras_tools.io.net.send import SendResult, send_one
+from edoras_tools.io.net.sockets import bind, connect, local_endpoint, open_bound, open_socket, received
+
+if TYPE_CHECKING:
+    import socket
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Endpoint
+
+_MANY: Final = 512
+"""Datagrams passed to the kernel at once."""
+_BUFFER_BYTES: Final = 4 << 20
+_INSTEAD: Final = "choose another with --listen"
+
+
+@dataclass(slots=True)
+class SendStatistics:
+    """Counters of sent datagrams.
+
+    Attributes:
+        sent: accepted by the kernel.
+        refused: answers that nothing listens there (ICMP port unreachable).
+        errors: system errors of the others, with counts.
+    """
+
+    sent: int = 0
+    refused: int = 0
+    errors: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def failed(self) -> int:
+        """Datagrams that certainly did not arrive."""
+        return self.refused + sum(self.errors.values())
+
+    def add(self, sent: SendResult) -> None:
+        """Add the result of sending some datagrams."""
+        self.sent += sent.taken
+        self.refused += sent.refused
+        for reason, count in sent.errors.items():
+            self.errors[reason] = self.errors.get(reason, 0) + count
+
+
+class _Port:
+    """A socket that belongs to a context manager.
+
+    Attributes:
+        local: the address and port it is bound to.
+    """
+
+    def __init__(self, opened: socket.socket) -> None:
+        self._socket = opened
+        self.local = local_endpoint(opened)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def fileno(self) -> int:
+        """Return the file descriptor, which becomes readable when a datagram arrives."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class Transmitter(_Port):
+    """A connected socket.
+
+    Args:
+        target: the receiver of all datagrams.
+        source: address and port to send from, where answers arrive; any by default.
+
+    Attributes:
+        target: the resolved address.
+        local: the address and port it is bound to.
+        statistics: its counters.
+
+    Raises:
+        CaptureError: the target is unknown or cannot be reached, or the port is in use.
+    """
+
+    def __init__(self, target: Endpoint, source: Endpoint | None = None) -> None:
+        self.statistics = SendStatistics()
+        family, address = resolve(target, f"UDP {target}")
+        opened = open_socket(family, _BUFFER_BYTES)
+        try:
+            opened.setblocking(True)
+            if source is not None:
+                bind(opened, resolve(source, f"UDP {source}")[1], f"UDP {source}", _INSTEAD)
+            connect(opened, address, f"UDP {target}")
+        except BaseException:
+            opened.close()
+            raise
+        super().__init__(opened)
+        self.target = address.endpoint
+        self._many = SendMany(_MANY, waits=True) if usable() else None
+
+    def send(self, payload: bytes | memoryview) -> bool:
+        """Send one datagram; return whether the kernel accepted it."""
+        sent = send_one(self._socket, payload)
+        if sent.full:
+            sent = _dropped(sent)
+        self.statistics.add(sent)
+        return not sent.errors
+
+    def send_many(self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> int:
+        """Send datagrams in order, as fast as possible; return how many the kernel accepted.
+
+        Args:
+            data: u8, the buffer that contains them.
+            offset: i64 (n,), where each starts.
+            length: i32 (n,), its bytes.
+        """
+        if self._many is None:
+            view, ends = data.data, (offset + length).tolist()
+            return sum(self.send(view[a:b]) for a, b in zip(offset.tolist(), ends, strict=True))
+        before, at = self.statistics.sent, 0
+        base = offset.astype(np.uint64) + np.uint64(data.ctypes.data)
+        while at < len(base):
+            part = slice(at, at + _MANY)
+            sent = self._many.send(self._socket, base[part], length[part])
+            if sent.full:
+                sent = _dropped(sent)
+            self.statistics.add(sent)
+            at += sent.done
+        return self.statistics.sent - before
+
+    def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
+        """Return the datagrams that the target has answered with, ``most`` at most, and their senders."""
+        found: list[tuple[bytes, Endpoint]] = []
+        while True:
+            try:
+                found.extend(received(self._socket, most - len(found)))
+            except ConnectionRefusedError:
+                self.statistics.refused += 1
+            except OSError as error:
+                self.statistics.add(SendResult(1, errors={error.strerror or str(error): 1}))
+                return found
+            else:
+                return found
+
+
+class Listener(_Port):
+    """A bound socket that only listens.
+
+    Args:
+        endpoint: address and port; with port 0 the system chooses one.
+
+    Raises:
+        CaptureError: it cannot be bound.
+    """
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        super().__init__(open_bound(endpoint, f"UDP {endpoint}", _INSTEAD, buffer_bytes=_BUFFER_BYTES))
+
+    def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
+        """Return the datagrams that have arrived, ``most`` at most, and their senders."""
+        return list(received(self._socket, most))
+
+
+def _dropped(sent: SendResult) -> SendResult:
+    """Return the result for a blocking socket that accepts no more: the system is out of memory."""
+    reason = os.strerror(errno.ENOBUFS)
+    return sent._replace(done=sent.done + 1, errors={**sent.errors, reason: sent.errors.get(reason, 0) + 1})

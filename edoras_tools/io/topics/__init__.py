@@ -1,0 +1,1 @@
+"""What a recording contains of a batch: datagrams, messages, events, statistics."""

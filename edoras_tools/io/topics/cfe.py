@@ -1,0 +1,215 @@
+"""Messages of cFE's own telemetry: events for Foxglove's log panel, Software Bus housekeeping."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record
+from edoras_tools.links.table import among
+from edoras_tools.wire import cfe
+from edoras_tools.wire.window import copy_rows, put_rows, read_at
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns, InterfaceOutage, PacketBatch
+    from edoras_tools.wire.layout import Layout
+
+
+def _payload(layout: Layout, **cut: int) -> np.dtype[np.void]:
+    """Return a header as a record type, texts as bytes; it ends with a text that is shortened to a size."""
+    order = "<" if layout.byte_order == "little" else ">"
+    fields: list[Any] = []
+    for slot in layout.slots:
+        name, size = slot.field.name, slot.end - slot.start
+        if slot.field.kind == "uint":
+            fields.append((name, f"{order}u{size}"))
+        else:
+            fields.append((name, "u1", cut.get(name, size)))
+        if name in cut:
+            break
+    return np.dtype(fields)
+
+
+_EVENT = _payload(cfe.EVENT, message=120)
+"""An event, without the last 2 of 122 bytes of text, which some builds do not have."""
+_HOUSEKEEPING = _payload(cfe.SOFTWARE_BUS_HOUSEKEEPING)
+_COUNTERS = [
+    slot.field.name
+    for slot in cfe.SOFTWARE_BUS_HOUSEKEEPING.slots
+    if slot.field.bits == 8 and slot.field.name != "spare"
+]
+
+_LEVELS = np.array([30, 10, 20, 40, 50], dtype=np.uint8)
+"""rcl_interfaces/msg/Log level by EventType: unknown (as WARN), debug, info, error, critical."""
+
+_SOFTWARE_BUS = np.dtype(
+    [
+        *RECORD,
+        ("encapsulation", "<u4"),
+        ("stamp_sec", "<i4"),
+        ("stamp_nanosec", "<u4"),
+        ("processor_id", "<u4"),
+        ("memory_pool_handle", "<u4"),
+        ("memory_in_use", "<u4"),
+        ("unmarked_memory", "<u4"),
+        ("pipe_overflow_error_counter", "<u2"),
+        ("message_limit_error_counter", "<u2"),
+        *((name, "u1") for name in _COUNTERS),
+        ("link", "u1"),
+    ]
+)
+"""``edoras_msgs/msg/SoftwareBusHousekeeping`` as a record."""
+
+_LOG = np.dtype(
+    [*RECORD, ("encapsulation", "<u4"), ("stamp_sec", "<i4"), ("stamp_nanosec", "<u4"), ("level", "u1")]
+)
+"""``rcl_interfaces/msg/Log`` as a record, up to its strings."""
+
+
+def software_bus_messages(
+    batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+) -> Messages:
+    """Return one ``edoras_msgs/msg/SoftwareBusHousekeeping`` for every complete 0x0803 packet.
+
+    Args:
+        batch: the datagrams.
+        columns: of the same rows.
+        channel_id: MCAP channel.
+        published: i64, publish time, ns since 1970.
+    """
+    rows, payload = _telemetry(batch, columns, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, _HOUSEKEEPING)
+    heads = np.zeros(len(rows), dtype=_SOFTWARE_BUS)
+    log_time = batch.time_ns[rows]
+    fill_record(heads, channel_id, 0, columns.sequence_count[rows], log_time, published[rows])
+    heads["encapsulation"] = CDR_LE_WORD
+    stamp(heads, published[rows])
+    heads["processor_id"] = columns.processor_id[rows]
+    heads["link"] = columns.link[rows]
+    for name in _HOUSEKEEPING.names or ():
+        if name != "spare":
+            heads[name] = payload[name]
+    nothing = np.zeros(len(rows), dtype=np.int64)
+    return Messages(
+        rows, channel_id, log_time, heads.itemsize, heads.__getitem__, batch.data, nothing, nothing
+    )
+
+
+def event_messages(
+    batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+) -> Messages:
+    """Return one ``rcl_interfaces/msg/Log`` for every complete 0x0808 packet.
+
+    ``name`` is the AppName, ``msg`` the text, ``function`` the sender as ``SPACECRAFT/PROCESSOR``,
+    ``line`` the EventID, ``file`` empty.
+
+    Args:
+        batch: the datagrams.
+        columns: of the same rows.
+        channel_id: MCAP channel.
+        published: i64, publish time, ns since 1970.
+    """
+    rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, _EVENT)
+    heads = np.zeros(len(rows), dtype=_LOG)
+    data, offset, length = _log_strings(payload, heads.itemsize)
+    log_time = batch.time_ns[rows]
+    fill_record(heads, channel_id, length, columns.sequence_count[rows], log_time, published[rows])
+    heads["encapsulation"] = CDR_LE_WORD
+    stamp(heads, published[rows])
+    kinds = payload["event_type"]
+    heads["level"] = _LEVELS[np.where(kinds < len(_LEVELS), kinds, 0)]
+    return Messages(rows, channel_id, log_time, heads.itemsize, heads.__getitem__, data, offset, length)
+
+
+def outage_messages(outages: Sequence[InterfaceOutage], channel_id: int) -> Messages:
+    """Return one ``rcl_interfaces/msg/Log`` for each outage, so that a log panel shows what was not captured.
+
+    ``name`` is ``edoras``, ``msg`` what happened, at the time when the interface went away or returned.
+
+    Args:
+        outages: those that started, and those that ended.
+        channel_id: MCAP channel.
+    """
+    payload = np.zeros(len(outages), dtype=_EVENT)
+    for row, outage in zip(payload, outages, strict=True):
+        seconds = (outage.end_ns - outage.start_ns) / 1e9
+        what = f"was {outage.why} for {seconds:.1f} s" if outage.end_ns else f"is {outage.why} now"
+        for name, words in (("app_name", "edoras"), ("message", f"{outage.interface} {what}")):
+            text = np.frombuffer(words.encode("ascii", "replace")[: row[name].size - 1], np.uint8)
+            row[name][: len(text)] = text
+    heads = np.zeros(len(outages), dtype=_LOG)
+    data, offset, length = _log_strings(payload, heads.itemsize)
+    time_ns = np.array([outage.end_ns or outage.start_ns for outage in outages], dtype=np.int64)
+    fill_record(heads, channel_id, length, 0, time_ns, time_ns)
+    heads["encapsulation"] = CDR_LE_WORD
+    stamp(heads, time_ns)
+    heads["level"] = _LEVELS[0]
+    rows = np.arange(len(outages))
+    return Messages(rows, channel_id, time_ns, heads.itemsize, heads.__getitem__, data, offset, length)
+
+
+def stamp(heads: NDArray[np.void], time_ns: NDArray[np.int64]) -> None:
+    """Write the ``builtin_interfaces/msg/Time`` columns ``stamp_sec`` and ``stamp_nanosec``."""
+    heads["stamp_sec"], heads["stamp_nanosec"] = np.divmod(time_ns, 1_000_000_000)
+
+
+def _telemetry(
+    batch: PacketBatch, columns: Columns, msg_id: int, payload: np.dtype[np.void]
+) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+    """Find cFE telemetry of one MsgId that is long enough, and gather its payloads."""
+    rows = np.flatnonzero(columns.msg_id == msg_id)
+    link, header = columns.link[rows], columns.header_length[rows].astype(np.int64)
+    rows = rows[
+        among(link, lambda item: item.from_cfs and item.packets)
+        & (header > 0)
+        & (columns.packet_length[rows] >= header + payload.itemsize)
+    ]
+    return rows, read_at(batch.data, columns.packet_offset[rows] + columns.header_length[rows], payload)
+
+
+def _log_strings(
+    payload: NDArray[np.void], head_bytes: int
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+    """Write what follows ``level`` in a Log: name, msg, file, function, line, as aligned CDR strings."""
+    count = len(payload)
+    senders = payload["spacecraft_id"].astype(np.uint64) << np.uint64(32) | payload["processor_id"]
+    distinct, which = np.unique(senders, return_inverse=True)
+    functions = [f"{sender >> 32}/{sender & 0xFFFFFFFF}".encode() for sender in distinct.tolist()]
+    function_pool = np.frombuffer(b"".join(functions) or b"\0", dtype=np.uint8)
+    function_length = np.array([len(text) for text in functions], dtype=np.int64)
+    function_start = np.cumsum(function_length) - function_length
+    texts = (
+        _text(payload["app_name"]),
+        _text(payload["message"]),
+        (function_pool, np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)),
+        (function_pool, function_start[which], function_length[which]),
+    )
+    # CDR alignment counts from the end of the encapsulation.
+    start = head_bytes - np.dtype(RECORD).itemsize - 4
+    cursor = np.full(count, start, dtype=np.int64)
+    places = []
+    for _, _, length in texts:
+        cursor += -cursor % 4
+        places.append(cursor.copy())
+        cursor += 4 + length + 1
+    cursor += -cursor % 4
+    size = cursor + 4 - start
+    base = np.cumsum(size) - size - start
+    out = np.zeros(int(size.sum()), dtype=np.uint8)
+    for (pool, offset, length), place in zip(texts, places, strict=True):
+        put_rows(out, base + place, (length + 1).astype("<u4"))
+        copy_rows(out, base + place + 4, pool, offset, length)
+    put_rows(out, base + cursor, payload["event_id"].astype("<u4"))
+    return out, base + start, size
+
+
+def _text(field: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+    """Return a pool, offsets and lengths of NUL-terminated text; bytes that are not ASCII become ``?``."""
+    count, width = field.shape
+    pool = np.where(field < 0x80, field, np.uint8(ord("?")))
+    ended = np.concatenate((pool == 0, np.ones((count, 1), dtype=np.bool_)), axis=1)
+    return pool.ravel(), np.arange(count) * width, ended.argmax(axis=1)

@@ -1,0 +1,156 @@
+"""Messages of one kind in columns, and their record headers: the content of chunks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edoras_tools.io.topics.names import RECORD_PREFIX_BYTES
+from edoras_tools.wire.window import copy_rows, put_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+RECORD = [
+    ("opcode", "u1"),
+    ("record_length", "<u8"),
+    ("channel_id", "<u2"),
+    ("sequence", "<u4"),
+    ("log_time", "<u8"),
+    ("publish_time", "<u8"),
+]
+"""An MCAP Message record up to its data."""
+RECORD_BYTES = np.dtype(RECORD).itemsize
+OPCODE_MESSAGE = 0x05
+CDR_LE_WORD = 0x00000100
+"""The CDR encapsulation ``00 01 00 00`` (little-endian CDR, no options) as a little-endian u32."""
+
+
+@dataclass(frozen=True, slots=True)
+class Messages:
+    """Messages of one kind in columns: a fixed head, then bytes from a buffer.
+
+    Attributes:
+        rows: i64, increasing: the row of the batch that each belongs to.
+        channel_id: MCAP channel, one for each or one for all.
+        log_time: i64, ns since 1970.
+        head_bytes: size of a head.
+        heads: returns the heads of a slice of the messages: structured, ``RECORD`` first, then the fixed
+            bytes at the start of the message data. They are valid until the next call.
+        data: u8, the buffer that ``offset`` points into.
+        offset: i64, start of the rest of the message data.
+        length: integer, bytes of this rest; may be 0.
+        repeats: whether ``rows`` may contain a row more than once.
+    """
+
+    rows: NDArray[np.int64]
+    channel_id: NDArray[np.uint16] | int
+    log_time: NDArray[np.int64]
+    head_bytes: int
+    heads: Callable[[slice], NDArray[Any]]
+    data: NDArray[np.uint8]
+    offset: NDArray[np.int64]
+    length: NDArray[np.integer[Any]]
+    repeats: bool = False
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+def fill_record(
+    heads: NDArray[Any],
+    channel_id: NDArray[np.integer[Any]] | int,
+    length: NDArray[np.integer[Any]] | int,
+    sequence: NDArray[np.integer[Any]] | int,
+    log_time: NDArray[np.integer[Any]],
+    publish_time: NDArray[np.integer[Any]],
+) -> None:
+    """Write the record header columns of ``heads``.
+
+    Args:
+        heads: structured, starts with ``RECORD``.
+        channel_id: MCAP channel.
+        length: bytes of message data that follow the head.
+        sequence: u32.
+        log_time: ns since 1970.
+        publish_time: ns since 1970.
+    """
+    heads["opcode"] = OPCODE_MESSAGE
+    heads["record_length"] = length + (heads.itemsize - RECORD_PREFIX_BYTES)
+    heads["channel_id"] = channel_id
+    heads["sequence"] = sequence
+    heads["log_time"] = log_time
+    heads["publish_time"] = publish_time
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """Messages one after the other; arrays have one element per message.
+
+    Attributes:
+        channel_id: u16.
+        log_time: u64, ns since 1970.
+        start: i64, where the message data starts in ``data``.
+        end: i64, one past its last byte.
+        data: complete MCAP Message records.
+    """
+
+    channel_id: NDArray[np.uint16]
+    log_time: NDArray[np.uint64]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    data: bytes
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+def lay_out(streams: Sequence[Messages], rows: int) -> Records:
+    """Put messages of a batch one after the other, row by row, and within a row in the order of ``streams``.
+
+    Args:
+        streams: the messages.
+        rows: rows of the batch.
+    """
+    streams = [stream for stream in streams if len(stream)]
+    total = np.zeros(rows, dtype=np.int64)
+    within = [within_rows(stream, total) for stream in streams]
+    ends = np.cumsum(total)
+    starts = ends - total
+    data = np.empty(int(ends[-1]) if rows else 0, dtype=np.uint8)
+    count = sum(map(len, streams))
+    channel_id, log_time = np.empty(count, np.uint16), np.empty(count, np.uint64)
+    first, last = np.empty(count, np.int64), np.empty(count, np.int64)
+    at = 0
+    for stream, inside in zip(streams, within, strict=True):
+        position = starts[stream.rows] + inside
+        put_rows(data, position, stream.heads(slice(0, len(stream))))
+        copy_rows(data, position + stream.head_bytes, stream.data, stream.offset, stream.length)
+        these = slice(at, at + len(stream))
+        channel_id[these], log_time[these] = stream.channel_id, stream.log_time
+        first[these] = position + RECORD_BYTES
+        last[these] = position + stream.head_bytes + stream.length
+        at += len(stream)
+    order = np.argsort(first, kind="stable")
+    return Records(channel_id[order], log_time[order], first[order], last[order], data.tobytes())
+
+
+def within_rows(stream: Messages, total: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the start of each message in its row, after ``total`` bytes; add its bytes to ``total``."""
+    size = stream.head_bytes + stream.length.astype(np.int64)
+    rows = stream.rows
+    if len(rows) == len(total) and not stream.repeats:
+        inside = total.copy()
+        total += size
+    elif not stream.repeats:
+        inside = total[rows]
+        total[rows] += size
+    else:
+        before = np.cumsum(size) - size
+        inside = total[rows] + before - before[np.searchsorted(rows, rows)]
+        np.add.at(total, rows, size)
+    return inside

@@ -1,0 +1,168 @@
+"""``/edoras/link_statistics``: the traffic of each MsgId on each link, once a second."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.io.topics.cfe import stamp
+from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record
+from edoras_tools.links import table
+from edoras_tools.sessions.sequence import SequenceCounts
+from edoras_tools.wire.order import order_by
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
+
+_SECOND_NS = 1_000_000_000
+
+_GROUP = np.dtype(
+    [
+        ("second", "i8"),
+        ("flow", "i8"),
+        ("count", "i8"),
+        ("gaps", "i8"),
+        ("bytes", "i8"),
+        ("largest", "i8"),
+    ]
+)
+"""The counters of one flow, a MsgId on a link, in one second."""
+
+_MSG_ID_BITS = 17
+"""A flow is a number: the link, then this many bits of MsgId + 1, so that no MsgId is 0."""
+
+_MSG_ID_MASK = (1 << _MSG_ID_BITS) - 1
+
+_LINK_STATISTICS = np.dtype(
+    [
+        *RECORD,
+        ("encapsulation", "<u4"),
+        ("stamp_sec", "<i4"),
+        ("stamp_nanosec", "<u4"),
+        ("rate_hz", "<f8"),
+        ("bytes", "<u8"),
+        ("kernel_drops", "<u8"),
+        ("count", "<u4"),
+        ("gaps", "<u4"),
+        ("largest", "<u4"),
+        ("msg_id", "<i4"),
+        ("link", "u1"),
+        ("padding", "V3"),
+        ("topic_length", "<u4"),
+    ]
+)
+"""``edoras_msgs/msg/LinkStatistics`` as a record, up to the bytes of its topic."""
+
+
+class LinkStatistics:
+    """Adds up batches and returns one message a second for every (link, MsgId) seen in it.
+
+    Seconds are counted from the first datagram. If time goes back, datagrams stay in the current second.
+
+    Args:
+        mission: has the names of topics.
+        statistics: of the source, read for its kernel drops; None if it has no such counter.
+    """
+
+    def __init__(self, mission: Mission, statistics: SourceStatistics | None) -> None:
+        self._topics = {(int(route.link), route.msg_id): route.topic.encode() for route in mission.routes}
+        self._statistics = statistics
+        self._sequences = SequenceCounts()
+        self._origin = -1
+        self._second = 0
+        self._end_ns = 0
+        self._open = np.zeros(0, dtype=_GROUP)
+
+    def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
+        """Add a batch of at least one row; return the messages of the seconds that have ended.
+
+        Each message belongs to the first row after its second, and comes before the other messages of that
+        row.
+        """
+        if self._origin < 0:
+            self._origin = int(batch.time_ns[0])
+        second = (batch.time_ns - self._origin) // _SECOND_NS
+        second = np.maximum(np.maximum.accumulate(second), self._second)
+        self._second, self._end_ns = int(second[-1]), int(batch.time_ns[-1])
+        groups = _merge(np.concatenate((self._open, self._count(batch, columns, second))))
+        ended = groups["second"] < self._second
+        self._open = groups[~ended]
+        rows = np.searchsorted(second, groups["second"][ended], side="right")
+        time_ns = self._origin + (groups["second"][ended] + 1) * _SECOND_NS
+        return self._write(groups[ended], rows, time_ns, channel_id)
+
+    def finish(self, channel_id: int) -> Messages:
+        """Return the messages of the current second, and start again; all belong to row 0."""
+        groups, self._open = self._open, np.zeros(0, dtype=_GROUP)
+        rows = np.zeros(len(groups), dtype=np.int64)
+        return self._write(groups, rows, rows + self._end_ns, channel_id)
+
+    def _count(self, batch: PacketBatch, columns: Columns, second: NDArray[np.int64]) -> NDArray[np.void]:
+        msg_id = (columns.msg_id + 1).astype(np.uint32)
+        order = order_by(columns.processor_id, columns.link, msg_id)
+        flow = (columns.link.astype(np.uint32) << _MSG_ID_BITS) | msg_id
+        flow, second, length = flow[order], second[order], batch.length[order]
+        starts = np.append(0, np.flatnonzero((flow[1:] != flow[:-1]) | (second[1:] != second[:-1])) + 1)
+        groups = np.zeros(len(starts), dtype=_GROUP)
+        groups["second"], groups["flow"] = second[starts], flow[starts]
+        groups["count"] = np.diff(np.append(starts, len(order)))
+        groups["bytes"] = np.add.reduceat(length, starts, dtype=np.int64)
+        groups["largest"] = np.maximum.reduceat(length, starts)
+        told = self._sequences.follow(batch, columns, order)
+        if told.missing.any() or told.found.any():
+            groups["gaps"] = np.add.reduceat((told.missing - told.found)[order], starts)
+        return groups
+
+    def _write(
+        self, groups: NDArray[np.void], rows: NDArray[np.int64], time_ns: NDArray[np.int64], channel_id: int
+    ) -> Messages:
+        flows, which = np.unique(groups["flow"], return_inverse=True)
+        names = [self._name(flow) for flow in flows.tolist()]
+        length = np.array([len(name) for name in names], dtype=np.int64)
+        offset = (np.cumsum(length) - length)[which]
+        heads = np.zeros(len(groups), dtype=_LINK_STATISTICS)
+        fill_record(heads, channel_id, length[which], 0, time_ns, time_ns)
+        heads["encapsulation"] = CDR_LE_WORD
+        stamp(heads, time_ns)
+        heads["rate_hz"] = groups["count"]
+        heads["kernel_drops"] = self._statistics.kernel_drops if self._statistics else 0
+        for name in ("bytes", "count", "largest"):
+            heads[name] = groups[name]
+        heads["gaps"] = np.maximum(groups["gaps"], 0)
+        heads["link"] = groups["flow"] >> _MSG_ID_BITS
+        heads["msg_id"] = (groups["flow"] & _MSG_ID_MASK) - 1
+        heads["topic_length"] = length[which]
+        pool = np.frombuffer(b"".join(names) or b"\0", dtype=np.uint8)
+        return Messages(
+            rows,
+            channel_id,
+            time_ns,
+            heads.itemsize,
+            heads.__getitem__,
+            pool,
+            offset,
+            length[which],
+            repeats=True,
+        )
+
+    def _name(self, flow: int) -> bytes:
+        """Return the topic of a route, or ``LINK/MSG_ID``, NUL-terminated like CDR strings."""
+        link, msg_id = table.link(flow >> _MSG_ID_BITS), (flow & _MSG_ID_MASK) - 1
+        other = f"{link.label}/0x{msg_id:04x}" if msg_id >= 0 else link.label
+        return self._topics.get((int(link), msg_id), other.encode()) + b"\0"
+
+
+def _merge(groups: NDArray[np.void]) -> NDArray[np.void]:
+    """Add up groups of the same second and flow; the result is sorted by both."""
+    groups = groups[np.lexsort((groups["flow"], groups["second"]))]
+    second, flow = groups["second"], groups["flow"]
+    starts = np.append(0, np.flatnonzero((second[1:] != second[:-1]) | (flow[1:] != flow[:-1])) + 1)
+    merged: NDArray[np.void] = groups[starts]
+    for name in ("count", "gaps", "bytes"):
+        merged[name] = np.add.reduceat(groups[name], starts)
+    merged["largest"] = np.maximum.reduceat(groups["largest"], starts)
+    return merged

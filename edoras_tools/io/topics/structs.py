@@ -1,0 +1,75 @@
+"""Messages of the C structs in packets, one topic each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.structs import Structs
+    from edoras_tools.structs.bound import Bound, Held
+
+
+def struct_messages(
+    batch: PacketBatch,
+    columns: Columns,
+    rows: NDArray[np.intp],
+    structs: Structs,
+    channel_id: Callable[[Bound], int],
+    published: NDArray[np.int64],
+) -> Iterator[Messages]:
+    """Yield the messages of every struct in a batch.
+
+    Args:
+        batch: the datagrams.
+        columns: of the same rows.
+        rows: those whose MsgIds have a struct.
+        structs: the structs.
+        channel_id: returns the MCAP channel of a struct.
+        published: i64, publish time, ns since 1970.
+    """
+
+    def column(name: str) -> NDArray[np.generic]:
+        values: NDArray[np.generic] = getattr(columns, name)
+        return values
+
+    for held in structs.held(rows, column, batch.data):
+        yield _messages(held, batch, columns, channel_id(held.bound), published)
+
+
+def _messages(
+    held: Held, batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+) -> Messages:
+    """Return the messages of one struct."""
+    rows = held.rows
+    log_time = batch.time_ns[rows]
+    encoded = None if held.size else held.encode()
+    # Messages of the same length are part of their heads, and are copied with them.
+    width = encoded.width if encoded else held.size
+    record = np.dtype([*RECORD, ("message", f"V{width}")])
+    nothing = np.zeros(len(rows), np.int64)
+    start, length = (encoded.start, encoded.size) if encoded and not width else (nothing, nothing)
+    heads = np.zeros(len(rows), record)
+    if encoded is None:
+        held.fill(heads.view(np.uint8).reshape(len(rows), -1)[:, RECORD_BYTES:])
+    elif width:
+        heads["message"] = encoded.data.view(f"V{width}")
+    fill_record(heads, channel_id, length, columns.sequence_count[rows], log_time, published[rows])
+    return Messages(
+        rows,
+        channel_id,
+        log_time,
+        record.itemsize,
+        heads.__getitem__,
+        encoded.data if encoded else batch.data,
+        start,
+        length,
+    )

@@ -1,0 +1,19 @@
+"""The links: one file each, one row each in the table below; see docs/links.md.
+
+This file imports nothing: help texts name the links without loading them. The links themselves are in
+:mod:`edoras_tools.links.table`.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+ROWS: Final = {
+    "ci": "edoras_tools.links.ci:CI",
+    "to": "edoras_tools.links.to:TO",
+    "sbn": "edoras_tools.links.sbn:SBN",
+    "robot": "edoras_tools.links.robot:ROBOT",
+}
+"""The built-in links and where each object is; other packages add theirs by entry points."""
+ENTRY_POINT_GROUP: Final = "edoras.links"
+"""The entry point group: each entry has the name of its link's label and refers to the link's object."""

@@ -1,0 +1,312 @@
+"""The interface of a link, and the default readers, which are enough for most links.
+
+Rules that every link keeps:
+
+1. It is frozen: what is learnt from one stream is kept in the :class:`Site` that the caller passes.
+2. :meth:`LinkProtocol.locate` (many datagrams, as columns) and :meth:`LinkProtocol.dissect` (one, for people)
+   give the same packet offsets and the same findings for any bytes.
+3. Whatever the bytes, it raises nothing but ``WireError``, and only in ``dissect``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
+
+import numpy as np
+
+from edoras_tools.model import Decoded, Finding, Link
+from edoras_tools.wire import ccsds
+from edoras_tools.wire.layout import Field, Layout
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from collections.abc import Set as AbstractSet
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.reading import Reading
+    from edoras_tools.model import PacketBatch
+
+BY_PORT: Final = 1
+BY_CONTENT: Final = 2
+BY_ADDRESS: Final = 4
+CERTAIN: Final = 8
+"""How sure a link is that a datagram is its own; 0: it is not. The surest wins; of equals, the later one."""
+
+SMALLEST_DOUBLE: Final = 1023 - 256
+LARGEST_DOUBLE: Final = 1023 + 63
+"""IEEE 754 exponents, bias included, of the smallest and largest value that a double is likely to have:
+about 1e-77 and 1e19. Zero and subnormal values count as well; infinities and NaN do not."""
+_EXPONENT: Final = 0x7FF0
+_TOP: Final = Field("top", 16, "sign, exponent, first 4 bits of the fraction")
+_REST: Final = Field("rest", 48, "the other bits of the fraction", kind="bytes")
+_DOUBLES: Final = (
+    Layout("double_big", "Double", _TOP, _REST),
+    Layout("double_little", "Double", _REST, _TOP, byte_order="little"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """One kind of datagram of a link, recognised by its length and by the doubles that it starts with.
+
+    Attributes:
+        headers: the headers in front, in wire order.
+        port: the usual port that this form is sent to; 0 for any of them.
+        doubles: how many doubles it starts with, all in one byte order; a datagram where one of them is no
+            likely value is not of this form.
+    """
+
+    headers: tuple[Layout, ...]
+    port: int = 0
+    doubles: int = 0
+
+
+class Seen(Protocol):
+    """What a link recognises a datagram by: numbers and bools for one datagram, or arrays for many.
+
+    The operators ``+ * & | == < >`` work on both; ``not``, ``~``, ``and`` and ``or`` do not.
+    """
+
+    @property
+    def length(self) -> Any:
+        """Bytes of the payload."""
+
+    @property
+    def destination_port(self) -> Any:
+        """The port that it is sent to."""
+
+    @property
+    def to_cfs(self) -> Any:
+        """Whether its destination is the address of a cFS that the mission names."""
+
+    @property
+    def from_cfs(self) -> Any:
+        """Whether its source is the address of a cFS that the mission names."""
+
+    def field(self, layout: Layout, name: str, at: int = 0) -> Any:
+        """Return a number of a header that starts at byte ``at``; -1 where its bytes are not there."""
+
+
+class Peers:
+    """The identity of each endpoint: the first one that it sends is taken as its own.
+
+    SBN tells peers apart by identity, never by address. It reports a second identity from one endpoint as an
+    unknown peer.
+    """
+
+    def __init__(self) -> None:
+        self._first: dict[tuple[str, int], tuple[tuple[int, int], int]] = {}
+
+    def introduce(self, endpoint: tuple[str, int], identity: tuple[int, int], number: int) -> tuple[int, int]:
+        """Return the identity an endpoint is known by, which is this one if it has none yet.
+
+        Args:
+            endpoint: address as text and port.
+            identity: SpacecraftID and ProcessorID.
+            number: of the datagram that gives it.
+        """
+        return self._first.setdefault(endpoint, (identity, number))[0]
+
+    def known(self, endpoint: tuple[str, int], number: int) -> tuple[int, int] | None:
+        """Return the identity an endpoint was known by when a datagram came, or None."""
+        identity, since = self._first.get(endpoint, ((0, 0), number + 1))
+        return identity if since <= number else None
+
+
+class Site(Protocol):
+    """What the mission says of the place of a capture, and what was learnt from its datagrams so far."""
+
+    @property
+    def bridge_ports(self) -> NDArray[np.bool_]:
+        """(65536,), ports where flight bridges listen."""
+
+    @property
+    def identities(self) -> AbstractSet[tuple[int, int]]:
+        """(SpacecraftID, ProcessorID) that missions name."""
+
+    @property
+    def peers(self) -> Peers:
+        """Identities by endpoint; grows as datagrams are read, in order."""
+
+
+class Located:
+    """Where the space packets of some datagrams start, and what the headers in front of them say.
+
+    Args:
+        count: datagrams.
+
+    Attributes:
+        start: i32 (n,), first byte of the space packet in the payload; -1 where there is none.
+        findings: u32 (n,), a set of ``Finding`` bits.
+        columns: further columns of ``Columns`` by name, (n,) each.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.start = np.full(count, -1, np.int32)
+        self.findings = np.zeros(count, np.uint32)
+        self.columns: dict[str, NDArray[Any]] = {}
+
+    def flag(self, finding: Finding, chosen: NDArray[np.bool_], rows: NDArray[np.intp] | None = None) -> None:
+        """Set a finding's bit where ``chosen`` says so, of all datagrams or of some ``rows`` of them."""
+        if chosen.any():
+            at = np.flatnonzero(chosen) if rows is None else rows[chosen]
+            self.findings[at] |= np.uint32(finding)
+
+
+class BatchRows(Protocol):
+    """Some datagrams of a batch that were decoded: arrays of one length."""
+
+    @property
+    def batch(self) -> PacketBatch:
+        """The whole batch; offsets point into its ``data``."""
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return one of ``Columns``."""
+
+    def datagram(self, name: str) -> NDArray[Any]:
+        """Return one of the columns of the batch."""
+
+
+class LinkProtocol(Link):
+    """A link whose datagrams can be read.
+
+    A link with fixed headers in front of a space packet, or with messages of fixed lengths, only sets the
+    attributes; a link whose headers depend on their content overrides the methods.
+
+    Attributes:
+        layouts: its own headers, in wire order, in front of a space packet.
+        forms: the kinds of datagram, where the length tells them apart; other lengths are not this link's.
+        constants: fields of its first header with a fixed value; a datagram with another is not this link's.
+        port_sure: how sure it is by the port alone.
+        sender_port: whether the source port is enough where the destination port decides nothing.
+    """
+
+    layouts: ClassVar[tuple[Layout, ...]] = ()
+    forms: ClassVar[Mapping[int, Form]] = {}
+    constants: ClassVar[Mapping[str, int]] = {}
+    port_sure: ClassVar[int] = BY_PORT
+    sender_port: ClassVar[bool] = False
+
+    @property
+    def port_decides(self) -> bool:
+        """Whether its port is enough where no other link claims that port."""
+        return not self.forms and not self.constants
+
+    def recognise(self, seen: Seen) -> Any:
+        """Return how sure it is that a datagram to one of its ports is its own: a sum of the constants above.
+
+        A link with one direction prefers datagrams that go that way by address, then packets of that type. A
+        datagram without a packet is for cFS: Telemetry Output never sends one.
+        """
+        if self.forms:
+            return BY_CONTENT * self._has_form(seen)
+        sure: Any = self.port_sure * (seen.length >= 0)
+        if self.constants:
+            sure = BY_CONTENT * (seen.length >= self.layouts[0].size)
+            for name, value in self.constants.items():
+                sure = sure * (seen.field(self.layouts[0], name) == value)
+        if self.to_cfs == self.from_cfs:
+            return sure
+        command = seen.field(ccsds.PRIMARY, "packet_type", self.header_bytes) != ccsds.TELEMETRY_TYPE
+        this_way = seen.to_cfs > seen.from_cfs if self.to_cfs else seen.from_cfs > seen.to_cfs
+        return sure + (sure > 0) * ((command == self.to_cfs) + BY_ADDRESS * this_way)
+
+    def _has_form(self, seen: Seen) -> Any:
+        usual = sum((seen.destination_port == form.port) for form in self.forms.values() if form.port)
+        return sum(
+            (seen.length == length)
+            & ((usual == 0) | (seen.destination_port == form.port) | (form.port == 0))
+            & _likely_doubles(seen, form.doubles)
+            for length, form in self.forms.items()
+        )
+
+    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+        """Find where space packets start in many datagrams.
+
+        Args:
+            batch: the datagrams.
+            rows: those of this link, in the order they were captured.
+            site: what is known of the place.
+        """
+        del site  # the default readers do not need it
+        found = Located(len(rows))
+        if self.packets:
+            whole = batch.length[rows] >= self.header_bytes
+            found.start[whole] = self.header_bytes
+            found.flag(Finding.TRUNCATED, ~whole)
+        return found
+
+    def dissect(self, reading: Reading, site: Site) -> int | None:
+        """Read the headers of one datagram; return where its space packet starts, None where there is none.
+
+        Raises:
+            WireError: they are not whole. What was read before stays.
+        """
+        del site
+        at = 0
+        form = self.forms.get(len(reading.data))
+        for layout in form.headers if form else self.layouts:
+            reading.read(layout, at)
+            at += layout.size
+        return at if self.packets else None
+
+    def places(
+        self, layout: Layout, rows: BatchRows, field: str = ""
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Find one of ``layouts`` in decoded datagrams, for filters and tables.
+
+        Args:
+            layout: the header.
+            rows: the datagrams.
+            field: a field that must be present; datagrams whose header lacks it are left out.
+
+        Returns:
+            which rows have it, and where in the data of the batch it starts.
+        """
+        del field
+        length = rows.datagram("length")
+        there, at = rows.column("link") == self, 0
+        if self.forms:
+            there &= np.isin(length, [size for size, form in self.forms.items() if layout in form.headers])
+            (headers,) = {form.headers for form in self.forms.values() if layout in form.headers}
+        else:
+            headers = self.layouts
+        at = sum(item.size for item in headers[: headers.index(layout)])
+        owner = np.flatnonzero(there & (length >= at + layout.size))
+        return owner, rows.datagram("offset")[owner] + at
+
+    def kinds(self, length: NDArray[np.int32]) -> NDArray[np.int16]:
+        """Return the place in ``forms`` of datagrams of these lengths, i16 (n,); -1 for none."""
+        kinds = np.full(len(length), -1, np.int16)
+        for index, known in enumerate(self.forms):
+            kinds[length == known] = index
+        return kinds
+
+    def message_name(self, kind: int) -> str:
+        """Return the name of a message that is not a space packet, as ``SBN_SUB``; empty where it has none.
+
+        Args:
+            kind: its place in ``forms``, or the link's own message type.
+        """
+        form = list(self.forms.values())[kind] if 0 <= kind < len(self.forms) else None
+        return form.headers[-1].name.upper() if form else ""
+
+    def summary(self, decoded: Decoded) -> str:
+        """Return one line on a datagram without a space packet, or an empty string."""
+        return decoded.layers[-1].title if decoded.layers and not self.packets else ""
+
+
+def _likely_doubles(seen: Seen, count: int) -> Any:
+    """Tell whether the first doubles are likely values in one byte order; so is what was cut off."""
+    likely: Any = count == 0
+    for layout in _DOUBLES if count else ():
+        fits: Any = True
+        for index in range(count):
+            top = seen.field(layout, "top", index * layout.size)
+            exponent = top & _EXPONENT
+            within = (exponent >= SMALLEST_DOUBLE << 4) & (exponent <= LARGEST_DOUBLE << 4)
+            fits = fits & ((top < 0) | (exponent == 0) | within)
+        likely = likely | fits
+    return likely

@@ -1,0 +1,72 @@
+"""One datagram that is being read: its bytes, the layers and the findings so far."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from edoras_tools.errors import TruncatedError
+from edoras_tools.model import Datagram, Finding, Layer, LayerField
+
+if TYPE_CHECKING:
+    from edoras_tools.wire.layout import Layout
+
+
+class Reading:
+    """What was read of a datagram so far; an error later on does not remove it.
+
+    Args:
+        datagram: whole.
+
+    Attributes:
+        data: its payload.
+        layers: outermost first.
+        findings: those of the capture among them.
+    """
+
+    def __init__(self, datagram: Datagram) -> None:
+        self.datagram = datagram
+        self.data = datagram.payload
+        self.findings = datagram.findings
+        self.layers: list[Layer] = []
+
+    def read(self, layout: Layout, at: int, *, extra: tuple[LayerField, ...] = ()) -> dict[str, Any]:
+        """Read a header, add its layer and return its values.
+
+        Args:
+            layout: the header.
+            at: its first byte, from the start of the payload.
+            extra: fields to show in front of its own.
+
+        Raises:
+            TruncatedError: it is not whole; ``TRUNCATED`` is noted.
+        """
+        if len(self.data) - at < layout.size:
+            self.truncated(layout.name, at, layout.size)
+        values = layout.parse(self.data, at)
+        fields = tuple(
+            LayerField(
+                slot.field.name,
+                values[slot.field.name],
+                at + slot.start,
+                at + slot.end,
+                slot.field.text(values[slot.field.name]),
+                slot.field.doc,
+            )
+            for slot in layout.slots
+        )
+        self.layers.append(Layer(layout.name, layout.title, at, at + layout.size, extra + fields))
+        return values
+
+    def extend(self, field: LayerField) -> None:
+        """Add a field to the last layer, which then ends where the field does."""
+        layer = self.layers[-1]
+        self.layers[-1] = Layer(layer.name, layer.title, layer.start, field.end, (*layer.fields, field))
+
+    def truncated(self, layer: str, at: int, need: int) -> None:
+        """Note that a layer is cut, and stop.
+
+        Raises:
+            TruncatedError: always.
+        """
+        self.findings |= Finding.TRUNCATED
+        raise TruncatedError(layer, at, need, max(0, len(self.data) - at))

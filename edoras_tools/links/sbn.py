@@ -1,0 +1,322 @@
+"""The Software Bus Network over UDP: a header that names the sender, then a packet or its own message."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs.limits import BRIDGE_LENGTH_MODULUS
+from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located, Site
+from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
+from edoras_tools.wire import ccsds, sbn
+from edoras_tools.wire.order import by_value
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.reading import Reading
+    from edoras_tools.wire.layout import Layout
+
+BRIDGE_PORT: Final = 2236
+"""The port of the demos' flight bridge."""
+_WINDOW: Final = 64
+"""Bytes that hold a header, and a subscription's $Id and count."""
+_IDENT: Final = np.frombuffer(sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0"), np.uint64)
+_KNOWN_TYPES: Final = np.isin(np.arange(256), list(sbn.MsgType))
+_KINDS: Final = {
+    sbn.SUBSCRIPTIONS.name: (sbn.MsgType.SUB, sbn.MsgType.UNSUB),
+    sbn.PROTO.name: (sbn.MsgType.PROTO,),
+}
+"""The message types of each layout behind the header."""
+_SHOWN: Final = 3
+"""The most MsgIds of a subscription that a summary line lists."""
+
+
+class SoftwareBusNetworkLink(LinkProtocol):
+    """The link between SBN peers. Its ports identify it; that of either end is enough."""
+
+    code = 3
+    name = "SBN"
+    label = "sbn"
+    colour = "magenta"
+    doc = "between Software Bus Network peers"
+    transport = Transport(ports=(2234, 2235, BRIDGE_PORT), first="either")
+    to_cfs = True
+    from_cfs = True
+    packets = True
+    peers = True
+    bridge = "flight"
+    bridge_ports = ("peer_port", "udp_receive_port")
+    largest = sbn.LARGEST_PAYLOAD
+    header_bytes = sbn.HEADER.size
+    layouts = (sbn.HEADER, sbn.SUBSCRIPTIONS, sbn.PROTO)
+    sender_port = True
+    port_sure = CERTAIN
+
+    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+        """Read the headers of many datagrams; see :meth:`LinkProtocol.locate`."""
+        return _Columns(batch, rows, site).found
+
+    def dissect(self, reading: Reading, site: Site) -> int | None:
+        """Read the header of one datagram, and the message that is not a packet."""
+        return _Message(reading, site).packet_start()
+
+    def places(
+        self, layout: Layout, rows: BatchRows, field: str = ""
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Find the header, or the message that follows it; the older header has no SpacecraftID."""
+        kind, offset = rows.column("sbn_msg_type"), rows.datagram("offset")
+        there = kind >= 0
+        if layout is sbn.HEADER:
+            if field == "spacecraft_id":
+                there &= ~_read_as_legacy(rows)
+            owner = np.flatnonzero(there)
+            return owner, offset[owner]
+        at = np.where(_read_as_legacy(rows), sbn.LEGACY_HEADER.size, sbn.HEADER.size)
+        there &= np.isin(kind, _KINDS[layout.name]) & (rows.datagram("length") - at >= layout.size)
+        owner = np.flatnonzero(there)
+        return owner, (offset + at)[owner]
+
+    def message_name(self, kind: int) -> str:
+        """Return the name of a message type; empty for the one that holds a packet."""
+        if kind < 0 or kind == sbn.MsgType.APP:
+            return ""
+        return f"SBN_{sbn.MSG_TYPE_NAMES.get(kind, f'TYPE_0x{kind:02x}')}"
+
+    def summary(self, decoded: Decoded) -> str:
+        """Return a line with sender and content: the MsgIds of a subscription, or a protocol version."""
+        head = decoded.layer(sbn.HEADER.name)
+        values = head.values() if head else {}
+        if not head or values["msg_type"] == sbn.MsgType.APP:
+            return ""
+        sender = f"from {values.get('spacecraft_id', '?')}:{values.get('processor_id', '?')}"
+        listed, proto = decoded.layer(sbn.SUBSCRIPTIONS.name), decoded.layer(sbn.PROTO.name)
+        if listed is not None:
+            wanted = listed.values().get("msg_ids", [])
+            some = ", ".join(f"0x{item:04x}" for item in wanted[:_SHOWN])
+            more = f" and {len(wanted) - _SHOWN} more" if len(wanted) > _SHOWN else ""
+            return f"{some}{more} {sender}".strip()
+        if proto is not None:
+            return f"protocol version {proto.values()['protocol_version']} {sender}"
+        return sender
+
+
+SBN: Final = SoftwareBusNetworkLink()
+
+
+def _read_as_legacy(rows: BatchRows) -> NDArray[np.bool_]:
+    """Tell which headers are the older, shorter ones, without a SpacecraftID."""
+    offset, found = rows.datagram("offset"), rows.column("spacecraft_id")
+    slot = sbn.HEADER.by_name["spacecraft_id"]
+    window = gather(rows.batch.data, offset + slot.start, slot.end - slot.start)
+    short = rows.datagram("length") < sbn.HEADER.size
+    short |= rows.column("packet_offset") == offset + sbn.LEGACY_HEADER.size
+    legacy: NDArray[np.bool_] = short | (sbn.HEADER.column("spacecraft_id", window, -slot.start) != found)
+    return legacy
+
+
+class _Columns:
+    """The headers of some datagrams of a batch; every array has one element for each of them."""
+
+    def __init__(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> None:
+        self.batch, self.rows, self.site = batch, rows, site
+        self.length = batch.length[rows]
+        self.head = gather(batch.data, batch.offset[rows], _WINDOW)
+        self.found = Located(len(rows))
+        self.legacy = _legacy(self.head, self.length)
+        self._read()
+
+    def _read(self) -> None:
+        found, head, legacy = self.found, self.head, self.legacy
+        header = np.where(legacy, sbn.LEGACY_HEADER.size, sbn.HEADER.size).astype(np.int32)
+        whole = self.length >= header
+        found.flag(Finding.TRUNCATED, ~whole)
+        found.flag(Finding.SBN_LEGACY_HEADER, legacy)
+        dropped = (self.length >= sbn.HEADER.size) & (self.length % BRIDGE_LENGTH_MODULUS < sbn.HEADER.size)
+        found.flag(
+            Finding.BRIDGE_DROPS_LENGTH,
+            dropped & self.site.bridge_ports[self.batch.destination_port[self.rows]],
+        )
+        kind = sbn.HEADER.column("msg_type", head)
+        payload = self.length - header
+        mismatch = sbn.HEADER.column("msg_size", head) != payload
+        spacecraft = np.where(legacy, np.uint32(0), sbn.HEADER.column("spacecraft_id", head))
+        found.columns = {
+            "sbn_msg_type": np.where(whole, kind, np.int16(-1)),
+            "processor_id": np.where(whole, sbn.HEADER.column("processor_id", head), np.uint32(0)),
+            "spacecraft_id": np.where(whole, spacecraft, np.uint32(0)),
+        }
+        found.flag(Finding.SBN_SIZE_MISMATCH, whole & mismatch)
+        found.flag(Finding.SBN_UNKNOWN_TYPE, whole & ~_KNOWN_TYPES[kind])
+        found.flag(Finding.SBN_NO_MESSAGE, whole & (kind == sbn.MsgType.NO_MSG))
+        self._identities(np.flatnonzero(whole), trusted=_KNOWN_TYPES[kind] & ~mismatch)
+
+        proto = whole & (kind == sbn.MsgType.PROTO)
+        version = np.where(legacy, head[:, sbn.LEGACY_HEADER.size], head[:, sbn.HEADER.size])
+        told = payload >= sbn.PROTO.size
+        found.flag(Finding.TRUNCATED, proto & ~told)
+        found.flag(Finding.SBN_VERSION_MISMATCH, proto & told & (version != sbn.PROTOCOL_VERSION))
+        listed = whole & ((kind == sbn.MsgType.SUB) | (kind == sbn.MsgType.UNSUB))
+        self._subscriptions(np.flatnonzero(listed), payload)
+        app = whole & (kind == sbn.MsgType.APP)
+        found.start[app] = header[app]
+
+    def _identities(self, members: NDArray[np.intp], trusted: NDArray[np.bool_]) -> None:
+        """Compare every sender's identity with the one its endpoint is known by."""
+        batch, peers, rows = self.batch, self.site.peers, self.rows[members]
+        trusted = trusted[members]
+        spacecraft, processor = (
+            self.found.columns[name][members].astype(np.uint64) for name in ("spacecraft_id", "processor_id")
+        )
+        identity = spacecraft << 32 | processor
+        endpoint = (
+            batch.source_address[rows].astype(np.uint64) << 24
+            | batch.source_port[rows].astype(np.uint64) << 8
+        )
+        endpoint |= batch.ip_version[rows]
+        foreign = np.zeros(len(rows), bool)
+        for _, same in by_value(endpoint):
+            first = int(rows[same[0]])
+            key = (batch.address(int(batch.source_address[first]), first), int(batch.source_port[first]))
+            known = peers.known(key, int(batch.number[first]))
+            if known is None:
+                # An identity is unknown only after the endpoint has sent another one.
+                after = same[np.logical_or.accumulate(trusted[same])]
+                if not len(after):
+                    continue
+                introduction = int(batch.number[rows[after[0]]])
+                known = peers.introduce(key, divmod(int(identity[after[0]]), 1 << 32), introduction)
+            else:
+                after = same
+            foreign[after] = identity[after] != np.uint64(known[0] << 32 | known[1])
+        for of_craft, of_processor in self.site.identities:
+            foreign &= identity != np.uint64(of_craft << 32 | of_processor)
+        self.found.flag(Finding.SBN_ID_MISMATCH, foreign, members)
+
+    def _subscriptions(self, members: NDArray[np.intp], payload: NDArray[np.int32]) -> None:
+        """Check SUB and UNSUB: the $Id, and whether all entries are present."""
+        payload, head, legacy = payload[members], self.head[members], self.legacy[members]
+        whole = payload >= sbn.SUBSCRIPTIONS.size
+        self.found.flag(Finding.TRUNCATED, ~whole, members)
+        for old, at in ((False, sbn.HEADER.size), (True, sbn.LEGACY_HEADER.size)):
+            pick = whole & (legacy == old)
+            if not pick.any():
+                continue
+            ident = np.ascontiguousarray(head[pick, at : at + sbn.IDENT_BYTES]).view(np.uint64)
+            self.found.flag(Finding.SBN_ID_MISMATCH, (ident != _IDENT).any(axis=1), members[pick])
+            count = sbn.SUBSCRIPTIONS.column("count", head[pick], at).astype(np.int32)
+            short = payload[pick] < sbn.SUBSCRIPTIONS.size + count * sbn.SUBSCRIPTION.size
+            self.found.flag(Finding.TRUNCATED, short, members[pick])
+
+
+def _legacy(head: NDArray[np.uint8], length: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Recognise the older 7-byte header: its size fits, and so does what follows it."""
+    at = sbn.LEGACY_HEADER.size
+    fits: NDArray[np.bool_] = (length >= at) & (sbn.HEADER.column("msg_size", head) == length - at)
+    rows = np.flatnonzero(fits)
+    if not len(rows):
+        return fits
+    head, length = head[rows], length[rows]
+    kind = sbn.HEADER.column("msg_type", head)
+    packet = ccsds.PRIMARY.column("packet_data_length", head, at).astype(np.int32) + ccsds.LENGTH_BIAS
+    app = kind == sbn.MsgType.APP
+    proto = kind == sbn.MsgType.PROTO
+    listed = (kind == sbn.MsgType.SUB) | (kind == sbn.MsgType.UNSUB)
+    follows = np.select(
+        [app, proto, listed],
+        [packet == length - at, length == at + sbn.PROTO.size, head[:, at] == ord("$")],
+        length == at,
+    )
+    fits[rows] = _KNOWN_TYPES[kind] & follows
+    return fits
+
+
+class _Message:
+    """Reads the SBN layers of one datagram."""
+
+    def __init__(self, reading: Reading, site: Site) -> None:
+        self.reading, self.site, self.data = reading, site, reading.data
+
+    def packet_start(self) -> int | None:
+        """Read the header and SBN's own message; return where a space packet starts, or None.
+
+        Raises:
+            TruncatedError: a header is not whole.
+        """
+        reading, length = self.reading, len(self.data)
+        layout = sbn.LEGACY_HEADER if self._legacy() else sbn.HEADER
+        if layout is sbn.LEGACY_HEADER:
+            reading.findings |= Finding.SBN_LEGACY_HEADER
+        if (
+            length >= sbn.HEADER.size
+            and length % BRIDGE_LENGTH_MODULUS < sbn.HEADER.size
+            and self.site.bridge_ports[reading.datagram.destination.port]
+        ):
+            reading.findings |= Finding.BRIDGE_DROPS_LENGTH
+        head = reading.read(layout, 0)
+        payload = length - layout.size
+        known = head["msg_type"] in sbn.MSG_TYPE_NAMES
+        if head["msg_size"] != payload:
+            reading.findings |= Finding.SBN_SIZE_MISMATCH
+        if not known:
+            reading.findings |= Finding.SBN_UNKNOWN_TYPE
+        if head["msg_type"] == sbn.MsgType.NO_MSG:
+            reading.findings |= Finding.SBN_NO_MESSAGE
+        self._identity(
+            (head.get("spacecraft_id", 0), head["processor_id"]),
+            trusted=known and head["msg_size"] == payload,
+        )
+        if head["msg_type"] in {sbn.MsgType.SUB, sbn.MsgType.UNSUB}:
+            self._subscriptions(layout.size)
+        elif head["msg_type"] == sbn.MsgType.PROTO:
+            version = reading.read(sbn.PROTO, layout.size)["protocol_version"]
+            if version != sbn.PROTOCOL_VERSION:
+                reading.findings |= Finding.SBN_VERSION_MISMATCH
+        return layout.size if head["msg_type"] == sbn.MsgType.APP else None
+
+    def _legacy(self) -> bool:
+        data, at = self.data, sbn.LEGACY_HEADER.size
+        if len(data) < at:
+            return False
+        head = sbn.LEGACY_HEADER.parse(data)
+        size, kind = head["msg_size"], head["msg_type"]
+        if size != len(data) - at or kind not in sbn.MSG_TYPE_NAMES:
+            return False
+        if kind == sbn.MsgType.APP:
+            if size < ccsds.PRIMARY.size:
+                return False
+            return bool(ccsds.PRIMARY.parse(data, at)["packet_data_length"] + ccsds.LENGTH_BIAS == size)
+        if kind == sbn.MsgType.PROTO:
+            return bool(size == sbn.PROTO.size)
+        if kind in {sbn.MsgType.SUB, sbn.MsgType.UNSUB}:
+            return data[at : at + 1] == b"$"
+        return bool(size == 0)
+
+    def _identity(self, identity: tuple[int, int], *, trusted: bool) -> None:
+        datagram, peers = self.reading.datagram, self.site.peers
+        source = (datagram.source.address, datagram.source.port)
+        if trusted:
+            peers.introduce(source, identity, datagram.number)
+        known = peers.known(source, datagram.number)
+        if known is not None and known != identity and identity not in self.site.identities:
+            self.reading.findings |= Finding.SBN_ID_MISMATCH
+
+    def _subscriptions(self, at: int) -> None:
+        reading, data = self.reading, self.data
+        head = reading.read(sbn.SUBSCRIPTIONS, at)
+        if data[at : at + sbn.IDENT_BYTES] != sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0"):
+            reading.findings |= Finding.SBN_ID_MISMATCH
+        first, need = at + sbn.SUBSCRIPTIONS.size, head["count"] * sbn.SUBSCRIPTION.size
+        whole = min(head["count"], (len(data) - first) // sbn.SUBSCRIPTION.size)
+        wanted = [
+            sbn.SUBSCRIPTION.parse(data, first + index * sbn.SUBSCRIPTION.size)["msg_id"]
+            for index in range(whole)
+        ]
+        end = first + whole * sbn.SUBSCRIPTION.size
+        text = ", ".join(f"0x{item:04x}" for item in wanted)
+        doc = "the MsgIds wanted, or no longer wanted"
+        reading.extend(LayerField("msg_ids", wanted, first, end, text, doc))
+        if len(data) - first < need:
+            reading.truncated("sbn_subscription", first, need)

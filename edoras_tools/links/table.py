@@ -1,0 +1,165 @@
+"""The table of links: the built-in ones, and those that installed packages add (``edoras.links``)."""
+
+from __future__ import annotations
+
+import re
+import sys
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.links import ENTRY_POINT_GROUP, ROWS
+from edoras_tools.links.protocol import LinkProtocol
+from edoras_tools.model import OTHER, Link
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from importlib.metadata import EntryPoint
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns
+
+_LABEL: Final = re.compile(r"[a-z][a-z0-9_]{0,15}")
+_CODES: Final = 256
+"""A code is a byte in recordings; 0 is for datagrams of no link."""
+
+
+@cache
+def links() -> tuple[LinkProtocol, ...]:
+    """Return every link: the built-in ones, then the installed ones by label.
+
+    Raises:
+        ConfigError: an installed link cannot be loaded, or its label or code is taken or is not allowed.
+    """
+    found: dict[str, LinkProtocol] = {}
+    for label, place in ROWS.items():
+        module, _, name = place.partition(":")
+        found[label] = getattr(import_module(module), name)
+    for entry in _entries():
+        try:
+            loaded = entry.load()
+        except Exception as error:  # an import of another package may raise anything
+            raise ConfigError(_installed(entry, f"cannot be loaded: {error}")) from error
+        found[entry.name] = _checked(entry, loaded, found)
+    return tuple(found.values())
+
+
+def _entries() -> list[EntryPoint]:
+    """Return the entry points of installed links, by name."""
+    if not any(map(_may_name_links, sys.path)):
+        return []
+    from importlib.metadata import entry_points  # 30 ms, most of it to import the email parser
+
+    return sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda item: item.name)
+
+
+def _may_name_links(path: str) -> bool:
+    """Tell whether a package in a folder may add links; a file, such as a zip, may."""
+    folder = Path(path)
+    if not folder.is_dir():
+        return folder.exists()
+    try:
+        return any(
+            ENTRY_POINT_GROUP.encode() in file.read_bytes() for file in folder.glob("*-info/entry_points.txt")
+        )
+    except OSError:
+        return True
+
+
+def _checked(entry: Any, link: Any, known: dict[str, LinkProtocol]) -> LinkProtocol:
+    """Return an installed link, checked against the rules of the table.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    if not isinstance(link, LinkProtocol):
+        raise ConfigError(
+            _installed(entry, f"{entry.value} is not an object of a class made from LinkProtocol")
+        )
+    if link.label != entry.name or not _LABEL.fullmatch(link.label):
+        form = "a small letter, then at most 15 small letters, digits or _"
+        raise ConfigError(
+            _installed(entry, f"its label is {link.label!r}; it must be its entry's name, {form}")
+        )
+    if link.label in known or link.label == OTHER.label:
+        raise ConfigError(_installed(entry, "another link has this label; uninstall one of them"))
+    if not 0 < link.code < _CODES or link.code in known.values():
+        free = "choose one from 64 to 255 that is free"
+        raise ConfigError(_installed(entry, f"its code {link.code} is taken or is not a byte; {free}"))
+    return link
+
+
+def _installed(entry: Any, why: str) -> str:
+    package = entry.dist.name if entry.dist else entry.value
+    return f"link {entry.name!r} of the installed package {package}: {why}"
+
+
+@cache
+def _by_code() -> dict[int, LinkProtocol | Link]:
+    return {0: OTHER, **{int(link): link for link in links()}}
+
+
+def link(code: int) -> Link:
+    """Return the link that has a code; ``OTHER`` where there is none."""
+    return _by_code().get(int(code), OTHER)
+
+
+def protocol(link: Link) -> LinkProtocol:
+    """Return the object that reads a link's datagrams; ``link`` must not be ``OTHER``."""
+    found = _by_code()[link]
+    assert isinstance(found, LinkProtocol)
+    return found
+
+
+def named(name: str) -> Link:
+    """Return the link of a label, in any case; ``other`` is one.
+
+    Raises:
+        ConfigError: there is no such link.
+    """
+    known = {item.label: item for item in (*links(), OTHER)}
+    if name.lower() not in known:
+        raise ConfigError(f"{name!r} is not a link; there are {', '.join(known)}")
+    return known[name.lower()]
+
+
+def carrying(bridge: str, *, to_cfs: bool) -> Link:
+    """Return the link that carries the routes of a kind of EDORAS bridge in one direction.
+
+    Args:
+        bridge: ``ground`` or ``flight``.
+        to_cfs: towards cFS, or from it.
+    """
+    return next(
+        item for item in links() if item.bridge == bridge and (item.to_cfs if to_cfs else item.from_cfs)
+    )
+
+
+def message_kinds(columns: Columns, length: NDArray[np.int32]) -> NDArray[np.int16]:
+    """Return the link's own message type of each datagram, i16 (n,); -1 for none.
+
+    Args:
+        columns: of a batch.
+        length: (n,) bytes of the payloads.
+    """
+    kinds = columns.sbn_msg_type
+    for item in links():
+        rows = np.flatnonzero(columns.link == item) if item.forms else ()
+        if len(rows):
+            kinds = kinds.copy()
+            kinds[rows] = item.kinds(length[rows])
+    return kinds
+
+
+def among(column: NDArray[np.integer[Any]], meant: Callable[[Link], bool]) -> NDArray[np.bool_]:
+    """Tell which codes are of a link that a test accepts: ``among(rows.link, lambda link: link.to_cfs)``.
+
+    Returns:
+        bool, of the column's shape.
+    """
+    return np.isin(column, [code for code, item in _by_code().items() if meant(item)])

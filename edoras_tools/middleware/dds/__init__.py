@@ -1,0 +1,1 @@
+"""ROS 2 over DDS, compatible with rmw_cyclonedds and rmw_fastrtps."""

@@ -1,0 +1,202 @@
+"""Domains of Cyclone DDS, configured once in a process.
+
+What comes later in this list holds:
+
+1. ``IgnoreTypeInformation`` for Fast DDS 3 (ROS 2 Kilted): its type objects are of a form that Cyclone DDS
+   refuses, so that endpoints whose type has a sequence or an array would never match, silently.
+2. ROS's own variables of discovery (docs.ros.org, Improved Dynamic Discovery), as rmw_cyclonedds obeys them;
+   but with ``LOCALHOST`` and no other peers only ``lo`` is used.
+3. ``CYCLONEDDS_URI``.
+4. Our options.
+
+Beside these Cyclone DDS's own defaults hold: the first interface that it finds fit, discovery by multicast.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tempfile
+from contextlib import contextmanager
+from dataclasses import dataclass
+from threading import Lock
+from typing import TYPE_CHECKING, Final
+from xml.sax.saxutils import quoteattr
+
+from cyclonedds.core import DDSException
+from cyclonedds.domain import Domain
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.graph import MOST_DOMAIN
+from edoras_tools.middleware.names import unknown_options
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+_OPTIONS: Final = ("interface", "peers", "multicast")
+_URI: Final = "CYCLONEDDS_URI"
+_TRUTH: Final = ("true", "false")
+_RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_RANGES: Final = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
+_PEERS: Final = "ROS_STATIC_PEERS"
+_LOCAL_ONLY: Final = "ROS_LOCALHOST_ONLY"
+_MOST_PARTICIPANTS: Final = 32
+"""Participants of a machine that discovery by unicast finds, as rmw_cyclonedds has it."""
+_FAST_DDS_3: Final = "1.15"
+"""The vendor id of eProsima; Cyclone DDS then matches its types by name, as rmw_fastrtps itself does."""
+_PREFIX: Final = re.compile(r"^\d+\.\d+ \[\d*\]\s+\S+:\s*")
+"""What Cyclone DDS puts before a line: time, domain and thread."""
+_COMPATIBLE: Final = f"<IgnoreTypeInformation>{_FAST_DDS_3}</IgnoreTypeInformation>"
+
+
+@dataclass(slots=True)
+class _Held:
+    domain: Domain | None
+    config: str
+    holders: int = 0
+
+
+_held: dict[int, _Held] = {}
+_lock = Lock()
+
+
+def compatible() -> str:
+    """Return what every domain is configured with, as XML."""
+    return _domain(Compatibility=_COMPATIBLE)
+
+
+def discovery(environ: Mapping[str, str]) -> str:
+    """Return ROS's variables of discovery as XML for Cyclone DDS; empty if none is set.
+
+    Raises:
+        ConfigError: a variable has a value that ROS does not know.
+    """
+    given = environ.get(_RANGE, "") or _RANGES[0]
+    peers = [item.strip() for item in environ.get(_PEERS, "").split(";") if item.strip()]
+    if environ.get(_LOCAL_ONLY) == "1":  # deprecated, and stronger than the other two
+        given, peers = "LOCALHOST", []
+    if given not in _RANGES:
+        raise ConfigError(f"{_RANGE} cannot be {given!r}; set it to {', '.join(_RANGES)}")
+    if given == "OFF":
+        found = f"<ParticipantIndex>none</ParticipantIndex><Tag>edoras_{os.getpid()}</Tag>"
+        return _domain(General=_interface("lo") + "<AllowMulticast>false</AllowMulticast>", Discovery=found)
+    if given == "LOCALHOST":
+        alone = "" if peers else _interface("lo")
+        general = alone + "<AllowMulticast>false</AllowMulticast>"
+        return _domain(General=general, Discovery=_unicast(["localhost", *peers]))
+    return _domain(Discovery=_unicast(peers)) if peers and given == "SUBNET" else ""
+
+
+def _domain(**sections: str) -> str:
+    """Return the sections of a configuration that are not empty, as XML; empty if all are."""
+    body = "".join(f"<{name}>{text}</{name}>" for name, text in sections.items() if text)
+    return body and f"<CycloneDDS><Domain>{body}</Domain></CycloneDDS>"
+
+
+def _interface(name: str) -> str:
+    return f"<Interfaces><NetworkInterface name={quoteattr(name)}/></Interfaces>"
+
+
+def _unicast(peers: Iterable[str]) -> str:
+    """Return discovery by unicast: it finds a participant only on one of the ports that are tried."""
+    inner = "".join(f"<Peer Address={quoteattr(item)}/>" for item in peers)
+    return (
+        "<ParticipantIndex>auto</ParticipantIndex>"
+        f"<MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}</MaxAutoParticipantIndex><Peers>{inner}</Peers>"
+    )
+
+
+def configuration(options: Mapping[str, str]) -> str:
+    """Return the options as XML for Cyclone DDS; empty if there are none.
+
+    Raises:
+        ConfigError: all mistakes at once.
+    """
+    mistakes = unknown_options("dds", options, _OPTIONS)
+    multicast = options.get("multicast", _TRUTH[0])
+    if multicast not in _TRUTH:
+        mistakes.append(f"dds: multicast cannot be {multicast!r}; write {' or '.join(_TRUTH)}")
+    if mistakes:
+        raise ConfigError(*mistakes)
+
+    general = _interface(options["interface"]) if options.get("interface") else ""
+    if "multicast" in options:
+        general += f"<AllowMulticast>{multicast}</AllowMulticast>"
+    peers = [item.strip() for item in options.get("peers", "").split(",") if item.strip()]
+    return _domain(General=general, Discovery=_unicast(peers) if peers else "")
+
+
+def hold(number: int, config: str) -> None:
+    """Open a domain with this configuration, or share it; each call needs its ``release``.
+
+    Raises:
+        ConfigError: the domain does not exist, is configured otherwise in this process, or Cyclone DDS
+            refuses the configuration.
+    """
+    if not 0 <= number <= MOST_DOMAIN:
+        raise ConfigError(f"dds: domain {number} does not exist; they are 0 to {MOST_DOMAIN}")
+    with _lock:
+        held = _held.get(number)
+        if held is None:
+            held = _held[number] = _Held(_create(number, config), config)
+        elif held.config != config:
+            raise ConfigError(f"dds: domain {number} is open in this process with other options")
+        held.holders += 1
+
+
+def release(number: int) -> None:
+    """Undo one ``hold``; the last one closes the domain."""
+    with _lock:
+        held = _held[number]
+        held.holders -= 1
+        if not held.holders:
+            del _held[number]
+
+
+def _create(number: int, config: str) -> Domain | None:
+    """Return a new domain; None if the one that is open in this process already fits."""
+    users, ros = os.environ.get(_URI, ""), discovery(os.environ)
+    said: list[str] = []
+    try:
+        with _overheard(said):
+            return Domain(number, ",".join(filter(None, (compatible(), ros, users, config))))
+    except DDSException as error:
+        if error.code == DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
+            if not config and not ros:
+                return None
+            raise ConfigError(f"dds: domain {number} is open in this process without options") from error
+        asked = ", ".join(
+            filter(None, (users and f"${_URI}", ros and "ROS's variables", config and "options"))
+        )
+        why = "; ".join(dict.fromkeys(said)) or error.msg
+        raise ConfigError(
+            f"dds: Cyclone DDS opens no domain {number}: {why}" + (f"; look at: {asked}" if asked else "")
+        ) from error
+
+
+@contextmanager
+def _overheard(said: list[str]) -> Iterator[None]:
+    """Take what Cyclone DDS writes to the standard error stream while it fails: its errors say nothing.
+
+    What it says and goes on is written there afterwards.
+    """
+    stderr = sys.__stderr__.fileno() if sys.__stderr__ else 2
+    kept = os.dup(stderr)
+    try:
+        with tempfile.TemporaryFile() as file:
+            os.dup2(file.fileno(), stderr)
+            try:
+                yield
+            except DDSException:
+                file.seek(0)
+                lines = file.read().decode("utf-8", "replace").splitlines()
+                said += [_PREFIX.sub("", line).strip() for line in lines if line.strip()]
+                raise
+            else:
+                file.seek(0)
+                os.write(kept, file.read())
+            finally:
+                os.dup2(kept, stderr)
+    finally:
+        os.close(kept)

@@ -1,0 +1,310 @@
+"""A node in the graph of those ROS 2 nodes that run on DDS, over Cyclone DDS."""
+
+from __future__ import annotations
+
+import time
+from threading import Event, RLock, Thread, current_thread
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+
+from cyclonedds.core import (
+    DDSException,
+    GuardCondition,
+    ReadCondition,
+    WaitSet,
+)
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter, Publisher
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader, Subscriber
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from edoras_tools.errors import ConfigError, WireError
+from edoras_tools.middleware.dds import cdr as dds_cdr
+from edoras_tools.middleware.dds import domain as dds_domain
+from edoras_tools.middleware.dds import presence as dds_presence
+from edoras_tools.middleware.dds.peers import Discovered, OwnEndpoint, user_data
+from edoras_tools.middleware.dds.qos import BLOCKING_MS, reader_qos, writer_qos
+from edoras_tools.middleware.dds.raw import ANY_STATE, taker_of, writer_of
+from edoras_tools.middleware.dds.types import DdsTypes
+from edoras_tools.middleware.names import check_name, dds_name
+from edoras_tools.ros.type_hash import type_hash
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from cyclonedds.core import Entity
+
+    from edoras_tools.middleware import graph
+    from edoras_tools.middleware.dds.raw import Take
+    from edoras_tools.ros import TypeStore
+
+    Owned = TypeVar("Owned", bound=Entity)
+
+_FOREVER: Final = duration(infinite=True)
+_UNFIT: Final = {
+    2: ("the durability", "durability: volatile", "durability: transient_local"),
+    11: ("the reliability", "reliability: best_effort", "reliability: reliable"),
+    23: ("the data representation", "", ""),
+    24: ("the definition of the type", "", ""),
+}
+"""Policies that may be incompatible, by their number in DDS: in words, and what a subscriber or a publisher
+of ours has to be for the other to match."""
+_PATIENCE_S: Final = 5.0
+"""Seconds after which it is said that nobody was found."""
+
+
+def _loss(code: int) -> str:
+    """Return why a write failed, in words."""
+    if code == DDSException.DDS_RETCODE_TIMEOUT:
+        return f"a reliable subscriber did not keep up for {BLOCKING_MS} ms"
+    return str(DDSException(code, "while writing"))
+
+
+def _unfit(topic: str, status: Any, *, ours_writes: bool) -> str:
+    """Return why an endpoint of another does not match ours, and what to write."""
+    what, as_subscriber, as_publisher = _UNFIT.get(status.last_policy_id, ("a policy", "", ""))
+    line = as_publisher if ours_writes else as_subscriber
+    remedy = f"; write qos: {{{line}}} for this topic in the mission file" if line else ""
+    return f"{topic}: a {'subscriber' if ours_writes else 'publisher'} does not match: {what} differs{remedy}"
+
+
+class _Ear(NamedTuple):
+    type_name: str
+    take: Take
+    heard: Callable[[bytes], None]
+
+
+class DdsGraph:
+    """A ``Graph`` over one participant.
+
+    One thread waits for samples of all topics and calls ``heard``. Nothing runs on Cyclone DDS's own threads:
+    while ``heard`` is busy, samples wait in their readers.
+
+    Args:
+        types: has the types of all topics.
+        node: its namespace and its name.
+        domain: ``ROS_DOMAIN_ID``.
+        config: of the domain, as XML.
+
+    Raises:
+        ConfigError: Cyclone DDS refuses the domain or its configuration.
+    """
+
+    def __init__(self, types: TypeStore, node: tuple[str, str], domain: int, config: str) -> None:
+        self._types = types
+        self._node = node
+        self._domain = domain
+        self._made = DdsTypes(types)
+        self._lock = RLock()
+        self._closed = Event()
+        self._told: set[str] = set()
+        self._ears: list[_Ear] = []
+        self._topics: dict[str, Topic[Any]] = {}
+        self._types_of: dict[str, str] = {}
+        self._readers: list[tuple[str, DataReader[Any]]] = []
+        self._writers: list[tuple[str, DataWriter[Any]]] = []
+        self._gid_bytes = 0
+        self._presence: list[Entity] = []
+        self._entities: list[Entity] = []
+        self._hashes: dict[str, str] = {}
+        self._since = time.monotonic()
+        dds_domain.hold(domain, config)
+        try:
+            self._join()
+        except DDSException as error:
+            self._leave()
+            raise ConfigError(f"dds: no participant in domain {domain}: {error}") from error
+        self._thread = Thread(target=self._listen, name=f"dds {node[1]}", daemon=True)
+        self._thread.start()
+
+    def subscribe(self, topic: str, type_name: str, qos: graph.Qos, heard: Callable[[bytes], None]) -> None:
+        """Call ``heard(cdr)`` for each message of a topic; see ``Graph``."""
+        with self._lock:
+            on = self._topic(topic, type_name)
+            try:
+                reader = self._own(
+                    DataReader(self._subscriber, on, reader_qos(qos, self._user_data(type_name)))
+                )
+                ready = self._own(ReadCondition(reader, ANY_STATE))
+                self._readers.append((topic, reader))
+                self._types_of[topic] = type_name
+                self._ears.append(_Ear(type_name, taker_of(reader), heard))
+                self._waitset.attach(ready)
+            except DDSException as error:
+                raise ConfigError(f"{topic}: cannot be subscribed to: {error}") from error
+            self._announce()
+
+    def advertise(self, topic: str, type_name: str, qos: graph.Qos) -> Callable[[bytes], None]:
+        """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing.
+
+        It raises ``WireError`` where the message is not valid, or is lost because a reliable subscriber has
+        been behind for ``BLOCKING_MS``. That can only happen where all samples are kept, or large ones.
+        """
+        with self._lock:
+            on = self._topic(topic, type_name)
+            try:
+                writer = self._own(
+                    DataWriter(self._publisher, on, writer_qos(qos, self._user_data(type_name)))
+                )
+            except DDSException as error:
+                raise ConfigError(f"{topic}: cannot be published on: {error}") from error
+            self._writers.append((topic, writer))
+            self._types_of[topic] = type_name
+            self._announce()
+        types, write, refused = self._types, writer_of(writer), DDSException.DDS_RETCODE_BAD_PARAMETER
+
+        def publish(cdr: bytes) -> None:
+            code = write(dds_cdr.padded(cdr)) if dds_cdr.is_little_endian(cdr) else refused
+            if code == refused and not self._closed.is_set():
+                code = write(dds_cdr.padded(dds_cdr.rewritten(types, type_name, cdr)))
+            if code and not self._closed.is_set():
+                raise WireError(f"{topic}: a message of {type_name} is lost: {_loss(code)}")
+
+        return publish
+
+    def notes(self) -> list[str]:
+        """Return a line for each topic with an incompatible peer, once, with the reason; see ``Graph``.
+
+        It also says where the other side has another type or definition, or a topic nearly of this name, and
+        after some seconds that nobody was found.
+        """
+        with self._lock:
+            if self._closed.is_set():
+                return []
+            self._peers.update()
+            self._present(self._peers.gid_bytes)
+            found: list[tuple[str, bool, Any]] = [
+                (topic, False, reader.get_requested_incompatible_qos_status())  # type: ignore[no-untyped-call]
+                for topic, reader in self._readers
+            ]
+            found += [
+                (topic, True, writer.get_offered_incompatible_qos_status())  # type: ignore[no-untyped-call]
+                for topic, writer in self._writers
+            ]
+            own = [
+                self._told_of(topic, writes=False, matched=bool(reader.matched_pub))
+                for topic, reader in self._readers
+            ]
+            own += [
+                self._told_of(topic, writes=True, matched=bool(writer.matched_sub))
+                for topic, writer in self._writers
+            ]
+        told = [
+            _unfit(topic, status, ours_writes=writes) for topic, writes, status in found if status.total_count
+        ]
+        late = time.monotonic() - self._since > _PATIENCE_S
+        told += self._peers.notes(own, late=late)
+        if late and not self._peers.found:
+            told.append(
+                f"nobody was found in domain {self._domain} for {_PATIENCE_S:.0f} s; is ROS_DOMAIN_ID the "
+                "same? Where multicast does not reach others, write --ros-option peers=ADDRESS"
+            )
+        new = [note for note in dict.fromkeys(told) if note not in self._told]
+        self._told.update(new)
+        return new
+
+    def close(self) -> None:
+        """Leave the graph; see ``Graph``."""
+        with self._lock:
+            if self._closed.is_set():
+                return
+            self._closed.set()
+        self._stop.set(True)
+        if current_thread() is not self._thread:
+            self._thread.join()
+        self._leave()
+
+    def _join(self) -> None:
+        """Create the participant, and announce the node if the distribution has the types for it."""
+        user_data = Qos(Policy.Userdata(dds_presence.ENCLAVE))
+        self._participant = self._own(DomainParticipant(self._domain, user_data))
+        self._publisher = self._own(Publisher(self._participant))
+        self._subscriber = self._own(Subscriber(self._participant))
+        self._waitset = self._own(WaitSet(self._participant))
+        self._stop = self._own(GuardCondition(self._participant))
+        self._waitset.attach(self._stop)
+        self._peers = Discovered(self._participant)
+        self._entities += self._peers.entities
+        self._present(dds_presence.gid_bytes_of(self._types))
+
+    def _present(self, gid_bytes: int | None) -> None:
+        """Announce the node with identifiers of so many bytes, where that is new."""
+        if gid_bytes is None or gid_bytes == self._gid_bytes:
+            return
+        for entity in self._presence:  # a topic has one type, and a writer is deleted before its topic
+            self._entities.remove(entity)
+            entity.__del__()
+        self._gid_bytes = gid_bytes
+        types = self._presence_types = dds_presence.presence_types(gid_bytes)
+        name = dds_presence.PRESENCE_TYPE
+        on = self._own(Topic(self._participant, dds_presence.PRESENCE_TOPIC, DdsTypes(types).of(name)))
+        qos = writer_qos(dds_presence.QOS, user_data(type_hash(types, name)))
+        writer = self._own(DataWriter(self._publisher, on, qos))
+        self._presence = [writer, on]
+        self._tell = writer_of(writer)
+        self._announce()
+
+    def _announce(self) -> None:
+        """Publish the entities of this node to the graph."""
+        readers, writers = (
+            [entity.guid.bytes for _, entity in entities] for entities in (self._readers, self._writers)
+        )
+        guid = self._participant.guid.bytes
+        message = dds_presence.presence(self._presence_types, self._node, guid, readers, writers)
+        self._tell(dds_cdr.padded(message))
+
+    def _hash(self, type_name: str) -> str:
+        """Return the hash of a type, computed once."""
+        if type_name not in self._hashes:
+            self._hashes[type_name] = type_hash(self._types, type_name)
+        return self._hashes[type_name]
+
+    def _told_of(self, topic: str, *, writes: bool, matched: bool) -> OwnEndpoint:
+        type_name = self._types_of[topic]
+        return OwnEndpoint(topic, type_name, writes, self._hash(type_name), matched)
+
+    def _user_data(self, type_name: str) -> bytes:
+        return user_data(self._hash(type_name))
+
+    def _topic(self, topic: str, type_name: str) -> Topic[Any]:
+        """Return a topic, the same one for the same name."""
+        if self._closed.is_set():
+            raise ConfigError(f"{topic}: the node {self._node[1]} has left the graph")
+        check_name(topic, "topic")
+        if why := self._types.check(type_name):
+            raise ConfigError(f"{topic}: {why}")
+        try:
+            made = self._made.of(type_name)
+            if topic not in self._topics:
+                self._topics[topic] = self._own(Topic(self._participant, f"rt{topic}", made))
+        except ConfigError as error:
+            raise ConfigError(*(f"{topic}: {mistake}" for mistake in error.mistakes)) from error
+        except DDSException as error:
+            raise ConfigError(f"{topic}: refused by Cyclone DDS: {error}") from error
+        found = self._topics[topic]
+        if found.data_type is not made:
+            raise ConfigError(
+                f"{topic}: is of type {found.typename} here, and cannot be {dds_name(type_name)} too"
+            )
+        return found
+
+    def _listen(self) -> None:
+        while not self._closed.is_set():
+            self._waitset.wait(_FOREVER)
+            for ear in tuple(self._ears):
+                for cdr in ear.take():
+                    if self._closed.is_set():
+                        return
+                    ear.heard(dds_cdr.trimmed(self._types, ear.type_name, cdr))
+
+    def _own(self, entity: Owned) -> Owned:
+        self._entities.append(entity)
+        return entity
+
+    def _leave(self) -> None:
+        """Delete every entity, the last first; cyclonedds deletes only what is no longer referenced."""
+        for entity in reversed(self._entities):
+            entity.__del__()
+        self._entities.clear()
+        dds_domain.release(self._domain)

@@ -1,0 +1,172 @@
+"""The endpoints of other participants, as DDS's discovery tells of them, and what to tell the user of them.
+
+From Iron on an endpoint's user data has ``typehash=RIHS01_...;``: the hash of its type's definition.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Final
+
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+    DcpsEndpoint,
+)
+from cyclonedds.qos import Policy
+
+from edoras_tools.middleware.dds.presence import PRESENCE_TOPIC, gid_bytes_told
+from edoras_tools.middleware.names import dds_name, ros_name
+from edoras_tools.ros.type_hash import HASH_VERSION
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from uuid import UUID
+
+    from cyclonedds.core import Entity
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.qos import Qos
+
+TYPE_HASH: Final = "typehash="
+_ROS_TOPIC: Final = "rt"
+"""What DDS puts before the name of a topic of ROS."""
+_AT_ONCE: Final = 256
+_HASH_LENGTH: Final = len(HASH_VERSION) + 64
+_ALIKE: Final = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class PeerEndpoint:
+    """A reader or writer of another participant.
+
+    Attributes:
+        topic: of DDS, as ``rt/cmd_vel``.
+        type_name: of DDS.
+        writes: whether it is a writer.
+        type_hash: as it was sent; empty where there is none, as from Humble.
+    """
+
+    topic: str
+    type_name: str
+    writes: bool
+    type_hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class OwnEndpoint:
+    """A reader or writer of ours.
+
+    Attributes:
+        topic: of ROS, as ``/cmd_vel``.
+        type_name: of ROS.
+        writes: whether it is a writer.
+        type_hash: of its type.
+        matched: whether it has a partner.
+    """
+
+    topic: str
+    type_name: str
+    writes: bool
+    type_hash: str
+    matched: bool
+
+
+class Discovered:
+    """Collects the endpoints of other participants; it never forgets one.
+
+    Args:
+        participant: ours.
+
+    Attributes:
+        found: the others' endpoints, by identifier.
+        entities: the readers that it has made.
+    """
+
+    def __init__(self, participant: DomainParticipant) -> None:
+        self._own = participant.guid
+        self._readers = (
+            (True, BuiltinDataReader(participant, BuiltinTopicDcpsPublication)),
+            (False, BuiltinDataReader(participant, BuiltinTopicDcpsSubscription)),
+        )
+        self.entities: list[Entity] = [reader for _, reader in self._readers]
+        self.found: dict[UUID, PeerEndpoint] = {}
+
+    def update(self) -> None:
+        """Take what discovery has told since the last time."""
+        for writes, reader in self._readers:
+            while taken := reader.take(_AT_ONCE):
+                for item in taken:
+                    if (
+                        isinstance(item, DcpsEndpoint)
+                        and item.topic_name
+                        and item.participant_key != self._own
+                    ):
+                        self.found[item.key] = PeerEndpoint(
+                            item.topic_name, item.type_name, writes, _hash_of(item.qos)
+                        )
+
+    @property
+    def gid_bytes(self) -> int | None:
+        """Bytes of an identifier in what other nodes say of themselves; None where there are none."""
+        told = {item.type_hash for item in self.found.values() if item.topic == PRESENCE_TOPIC}
+        return min(map(gid_bytes_told, told), default=None)
+
+    def notes(self, own: Sequence[OwnEndpoint], *, late: bool) -> Iterator[str]:
+        """Yield what keeps our endpoints and those of others apart, and where definitions differ.
+
+        Args:
+            own: all of ours.
+            late: discovery has had its time, so that what has no partner is worth a word.
+        """
+        mine = {item.topic for item in own}
+        others = [item for item in self.found.values() if item.topic.startswith(_ROS_TOPIC + "/")]
+        for ours in own:
+            partners = [item for item in others if item.writes != ours.writes]
+            same = [item for item in partners if item.topic == _ROS_TOPIC + ours.topic]
+            for item in same:
+                if note := _difference(ours, item):
+                    yield note
+            names = {item.topic.removeprefix(_ROS_TOPIC) for item in partners} - mine
+            if late and not same and not ours.matched and (near := _nearest(ours.topic, sorted(names))):
+                does = "subscribes to" if ours.writes else "publishes"
+                yield f"{ours.topic}: nobody {does} it, but {near}; if it is that, write topic: {near}"
+
+
+def _nearest(topic: str, names: Sequence[str]) -> str:
+    """Return the topic with the same last part, or else nearly of this name; empty where there is none."""
+    last = topic.rpartition("/")[2]
+    alike = [name for name in names if name.rpartition("/")[2] == last]
+    return next(iter(alike or get_close_matches(topic, names, 1, _ALIKE)), "")
+
+
+def user_data(type_hash: str) -> bytes:
+    """Return the user data of an endpoint of a type, as ROS writes it from Iron on."""
+    return f"{TYPE_HASH}{type_hash};".encode()
+
+
+def _hash_of(qos: Qos) -> str:
+    data: bytes = next((item.data for item in qos if isinstance(item, Policy.Userdata)), b"")
+    for pair in data.decode("ascii", "replace").strip("\0").split(";"):
+        if pair.startswith(TYPE_HASH):
+            return pair.removeprefix(TYPE_HASH)
+    return ""
+
+
+def _difference(ours: OwnEndpoint, item: PeerEndpoint) -> str:
+    """Return what differs between endpoints of one topic; empty where nothing does."""
+    who = "a publisher" if item.writes else "a subscriber"
+    if item.type_name != dds_name(ours.type_name):
+        theirs = ros_name(item.type_name)
+        return f"{ours.topic}: {who} has type {theirs}, not {ours.type_name}; write type: {theirs}"
+    if not item.type_hash or item.type_hash == ours.type_hash:
+        return ""
+    if not item.type_hash.startswith(HASH_VERSION) or len(item.type_hash) != _HASH_LENGTH:
+        return (
+            f"{ours.topic}: {who} has a type hash that is none, {item.type_hash[:_HASH_LENGTH]!r}; going on"
+        )
+    return (
+        f"{ours.topic}: {who} has another definition of {ours.type_name} ({item.type_hash[:19]}..., not "
+        f"{ours.type_hash[:19]}...); give theirs with --msg-path, or their --distro"
+    )

@@ -1,0 +1,249 @@
+"""A node in the graph of those ROS 2 nodes that run on rmw_zenoh; see docs/zenoh.md."""
+
+from __future__ import annotations
+
+import time
+from itertools import count
+from threading import Lock, RLock
+from typing import TYPE_CHECKING, Any, Final
+
+import zenoh
+from zenoh import ext
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.names import check_name
+from edoras_tools.middleware.zenoh.attachment import ATTACHMENT, GID
+from edoras_tools.middleware.zenoh.config import listen_beside, reason, session_config
+from edoras_tools.middleware.zenoh.gid import gid
+from edoras_tools.middleware.zenoh.names import NO_TYPE_HASH, KeyedTopic, NodeTokens, TokenKind, depth
+from edoras_tools.ros.type_hash import type_hash
+from edoras_tools.ros.types.schema import full_name
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping
+
+    from edoras_tools.middleware.graph import Qos
+    from edoras_tools.ros import TypeStore
+
+_WITHOUT_HASH: Final = frozenset({"dashing", "eloquent", "foxy", "galactic", "humble"})
+"""Distributions without type hashes."""
+_HASHES: Final = {"rihs01": True, "none": False}
+_LONELY_S: Final = 3.0
+"""Seconds without any peer, after which a note says so."""
+_LONELY: Final = "no Zenoh router or other peer answers; start a router: ros2 run rmw_zenoh_cpp rmw_zenohd"
+_HEARTBEAT: Final = 0.5
+"""Seconds after which a subscription learns of a last message that it missed, as rmw_zenoh has it."""
+_TAKEN: Final[set[str]] = set()
+"""Where sessions of this process listen, at ports that were named: a place has one listener."""
+
+
+class ZenohGraph:
+    """A ``Graph`` over one Zenoh session.
+
+    Args:
+        session: open; the graph closes it.
+        node: as others see it.
+        types: has the types of all topics.
+        hashed: put hashes of types into keys, as all distributions since Iron do.
+        places: where it listens at ports that were named.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        node: NodeTokens,
+        types: TypeStore,
+        *,
+        hashed: bool,
+        places: Collection[str] = (),
+    ) -> None:
+        self._session = session
+        self._node = node
+        self._types = types
+        self._hashed = hashed
+        self._places = places
+        _TAKEN.update(places)
+        self._ids = count(1)
+        self._listening: list[_Listener] = []
+        self._own: set[bytes] = set()
+        self._closing = Lock()
+        self._closed = False
+        self._lonely_at: float | None = time.monotonic() + _LONELY_S
+        self._tokens = [session.liveliness().declare_token(node.token)]
+        self._entities: list[Any] = []
+
+    @property
+    def connected(self) -> bool:
+        """Whether a router or another peer is there to talk to."""
+        info = self._session.info
+        return bool(info.routers_zid() or info.peers_zid())
+
+    def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
+        """Call ``heard(cdr)`` for each message of a topic; see ``Graph``."""
+        named = self._topic(topic, type_name)
+        listener = _Listener(heard, self._own if qos.transient_local else frozenset())
+        key = named.key(self._node.domain)
+        if qos.transient_local:
+            entity: Any = self._declare(
+                named,
+                ext.declare_advanced_subscriber,
+                self._session,
+                key,
+                listener,
+                allowed_origin=zenoh.Locality.REMOTE,
+                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=depth(qos)),
+                recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if qos.reliable else None,
+                subscriber_detection=True,
+            )
+        else:
+            entity = self._declare(
+                named,
+                self._session.declare_subscriber,
+                key,
+                listener,
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+        self._listening.append(listener)
+        self._announce(entity, TokenKind.SUBSCRIPTION, named, qos)
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
+        """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing."""
+        named = self._topic(topic, type_name)
+        all_kept = qos.reliable and not qos.depth
+        wire = {
+            "congestion_control": zenoh.CongestionControl.BLOCK if all_kept else zenoh.CongestionControl.DROP,
+            "reliability": zenoh.Reliability.RELIABLE if qos.reliable else zenoh.Reliability.BEST_EFFORT,
+            "allowed_destination": zenoh.Locality.REMOTE,
+        }
+        key = named.key(self._node.domain)
+        if qos.transient_local:
+            detection = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT)
+            publisher: Any = self._declare(
+                named,
+                ext.declare_advanced_publisher,
+                self._session,
+                key,
+                cache=ext.CacheConfig(depth(qos)),
+                sample_miss_detection=detection if qos.reliable else None,
+                publisher_detection=True,
+                **wire,
+            )
+        else:
+            publisher = self._declare(named, self._session.declare_publisher, key, **wire)
+        source = gid(self._announce(publisher, TokenKind.PUBLISHER, named, qos))
+        self._own.add(source)
+        put, attach, now, numbers = publisher.put, ATTACHMENT.pack, time.time_ns, count(1)
+
+        def publish(cdr: bytes) -> None:
+            try:
+                put(cdr, attachment=attach(next(numbers), now(), GID, source))
+            except zenoh.ZError as error:
+                if not self._closed:
+                    raise ConfigError(f"{topic}: cannot be published on: {reason(error)}") from error
+
+        return publish
+
+    def notes(self) -> list[str]:
+        """Return a note, once, that no peer is there; see ``Graph``."""
+        if self._lonely_at is None or time.monotonic() < self._lonely_at:
+            return []
+        self._lonely_at = None
+        return [] if self.connected else [_LONELY]
+
+    def close(self) -> None:
+        """Leave the graph; see ``Graph``."""
+        with self._closing:
+            if self._closed:
+                return
+            self._closed = True
+        for listener in self._listening:
+            listener.stop()
+        for thing in (*self._tokens, *self._entities):
+            thing.undeclare()
+        self._session.close()  # type: ignore[no-untyped-call]
+        _TAKEN.difference_update(self._places)
+
+    def _topic(self, topic: str, type_name: str) -> KeyedTopic:
+        name = check_name(topic, "topic")
+        if why := self._types.check(type_name):
+            raise ConfigError(f"{topic}: {why}")
+        digest = type_hash(self._types, type_name) if self._hashed else NO_TYPE_HASH
+        return KeyedTopic(name, full_name(type_name), digest)
+
+    def _announce(self, entity: Any, kind: TokenKind, topic: KeyedTopic, qos: Qos) -> str:
+        """Tell the graph of an entity; return its token."""
+        token = self._node.entity_token(kind, next(self._ids), topic, qos)
+        self._entities.append(entity)
+        self._tokens.append(self._session.liveliness().declare_token(token))
+        return token
+
+    def _declare(
+        self, topic: KeyedTopic, declare: Callable[..., Any], *arguments: Any, **options: Any
+    ) -> Any:
+        try:
+            return declare(*arguments, **options)
+        except zenoh.ZError as error:
+            raise ConfigError(f"{topic.name}: refused by Zenoh: {reason(error)}") from error
+
+
+class _Listener:
+    """Hands on what is received until it is stopped; then nothing more, not even what is waiting.
+
+    Args:
+        heard: is given each message.
+        ignored: ids of publishers to ignore: the caches of one's own session answer, whatever its locality.
+    """
+
+    def __init__(self, heard: Callable[[bytes], None], ignored: Collection[bytes]) -> None:
+        self._heard: Callable[[bytes], None] | None = heard
+        self._ignored = ignored
+        self._speaking = RLock()
+
+    def __call__(self, sample: zenoh.Sample) -> None:
+        if self._ignored and sample.attachment and sample.attachment.to_bytes()[-GID:] in self._ignored:
+            return
+        with self._speaking:
+            if self._heard is not None:
+                self._heard(sample.payload.to_bytes())
+
+    def stop(self) -> None:
+        """Return when the last one was handed on."""
+        with self._speaking:
+            self._heard = None
+
+
+def open_graph(
+    store: TypeStore, node: str, *, domain: int = 0, options: Mapping[str, str] | None = None
+) -> ZenohGraph:
+    """Join the graph as a node.
+
+    Args:
+        store: has the types of all topics; its distribution decides whether keys hold hashes of types.
+        node: name of the node, or ``/namespace/name``.
+        domain: ``ROS_DOMAIN_ID``.
+        options: see docs/zenoh.md: ``router``, ``mode``, ``listen``, ``config``, ``type_hash``.
+
+    Raises:
+        ConfigError: an option cannot be honoured, or the session cannot be opened.
+        ImportError: Zenoh is not installed.
+    """
+    options = options or {}
+    if domain < 0:
+        raise ConfigError(f"zenoh: domain {domain} does not exist; they count from 0")
+    wanted = options.get("type_hash", "none" if store.distro in _WITHOUT_HASH else "rihs01")
+    if wanted not in _HASHES:
+        raise ConfigError(f"zenoh: type_hash {wanted!r} does not exist; write {' or '.join(_HASHES)}")
+    NodeTokens.named(node, domain, "")  # a wrong name is reported before a session is opened
+    config = session_config(options)
+    places = listen_beside(config, _TAKEN)
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError as error:
+        remedy = (
+            "start a router there: ros2 run rmw_zenoh_cpp rmw_zenohd"
+            if options.get("mode") == "client"
+            else "listen somewhere else"
+        )
+        raise ConfigError(f"zenoh: no session: {reason(error)}; {remedy}") from error
+    named = NodeTokens.named(node, domain, str(session.zid()))
+    return ZenohGraph(session, named, store, hashed=_HASHES[wanted], places=places)

@@ -1,0 +1,1 @@
+"""Bridges between ROS 2 and cFS."""

@@ -1,0 +1,327 @@
+"""One running bridge: its socket towards cFS, its node in the ROS 2 graph, the state machine in between."""
+
+from __future__ import annotations
+
+import socket
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.errors import EdorasError, RouteError
+from edoras_tools.io.frames.build import ends_of
+from edoras_tools.io.net.address import ANY_ADDRESS, address_of, host_of, own_address
+from edoras_tools.io.net.buffer import SLOTS, SPARE
+from edoras_tools.io.net.forward import Direction, Outlet
+from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
+from edoras_tools.mission import GroundLink
+from edoras_tools.model import Endpoint, Peer
+from edoras_tools.pipelines.bridge.plan import qos_of, sizes_of
+from edoras_tools.sessions.bridge.bridge import CI_LARGEST, SBN_LARGEST, BridgeOptions, BridgeSession
+from edoras_tools.sessions.bridge.flight import FlightSession
+from edoras_tools.sessions.bridge.ground import GroundSession
+from edoras_tools.sessions.bridge.packets import PacketWriter
+from edoras_tools.wire import cfe
+from edoras_tools.wire.envelope import DEFAULT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.net.buffer import DatagramBuffer
+    from edoras_tools.middleware import Graph
+    from edoras_tools.mission import Route
+    from edoras_tools.pipelines.bridge.inbox import GraphMessage, Inbox
+    from edoras_tools.pipelines.bridge.plan import BridgePlan, BridgeRequest, StationPlan
+    from edoras_tools.pipelines.recorder import RelayRecorder
+    from edoras_tools.sessions.bridge.bridge import LinkSession
+
+_QUEUE_BYTES: Final = 4 << 20
+_TURNS: Final = 4
+"""How often a busy socket is read before the other bridges run."""
+_COUNT_NS: Final = 500_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What all bridges of a process share.
+
+    Attributes:
+        plan: the plan of all bridges.
+        request: from the command line.
+        join: opens the graph for a node's name.
+        inbox: the queue of messages from the graph.
+        buffer: for datagrams.
+        say: called with each note for the user.
+    """
+
+    plan: BridgePlan
+    request: BridgeRequest
+    join: Callable[[str], Graph]
+    inbox: Inbox
+    buffer: DatagramBuffer
+    say: Callable[[str], None]
+
+
+class Station:
+    """One bridge; the constructor binds its port and joins its topics.
+
+    Args:
+        number: its number in the inbox.
+        plan: its plan.
+        shared: what all bridges share.
+
+    Attributes:
+        plan: as given.
+        machine: the state machine.
+        socket: the port.
+        endpoint: the address that it listens on.
+        to_cfs: counters of the direction to cFS.
+        from_cfs: counters of the direction from cFS.
+        recorder: records the datagrams; None: they are not recorded.
+
+    Raises:
+        CaptureError: the port is in use.
+        ConfigError: the graph cannot be joined.
+        RouteError: the graph accepts none of the topics.
+    """
+
+    def __init__(self, number: int, plan: StationPlan, shared: Surroundings) -> None:
+        self.plan = plan
+        self.recorder: RelayRecorder | None = None
+        self._buffer, self._say = shared.buffer, shared.say
+        self._flat = shared.buffer.slots.reshape(-1).data
+        self._stride = shared.buffer.slots.shape[1]
+        self._times = np.zeros(SLOTS + SPARE, np.int64)
+        self._heard: list[int] = []
+        self._count_ns = 0
+        self._ends: dict[bytes, NDArray[np.void]] = {}
+        self.to_cfs, self.from_cfs = Direction("to cFS"), Direction("from cFS")
+        self.socket = _bind(plan)
+        self.endpoint = local_endpoint(self.socket)
+        try:
+            target = address_of(socket.AF_INET, (plan.target.address, plan.target.port))
+            self._outlet = Outlet(self.socket, target, self.to_cfs, _QUEUE_BYTES)
+            self._graph = shared.join(plan.node)
+        except BaseException:
+            self.socket.close()
+            raise
+        try:
+            routes, self._publish = self._topics(number, shared.inbox)
+            self.machine = self._machine(routes, shared.plan, shared.request)
+        except BaseException:
+            self._graph.close()
+            self.socket.close()
+            raise
+
+    @property
+    def waits(self) -> bool:
+        """Whether datagrams wait because the socket's buffer is full."""
+        return self._outlet.waits
+
+    @property
+    def drops(self) -> int:
+        """Datagrams that the kernel dropped because the receive buffer was full."""
+        if self.socket.fileno() >= 0:
+            self.from_cfs.kernel_drops = kernel_drops(self.socket)
+        return self.from_cfs.kernel_drops
+
+    def hear(self, message: GraphMessage, now: int) -> None:
+        """Handle a message of the graph."""
+        if self.machine.receive_message(message.route, message.cdr, now=now):
+            self._heard.append(message.time_ns)
+
+    def receive(self) -> bool:
+        """Handle the datagrams that have arrived; return whether there may be more."""
+        buffer, machine, flat, stride = self._buffer, self.machine, self._flat, self._stride
+        direction, publish = self.from_cfs, self._publish
+        for _ in range(_TURNS):
+            count = buffer.receive(self.socket)
+            if count <= 0:
+                return False
+            self._times[:count] = buffer.times(count)
+            lengths = buffer.length[:count].tolist()
+            direction.received += count
+            direction.received_bytes += sum(lengths)
+            if self.recorder is not None:
+                self._record(count)
+            now, late = time.monotonic_ns(), []
+            times = self._times[:count].tolist()
+            for slot, length in enumerate(lengths):
+                start = slot * stride
+                found = machine.receive_datagram(bytes(flat[start : start + length]), now=now)
+                if found is not None and self._give(publish, *found):
+                    late.append(time.time_ns() - times[slot])
+            if late:
+                direction.sent += len(late)
+                direction.add_latencies(np.array(late, np.int64))
+            if count < SLOTS:
+                return False
+        return True
+
+    def service(self, now: int) -> None:
+        """Handle everything that is due."""
+        for index, cdr in self.machine.service(now=now):
+            self.from_cfs.sent += self._give(self._publish, index, cdr)
+
+    def flush(self, now: int) -> None:
+        """Send the datagrams that are ready, and report notes."""
+        machine = self.machine
+        if machine.outbox:
+            datagrams, machine.outbox = machine.outbox, []
+            for first in range(0, len(datagrams), SPARE):
+                self._send(datagrams[first : first + SPARE])
+            if self._heard:
+                sent_ns = time.monotonic_ns()
+                for first in range(0, len(self._heard), SLOTS):
+                    self.to_cfs.add_latencies(
+                        sent_ns - np.array(self._heard[first : first + SLOTS], np.int64)
+                    )
+                self._heard.clear()
+        elif self._outlet.waits:
+            self._outlet.flush()
+        if now >= self._count_ns:
+            self._count_ns = now + _COUNT_NS
+            self.count_latencies()
+            machine.link.notes += self._graph.notes()
+        notes = machine.link.notes
+        while notes:
+            self._say(f"{self.plan.name}: {notes.pop(0)}")
+
+    def leave(self) -> None:
+        """Leave the graph: no message is received afterwards."""
+        self._graph.close()
+
+    def close(self) -> None:
+        """Close the port; datagrams that still wait are lost."""
+        self.drops  # noqa: B018  read from the socket before it is closed
+        self._outlet.close()
+        self.socket.close()
+
+    def count_latencies(self) -> None:
+        """Add the latencies measured so far to the histogram."""
+        self.to_cfs.count_latencies()
+        self.from_cfs.count_latencies()
+
+    def summary(self) -> dict[str, Any]:
+        """Return this bridge's part of ``bridge --json``."""
+        return {
+            **self.plan.summary(),
+            "listen": str(self.endpoint),
+            **self.machine.summary(),
+            "to_cfs": _summary(self.to_cfs),
+            "from_cfs": {**_summary(self.from_cfs), "kernel_drops": self.drops},
+        }
+
+    def _topics(self, number: int, inbox: Inbox) -> tuple[list[Route], list[Callable[[bytes], None]]]:
+        """Join the topics; return the routes that could be joined, and what publishes on each."""
+        routes: list[Route] = []
+        publish: list[Callable[[bytes], None]] = []
+        failure: EdorasError | None = None
+        for route in self.plan.bridge.routes:
+            try:
+                if route.to_cfs:
+                    heard = inbox.slot(number, len(routes))
+                    self._graph.subscribe(route.topic, route.type, qos_of(route), heard)
+                    publish.append(_nowhere)
+                else:
+                    publish.append(self._graph.advertise(route.topic, route.type, qos_of(route)))
+            except EdorasError as error:
+                failure = error
+                self._say(f"{self.plan.name}: {route.topic} is left out: {error}")
+            else:
+                routes.append(route)
+        if failure is not None and not routes:
+            raise RouteError(
+                f"no topic of {self.plan.name} can be joined; the last one: {failure}"
+            ) from failure
+        return routes, publish
+
+    def _machine(self, routes: list[Route], whole: BridgePlan, request: BridgeRequest) -> BridgeSession:
+        bridge, options, now = self.plan.bridge, whole.settings.options, time.monotonic_ns()
+        header = (options.headers or cfe.STANDARD).telemetry_bytes
+        writer = PacketWriter(checksum=request.checksum, sequence=request.sequence, telemetry_header=header)
+        back = [route for route in routes if not route.to_cfs]
+        link: LinkSession
+        if isinstance(bridge.link, GroundLink):
+            largest = CI_LARGEST
+            add = {route.msg_id: route.handling.to_limit for route in back if route.handling.to_limit}
+            address = _here(bridge.link) if request.enable else None
+            link = GroundSession(writer, address, add, now=now)
+        else:
+            largest, far = SBN_LARGEST, bridge.link
+            own = Peer(far.spacecraft_id, far.processor_id)
+            peer = Peer(far.peer_spacecraft_id, far.peer_processor_id)
+            link = FlightSession(own, peer, [route.msg_id for route in back], now=now)
+        bridge_options = BridgeOptions(
+            header, options.envelope or str(DEFAULT), bridge.max_size or largest, bridge.max_rate_total
+        )
+        return BridgeSession(routes, link, writer, bridge_options, sizes_of(whole.types, routes))
+
+    def _give(self, publish: list[Callable[[bytes], None]], index: int, cdr: bytes) -> bool:
+        try:
+            publish[index](cdr)
+        except Exception as error:  # noqa: BLE001  errors of the middleware; the other topics continue
+            self.machine.not_published(index, f"not published: {error}".partition("\n")[0])
+            return False
+        return True
+
+    def _send(self, datagrams: list[bytes]) -> None:
+        for slot, data in enumerate(datagrams, SLOTS):
+            self._buffer.put(slot, data)
+        slots = np.arange(SLOTS, SLOTS + len(datagrams))
+        self.to_cfs.received += len(datagrams)
+        self._outlet.send(self._buffer, slots)
+        if self.recorder is not None:
+            self._times[slots] = time.time_ns()
+            self.recorder.take(self._buffer, slots, self._times, self._ends_with(None))
+
+    def _record(self, count: int) -> None:
+        assert self.recorder is not None
+        senders = self._buffer.senders(count)
+        slots: dict[bytes, list[int]] = {}
+        for slot, packed in enumerate(senders.view("V32").ravel().tolist()):
+            slots.setdefault(packed, []).append(slot)
+        for packed, chosen in slots.items():
+            self.recorder.take(self._buffer, np.array(chosen), self._times, self._ends_with(packed))
+
+    def _ends_with(self, sender: bytes | None) -> NDArray[np.void]:
+        """Return the endpoints of a datagram: from a socket address to us; for None from us to the target."""
+        key = sender or b""
+        if key not in self._ends:
+            own, target = self.endpoint, self.plan.target
+            if own.address == ANY_ADDRESS:
+                own = Endpoint(own_address(target), own.port)
+            ends = (own, target) if sender is None else (host_of(sender).endpoint, own)
+            self._ends[key] = ends_of(*ends)
+        return self._ends[key]
+
+
+def _nowhere(_cdr: bytes) -> None:
+    """Ignore a message: on this topic the bridge only subscribes."""
+
+
+def _summary(direction: Direction) -> dict[str, Any]:
+    return {
+        "datagrams": direction.received,
+        "sent": direction.sent,
+        "queued": direction.queued,
+        "failed": direction.failed,
+        "reason": direction.reason or None,
+        "overflowed": direction.overflowed,
+        "latency_us": direction.latency.summary(),
+    }
+
+
+def _bind(plan: StationPlan) -> socket.socket:
+    link, key = plan.bridge.link, "bridge_port" if plan.kind == "ground" else "udp_receive_port"
+    return open_bound(plan.listen, f"{link.file}:{link.line}: UDP {plan.listen}", f"choose another {key}")
+
+
+def _here(link: GroundLink) -> str:
+    """Return the address of this machine that Telemetry Output sends to."""
+    if link.bridge_ip is not None:
+        return link.bridge_ip
+    return link.telemetry_ip if link.telemetry_ip != ANY_ADDRESS else own_address(link.command_ingest)

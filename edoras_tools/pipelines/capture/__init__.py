@@ -1,0 +1,1 @@
+"""Read, choose, act: record, sniff, info and what counts on the way."""

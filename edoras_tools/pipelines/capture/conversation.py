@@ -1,0 +1,176 @@
+"""Who sends what to whom: streams of similar packets between two parties, divided into runs by pauses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.cfs.names import command_name, message_name
+from edoras_tools.links import table
+from edoras_tools.links.table import among
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding, Peer
+from edoras_tools.render.capture.sequence import SequenceMessage
+from edoras_tools.wire.sbn import MSG_TYPE_NAMES, MsgType
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.filters.rows import ColumnRows
+
+_PAUSE_NS: Final = 2_000_000_000
+"""A shorter silence never ends a run."""
+_FIRST_PAUSE_NS: Final = 15_000_000_000
+"""A second packet may come this much later and still continue the run: SBN announces itself every 11 s."""
+_MISSED: Final = 4
+"""A silence of this many periods ends a run."""
+_FOREVER: Final = 1 << 62
+
+
+Party = Endpoint | Peer | str
+
+
+class _Stream(NamedTuple):
+    source: Party
+    destination: Party
+    label: str
+
+
+@dataclass(slots=True)
+class _Run:
+    count: int
+    first_ns: int
+    last_ns: int
+    findings: int = 0
+
+    def ends_before(self, time_ns: int) -> bool:
+        """Return whether a packet at this time comes after a pause."""
+        period = (self.last_ns - self.first_ns) / (self.count - 1) if self.count > 1 else 0
+        limit = _MISSED * period if period else _FIRST_PAUSE_NS
+        return time_ns - self.last_ns > max(_PAUSE_NS, limit)
+
+
+class Conversation:
+    """Gathers the runs of a capture.
+
+    Args:
+        context: provides names of topics, and which SBN peer uses which address.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._streams: dict[_Stream, list[_Run]] = {}
+        self.begin_ns = 0
+
+    def add(self, rows: ColumnRows) -> None:
+        """Add the packets of a batch."""
+        self.begin_ns = rows.begin_ns
+        code, first = _alike(rows)
+        streams = [self._stream(rows, row) for row in first.tolist()]
+        number = {stream: index for index, stream in enumerate(dict.fromkeys(streams))}
+        code = np.array([number[stream] for stream in streams], np.int64)[code]
+        order = np.argsort(code, kind="stable")
+        times, findings = rows.datagram("time_ns")[order], rows.column("findings")[order]
+        ends = np.cumsum(np.bincount(code, minlength=len(number))).tolist()
+        start = 0
+        for stream, end in zip(number, ends, strict=True):
+            self._follow(stream, times[start:end], findings[start:end])
+            start = end
+
+    def messages(self) -> list[SequenceMessage]:
+        """Return all runs in order of their start; SBN peers are named by their identity if it is known."""
+        found = [
+            SequenceMessage(
+                self._name(stream.source),
+                self._name(stream.destination),
+                stream.label,
+                run.count,
+                run.first_ns - self.begin_ns,
+                run.last_ns - self.begin_ns,
+                Finding(run.findings).labels,
+            )
+            for stream, runs in self._streams.items()
+            for run in runs
+        ]
+        return sorted(found, key=lambda message: message.first_ns)
+
+    def _follow(self, stream: _Stream, times: NDArray[np.int64], findings: NDArray[np.uint32]) -> None:
+        """Extend the stream's last run up to a pause, and start another after it."""
+        runs = self._streams.setdefault(stream, [])
+        before = runs[-1].last_ns if runs else int(times[0])
+        long = np.flatnonzero(np.diff(times, prepend=before) > _PAUSE_NS).tolist()
+        bounds = sorted({0, *long, len(times)})
+        for low, high in pairwise(bounds):
+            part, bits = times[low:high], int(np.bitwise_or.reduce(findings[low:high]))
+            if not runs or runs[-1].ends_before(int(part[0])):
+                runs.append(_Run(0, int(part[0]), int(part[0])))
+            run = runs[-1]
+            run.count += len(part)
+            run.last_ns = max(run.last_ns, int(part[-1]))
+            run.findings |= bits
+
+    def _name(self, party: Party) -> str:
+        if isinstance(party, Endpoint):
+            identity = self._context.peers.known((party.address, party.port), _FOREVER)
+            party = Peer(*identity) if identity else party
+        return f"SBN {party}" if isinstance(party, Peer) else str(party)
+
+    def _stream(self, rows: ColumnRows, row: int) -> _Stream:
+        """Return the parties and the label of one packet."""
+        index = int(rows.indices()[row])
+        datagram = rows.batch[index]
+        columns, link = rows.columns, table.link(rows.columns.link[index])
+        label = self._label(rows, row, index)
+        source, destination = datagram.source, datagram.destination
+        if link.peers:
+            sender = Peer(int(columns.spacecraft_id[index]), int(columns.processor_id[index]))
+            return _Stream(sender if columns.sbn_msg_type[index] >= 0 else source, destination, label)
+        if link.only_to_cfs:
+            return _Stream(f"Ground {source.address}", f"{link.name} {destination}", label)
+        if link.only_from_cfs:
+            return _Stream(f"{link.name} {source.address}", f"Ground {destination.address}", label)
+        return _Stream(str(source), str(destination), label)
+
+    def _label(self, rows: ColumnRows, row: int, index: int) -> str:
+        columns = rows.columns
+        kind, msg_id = int(columns.sbn_msg_type[index]), int(columns.msg_id[index])
+        if msg_id == NO_MSG_ID:
+            return MSG_TYPE_NAMES.get(kind, f"type 0x{kind:02x}") if kind >= 0 else "unreadable"
+        route, code = int(rows.routes()[row]), int(columns.function_code[index])
+        name = self._context.mission.routes[route].topic if route != NO_ROUTE else message_name(msg_id)
+        words = [f"0x{msg_id:04x}", name, command_name(msg_id, code) if code >= 0 else ""]
+        return " ".join(["APP"] * (kind == MsgType.APP) + [word for word in words if word])
+
+
+def _alike(rows: ColumnRows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Number the packets by everything that names their stream; return the numbers, and one row of each."""
+    link = rows.column("link")
+    named = among(link, lambda item: item.peers)
+    to_cfs, from_cfs = (
+        among(link, lambda item: item.only_to_cfs),
+        among(link, lambda item: item.only_from_cfs),
+    )
+    keys: list[NDArray[Any]] = [
+        link,
+        rows.column("sbn_msg_type"),
+        rows.column("msg_id"),
+        rows.column("function_code"),
+        np.where(named, rows.column("processor_id"), 0),
+        np.where(named, rows.column("spacecraft_id"), 0),
+        rows.datagram("ip_version"),
+        rows.datagram("source_address"),
+        np.where(to_cfs | from_cfs, 0, rows.datagram("source_port")),
+        rows.datagram("destination_address"),
+        np.where(from_cfs, 0, rows.datagram("destination_port")),
+    ]
+    code, first = np.zeros(len(rows), np.int64), np.zeros(0, np.int64)
+    for key in keys:
+        _, part = np.unique(key, return_inverse=True)
+        _, first, code = np.unique(
+            code * len(rows) + part.reshape(-1), return_index=True, return_inverse=True
+        )
+        code = code.reshape(-1)
+    return code, first

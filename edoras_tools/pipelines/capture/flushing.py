@@ -1,0 +1,67 @@
+"""When what was taken live goes to the file, so that a killed recorder loses at most a second.
+
+Rules that it keeps:
+
+1. A datagram's age counts from its capture: who is behind flushes after every batch, not a while later.
+2. What is measured with two clocks can be wrong by a step of one of them: age moves a flush forward only.
+3. With nothing to write there are flushes too: sinks look at their files then.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from edoras_tools.io import Sink
+    from edoras_tools.model import PacketBatch
+
+FLUSH_NS: Final = 200_000_000
+"""How old what is not in the file may get; a fifth of the promise, so that there is time to write it."""
+_SWIFT: Final = 16 << 20
+"""Bytes in that time from where on flushing is left out: it waits, and chunks fill by themselves."""
+
+
+class Flushing:
+    """Flushes a sink in time; ``look`` is to be called several times in ``FLUSH_NS``.
+
+    Args:
+        sink: what is flushed.
+        clock: monotonic time in ns.
+        wall: time in ns since 1970; None where datagrams were not captured just now.
+    """
+
+    def __init__(
+        self,
+        sink: Sink,
+        clock: Callable[[], int] = time.monotonic_ns,
+        wall: Callable[[], int] | None = time.time_ns,
+    ) -> None:
+        self._sink, self._clock, self._wall = sink, clock, wall
+        self._due = clock() + FLUSH_NS
+        self._bytes = 0
+
+    @property
+    def wait_s(self) -> float:
+        """How long nothing has to be done, in s."""
+        return max(0, self._due - self._clock()) / 1e9
+
+    def took(self, batch: PacketBatch) -> None:
+        """Note what the sink has taken."""
+        if len(batch):
+            age = max(0, self._wall() - int(batch.time_ns[0])) if self._wall else 0
+            self._due = min(self._due, self._clock() + FLUSH_NS - age)
+            self._bytes += int(batch.frame_length.sum())
+
+    def look(self) -> None:
+        """Flush if it is time.
+
+        Raises:
+            CaptureError: the output cannot be written.
+        """
+        if self._clock() >= self._due:
+            if self._bytes < _SWIFT:
+                self._sink.flush()
+            self._due, self._bytes = self._clock() + FLUSH_NS, 0

@@ -1,0 +1,71 @@
+"""What is in a capture or a recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence.copies import Once
+from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.pipelines.capture.record import CaptureReport
+from edoras_tools.pipelines.reading import Limits, reading
+
+if TYPE_CHECKING:
+    from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.reading import ReadLoop
+    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.run import Watcher
+
+
+class Counting:
+    """Counts the datagrams of a loop: only traffic of cFS, and each datagram once.
+
+    Args:
+        source: what is read.
+        bench: mission and decoders.
+
+    Attributes:
+        report: the counts so far.
+    """
+
+    def __init__(self, source: Source, bench: Workbench) -> None:
+        self.report = CaptureReport(Ledger(bench.mission), source, notes=bench.columns.context.notes)
+        self._once = Once()
+
+    def add(self, rows: ColumnRows, loop: ReadLoop) -> None:
+        """Add the chosen rows of a batch; the loop must follow conversations."""
+        keep = self._once.keep(rows.batch, rows.columns)
+        keep[loop.conversations.left_out()] = False
+        self.report.ledger.add(*rows.take(np.flatnonzero(keep[rows.chosen])).alone())
+
+    def end(self, loop: ReadLoop) -> CaptureReport:
+        """Return the counts, and how the loop ended."""
+        self.report.interrupted, self.report.failure = loop.interrupted, loop.failure
+        self.report.notes = [*self.report.notes, *loop.conversations.notes(), *self._once.notes()]
+        return self.report
+
+
+def inspect(
+    source: Source,
+    bench: Workbench,
+    *,
+    selection: Selection | None = None,
+    limits: Limits = Limits(),  # noqa: B008  frozen
+    watcher: Watcher[CaptureReport] | None = None,
+) -> CaptureReport:
+    """Read a source to its end and count the selected datagrams; ``failure`` says why it ended early.
+
+    Raises:
+        RouteError: the selection names a topic that is not configured.
+        ConfigError: its filter has an error.
+    """
+    counting = Counting(source, bench)
+    with reading(source, bench, selection, limits, keeps_failure=True, conversing=True) as loop:
+        for rows in loop:
+            counting.add(rows, loop)
+            if watcher is not None:
+                watcher.update(counting.report)
+    return counting.end(loop)

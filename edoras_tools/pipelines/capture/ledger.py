@@ -1,0 +1,252 @@
+"""Counts per route: messages, rate, jitter, and missing messages."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.cfs.names import message_name
+from edoras_tools.links import table
+from edoras_tools.model import NO_MSG_ID, OTHER, Finding
+from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
+from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.order import order_by
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, Link, PacketBatch
+
+
+_TOLD_NS: Final = MILLISECOND
+"""When several processors capture, packets that are some microseconds apart may come in any order."""
+
+
+@cache
+def _bits(findings: int) -> tuple[Finding, ...]:
+    return tuple(Finding(findings))
+
+
+@dataclass(slots=True)
+class Account:
+    """The counts of one stream: one MsgId (or SBN message type) of one processor on one link.
+
+    Times are ns. ``interval_squares`` is in seconds squared, so that a day of traffic keeps its precision.
+    ``kind`` is the link's own message type, -1 for none.
+    ``sequences`` has the sequence counts of each sender.
+    """
+
+    link: Link
+    processor_id: int
+    msg_id: int
+    kind: int
+    route: int
+    count: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    interval_squares: float = 0.0
+    sequences: list[SequenceStream] = field(default_factory=list)
+    bytes_min: int = 1 << 31
+    bytes_max: int = 0
+    bytes: int = 0
+    findings: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def gaps(self) -> int:
+        """Sequence counts that never came."""
+        return sum(item.gaps for item in self.sequences)
+
+    @property
+    def duplicates(self) -> int:
+        """Packets with a sequence count that had already come."""
+        return sum(item.duplicates for item in self.sequences)
+
+    @property
+    def reordered(self) -> int:
+        """Packets that came late."""
+        return sum(item.reordered for item in self.sequences)
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages per second between the first and the last."""
+        return (
+            (self.count - 1) / (self.last_ns - self.first_ns) * 1e9 if self.last_ns > self.first_ns else 0.0
+        )
+
+    @property
+    def jitter_ms(self) -> float:
+        """Standard deviation of the time between messages."""
+        if self.count < 3:
+            return 0.0
+        mean = (self.last_ns - self.first_ns) / 1e9 / (self.count - 1)
+        return 1e3 * math.sqrt(max(0.0, self.interval_squares / (self.count - 1) - mean * mean))
+
+
+class Ledger:
+    """The accounts of a whole capture.
+
+    Args:
+        mission: gives topics and types their names.
+
+    Attributes:
+        behind: datagrams whose time is before that of the previous one.
+        behind_ns: maximum by which the time runs back.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.accounts: dict[tuple[int, int, int, int], Account] = {}
+        self._sequences = SequenceCounts()
+        self.datagrams = 0
+        self.start_ns = 0
+        self.end_ns = 0
+        self.behind = 0
+        self.behind_ns = 0
+        self._newest_ns = 0
+
+    def tally(self, batch: PacketBatch) -> None:
+        """Count only the number and the times of a batch's datagrams."""
+        if not len(batch):
+            return
+        low, high = int(batch.time_ns.min()), int(batch.time_ns.max())
+        back = np.diff(batch.time_ns, prepend=self._newest_ns if self.datagrams else low) < 0
+        if back.any():
+            newest = np.maximum.accumulate(batch.time_ns)
+            if self.datagrams:
+                newest = np.maximum(newest, self.end_ns)
+            self.behind += int(np.count_nonzero(back))
+            self.behind_ns = max(self.behind_ns, int((newest - batch.time_ns).max()))
+        self._newest_ns = int(batch.time_ns[-1])
+        self.start_ns = min(self.start_ns, low) if self.datagrams else low
+        self.end_ns = max(self.end_ns, high)
+        self.datagrams += len(batch)
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Count a batch, and every stream in it."""
+        self.tally(batch)
+        if not len(batch):
+            return
+        own = table.message_kinds(columns, batch.length)
+        kind = columns.link.astype(np.uint32) << 9 | (own + 1).astype(np.uint16)
+        msg_id = (columns.msg_id + 1).astype(np.uint32)
+        order = order_by(msg_id, columns.processor_id, kind)
+        keys = np.stack((columns.processor_id[order], kind[order], msg_id[order]))
+        starts = np.append(0, np.flatnonzero((keys[:, 1:] != keys[:, :-1]).any(axis=0)) + 1)
+        accounts = [self._account(columns, int(own[row]), row) for row in order[starts].tolist()]
+        self._count(accounts, batch, columns, order, starts)
+        known = len(self._sequences.streams)
+        stream = self._sequences.follow(batch, columns, order).stream
+        if len(self._sequences.streams) > known:
+            streams, first = np.unique(stream, return_index=True)
+            for index, row in zip(streams.tolist(), first.tolist(), strict=True):
+                if index >= known:
+                    account = self._account(columns, int(own[row]), row)
+                    account.sequences.append(self._sequences.streams[index])
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes on the figures, one line each."""
+        if self.behind_ns < _TOLD_NS:
+            return []
+        back = f"{plural(self.behind, 'datagram')}, by up to {self.behind_ns / SECOND:.3f} s"
+        told = "jitter, gaps and reordered are counted in the file's order; edoras doctor sorts it first"
+        return [f"times run back at {back}: {told}"]
+
+    @property
+    def findings(self) -> dict[str, int]:
+        """Datagrams by finding."""
+        total = Counter[str]()
+        for account in self.accounts.values():
+            total.update(account.findings)
+        return dict(total)
+
+    def _account(self, columns: Columns, kind: int, row: int) -> Account:
+        key = (
+            int(columns.link[row]),
+            int(columns.processor_id[row]),
+            int(columns.msg_id[row]),
+            kind,
+        )
+        if key not in self.accounts:
+            self.accounts[key] = Account(table.link(key[0]), *key[1:], int(columns.route[row]))
+        return self.accounts[key]
+
+    @staticmethod
+    def _count(
+        accounts: list[Account],
+        batch: PacketBatch,
+        columns: Columns,
+        order: NDArray[np.int64],
+        starts: NDArray[np.int64],
+    ) -> None:
+        """Add times, sizes and findings; account ``i`` has the rows ``order[starts[i]:starts[i + 1]]``."""
+        times, lengths, findings = batch.time_ns[order], batch.length[order], columns.findings[order]
+        counts = np.diff(np.append(starts, len(order))).tolist()
+        first, last = (each.reduceat(times, starts).tolist() for each in (np.minimum, np.maximum))
+        intervals = np.diff(times, prepend=times[0]) / 1e9
+        intervals[starts] = 0
+        squares = np.add.reduceat(intervals * intervals, starts).tolist()
+        total = np.add.reduceat(lengths, starts, dtype=np.int64).tolist()
+        smallest = np.minimum.reduceat(lengths, starts).tolist()
+        largest = np.maximum.reduceat(lengths, starts).tolist()
+        for index, account in enumerate(accounts):
+            gap = (first[index] - account.last_ns) / 1e9 if account.count else 0.0
+            account.interval_squares += squares[index] + gap * gap
+            account.first_ns = min(account.first_ns, first[index]) if account.count else first[index]
+            account.last_ns = max(account.last_ns, last[index])
+            account.count += counts[index]
+            account.bytes += total[index]
+            account.bytes_min = min(account.bytes_min, smallest[index])
+            account.bytes_max = max(account.bytes_max, largest[index])
+        met = np.bitwise_or.reduceat(findings, starts)
+        ends = np.append(starts[1:], len(order))
+        for index in np.flatnonzero(met).tolist():
+            known, own = accounts[index].findings, findings[starts[index] : ends[index]]
+            for finding in _bits(int(met[index])):
+                there = int(np.count_nonzero(own & np.uint32(finding)))
+                known[finding.label] = known.get(finding.label, 0) + there
+
+    def routes(self) -> list[dict[str, Any]]:
+        """Return a row for every stream, in the shape of ``info --json``: configured topics first."""
+        accounts = sorted(
+            self.accounts.values(),
+            key=lambda item: (
+                item.route < 0,
+                item.link == OTHER,
+                item.link,
+                item.msg_id,
+                item.processor_id,
+            ),
+        )
+        return [self._row(account) for account in accounts]
+
+    def _row(self, account: Account) -> dict[str, Any]:
+        route = self.mission.routes[account.route] if account.route >= 0 else None
+        name = message_name(account.msg_id)
+        if account.msg_id == NO_MSG_ID and account.link != OTHER:
+            name = table.protocol(account.link).message_name(account.kind)
+        return {
+            "topic": route.topic if route else None,
+            "type": route.type if route else None,
+            "name": name or None,
+            "link": account.link.label,
+            "processor_id": account.processor_id or None,
+            "msg_id": f"0x{account.msg_id:04x}" if account.msg_id != NO_MSG_ID else None,
+            "count": account.count,
+            "rate_hz": round(account.rate_hz, 3),
+            "jitter_ms": round(account.jitter_ms, 3),
+            "gaps": account.gaps,
+            "duplicates": account.duplicates,
+            "reordered": account.reordered,
+            "bytes": account.bytes,
+            "bytes_min": account.bytes_min,
+            "bytes_max": account.bytes_max,
+            "findings": account.findings,
+        }

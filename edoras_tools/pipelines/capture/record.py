@@ -1,0 +1,269 @@
+"""From a source to a recording: MCAP, rosbag2, pcapng or pcap, chosen by the suffix."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from time import time_ns
+from typing import TYPE_CHECKING, Any
+
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.io.capture.device import DeviceSource
+from edoras_tools.io.formats.mcap.process import Apart
+from edoras_tools.io.formats.recording import RecordingOptions
+from edoras_tools.io.formats.records import RecordSource
+from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, ROSBAG2, Format, written_as
+from edoras_tools.io.formats.watched import WatchedSink
+from edoras_tools.io.outputs import in_the_way
+from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing
+from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.pipelines.reading import Limits, reading
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from edoras_tools.errors import EdorasError
+    from edoras_tools.io import Sink, Source
+    from edoras_tools.io.formats.watched import FileSink, OutputLoss
+    from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.pipelines.reading import ReadLoop
+    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.run import Watcher
+
+_LARGE = 32 << 20
+"""Files of at least this many bytes are written by a second process."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What to write.
+
+    Attributes:
+        path: the file, or the rosbag2 directory.
+        rosbag2: write a rosbag2 directory.
+        split_bytes: start a new file at this size; 0: never.
+        split_ns: start a new file after this time; 0: never.
+        replace: overwrite an existing output.
+        sync_ns: flush to the disk at this interval, to survive a power cut; 0: never.
+        told: called with a line if the file is removed while it is written.
+    """
+
+    path: Path
+    rosbag2: bool = False
+    split_bytes: int = 0
+    split_ns: int = 0
+    sync_ns: int = 0
+    replace: bool = False
+    told: Callable[[str], None] = field(default=lambda _: None, compare=False, repr=False)
+
+    @property
+    def format(self) -> Format | None:
+        """The requested format; None if the suffix names no format."""
+        return ROSBAG2 if self.rosbag2 else written_as(self.path)
+
+
+@dataclass(slots=True)
+class CaptureReport:
+    """What was recorded.
+
+    Attributes:
+        ledger: counts by route.
+        source: the source, for its statistics.
+        interrupted: whether Ctrl-C ended it.
+        outputs: the files that were written, or the rosbag2 directory.
+        failure: why the source ended early, if it did; everything before is written.
+        notes: what was recognised from the bytes, one line each.
+        losses: outputs that were removed while they were written.
+    """
+
+    ledger: Ledger
+    source: Source
+    interrupted: bool = False
+    outputs: list[Path] = field(default_factory=list)
+    failure: EdorasError | None = None
+    notes: list[str] = field(default_factory=list)
+    losses: list[OutputLoss] = field(default_factory=list)
+
+    @property
+    def lost(self) -> int:
+        """Frames that the kernel or a full queue lost."""
+        return self.source.statistics.kernel_drops
+
+    def summary(self) -> dict[str, Any]:
+        """Return the report in the shape of ``info --json``."""
+        statistics = self.source.statistics
+        return {
+            "source": self.source.info.name,
+            "kind": self.source.info.kind,
+            "datagrams": self.ledger.datagrams - sum(item.datagrams for item in self.losses),
+            "skipped": statistics.skipped,
+            "start_ns": self.ledger.start_ns,
+            "end_ns": self.ledger.end_ns,
+            "capture_drops": statistics.kernel_drops,
+            "outages": [outage.as_json() for outage in statistics.outages],
+            "routes": self.ledger.routes(),
+            "findings": dict(sorted(self.ledger.findings.items())),
+            "warnings": [
+                *self.ledger.mission.warnings,
+                *self.notes,
+                *self.ledger.notes,
+                *statistics.warnings,
+                *map(str, self.losses),
+            ],
+        }
+
+
+def check_output(target: Target, inputs: Sequence[Path]) -> None:
+    """Check a target before anything is opened: its format, and that it overwrites nothing.
+
+    Raises:
+        ConfigError: the suffix is unknown, or something would be overwritten.
+    """
+    if target.format is None:
+        raise ConfigError(f"{target.path}: unknown suffix; use {', '.join(FILE_SUFFIXES)}, or --rosbag2")
+    if (target.split_bytes or target.split_ns) and not target.format.messages:
+        raise ConfigError(
+            f"{target.path}: only MCAP recordings can be split; name it .mcap, or leave --split-* out"
+        )
+    for item in inputs:
+        if item.exists() and target.path.exists() and item.samefile(target.path):
+            raise ConfigError(f"{target.path}: would overwrite its own input; name another output")
+    split = bool(target.split_bytes or target.split_ns)
+    there = in_the_way(target.path, split=split)
+    if there and not target.replace and not target.rosbag2:
+        raise ConfigError(f"{there} exists; name another output, or replace it with --force")
+
+
+def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str = "") -> WatchedSink | Apart:
+    """Open a sink for a target that was checked.
+
+    Raises:
+        CaptureError: it cannot be written.
+    """
+    try:
+        target.path.parent.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        pass  # an error is reported when the file is opened
+    except OSError as error:
+        raise CaptureError(f"{target.path}: cannot be created: {error.strerror}") from error
+    info = replace(source.info, read_with=bench.columns.context.described)
+    format_ = target.format or PCAP
+    make = format_.sink()
+    options = RecordingOptions(
+        chosen, target.split_bytes, target.split_ns, structs=bench.columns.context.structs
+    )
+
+    def begin(path: Path) -> FileSink:
+        if not format_.messages:
+            frames: FileSink = make(
+                path, nanosecond=info.time_resolution_ns < 1000, snap_length=info.snap_length
+            )
+            return frames
+        messages: FileSink = make(
+            path, bench.mission, bench.types, info, options, statistics=source.statistics
+        )
+        return messages
+
+    sync_s = target.sync_ns / 1e9
+    sink = WatchedSink(target.path, begin, target.told, source.statistics, sync_s=sync_s)
+    return _apart(sink, source, target.path) if format_ is MCAP else sink
+
+
+def _apart(sink: WatchedSink, source: Source, path: Path) -> WatchedSink | Apart:
+    """Run the sink of a large file in a second process; the source then reads into shared memory."""
+    if source.statistics.total_bytes < _LARGE:
+        return sink
+
+    try:
+        apart = Apart(sink, source.statistics, path)
+    except OSError:
+        return sink
+    if isinstance(source, RecordSource):
+        source.borrow(apart.lend)
+    return apart
+
+
+def record(
+    source: Source,
+    bench: Workbench,
+    target: Target,
+    *,
+    selection: Selection | None = None,
+    limits: Limits = Limits(),  # noqa: B008  frozen
+    watcher: Watcher[CaptureReport] | None = None,
+    tap: Callable[[PacketBatch, Columns], None] | None = None,
+    by_route: bool = True,
+) -> CaptureReport:
+    """Write everything from a source until it ends, Ctrl-C, or a limit.
+
+    Args:
+        source: where datagrams come from; it is closed.
+        bench: mission, types and decoders.
+        target: what to write.
+        selection: which datagrams; all by default.
+        limits: when to end; its clock also determines when to flush.
+        watcher: called with the report after every batch.
+        tap: called with every batch that was written.
+        by_route: count by route, for the report; else only the number of datagrams.
+
+    Raises:
+        CaptureError: the recording cannot be written.
+        RouteError: the selection names a topic that is not configured.
+        ConfigError: its filter has an error.
+    """
+    with reading(source, bench, selection, limits, keeps_failure=True) as loop:
+        sink = open_sink(target, source, bench, chosen=str(loop.selection))
+        report = pour(loop, sink, watcher=watcher, tap=tap, by_route=by_route)
+    report.outputs, report.losses = list(sink.paths), sink.losses
+    return report
+
+
+def pour(
+    loop: ReadLoop,
+    sink: Sink,
+    *,
+    watcher: Watcher[CaptureReport] | None = None,
+    tap: Callable[[PacketBatch, Columns], None] | None = None,
+    by_route: bool = True,
+) -> CaptureReport:
+    """Write everything from a loop to an open sink; the source and the sink are closed. See ``record``.
+
+    Args:
+        loop: what is read; it must keep the source's failure.
+        sink: where it is written.
+        watcher: see ``record``.
+        tap: see ``record``.
+        by_route: see ``record``.
+
+    Raises:
+        CaptureError: the sink cannot be written.
+    """
+    source, bench = loop.source, loop.bench
+    report = CaptureReport(Ledger(bench.mission), source, notes=bench.columns.context.notes)
+    live = not source.statistics.total_bytes  # without flushes, a file always gives the same recording
+    flushing = Flushing(sink, loop.limits.clock, time_ns if isinstance(source, DeviceSource) else None)
+    if isinstance(source, DeviceSource):
+        source.gather_s = FLUSH_NS / 1e9
+    try:
+        for rows in loop:
+            batch, columns = rows.alone()
+            if len(batch):
+                sink.write(batch, columns)
+                flushing.took(batch)
+            if live:
+                flushing.look()  # first, because the rest can wait
+            if len(batch):
+                if by_route:
+                    report.ledger.add(batch, columns)
+                else:
+                    report.ledger.tally(batch)
+                if tap is not None:
+                    tap(batch, columns)
+            if watcher is not None:
+                watcher.update(report)
+        report.interrupted, report.failure = loop.interrupted, loop.failure
+    finally:
+        source.close()
+        sink.close(source.statistics)
+    return report

@@ -1,0 +1,118 @@
+"""Single packets from a source, in order, for people and for JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.pipelines.reading import Limits, reading
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from edoras_tools.io import Source
+    from edoras_tools.model import Decoded
+    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.workbench import Workbench
+
+
+def sniff(
+    source: Source,
+    bench: Workbench,
+    *,
+    selection: Selection,
+    limits: Limits = Limits(),  # noqa: B008  frozen
+    started: Callable[[int], None] = lambda _: None,
+) -> Iterator[Decoded]:
+    """Yield the selected packets of a source, decoded; the source is closed at the end.
+
+    Args:
+        source: where datagrams come from.
+        bench: mission, types and decoders.
+        selection: which packets.
+        limits: which part of them.
+        started: called before each batch with the time of the source's first datagram, ns since 1970.
+
+    Raises:
+        CaptureError: the source ended early; everything before was yielded.
+        RouteError: the selection names a topic that is not configured.
+        ConfigError: its filter has an error.
+    """
+    live = hasattr(source, "stop")
+    with reading(source, bench, selection, limits, conversing=True) as loop:
+        try:
+            for rows in loop:
+                started(rows.begin_ns)
+                for row in rows.indices().tolist():
+                    if loop.interrupted and not live:
+                        return
+                    yield bench.dissector.dissect(rows.batch[row])
+        finally:
+            bench.columns.context.notes += loop.conversations.notes(shown=True)
+
+
+def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
+    """Return one packet; everything before it is decoded first, because decoding keeps state.
+
+    Args:
+        source: a file.
+        bench: mission, types and decoders.
+        number: the frame's number, from 1, as ``sniff`` and Wireshark show it.
+
+    Raises:
+        CaptureError: there is no such datagram.
+    """
+    last = 0
+    try:
+        for batch in source.batches():
+            bench.columns.decode(batch)
+            rows = (batch.number == number).nonzero()[0]
+            if len(rows):
+                return bench.dissector.dissect(batch[int(rows[0])])
+            last = int(batch.number[-1]) if len(batch) else last
+            if last > number:
+                break
+    finally:
+        source.close()
+    what = (
+        "is not a UDP datagram" if number <= last else f"does not exist: the last datagram is number {last}"
+    )
+    raise CaptureError(f"{source.info.name}: packet {number} {what}")
+
+
+def as_json(decoded: Decoded) -> dict[str, Any]:
+    """Return a packet in the shape of ``sniff --json``: plain values, bytes as hex, NaN as null."""
+    packet = decoded.layer("ccsds")
+    message = decoded.message
+    record = {
+        "number": decoded.datagram.number,
+        "time_ns": decoded.datagram.time_ns,
+        "link": decoded.link.label,
+        "source": str(decoded.datagram.source),
+        "destination": str(decoded.datagram.destination),
+        "length": len(decoded.datagram.payload),
+        "layers": {
+            layer.name: layer.values() for layer in decoded.layers if layer.name not in {"ros", "cfs"}
+        },
+        "msg_id": f"0x{packet.values()['msg_id']:04x}" if packet else None,
+        "topic": message.topic if message else None,
+        "type": message.type if message else None,
+        "message": message.values if message else None,
+        "findings": decoded.findings.labels,
+        "stop": str(decoded.stop) if decoded.stop else None,
+    }
+    plain: dict[str, Any] = _plain(record)
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (bytes, bytearray)):
+        return value.hex()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,123 @@
+"""The tour: an emulated cFS with two rovers on loopback, captured, decoded and recorded at the same time."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import nullcontext
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+from time import time_ns
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.emulator import BOOT_NS, Served, Simulation
+from edoras_tools.emulator.source import SimulatedSource
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.capture.live import open_live
+from edoras_tools.pipelines.capture.record import CaptureReport, Target, record
+from edoras_tools.pipelines.reading import Limits
+from edoras_tools.pipelines.workbench import Settings, open_files
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from edoras_tools.io import Source
+    from edoras_tools.model import Columns, Decoded, PacketBatch
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.run import Watcher
+
+SAMPLES: Final = files("edoras_tools.samples")
+_COMMAND_RATE_HZ: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tour:
+    """The results of the tour.
+
+    Attributes:
+        live: the recording of the live link.
+        real: the recording of the sample capture, which was made on a running cFS.
+        folder: contains the recordings, the missions and the Foxglove layout.
+        captured: whether the link was really captured; if not, it ran in simulated time.
+    """
+
+    live: CaptureReport
+    real: CaptureReport
+    folder: Path
+    captured: bool
+
+
+def unpack(folder: Path) -> tuple[Path, Path]:
+    """Copy the sample missions, the capture and the Foxglove layout into the user's folder.
+
+    Returns:
+        The folder of missions, and the capture.
+
+    Raises:
+        CaptureError: a file cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with as_file(SAMPLES) as samples:
+            shutil.copytree(samples / "missions", folder / "missions", dirs_exist_ok=True)
+            for name in ("captures/a_rover.pcap", "foxglove_layout.json"):
+                shutil.copy(samples / name, folder / Path(name).name)
+    except OSError as error:
+        raise CaptureError(f"{folder}: {error.strerror or error}; name another folder with -o") from None
+    return folder / "missions", folder / "a_rover.pcap"
+
+
+def tour(
+    folder: Path,
+    seconds: float,
+    *,
+    show: Callable[[Decoded], None],
+    notice: Callable[[str], None],
+    watcher: Watcher[CaptureReport] | None = None,
+) -> Tour:
+    """Run the tour.
+
+    Args:
+        folder: where to write.
+        seconds: how long to capture.
+        show: called with every packet of the live link.
+        notice: called with a line on what happens.
+        watcher: updated with the report of the live link.
+
+    Raises:
+        CaptureError: a port is in use, or the folder cannot be written.
+    """
+    missions, capture = unpack(folder)
+    settings = Settings((missions / "two_rovers_ground.yaml", missions / "two_rovers_flight.yaml"))
+    bench = settings.workbench()
+    simulation = Simulation(
+        scenario="two-rovers",
+        start_ns=time_ns() - BOOT_NS,
+        command_rate_hz=_COMMAND_RATE_HZ,
+        state_rate_hz=_COMMAND_RATE_HZ,
+    ).boot()
+    duration_ns = int(seconds * 1e9)
+    source, captured = _source(simulation, duration_ns, bench, notice)
+
+    def tap(batch: PacketBatch, _columns: Columns) -> None:
+        for row in range(len(batch)):
+            show(bench.dissector.dissect(batch[row]))
+
+    live = folder / "two_rovers.mcap"
+    with Served(simulation) if captured else nullcontext():
+        limits = Limits(duration_ns=duration_ns)
+        report = record(source, bench, Target(live), limits=limits, watcher=watcher, tap=tap)
+    rover = Settings((missions / "rover_ground.yaml",)).workbench()
+    real = record(open_files([capture]), rover, Target(folder / "a_rover.mcap"))
+    return Tour(report, real, folder, captured)
+
+
+def _source(
+    simulation: Simulation, duration_ns: int, bench: Workbench, notice: Callable[[str], None]
+) -> tuple[Source, bool]:
+    try:
+        return open_live("lo", bench.columns.context.capture_ports()), True
+    except CaptureError as error:
+        notice(f"{error}")
+        notice("therefore the same link runs in simulated time")
+        return SimulatedSource(simulation, duration_ns), False

@@ -1,0 +1,1 @@
+"""Diagnosis, comparison and report of captures."""

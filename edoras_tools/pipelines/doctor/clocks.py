@@ -1,0 +1,193 @@
+"""Several captures of one system as one: clocks are aligned, and common datagrams are counted once."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence.clocks.alignment import align
+from edoras_tools.diagnosis.evidence.table import Recorder
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.merge import merge_sources, recorded_faults
+from edoras_tools.io.formats.open import open_file
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
+    from edoras_tools.io import Source
+    from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
+    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.sessions.faults.machine import Fault
+
+_MOST: Final = 1_000_000
+"""Datagrams of each capture that are used to find the offset of its clock."""
+
+
+class Aligned:
+    """A source whose clock is corrected, and some of whose frames are left out.
+
+    Args:
+        source: the source.
+        lines: how far its clock is ahead of another, that of a third, and so on up to the first's.
+        left_out: i64, numbers of frames, increasing.
+    """
+
+    def __init__(self, source: Source, lines: Sequence[ClockLine], left_out: NDArray[np.int64]) -> None:
+        self._source = source
+        self._lines = lines
+        self._left_out = left_out
+
+    @property
+    def info(self) -> SourceInfo:
+        """The source's information."""
+        return self._source.info
+
+    @property
+    def statistics(self) -> SourceStatistics:
+        """The source's statistics."""
+        return self._source.statistics
+
+    def faults(self) -> list[Fault]:
+        """Return the faults that were injected, with corrected times."""
+        faults = recorded_faults(self._source)
+        times = self._set_back(np.array([fault.time_ns for fault in faults], np.int64))
+        return [fault._replace(time_ns=at) for fault, at in zip(faults, times.tolist(), strict=True)]
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Yield the remaining datagrams, with corrected times."""
+        for batch in self._source.batches():
+            moved = replace(batch, time_ns=self._set_back(batch.time_ns))
+            yield moved.take(~np.isin(batch.number, self._left_out)) if len(self._left_out) else moved
+
+    def _set_back(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        for line in self._lines:
+            time_ns = line.set_back(time_ns)
+        return time_ns
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
+
+
+class OneByOne:
+    """Sources with clocks that cannot be aligned, read one after the other.
+
+    The order of events between two of them is not known: each must be judged on its own.
+
+    Args:
+        sources: at least one.
+
+    Attributes:
+        part: index of the source of the last batch.
+    """
+
+    def __init__(self, sources: Sequence[Source]) -> None:
+        self._sources = list(sources)
+        self._together = merge_sources(sources)
+        self.part = 0
+
+    @property
+    def info(self) -> SourceInfo:
+        """Information on all sources together."""
+        return self._together.info
+
+    @property
+    def statistics(self) -> SourceStatistics:
+        """The sums of their statistics."""
+        return self._together.statistics
+
+    def faults(self) -> list[Fault]:
+        """Return the faults that were injected."""
+        return recorded_faults(self._together)
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Yield all datagrams of the first, then those of the second, and so on."""
+        for part, source in enumerate(self._sources):
+            self.part = part
+            yield from source.batches()
+
+    def close(self) -> None:
+        """Close all of them."""
+        self._together.close()
+
+
+def open_aligned(
+    paths: Sequence[Path], settings: Settings, progress: Progress | None = None
+) -> tuple[Source, list[str]]:
+    """Open several captures as one, with clocks aligned to the first; return it, and notes on the clocks.
+
+    A capture that has nothing in common with the first is aligned to another one that is already aligned.
+
+    Args:
+        paths: the captures.
+        settings: missions and decoding options.
+        progress: shows the progress of reading the clocks and comparing them.
+
+    Raises:
+        CaptureError: one cannot be read.
+        ConfigError: a mission file has mistakes.
+    """
+    tables = [_recorded(path, settings, progress) for path in paths]
+    sources: list[Source] = [open_file(paths[0])]
+    alone: list[Source] = []
+    notes = []
+    set_back: dict[int, list[ClockLine]] = {0: []}
+    for at, (path, table) in enumerate(zip(paths[1:], tables[1:], strict=True), 1):
+        if progress is not None:
+            progress.step("aligning clocks", at, len(paths))
+        to, found = next(
+            ((other, told) for other in set_back if (told := align(tables[other], table)) is not None),
+            (0, None),
+        )
+        if found is None:
+            if not _overlap(tables[0], table):
+                sources.append(open_file(path))
+                continue
+            alone.append(open_file(path))
+            notes.append(
+                f"{path}: its clock cannot be compared with that of {paths[0]}: it is judged on its own, and "
+                "no loss is concluded from the order of events between the two"
+            )
+            continue
+        set_back[at] = [found.line, *set_back[to]]
+        sources.append(Aligned(open_file(path), set_back[at], found.shared))
+        some = f"; {len(found.shared):,} datagrams are in both, counted once" if len(found.shared) else ""
+        notes.append(f"{path}: its clock is ahead of that of {paths[to]} by {found}{some}")
+    return OneByOne([merge_sources(sources), *alone]) if alone else merge_sources(sources), notes
+
+
+def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Recorder:
+    source = open_file(path)
+    try:
+        bench = settings.workbench(source.info)
+        recorder = Recorder(bench.columns.context)
+        for batch in _readable(source):
+            if len(batch):
+                recorder.add(batch, bench.columns.decode(batch))
+            if progress is not None:
+                progress.read(source)
+            if len(recorder) >= _MOST:
+                break
+    finally:
+        source.close()
+    return recorder
+
+
+def _readable(source: Source) -> Iterator[PacketBatch]:
+    """Yield batches until an error; the error is reported when the file is judged."""
+    with suppress(CaptureError):
+        yield from source.batches()
+
+
+def _overlap(first: Recorder, second: Recorder) -> bool:
+    """Return whether two captures overlap in time, by their own clocks."""
+    a, b = first.rows().time_ns, second.rows().time_ns
+    return bool(len(a) and len(b)) and bool(a.min() <= b.max() and b.min() <= a.max())

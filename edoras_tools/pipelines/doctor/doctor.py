@@ -1,0 +1,179 @@
+"""Diagnoses a source, once at its end or repeatedly while it is live."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.case import Capture
+from edoras_tools.diagnosis.examination import Diagnosis, Examination
+from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.io.formats.merge import recorded_faults
+from edoras_tools.pipelines.doctor.clocks import OneByOne
+from edoras_tools.pipelines.doctor.scope import Chosen, Scope
+from edoras_tools.pipelines.reading import Limits, reading
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from edoras_tools.io import Source
+    from edoras_tools.model import PacketBatch
+    from edoras_tools.pipelines.capture.info import Counting
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.run import Progress, Watcher
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How often a live source is judged, and for how long.
+
+    Attributes:
+        clock: monotonic time in ns.
+        every_ns: also judge at this interval, less often if judging takes long; 0: only at the end.
+        duration_ns: stop after this time; 0: never.
+        watcher: called with every intermediate diagnosis.
+    """
+
+    clock: Callable[[], int]
+    every_ns: int = 0
+    duration_ns: int = 0
+    watcher: Watcher[Diagnosis] | None = None
+
+
+@dataclass(slots=True)
+class Findings:
+    """The result of an examination.
+
+    Attributes:
+        diagnosis: of everything that was read.
+        source: the source, for its statistics.
+        failure: why the source ended early, if it did; everything before is judged.
+        interrupted: whether Ctrl-C ended it.
+    """
+
+    diagnosis: Diagnosis
+    source: Source
+    failure: EdorasError | None = None
+    interrupted: bool = False
+
+    def summary(self) -> dict[str, Any]:
+        """Return the findings in the shape of ``doctor --json``."""
+        return {
+            "source": self.source.info.name,
+            **self.diagnosis.as_json(),
+            "warnings": list(self.diagnosis.capture.warnings),
+        }
+
+
+def examine(
+    source: Source,
+    bench: Workbench,
+    *,
+    profile: SimProfile | None = None,
+    scope: Scope | None = None,
+    pace: Pace | None = None,
+    progress: Progress | None = None,
+    counting: Counting | None = None,
+) -> Findings:
+    """Read a source to its end and judge it.
+
+    Args:
+        source: where datagrams come from; it is closed.
+        bench: mission, types and decoders.
+        profile: the constants of the cFS on the link.
+        scope: what is examined and shown; all by default.
+        pace: for a live source.
+        progress: updated after every batch, and while judging.
+        counting: counts the same datagrams while they are read.
+
+    Raises:
+        RouteError: the scope names a topic that is not configured.
+        ConfigError: its filter has an error.
+    """
+    examination = Examination(bench.columns.context, profile)
+    if progress is not None:
+        examination.progress = partial(progress.step, "judging")
+    scope, cut = scope or Scope(), 0
+    try:
+        chosen = Chosen(scope.selection, bench)
+    except EdorasError:
+        source.close()
+        raise
+    pace = pace or Pace(lambda: 0)
+
+    def within(batch: PacketBatch) -> PacketBatch:
+        nonlocal cut
+        if len(batch) and examination.zero_ns is None and (scope.start_ns or scope.end_ns):
+            examination.zero_ns = int(batch.time_ns[0])
+        part = scope.cut(batch, examination.zero_ns or 0)
+        cut += len(batch) - len(part)
+        return part
+
+    def diagnose() -> Diagnosis:
+        statistics = source.statistics
+        warnings = *bench.columns.context.notes, *statistics.warnings
+        capture = Capture(
+            statistics.kernel_drops, warnings, examination.zero_ns, cut, tuple(statistics.outages)
+        )
+        found, choice = examination.diagnose(capture), chosen.choice()
+        return found.limited(choice) if choice else found
+
+    judged, pause = pace.clock(), pace.every_ns
+    limits = Limits(duration_ns=pace.duration_ns, clock=pace.clock)
+    conversing = counting is not None
+    with reading(
+        source, bench, limits=limits, within=within, keeps_failure=True, conversing=conversing
+    ) as loop:
+        part, faults = 0, recorded_faults(source)
+        for rows in loop:
+            if isinstance(source, OneByOne) and source.part != part:
+                examination.separate()
+                part = source.part
+            if len(rows):
+                if faults:
+                    zero_ns = (
+                        int(rows.batch.time_ns[0]) if examination.zero_ns is None else examination.zero_ns
+                    )
+                    examination.faults = [item for item in faults if scope.holds(item.time_ns - zero_ns)]
+                    faults = []
+                examination.add(rows.batch, rows.columns)
+                chosen.add(rows.batch, rows.columns)
+            if counting is not None:
+                counting.add(rows, loop)
+            if progress is not None:
+                progress.read(source)
+            now = pace.clock()
+            if pace.watcher and pace.every_ns and now - judged >= pause:
+                pace.watcher.update(diagnose())
+                judged = pace.clock()
+                # Judging takes at most a fifth of the time, however large the capture is.
+                pause = max(pace.every_ns, 5 * (judged - now))
+    return Findings(diagnose(), source, loop.failure, loop.interrupted)
+
+
+def profile_with(constants: Sequence[str]) -> SimProfile:
+    """Return the default constants of cFS with some of them replaced.
+
+    Args:
+        constants: ``NAME=VALUE`` each, whole numbers.
+
+    Raises:
+        ConfigError: there is no such constant, or it cannot have that value.
+    """
+    profile = SimProfile()
+    known = {item.name for item in fields(profile) if type(getattr(profile, item.name)) is int}
+    changes: dict[str, Any] = {}
+    for text in constants:
+        name, _, value = text.partition("=")
+        if name not in known:
+            near = get_close_matches(name, sorted(known), 1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(known))}"
+            raise ConfigError(f"constant {name!r} is not known; {hint}")
+        try:
+            changes[name] = int(value, 0)
+        except ValueError:
+            raise ConfigError(f"constant {text!r}: {value!r} is not a whole number; write {name}=8") from None
+    return replace(profile, **changes)

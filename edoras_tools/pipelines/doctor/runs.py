@@ -1,0 +1,90 @@
+"""Reads two captures of different runs and compares them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from edoras_tools.diagnosis.runs import Run, RunDifference, run_differences
+from edoras_tools.pipelines.capture.info import Counting
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.render.severity import NOTABLE
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.render.terminal.run import Progress
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """The result of a comparison.
+
+    Attributes:
+        good: the reference run.
+        bad: the other run.
+        changes: all differences, those for the worse first.
+    """
+
+    good: Run
+    bad: Run
+    changes: Sequence[RunDifference]
+
+    @property
+    def worse(self) -> bool:
+        """Whether anything is worse in the bad run."""
+        return any(item.worse for item in self.changes)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``compare --json``."""
+
+        def told(run: Run) -> dict[str, Any]:
+            return {
+                "source": run.info["source"],
+                "datagrams": run.info["datagrams"],
+                "seconds": run.seconds,
+                "lost": run.doctor["lost"],
+            }
+
+        return {
+            "schema": SCHEMA,
+            "good": told(self.good),
+            "bad": told(self.bad),
+            "worse": self.worse,
+            "changes": [asdict(item) for item in self.changes],
+        }
+
+
+def compare_runs(
+    good: Path, bad: Path, settings: Settings, *, tolerance: float, progress: Progress | None = None
+) -> Runs:
+    """Read two captures and compare them as runs of the same system.
+
+    Args:
+        good: the reference run.
+        bad: the other run.
+        settings: missions and decoding options, the same for both.
+        tolerance: accepted relative difference of rates and latencies, e.g. 0.1.
+        progress: updated while they are read and judged.
+
+    Raises:
+        CaptureError: one of them cannot be read to its end, or contains no datagram.
+    """
+    runs = _run(good, settings, progress), _run(bad, settings, progress)
+    serious = {item.label for item in NOTABLE}
+    return Runs(*runs, run_differences(*runs, tolerance=tolerance, serious=serious))
+
+
+def _run(path: Path, settings: Settings, progress: Progress | None) -> Run:
+    source = open_files([path])
+    bench = settings.workbench(source.info)
+    counting = Counting(source, bench)
+    judged = examine(source, bench, progress=progress, counting=counting)
+    if judged.failure is not None:
+        raise judged.failure
+    return Run(counting.report.summary(), judged.summary())

@@ -1,0 +1,90 @@
+"""Which part of a capture is examined, and which part of the diagnosis is shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.diagnosis.choice import Choice
+from edoras_tools.links import table
+from edoras_tools.pipelines.selection import Selection
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.pipelines.workbench import Workbench
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What the options of a command select.
+
+    Attributes:
+        selection: what is shown; loss is counted from all traffic.
+        start_ns: examine from this time after the first datagram.
+        end_ns: examine up to this time after the first datagram; 0 for all.
+    """
+
+    selection: Selection = field(default_factory=Selection)
+    start_ns: int = 0
+    end_ns: int = 0
+
+    def holds(self, since_ns: int) -> bool:
+        """Return whether a time after the first datagram is examined."""
+        after = since_ns >= self.start_ns or not self.start_ns
+        return after and (since_ns < self.end_ns or not self.end_ns)
+
+    def cut(self, batch: PacketBatch, zero_ns: int) -> PacketBatch:
+        """Return the datagrams of a batch that are examined.
+
+        Args:
+            batch: as read.
+            zero_ns: time of the capture's first datagram.
+        """
+        if not (self.start_ns or self.end_ns):
+            return batch
+        return batch.take(self.mask(batch.time_ns - zero_ns))
+
+    def mask(self, since_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which of many times after the first datagram are examined."""
+        return (since_ns >= self.start_ns) & ((since_ns < self.end_ns) | (self.end_ns == 0))
+
+
+class Chosen:
+    """Applies a selection: batches are added, and at the end it says what is shown.
+
+    Args:
+        selection: from the options.
+        bench: mission and decoders.
+
+    Raises:
+        RouteError: the selection names a topic that is not configured.
+        ConfigError: its filter has an error.
+    """
+
+    def __init__(self, selection: Selection, bench: Workbench) -> None:
+        self._selection = selection.over(bench)
+        self._mission: Mission = bench.mission
+        self._seen: set[tuple[str, int]] = set()
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Add a batch; with a filter, routes are shown that have a packet which passes it."""
+        if self._selection.where:
+            rows = self._selection.rows(batch, columns, self._mission)
+            key = columns.link[rows].astype(np.int64) << 32 | columns.msg_id[rows]
+            self._seen |= {(table.link(item >> 32).label, item & 0xFFFF) for item in np.unique(key).tolist()}
+
+    def choice(self) -> Choice | None:
+        """Return what is shown; None for all."""
+        return Choice(str(self._selection), self._takes) if self._selection else None
+
+    def _takes(self, link: str | None, msg_id: int | None) -> bool:
+        if not self._selection.about(link, msg_id, self._mission):
+            return False
+        if not self._selection.where:
+            return True
+        return any(msg_id == there and link in {None, label} for label, there in self._seen)

@@ -1,0 +1,1 @@
+"""Topics into tables: files of other programs' formats, and arrays for Python."""

@@ -1,0 +1,128 @@
+"""Results of the doctor as topics: its verdicts, and the messages that did not arrive."""
+
+from __future__ import annotations
+
+from json import dumps
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.pipelines.doctor.clocks import open_aligned
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor.missing import list_missing
+from edoras_tools.pipelines.export.block import TopicBlock
+from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.render.terminal.run import Progress
+
+VERDICTS_TOPIC: Final = "/edoras/verdicts"
+LOST_TOPIC: Final = "/edoras/lost"
+_TEXT, _COUNT, _TEXTS = "text", "count", "texts"
+_FIELDS: Final = {
+    VERDICTS_TOPIC: {
+        "rule": _TEXT,
+        "severity": _TEXT,
+        "reason": _TEXT,
+        "link": _TEXT,
+        "msg_id": _TEXT,
+        "topic": _TEXT,
+        "hop": _TEXT,
+        "lost": _COUNT,
+        "of": _COUNT,
+        "estimated": _COUNT,
+        "end_ns": _COUNT,
+        "evidence": _TEXTS,
+        "remedy": _TEXT,
+        "confidence": _TEXT,
+    },
+    LOST_TOPIC: {
+        "link": _TEXT,
+        "msg_id": _TEXT,
+        "topic": _TEXT,
+        "count": _COUNT,
+        "until_ns": _COUNT,
+        "number": _COUNT,
+        "first": _COUNT,
+        "what": _TEXT,
+        "message": _TEXT,
+    },
+}
+"""The columns of each, named as in ``doctor --json`` and ``doctor --list-lost json``; a message is JSON."""
+_TIME: Final = {VERDICTS_TOPIC: "start_ns", LOST_TOPIC: "time_ns"}
+JUDGED: Final = frozenset(_FIELDS)
+"""Topics that need an examination of the whole capture; made only if requested by name."""
+
+
+def judged_blocks(
+    wanted: Collection[str],
+    paths: Sequence[Path],
+    settings: Settings,
+    scope: Scope,
+    progress: Progress | None = None,
+) -> Iterator[TopicBlock]:
+    """Examine captures, and yield the requested results.
+
+    Args:
+        wanted: topics of ``JUDGED``.
+        paths: the captures; they are read again.
+        settings: missions, types and options.
+        scope: what is examined and shown.
+        progress: shows the progress.
+    """
+
+    def opened() -> Any:
+        return open_files(paths) if len(paths) == 1 else open_aligned(paths, settings, progress)[0]
+
+    source = opened()
+    bench = settings.workbench(source.info)
+    diagnosis = examine(source, bench, scope=scope, progress=progress).diagnosis
+    if VERDICTS_TOPIC in wanted:
+        yield judged_block(VERDICTS_TOPIC, [item.as_json() for item in diagnosis.verdicts])
+    if LOST_TOPIC in wanted and diagnosis.case is not None:
+        found = list_missing(diagnosis.case, opened(), bench, diagnosis.choice, progress)
+        yield judged_block(LOST_TOPIC, [item.as_json() for item in found])
+
+
+def judged_block(topic: str, rows: Sequence[Mapping[str, Any]] = ()) -> TopicBlock:
+    """Return rows of JSON as a block; its times are the start of each."""
+    fields: dict[str, NDArray[Any] | Ragged] = {}
+    there: dict[str, NDArray[np.bool_]] = {}
+    for name, kind in _FIELDS[topic].items():
+        values = [row[name] for row in rows]
+        fields[name] = _MAKE[kind](values)
+        if kind != _TEXTS:
+            there[name] = np.array([value is not None for value in values], bool)
+    time_ns = np.array([row[_TIME[topic]] for row in rows], np.int64)
+    return TopicBlock(topic, time_ns, MessageColumns("", np.ones(len(rows), bool), fields), there=there)
+
+
+def _texts(values: Sequence[Any]) -> NDArray[Any]:
+    texts = [value if isinstance(value, str) else dumps(value, ensure_ascii=False) for value in values]
+    return np.array(
+        ["" if value is None else text for value, text in zip(values, texts, strict=True)], object
+    )
+
+
+def _counts(values: Sequence[int | None]) -> NDArray[np.int64]:
+    return np.array([value or 0 for value in values], np.int64)
+
+
+def _lists(values: Sequence[Sequence[str]]) -> Ragged:
+    offsets = np.cumsum([0, *map(len, values)])
+    return Ragged(np.array([text for texts in values for text in texts], object), offsets)
+
+
+_MAKE: Final[Mapping[str, Callable[[Sequence[Any]], NDArray[Any] | Ragged]]] = {
+    _TEXT: _texts,
+    _COUNT: _counts,
+    _TEXTS: _lists,
+}

@@ -1,0 +1,262 @@
+"""Recordings for notebooks: ``edoras_tools.read("a.mcap")["/cmd_vel"].to_pandas()``."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edoras_tools.errors import ConfigError, RouteError
+from edoras_tools.io.formats.columns import TableColumn, TableHead
+from edoras_tools.io.topics.streams import EVENTS_TOPIC
+from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.export.judged import JUDGED, LOST_TOPIC, VERDICTS_TOPIC
+from edoras_tools.pipelines.export.sources import open_topics
+from edoras_tools.pipelines.export.tables import TableForm, TimeForm, chosen_topics
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.ros.cdr.columns import Ragged
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.pipelines.export.sources import TopicSource
+
+    Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+
+
+@dataclass(frozen=True, slots=True)
+class TopicTable:
+    """The messages of a topic, a row each.
+
+    Attributes:
+        topic: with its leading slash.
+        type: ROS type name.
+        columns: ``time``, then the fields with dotted names, in wire order.
+    """
+
+    topic: str
+    type: str
+    columns: Sequence[TableColumn]
+
+    def __len__(self) -> int:
+        return len(self.columns[0])
+
+    def __repr__(self) -> str:
+        names = ", ".join(item.name for item in self.columns)
+        return f"<{len(self):,} rows of {self.topic}, {self.type}: {names}>"
+
+    def to_numpy(self) -> dict[str, NDArray[Any]]:
+        """Return an array for each column.
+
+        A fixed array has shape (rows, elements); where lists differ in length the array holds an array for
+        each row; texts are objects; where values are not there (``explode``) the array is masked.
+        """
+        return {
+            item.name: _array(item.values)
+            if item.there is None
+            else np.ma.masked_array(_array(item.values), ~item.there)
+            for item in self.columns
+        }
+
+    def to_arrow(self) -> Any:
+        """Return a ``pyarrow.Table``, with types, units and the message definition's name.
+
+        Raises:
+            ConfigError: pyarrow is not installed.
+        """
+        try:
+            arrays = import_module("edoras_tools.io.formats.arrow.arrays")
+        except ImportError as error:
+            raise ConfigError(
+                "to_arrow() needs pyarrow: pip install 'edoras-tools[analysis]'; to_numpy() does not"
+            ) from error
+        schema = arrays.arrow_schema(TableHead(self.topic, self.type), self.columns)
+        return arrays.arrow_table(self.columns, schema)
+
+    def to_pandas(self) -> Any:
+        """Return a ``pandas.DataFrame``; lists are arrays, times are timestamps in UTC.
+
+        Raises:
+            ConfigError: pandas is not installed.
+        """
+        try:
+            pandas = import_module("pandas")
+        except ImportError as error:
+            raise ConfigError("to_pandas() needs pandas: pip install pandas; to_numpy() does not") from error
+        made = {}
+        for item in self.columns:
+            values = _array(item.values)
+            series = pandas.Series(values if values.ndim == 1 else list(values))
+            if values.dtype.kind == "M":
+                series = series.dt.tz_localize("UTC")
+            made[item.name] = series if item.there is None else series.where(item.there)
+        return pandas.DataFrame(made)
+
+
+@dataclass(frozen=True)
+class RecordingTables:
+    """The topics of files. A file is read again for each topic that is used for the first time.
+
+    A warning says what could not be read.
+
+    Attributes:
+        paths: the files.
+        settings: mission, types and options.
+        scope: which part of them.
+        form: how times are given, and lists.
+    """
+
+    paths: Sequence[Path]
+    settings: Settings
+    scope: Scope
+    form: TableForm
+
+    def __repr__(self) -> str:
+        return f"<{', '.join(map(str, self.paths))}: {', '.join(self.topics)}>"
+
+    def __getitem__(self, topic: str) -> TopicTable:
+        """Return the messages of a topic, none where there are none; the leading slash may be left out.
+
+        Raises:
+            RouteError: there is no such topic.
+        """
+        source = self._open()
+        try:
+            found = chosen_topics(source, [topic], ())
+            if len(found) != 1:
+                raise RouteError(f"{topic!r} fits several topics: {', '.join(found)}; name one")
+            if found[0] not in self._tables:
+                self._tables[found[0]] = _read(source, found[0], self.form)
+        finally:
+            source.close()
+        return self._tables[found[0]]
+
+    @cached_property
+    def topics(self) -> dict[str, int]:
+        """The number of messages of each topic that has any."""
+        source, counts = self._open(), dict[str, int]()
+        try:
+            for block in source.blocks(source.topics.keys() - JUDGED):
+                counts[block.topic] = counts.get(block.topic, 0) + len(block)
+        finally:
+            source.close()
+        _warn(source)
+        return counts
+
+    @property
+    def events(self) -> TopicTable:
+        """The events that cFE sent, ``/edoras/events``."""
+        return self[EVENTS_TOPIC]
+
+    @property
+    def lost(self) -> TopicTable:
+        """The messages that did not arrive, as in ``doctor --list-lost``."""
+        return self[LOST_TOPIC]
+
+    @property
+    def verdicts(self) -> TopicTable:
+        """The verdicts of the doctor, the most severe first; times are the start of each."""
+        return self[VERDICTS_TOPIC]
+
+    @cached_property
+    def _tables(self) -> dict[str, TopicTable]:
+        return {}
+
+    def _open(self) -> TopicSource:
+        return open_topics(self.paths, self.settings, self.scope)
+
+
+def read(
+    paths: Paths,
+    *,
+    config: Paths = (),
+    where: str = "",
+    start: float = 0,
+    end: float = 0,
+    time: str = "utc",
+    explode: bool = False,
+    settings: Settings | None = None,
+) -> RecordingTables:
+    """Open captures, recordings or rosbag2 directories to read their topics as tables.
+
+    Args:
+        paths: one file, or several.
+        config: mission files; a recording carries its own.
+        where: only datagrams that pass this filter, as ``--where``.
+        start: datagrams before this many seconds after the first one are left out.
+        end: datagrams from this many seconds after the first one on are left out; 0 for none.
+        time: ``utc`` timestamps, ``ns`` since 1970, or ``seconds`` since the start.
+        explode: see ``edoras export --explode``.
+        settings: message definitions and decoding options; ``config`` comes on top.
+
+    Raises:
+        CaptureError: a file cannot be opened.
+        ConfigError: a mission file or the filter has mistakes, or there is no such form of times.
+    """
+    if time not in list(TimeForm):
+        raise ConfigError(f"time={time!r} is not a time format; use {', '.join(TimeForm)}")
+    given = settings or Settings()
+    if configs := _paths(config):
+        given = Settings(configs, given.distro, given.msg_paths, given.options, given.structs)
+    scope = Scope(Selection(where=where), int(start * 1e9), int(end * 1e9))
+    form = TableForm(explode=explode, time=TimeForm(time))
+    made = RecordingTables(_paths(paths), given, scope, form)
+    made._open().close()  # noqa: SLF001  what is wrong is told now
+    return made
+
+
+def _paths(given: Paths) -> tuple[Path, ...]:
+    if isinstance(given, (str, os.PathLike)):
+        return (Path(given),)
+    return tuple(map(Path, given))
+
+
+def _read(source: TopicSource, topic: str, form: TableForm) -> TopicTable:
+    """Read the messages of one topic."""
+    blocks = [form.columns(source.empty(topic), 0)]
+    blocks += [form.columns(block, source.zero_ns) for block in source.blocks([topic])]
+    _warn(source)
+    joined = [_joined([block[place] for block in blocks]) for place in range(len(blocks[0]))]
+    return TopicTable(topic, source.topics[topic], joined)
+
+
+def _warn(source: TopicSource) -> None:
+    """Warn about an incomplete input; what could be read of it is kept."""
+    if source.failure is not None:
+        warnings.warn(str(source.failure), stacklevel=4)
+    if source.left_out:
+        warnings.warn(f"{source.left_out:,} messages are incomplete and were left out", stacklevel=4)
+
+
+def _joined(pieces: Sequence[TableColumn]) -> TableColumn:
+    """Return the rows of several pieces of one column."""
+    first = pieces[0]
+    there = None
+    if first.there is not None:
+        there = np.concatenate([item.there for item in pieces if item.there is not None])
+    values: NDArray[Any] | Ragged
+    if isinstance(first.values, Ragged):
+        lists = [item.values for item in pieces if isinstance(item.values, Ragged)]
+        offsets = np.cumsum(np.concatenate([[0], *(np.diff(item.offsets) for item in lists)]))
+        values = Ragged(np.concatenate([item.values for item in lists]), offsets)
+    else:
+        values = np.concatenate([item.values for item in pieces if not isinstance(item.values, Ragged)])
+    return TableColumn(first.name, values, there, first.unit)
+
+
+def _array(values: NDArray[Any] | Ragged) -> NDArray[Any]:
+    if not isinstance(values, Ragged):
+        return values
+    made = np.empty(len(values), object)
+    for row in range(len(values)):
+        made[row] = values[row]
+    return made

@@ -1,0 +1,228 @@
+"""Writes topics of an input to files, one table each."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.io.formats.columns import TableFile, TableHead
+from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, written_as
+from edoras_tools.io.outputs import check_links, in_the_way
+from edoras_tools.io.topics.streams import DATAGRAMS_TOPIC, FAULTS, OWN_TOPICS
+from edoras_tools.pipelines.export.judged import JUDGED
+from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen_topics
+from edoras_tools.units import SECOND
+from edoras_tools.words import listed
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+    from pathlib import Path
+
+    from edoras_tools.io.formats.table import Format
+    from edoras_tools.pipelines.export.sources import TopicSource
+    from edoras_tools.render.terminal.run import Progress
+
+_OWN = JUDGED | {item.name for item in (*OWN_TOPICS, FAULTS)}
+
+
+@dataclass(frozen=True, slots=True)
+class ExportTarget:
+    """The output of an export.
+
+    Attributes:
+        path: a file, for one topic; or a folder.
+        format: of the files.
+        folder: whether ``path`` is a folder, with a file for each topic.
+        force: replace existing files.
+    """
+
+    path: Path
+    format: Format
+    folder: bool
+    force: bool = False
+
+    @classmethod
+    def of(
+        cls, path: Path, *, name: str | None = None, folder: bool = False, force: bool = False
+    ) -> ExportTarget:
+        """Return the target that a path names: a suffix of a table's is a file, all else a folder.
+
+        Args:
+            path: the output.
+            name: of the format, as ``csv``; None for that of the suffix, of a folder Parquet.
+            folder: the path was written as a folder.
+            force: replace existing files.
+
+        Raises:
+            ConfigError: the suffix names another format, or none.
+        """
+        named = next((item for item in TABLE_FORMATS if item.suffix == f".{name}"), None)
+        folder |= path.is_dir()
+        told = None if folder else written_as(path, TABLE_FORMATS)
+        if told is not None and named not in {None, told}:
+            raise ConfigError(f"{path}: is {told.name} by its suffix, and --format says {name}; choose one")
+        special = path.exists() and not path.is_file() and not folder  # as /dev/stdout
+        if told is None and (special or path.suffix) and not folder and not (special and named):
+            what = f"{path.suffix} is not a table format" if path.suffix else "name its --format"
+            raise ConfigError(f"{path}: {what}; use {TABLES_WRITTEN}; a folder ends with /")
+        return cls(path, told or named or TABLE_FORMATS[0], told is None and not special, force)
+
+    def check(self, inputs: Sequence[Path]) -> None:
+        """Refuse to overwrite files without permission.
+
+        Raises:
+            ConfigError: something is there, and it may not be replaced; or it is an input.
+        """
+        for item in inputs:
+            if item.exists() and self.path.exists() and item.samefile(self.path):
+                raise ConfigError(f"{self.path}: would overwrite its own input; name another output")
+        there = any(self.path.iterdir()) if self.path.is_dir() else in_the_way(self.path)
+        if there and not self.force:
+            raise ConfigError(f"{self.path} exists; name another output, or replace it with --force")
+
+    def check_alone(self, topic: str, others: Collection[str]) -> None:
+        """Refuse a second topic in one file.
+
+        Raises:
+            ConfigError: there is another one.
+        """
+        if others and not self.folder:
+            raise ConfigError(
+                f"{self.path}: {', '.join(others)} and {topic} are several topics; select one with --topic, "
+                f"or name a folder: -o {self.path.with_suffix('')}/"
+            )
+
+    def place(self, topic: str) -> Path:
+        """Return the file of a topic: in a folder it is named after the topic, its slashes as dots."""
+        if not self.folder:
+            return self.path
+        name = ".".join(quote(part, safe=" ~").replace(".", "%2E") for part in topic.strip("/").split("/"))
+        return self.path / f"{name}{self.format.suffix}"
+
+
+@dataclass(slots=True)
+class ExportReport:
+    """The result of an export.
+
+    Attributes:
+        source: the input.
+        files: the tables, in order of the topics' first messages.
+    """
+
+    source: TopicSource
+    files: list[TableFile] = field(default_factory=list)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the report in the form of ``export --json``."""
+        return {
+            "schema": 1,
+            "source": self.source.name,
+            "files": [
+                {"path": str(item.path), "topic": item.head.topic, "type": item.head.type, "rows": item.rows}
+                for item in self.files
+            ],
+            "left_out": self.source.left_out,
+            "warnings": self.source.notes,
+        }
+
+
+def export(
+    source: TopicSource,
+    target: ExportTarget,
+    patterns: Sequence[str] = (),
+    form: TableForm = TableForm(),  # noqa: B008  frozen
+    progress: Progress | None = None,
+) -> ExportReport:
+    """Write the messages of an input as tables; the input is closed.
+
+    A table appears under its name when the input is read. Where one cannot be written, none appears.
+
+    Args:
+        source: the input.
+        target: where tables go.
+        patterns: of the topics; by default all but the datagrams and what takes an examination, of a file
+            all but this package's own.
+        form: what columns there are.
+        progress: told while the input is read.
+
+    Raises:
+        CaptureError: a table cannot be written, or there is nothing to write.
+        ConfigError: a field is not there, or one file would hold several topics.
+        RouteError: a topic is not there.
+    """
+    with closing(source), ThreadPoolExecutor(1, "tables") as pool:
+        usual = {*source.topics} - ({DATAGRAMS_TOPIC, *JUDGED} if target.folder else _OWN)
+        there = {
+            topic: [column.name for column in TableForm().columns(source.empty(topic), 0)]
+            for topic in chosen_topics(source, patterns, usual)
+        }
+        wanted = check_fields(form.fields, there)
+        make = _writer(target)
+        report, tables = ExportReport(source), dict[str, TableFile]()
+        try:
+            for block in filter(len, source.blocks(wanted, progress)):
+                columns = form.columns(block, source.zero_ns)
+                if block.topic not in tables:
+                    target.check_alone(block.topic, tables)
+                    head = TableHead(block.topic, block.message.type, _told(source, block.topic))
+                    tables[block.topic] = TableFile(target.place(block.topic), make, head, columns, pool)
+                tables[block.topic].write(columns)
+            _check_found(source, tables, wanted)
+            for table in tables.values():
+                table.close()
+                report.files.append(table)
+        except BaseException:
+            for table in tables.values():
+                table.remove()
+            raise
+    return report
+
+
+def _writer(target: ExportTarget) -> Any:
+    """Return the class that writes, and make the folder.
+
+    Raises:
+        CaptureError: the folder cannot be made.
+        ConfigError: the library is not installed.
+    """
+    try:
+        make = target.format.sink()
+    except ImportError as error:
+        raise ConfigError(
+            f"{target.path}: {target.format.name} needs {error.name}, which is not installed: "
+            "pip install 'edoras-tools[analysis]', or write CSV or JSON Lines"
+        ) from error
+    folder = target.path if target.folder else target.path.parent
+    try:
+        check_links(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CaptureError(f"{folder}: the folder cannot be created: {error.strerror or error}") from error
+    return make
+
+
+def _told(source: TopicSource, topic: str) -> dict[str, str]:
+    """Return a table's metadata besides topic and type."""
+    return {"edoras.source": source.name, "edoras.definition": source.definition(topic)}
+
+
+def _check_found(source: TopicSource, tables: Collection[str], wanted: Sequence[str]) -> None:
+    """Check that there is something to write.
+
+    Raises:
+        CaptureError: there is nothing.
+    """
+    if tables:
+        return
+    if source.failure is not None:
+        raise source.failure
+    after = ""
+    if source.last_ns >= 0:
+        after = f"; its times go from 0 to {(source.last_ns - source.zero_ns) / SECOND:.3f} s"
+    raise CaptureError(
+        f"{source.name}: no message on {listed(sorted(wanted)) or 'any topic'} in the selected part{after}"
+    )

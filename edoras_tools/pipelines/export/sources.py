@@ -1,0 +1,326 @@
+"""What inputs hold by topic, many messages in columns at a time: captures, and recordings of other tools.
+
+A capture has the topics that a recording of it would have (``io.topics.streams``). A recording of another
+tool has those that were recorded; it holds no datagrams, so nothing can be chosen by link, MsgId or filter.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from itertools import chain
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError, ConfigError, EdorasError
+from edoras_tools.io.formats.merge import recorded_faults
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.formats.rosbag2.reader import open_rosbag
+from edoras_tools.io.topics.faults import fault_messages
+from edoras_tools.io.topics.rows import RECORD_BYTES, lay_out
+from edoras_tools.io.topics.streams import DATAGRAMS_TOPIC, FAULTS, STATISTICS_TOPIC, Streams
+from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.export.block import TopicBlock
+from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_blocks
+from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.reading import reading
+from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.ros import TypeStore
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Sequence
+    from pathlib import Path
+
+    from edoras_tools.io import Source
+    from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag
+    from edoras_tools.io.topics.rows import Messages
+    from edoras_tools.io.topics.streams import Topic
+    from edoras_tools.model import PacketBatch
+    from edoras_tools.pipelines.workbench import Settings, Workbench
+    from edoras_tools.render.terminal.run import Progress
+
+    Judge = Callable[[Collection[str], Progress | None], Iterator[TopicBlock]]
+
+
+class TopicSource(ABC):
+    """An input that is read by topic, once.
+
+    Attributes:
+        name: of the input.
+        topics: every topic that it may hold, with its type.
+        source: where its datagrams come from; None where there are none.
+        zero_ns: the time that its times count from; -1 until it is known.
+        last_ns: time of the last that was read; -1 before.
+        left_out: messages on wanted topics that are not whole, or are not what their type says.
+        failure: why it ended early, if it did.
+        interrupted: Ctrl-C ended it.
+    """
+
+    source: Source | None = None
+
+    def __init__(self, name: str, scope: Scope | None) -> None:
+        self.name = name
+        self.topics: dict[str, str] = {}
+        self.zero_ns = self.last_ns = -1
+        self.left_out = 0
+        self.failure: EdorasError | None = None
+        self.interrupted = False
+        self._scope = scope or Scope()
+
+    @property
+    @abstractmethod
+    def notes(self) -> list[str]:
+        """What is to be told about the input, a line each."""
+
+    @abstractmethod
+    def types(self, topic: str) -> TypeStore:
+        """Return what knows the type of a topic."""
+
+    def empty(self, topic: str) -> TopicBlock:
+        """Return no messages of a topic, which tell what columns there will be."""
+        if topic in JUDGED and not self.topics[topic]:
+            return judged_block(topic)
+        none = np.zeros(0, np.int64)
+        columns = self.types(topic).columns(
+            self.topics[topic], np.zeros(0, np.uint8), none, none.astype(np.int32)
+        )
+        if self.source is None:
+            return TopicBlock(topic, none, columns)
+        return TopicBlock(topic, none, columns, none, none.astype(np.uint32))
+
+    def definition(self, topic: str) -> str:
+        """Return the definition of a topic's type; empty where it has none."""
+        kind = self.topics[topic]
+        return self.types(topic).definition(kind) if kind else ""
+
+    @abstractmethod
+    def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:
+        """Yield the messages of some topics; a failure of the input is kept in ``failure``.
+
+        Raises:
+            RouteError: the selection names a topic that is not configured.
+            ConfigError: its filter has a mistake.
+        """
+
+    def close(self) -> None:
+        """Close the input; may be called twice."""
+        if self.source is not None:
+            self.source.close()
+
+
+class CaptureTopics(TopicSource):
+    """A capture, or a recording with its datagrams, by topic; see ``TopicSource``.
+
+    Args:
+        source: where datagrams come from; it is closed.
+        bench: mission, types and decoders.
+        scope: which datagrams.
+        judge: makes the topics of ``JUDGED``; None where the source cannot be read again.
+    """
+
+    def __init__(
+        self, source: Source, bench: Workbench, scope: Scope | None = None, judge: Judge | None = None
+    ) -> None:
+        super().__init__(source.info.name, scope)
+        self.source, self._source, self._bench, self._judge = source, source, bench, judge
+        self._structs = bench.columns.context.structs
+        self._streams = Streams(
+            bench.mission, bench.types, source.statistics, structs=self._structs, add=self._add
+        )
+        self._places: list[Topic] = [*self._streams.topics, FAULTS]
+        self.topics = {item.name: item.type for item in self._places}
+        self.topics |= {item.topic: item.type for item in self._streams.structs.all}
+        self.topics |= dict.fromkeys(sorted(JUDGED) if judge else (), "")
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be told about the input."""
+        return [*self._bench.mission.warnings, *self._bench.columns.context.notes]
+
+    def types(self, topic: str) -> TypeStore:
+        """Return what knows the type of a topic."""
+        structs = self._structs
+        return structs.types if self.topics[topic] in structs.definitions else self._bench.types
+
+    def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:
+        """Yield the messages of some topics."""
+        routes = [place for place, item in enumerate(self._bench.mission.routes) if item.topic in wanted]
+        statistics = STATISTICS_TOPIC in wanted
+        with reading(
+            self._source, self._bench, self._scope.selection, within=self._within, keeps_failure=True
+        ) as loop:
+            for rows in loop:
+                if progress is not None:
+                    progress.read(self._source)
+                if not len(rows):
+                    continue
+                batch, columns = rows.alone()
+                self.left_out += int(np.isin(columns.route, routes).sum())
+                found = self._streams.messages(
+                    batch, columns, datagrams=DATAGRAMS_TOPIC in wanted, statistics=statistics
+                )
+                yield from self._blocks(found, len(batch), wanted)
+            self.failure, self.interrupted = loop.failure, loop.interrupted
+        rest = [self._streams.finish()] if statistics else []
+        rest.append(self._streams.outages(self._source.statistics.outages))
+        faults = [
+            item for item in recorded_faults(self._source) if self._scope.holds(item.time_ns - self.zero_ns)
+        ]
+        rest.append(fault_messages(faults, self._places.index(FAULTS)))
+        for messages in rest:
+            yield from self._blocks([messages], len(messages), wanted)
+        if self._judge is not None and JUDGED & set(wanted) and not self.interrupted:
+            try:
+                yield from self._judge(JUDGED & set(wanted), progress)
+            except CaptureError as error:
+                self.failure = self.failure or error
+
+    def _within(self, batch: PacketBatch) -> PacketBatch:
+        if len(batch):
+            self.zero_ns = int(batch.time_ns[0]) if self.zero_ns < 0 else self.zero_ns
+            self.last_ns = max(self.last_ns, int(batch.time_ns.max()))
+        return self._scope.cut(batch, self.zero_ns)
+
+    def _add(self, topic: Topic) -> int:
+        self._places.append(topic)
+        return len(self._places) - 1
+
+    def _blocks(
+        self, streams: Sequence[Messages], rows: int, wanted: Collection[str]
+    ) -> Iterator[TopicBlock]:
+        routes = range(len(self._streams.topics) - len(self._bench.mission.routes), len(self._streams.topics))
+        for messages in streams:
+            places = np.broadcast_to(messages.channel_id, len(messages))
+            chosen = [place for place in np.unique(places).tolist() if self._places[place].name in wanted]
+            if not chosen:
+                continue
+            if (
+                messages.head_bytes == RECORD_BYTES
+            ):  # the message is the bytes behind the head, where they lie
+                data, start, length = messages.data, messages.offset, messages.length
+            else:
+                laid = lay_out([messages], rows)
+                data, start, length = np.frombuffer(laid.data, np.uint8), laid.start, laid.end - laid.start
+            heads = messages.heads(slice(0, len(messages)))
+            for place in chosen:
+                topic, here = self._places[place], np.flatnonzero(places == place)
+                columns = self.types(topic.name).columns(
+                    topic.type, data, start[here], length[here].astype(np.int32)
+                )
+                if place in routes:
+                    self.left_out -= len(here)
+                yield TopicBlock(
+                    topic.name,
+                    messages.log_time[here],
+                    columns,
+                    heads["publish_time"][here].astype(np.int64),
+                    heads["sequence"][here],
+                )
+
+
+class BagTopics(TopicSource):
+    """Recordings of other tools by topic; see ``TopicSource``.
+
+    Args:
+        bags: the recordings, one read after the other.
+        settings: where message definitions come from that the recordings do not hold.
+        scope: which part of the time.
+
+    Raises:
+        CaptureError: one cannot be read.
+        ConfigError: what is chosen cannot be told without datagrams.
+    """
+
+    def __init__(self, bags: Sequence[Rosbag], settings: Settings, scope: Scope | None = None) -> None:
+        super().__init__(", ".join(str(bag.path) for bag in bags), scope)
+        self._bags = bags
+        selection = self._scope.selection
+        if selection.links or selection.msg_ids or selection.where:
+            raise ConfigError(
+                f"{self.name}: is read by topic: --link, --msg-id and --where choose datagrams; "
+                "--topic, --start and --end can be used"
+            )
+        definitions: dict[str, str] = {}
+        there: dict[str, str] = {}
+        for bag in bags:
+            there |= bag.topics()
+            definitions |= bag.definitions()
+        self._types = TypeStore(settings.distro, settings.msg_paths, definitions)
+        wrong = {topic: self._types.check(kind) for topic, kind in there.items()}
+        self.topics = {topic: kind for topic, kind in there.items() if wrong[topic] is None}
+        self._notes = [f"{topic} is left out: {why}" for topic, why in wrong.items() if why is not None]
+        self.zero_ns = min(bag.start_ns() for bag in bags)
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be told about the input."""
+        return self._notes
+
+    def types(self, _: str) -> TypeStore:
+        """Return what knows the type of a topic."""
+        return self._types
+
+    def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:  # noqa: ARG002  what is read of a bag is not counted
+        """Yield the messages of some topics."""
+        with on_interrupt(lambda: None) as asked:
+            try:
+                for block in chain.from_iterable(bag.blocks(wanted) for bag in self._bags):
+                    yield self._block(block)
+                    if asked.is_set():
+                        break
+            except CaptureError as error:
+                self.failure = error
+            self.interrupted = asked.is_set()
+
+    def _block(self, found: RecordedBlock) -> TopicBlock:
+        kind = self.topics[found.topic]
+        self.last_ns = max(self.last_ns, int(found.time_ns.max(initial=-1)))
+        rows = np.flatnonzero(self._scope.mask(found.time_ns - self.zero_ns))
+        valid = self._types.valid(kind, found.data, found.offset[rows], found.length[rows])
+        self.left_out += len(rows) - int(valid.sum())
+        rows = rows[valid]
+        columns = self._types.columns(kind, found.data, found.offset[rows], found.length[rows])
+        return TopicBlock(found.topic, found.time_ns[rows], columns)
+
+
+def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None = None) -> TopicSource:
+    """Open captures, recordings, or rosbag2 directories by topic.
+
+    Raises:
+        CaptureError: one cannot be opened.
+        ConfigError: the mission has mistakes, or some hold datagrams and others only topics.
+    """
+    bags = [_is_bag(path) for path in paths]
+    if all(bags):
+        return BagTopics([open_rosbag(path) for path in paths], settings, scope)
+    if any(bags):
+        raise ConfigError(
+            f"{paths[bags.index(True)]} holds topics and {paths[bags.index(False)]} datagrams: "
+            "export them one after the other"
+        )
+    source = open_files(paths)
+
+    def judge(wanted: Collection[str], progress: Progress | None) -> Iterator[TopicBlock]:
+        return judged_blocks(wanted, paths, settings, scope or Scope(), progress)
+
+    again = all(path.is_file() for path in paths)
+    try:
+        return CaptureTopics(source, settings.workbench(source.info), scope, judge if again else None)
+    except EdorasError:
+        source.close()
+        raise
+
+
+def _is_bag(path: Path) -> bool:
+    """Return whether a path has topics but no datagrams: a rosbag2 directory or file, another tool's MCAP."""
+    if str(path) == "-" or not (path.is_dir() or path.is_file()):
+        return False
+    try:
+        open_file(path).close()
+    except CaptureError:
+        if path.is_dir():
+            return True
+        with suppress(CaptureError):
+            return bool(open_rosbag(path).topics())
+    return False  # what opens captures says what is wrong, if anything is

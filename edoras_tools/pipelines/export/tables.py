@@ -1,0 +1,180 @@
+"""Blocks of messages as columns of tables: which fields, how times are written, lists as lists or as rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+from enum import StrEnum
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.errors import ConfigError, RouteError
+from edoras_tools.io.formats.columns import TableColumn
+from edoras_tools.pipelines.selection import fits_topic
+from edoras_tools.ros.cdr.columns import Ragged
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.pipelines.export.block import TopicBlock
+    from edoras_tools.pipelines.export.sources import TopicSource
+
+ELEMENT: Final = "element"
+"""The column of a list's indices, where every element has a row."""
+
+
+class TimeForm(StrEnum):
+    """How the times of messages are written; those inside messages stay as they are."""
+
+    UTC = "utc"
+    NS = "ns"
+    SECONDS = "seconds"
+
+
+@dataclass(frozen=True, slots=True)
+class TableForm:
+    """How a block becomes columns.
+
+    Attributes:
+        fields: patterns of fields, e.g. ``linear.*``; a name includes the fields inside it. Empty: all.
+        explode: every element of a list has a row, and fixed arrays a column for each element.
+        time: how times are written; seconds count from the input's start.
+    """
+
+    fields: Sequence[str] = ()
+    explode: bool = False
+    time: TimeForm = TimeForm.UTC
+
+    def columns(self, block: TopicBlock, zero_ns: int) -> list[TableColumn]:
+        """Return the columns of a block: its time, then what is chosen.
+
+        Args:
+            block: the messages.
+            zero_ns: what seconds count from.
+        """
+        made = [
+            column
+            for place, column in enumerate(self._all(block, zero_ns))
+            if not place or not self.fields or any(_fits(column.name, item) for item in self.fields)
+        ]
+        return exploded(made) if self.explode else made
+
+    def _all(self, block: TopicBlock, zero_ns: int) -> Iterator[TableColumn]:
+        fields = block.message.fields
+        own = {"time": block.time_ns, "publish_time": block.publish_ns}
+        for name, times in own.items():
+            if times is not None:
+                yield self._time(_free(name, fields), times, zero_ns)
+        if block.sequence is not None:
+            yield TableColumn(_free("sequence", fields), block.sequence)
+        for name in fields:
+            yield TableColumn(name, fields[name], block.there.get(name))
+
+    def _time(self, name: str, time_ns: NDArray[np.int64], zero_ns: int) -> TableColumn:
+        if self.time is TimeForm.UTC:
+            return TableColumn(name, time_ns.astype("datetime64[ns]"))
+        if self.time is TimeForm.NS:
+            return TableColumn(name, time_ns, unit="ns")
+        return TableColumn(name, (time_ns - zero_ns) / 1e9, unit="s")
+
+
+def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collection[str]) -> list[str]:
+    """Return the requested topics.
+
+    Args:
+        source: has the topics.
+        patterns: shell patterns.
+        usual: the topics if there is no pattern.
+
+    Raises:
+        RouteError: a pattern fits no topic.
+    """
+    if not patterns:
+        return [topic for topic in source.topics if topic in usual]
+    for pattern in patterns:
+        if not any(fits_topic(topic, pattern) for topic in source.topics):
+            near = get_close_matches(f"/{pattern.removeprefix('/')}", source.topics, 3, 0.6)
+            hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(source.topics)}"
+            raise RouteError(f"no topic of {source.name} matches {pattern!r}; {hint}")
+    return [topic for topic in source.topics if any(fits_topic(topic, item) for item in patterns)]
+
+
+def check_fields(patterns: Sequence[str], there: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the topics that have a requested field.
+
+    Args:
+        patterns: see ``TableForm.fields``.
+        there: the columns of each topic.
+
+    Raises:
+        ConfigError: a pattern fits no field of any topic.
+    """
+    names = sorted({name for columns in there.values() for name in columns})
+    for pattern in patterns:
+        if not any(_fits(name, pattern) for name in names):
+            near = get_close_matches(pattern, names, 3, 0.5)
+            hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(names[:12])}"
+            raise ConfigError(f"--fields: {pattern!r} is no field of {', '.join(sorted(there))}; {hint}")
+    return [
+        topic
+        for topic, columns in there.items()
+        if not patterns or any(_fits(name, item) for name in columns for item in patterns)
+    ]
+
+
+def exploded(columns: Sequence[TableColumn]) -> list[TableColumn]:
+    """Return columns without lists.
+
+    A fixed array becomes a column for each element, ``covariance[0]`` and so on. The lists of a row become
+    rows, side by side; the other columns are repeated, ``element`` counts from 0, and where a list is shorter
+    than another one nothing is there. A row whose lists are all empty stays, without an element.
+    """
+    flat: list[TableColumn] = []
+    for column in columns:
+        if isinstance(column.values, Ragged) or column.values.ndim == 1:
+            flat.append(column)
+            continue
+        flat += [
+            TableColumn(f"{column.name}[{place}]", column.values[:, place], unit=column.unit)
+            for place in range(column.values.shape[1])
+        ]
+    lengths = [np.diff(column.values.offsets) for column in flat if isinstance(column.values, Ragged)]
+    if not lengths:
+        return flat
+    most = np.maximum.reduce(lengths)
+    rows = np.maximum(most, 1)
+    owner = np.repeat(np.arange(len(rows)), rows)
+    element = np.arange(len(owner)) - np.repeat(np.cumsum(rows) - rows, rows)
+    made = []
+    for column in flat:
+        values: NDArray[Any] | Ragged = column.values
+        if not isinstance(values, Ragged):
+            kept = None if column.there is None else column.there[owner]
+            made.append(TableColumn(column.name, values[owner], kept, column.unit))
+            continue
+        there = element < np.diff(values.offsets)[owner]
+        spread = (
+            np.full(len(owner), "", object)
+            if values.values.dtype.kind == "O"
+            else np.zeros(len(owner), values.values.dtype)
+        )
+        spread[there] = values.values
+        made.append(TableColumn(column.name, spread, there, column.unit))
+    name = _free(ELEMENT, {column.name: None for column in flat})
+    counted = TableColumn(name, element.astype(np.uint32), (most > 0)[owner])
+    return [made[0], counted, *made[1:]]
+
+
+def _free(name: str, taken: Mapping[str, object]) -> str:
+    """Return a name for a column of ours that no field of the message has."""
+    while name in taken:
+        name = f"_{name}"
+    return name
+
+
+def _fits(name: str, pattern: str) -> bool:
+    return fnmatchcase(name, pattern) or name.startswith(f"{pattern}.")

@@ -1,0 +1,1 @@
+"""Scenarios: faults to inject, read from files."""

@@ -1,0 +1,231 @@
+"""Scenarios: which faults happen and when, from a YAML file and from the command line, as one plan.
+
+::
+
+    seed: 7
+    profile: lunar              # a named link; see edoras proxy --help
+    faults:
+      - drop: 0.1               # the kind of fault, and its parameter
+        msg_id: 0x1827          # which packets, and when
+        from: 10s
+        until: 20s
+      - silence: 12s
+        from: 30s
+      - delay:200ms,to=cfs      # or written as for --fault
+
+All errors of a file are reported at once, with file, line and key.
+"""
+
+from __future__ import annotations
+
+from operator import itemgetter
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.mission.fields import suggestion
+from edoras_tools.mission.report import Mistakes, printable
+from edoras_tools.mission.tree import (
+    LARGEST_FILE,
+    MappingNode,
+    ScalarNode,
+    SequenceNode,
+    Tree,
+    parse_yaml,
+    yaml_text,
+)
+from edoras_tools.sessions.faults.kinds import FAULT_KINDS
+from edoras_tools.sessions.faults.machine import FaultPlan
+from edoras_tools.sessions.faults.rules import make_rule, parse_profile, parse_rule
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from edoras_tools.sessions.faults.rules import Rule
+
+_SCENARIO_FORM: Final = "a scenario needs faults: with a list, e.g. - drop: 0.1"
+_KEYS: Final = ("seed", "profile", "faults")
+_LARGEST_SEED: Final = (1 << 64) - 1
+
+
+def fault_plan(
+    faults: Iterable[str] = (),
+    profile: str | None = None,
+    scenario: Path | None = None,
+    seed: int | None = None,
+) -> FaultPlan:
+    """Make a plan from all sources of faults.
+
+    Args:
+        faults: rules, e.g. ``drop:0.1``.
+        profile: a named link; its rules come first.
+        scenario: a YAML file; its rules come last.
+        seed: replaces the scenario's; 0 if neither is given.
+
+    Raises:
+        ConfigError: all errors at once.
+    """
+    rules: list[Rule] = []
+    mistakes: list[str] = []
+    plan = FaultPlan()
+    for read, texts in ((parse_profile, [profile] if profile else []), (_one, faults)):
+        for text in texts:
+            try:
+                rules += read(text)
+            except ConfigError as error:
+                mistakes += error.mistakes
+    if scenario is not None:
+        try:
+            plan = load_scenario(scenario)
+        except ConfigError as error:
+            mistakes += error.mistakes
+    if mistakes:
+        raise ConfigError(*mistakes)
+    return FaultPlan((*rules, *plan.rules), plan.seed if seed is None else seed)
+
+
+def load_scenario(path: Path) -> FaultPlan:
+    """Read a scenario.
+
+    Raises:
+        ConfigError: all errors at once, each with file, line and key.
+    """
+    report = Mistakes(str(path))
+    plan = FaultPlan()
+    text = _read(path, report)
+    documents = parse_yaml(text, report, _SCENARIO_FORM) if text is not None else []
+    if text is not None and not documents and not report.mistakes:
+        report.mistake(1, "", f"the file is empty; {_SCENARIO_FORM}")
+    for document in documents[1:]:
+        report.mistake(document.line, "", "a second document; a scenario is one document")
+    if documents:
+        plan = _plan(documents[0], report)
+    if report.mistakes:
+        raise ConfigError(*(line for _, line in sorted(report.mistakes, key=itemgetter(0))))
+    return plan
+
+
+def _one(text: str) -> tuple[Rule, ...]:
+    return (parse_rule(text),)
+
+
+def _read(path: Path, report: Mistakes) -> str | None:
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+    except OSError as error:
+        report.mistake(0, "", f"cannot be read ({error.strerror or error}); name a readable file")
+        return None
+    return yaml_text(content, report, _SCENARIO_FORM)
+
+
+def _plan(tree: Tree, report: Mistakes) -> FaultPlan:
+    if not isinstance(tree, MappingNode):
+        report.mistake(tree.line, "", _SCENARIO_FORM)
+        return FaultPlan()
+    rules: list[Rule] = []
+    seed = 0
+    seen: set[str] = set()
+    for key_tree, value in tree.entries:
+        key = key_tree.text if isinstance(key_tree, ScalarNode) else ""
+        if key in seen:
+            report.mistake(key_tree.line, key, "given twice; once is enough")
+        seen.add(key)
+        if key == "seed":
+            seed = _seed(value, report)
+        elif key == "profile":
+            rules += _profile(value, report)
+        elif key == "faults":
+            rules += _rules(value, report)
+        else:
+            what = f"no such key; {suggestion(key, _KEYS)}there are {', '.join(_KEYS)}"
+            report.mistake(key_tree.line, key, what)
+    if "faults" not in seen and "profile" not in seen and not report.mistakes:
+        report.mistake(tree.line, "", f"it contains no fault; {_SCENARIO_FORM}")
+    return FaultPlan(tuple(rules), seed)
+
+
+def _seed(value: Tree, report: Mistakes) -> int:
+    number = value.value if isinstance(value, ScalarNode) else None
+    if isinstance(number, int) and not isinstance(number, bool) and 0 <= number <= _LARGEST_SEED:
+        return number
+    report.mistake(value.line, "seed", f"a whole number is needed, from 0 to {_LARGEST_SEED}")
+    return 0
+
+
+def _profile(value: Tree, report: Mistakes) -> tuple[Rule, ...]:
+    try:
+        return parse_profile(value.text if isinstance(value, ScalarNode) else "")
+    except ConfigError as error:
+        report.mistake(value.line, "profile", error.mistakes[0])
+        return ()
+
+
+def _rules(tree: Tree, report: Mistakes) -> list[Rule]:
+    if not isinstance(tree, SequenceNode):
+        report.mistake(tree.line, "faults", "a list is needed, e.g. - drop: 0.1")
+        return []
+    rules = []
+    for index, item in enumerate(tree.items):
+        key = f"faults[{index}]"
+        rule = None
+        if isinstance(item, MappingNode):
+            rule = _rule(item, key, report)
+        elif isinstance(item, ScalarNode) and not item.missing:
+            try:
+                rule = parse_rule(item.text)
+            except ConfigError as error:
+                for what in error.mistakes:
+                    report.mistake(item.line, key, what)
+        else:
+            report.mistake(item.line, key, "a fault is needed, e.g. drop: 0.1")
+        if rule is not None:
+            rules.append(rule)
+    return rules
+
+
+def _rule(item: MappingNode, key: str, report: Mistakes) -> Rule | None:
+    """Read a fault that is written as a mapping: one key must name the kind of fault."""
+    words: list[tuple[str, str | None, int]] = []
+    before = len(report.mistakes)
+    for name_tree, value in item.entries:
+        name = name_tree.text if isinstance(name_tree, ScalarNode) else ""
+        text = _text(value)
+        if text is None or not name:
+            report.mistake(
+                value.line, f"{key}.{printable(name)}", "a plain value or a list of them is needed"
+            )
+        else:
+            words.append((name, text, name_tree.line))
+    kinds = [word for word in words if word[0] in FAULT_KINDS]
+    if len(report.mistakes) > before:
+        return None
+    if len(kinds) != 1:
+        names = [name for name, _, _ in words]
+        what = (
+            f"{' and '.join(name for name, _, _ in kinds)} in one fault; make them two"
+            if kinds
+            else f"none of {', '.join(names)} is a fault; {suggestion(names[0], FAULT_KINDS)}"
+            f"there are {', '.join(FAULT_KINDS)}"
+        )
+        report.mistake(item.line, key, what)
+        return None
+    ((kind, told, _),) = kinds
+    options = [(name, text) for name, text, _ in words if name != kind]
+    own = [("", told)] if told else []
+    written = ",".join([f"{kind}:{told}" if told else kind, *(f"{name}={text}" for name, text in options)])
+    rule, mistakes = make_rule(kind, [*own, *options], written)
+    lines = {name: line for name, _, line in words}
+    for name, what in mistakes:
+        report.mistake(lines.get(name or kind, item.line), f"{key}.{name or kind}", what)
+    return rule
+
+
+def _text(value: Tree) -> str | None:
+    """Return a value as ``--fault`` writes it; None if it is not a value or a list of values."""
+    if isinstance(value, ScalarNode):
+        return value.text
+    if isinstance(value, SequenceNode):
+        texts = [item.text for item in value.items if isinstance(item, ScalarNode)]
+        return "|".join(texts) if texts and len(texts) == len(value.items) else None
+    return None

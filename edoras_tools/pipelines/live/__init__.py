@@ -1,0 +1,1 @@
+"""A link or a recording, live in Foxglove."""

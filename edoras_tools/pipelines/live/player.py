@@ -1,0 +1,259 @@
+"""Plays a recording to Foxglove, which controls it: play, pause, seek, speed."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.foxglove.playback import PlaybackState
+from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import open_files
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Sequence
+    from pathlib import Path
+
+    from edoras_tools.errors import EdorasError
+    from edoras_tools.io import Source
+    from edoras_tools.io.foxglove.playback import PlaybackRequest
+    from edoras_tools.io.foxglove.sink import FoxgloveSink
+    from edoras_tools.model import Columns, PacketBatch, SourceInfo
+    from edoras_tools.pipelines.workbench import Settings, Workbench
+
+_TICK_S: Final = 0.02
+"""How often messages are sent and requests are handled."""
+_SLOWEST: Final = 1e-3
+_FASTEST: Final = 1e4
+
+_Piece = tuple["PacketBatch", "Columns"]
+
+
+@dataclass(slots=True)
+class _Playback:
+    """The state of playback: it was at ``at_ns`` when the monotonic clock showed ``since_ns``.
+
+    ``seek_ns`` is the time to seek to, until that is done.
+    """
+
+    playing: bool
+    speed: float
+    at_ns: int
+    since_ns: int
+    seek_ns: int | None
+    ended: bool = False
+
+
+def open_recording(
+    paths: Sequence[Path], settings: Settings
+) -> tuple[SourceInfo, Workbench, Callable[[], Source]]:
+    """Return information on files, what decodes them, and a function that opens them, any number of times.
+
+    Raises:
+        CaptureError: one cannot be opened, or not more than once.
+        ConfigError: the mission has errors.
+    """
+    for path in paths:
+        if str(path) == "-" or path.is_fifo() or path.is_char_device():
+            raise CaptureError(f"{path}: playback reads it several times; save it to a file first")
+    source = open_files(paths)
+    try:
+        return source.info, settings.workbench(source.info), partial(open_files, paths)
+    finally:
+        source.close()
+
+
+class RecordingPlayer:
+    """Plays a source at its own times.
+
+    At every seek the recording is read again from its start: nothing of it is kept in memory.
+
+    Args:
+        reopen: opens the source; called for every seek, and once in the constructor to learn its duration.
+        bench: mission, types and decoders.
+        clock: monotonic time in ns.
+        selection: which datagrams; all by default.
+        speed: initial speed, as a multiple of the recorded one.
+        paused: start paused; otherwise playback starts when the first client connects.
+
+    Attributes:
+        range_ns: when the recording starts and ends, ns since 1970.
+        failure: the error if it is cut off; everything that can be read is played.
+
+    Raises:
+        CaptureError: it contains no selected datagram.
+        ConfigError: the filter has an error.
+        RouteError: the selection names a topic that is not configured.
+    """
+
+    def __init__(
+        self,
+        reopen: Callable[[], Source],
+        bench: Workbench,
+        *,
+        clock: Callable[[], int],
+        selection: Selection | None = None,
+        speed: float = 1.0,
+        paused: bool = False,
+    ) -> None:
+        self._reopen, self._bench, self._clock = reopen, bench, clock
+        self._selection = (selection or Selection()).over(bench)
+        self.failure: EdorasError | None = None
+        self.range_ns = self._measure()
+        self._lock = threading.Lock()
+        self._wake = threading.Event()
+        self._stopping = False
+        self._playback = _Playback(not paused, speed, self.range_ns[0], clock(), self.range_ns[0])
+        self._held = not paused
+
+    @property
+    def state(self) -> PlaybackState:
+        """The current state of playback."""
+        with self._lock:
+            return self._state(self._clock())
+
+    def control(self, request: PlaybackRequest) -> PlaybackState:
+        """Apply a client's request; return the state that follows."""
+        with self._lock:
+            now, playback = self._clock(), self._playback
+            playback.at_ns, playback.since_ns = self._position(now), now
+            if _SLOWEST <= request.speed <= _FASTEST:  # a client may send any value
+                playback.speed = float(request.speed)
+            start, end = self.range_ns
+            seek_ns = request.seek_ns
+            if seek_ns is None and request.playing and playback.ended:
+                seek_ns = start  # play again
+            if seek_ns is not None:
+                playback.at_ns = playback.seek_ns = min(max(seek_ns, start), end)
+                playback.ended = False
+            playback.playing, self._held = request.playing, False
+            self._wake.set()
+            return self._state(now, seeked=seek_ns is not None)
+
+    def stop(self) -> None:
+        """End ``run``; for any thread or signal handler."""
+        self._stopping = True
+        self._wake.set()
+
+    def run(self, sink: FoxgloveSink, *, duration_ns: int = 0) -> bool:
+        """Play until ``stop``, Ctrl-C or the duration; return whether it was Ctrl-C. The sink is closed.
+
+        Args:
+            sink: from ``attach``, with this as its player.
+            duration_ns: stop after this time by the clock; 0: never.
+        """
+        until = self._clock() + duration_ns if duration_ns else 1 << 63
+        pieces, piece = self._read(0, sink), None
+        try:
+            with on_interrupt(self.stop) as asked:
+                while not self._stopping and self._clock() < until:
+                    with self._lock:
+                        now, playback = self._clock(), self._playback
+                        if self._held:
+                            self._held, playback.since_ns = not sink.server.clients, now
+                        position, seek_ns, playback.seek_ns = self._position(now), playback.seek_ns, None
+                    if seek_ns is not None:
+                        pieces.close()
+                        sink.restart()
+                        pieces, piece = self._read(seek_ns, sink), None
+                    piece = self._play(sink, pieces, piece, position)
+                    self._tell(sink, position, over=piece is None)
+                    self._wake.wait(_TICK_S)
+                    self._wake.clear()
+        finally:
+            pieces.close()
+            sink.server.close()
+        return asked.is_set()
+
+    def _play(
+        self, sink: FoxgloveSink, pieces: Generator[_Piece], piece: _Piece | None, position: int
+    ) -> _Piece | None:
+        """Write what is due to the sink; return what comes next, None at the end."""
+        piece = piece or next(pieces, None)
+        while piece is not None and self._playback.seek_ns is None and not self._stopping:
+            batch, columns = piece
+            due = int(np.searchsorted(np.maximum.accumulate(batch.time_ns), position, side="right"))
+            if due:
+                sink.write(batch.take(slice(0, due)), columns.take(slice(0, due)))
+            if due < len(batch):
+                return batch.take(slice(due, None)), columns.take(slice(due, None))
+            piece = next(pieces, None)
+        return piece
+
+    def _tell(self, sink: FoxgloveSink, position: int, *, over: bool) -> None:
+        with self._lock:
+            playback = self._playback
+            ends = over and playback.seek_ns is None and position >= self.range_ns[1] and not playback.ended
+            if ends:
+                playback.ended, playback.playing, playback.at_ns = True, False, self.range_ns[1]
+            state = self._state(self._clock())
+        sink.show_time(state.time_ns)
+        if ends:
+            sink.server.tell_state(state)
+
+    def _position(self, now: int) -> int:
+        playback = self._playback
+        moved = int((now - playback.since_ns) * playback.speed) if playback.playing and not self._held else 0
+        return min(playback.at_ns + moved, self.range_ns[1])
+
+    def _state(self, now: int, *, seeked: bool = False) -> PlaybackState:
+        playback = self._playback
+        status = "Ended" if playback.ended else "Playing" if playback.playing else "Paused"
+        return PlaybackState(status, self._position(now), playback.speed, seeked)
+
+    def _measure(self) -> tuple[int, int]:
+        """Read the recording once; return its start and end."""
+        source = self._reopen()
+        first, last = 1 << 63, -1
+        try:
+            for batch in source.batches():
+                times = self._chosen(batch)[0].time_ns
+                if len(times):
+                    first, last = min(first, int(times.min())), max(last, int(times.max()))
+        except CaptureError as error:
+            self.failure = error
+        finally:
+            source.close()
+        if last < 0:
+            raise self.failure or CaptureError(f"{source.info.name}: it contains no selected datagram")
+        return first, last
+
+    def _chosen(self, batch: PacketBatch) -> _Piece:
+        return self._selection.apply(batch, self._bench.columns.decode(batch), self._bench.mission)
+
+    def _read(self, start_ns: int, sink: FoxgloveSink) -> Generator[_Piece]:
+        """Yield what was captured from a time on; first show the last earlier message of each topic."""
+        source = self._reopen()
+        latest: dict[int, _Piece] = {}
+        before = True
+        try:
+            for whole in source.batches():
+                batch, columns = self._chosen(whole)
+                first = int(np.searchsorted(np.maximum.accumulate(batch.time_ns), start_ns)) if before else 0
+                routes, places = np.unique(columns.route[:first][::-1], return_index=True)
+                for route, place in zip(routes.tolist(), places.tolist(), strict=True):
+                    if route >= 0:
+                        row = slice(first - 1 - place, first - place)
+                        latest[route] = batch.take(row), columns.take(row)
+                if first == len(batch):
+                    continue
+                if before:
+                    before = False
+                    _show(latest, sink)
+                yield batch.take(slice(first, None)), columns.take(slice(first, None))
+        except CaptureError as error:
+            self.failure = error
+        finally:
+            source.close()
+
+
+def _show(latest: dict[int, _Piece], sink: FoxgloveSink) -> None:
+    for batch, columns in sorted(latest.values(), key=lambda piece: int(piece[0].time_ns[0])):
+        sink.write(batch, columns)
+    if latest:
+        sink.restart()  # these messages are not part of the later statistics

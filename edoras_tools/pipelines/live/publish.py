@@ -1,0 +1,204 @@
+"""Sends what clients of a Foxglove server publish to cFS, if allowed, by the rules of ``inject``."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Final, Protocol
+
+from edoras_tools.errors import ConfigError, RouteError
+from edoras_tools.io.foxglove.publishing import Publisher
+from edoras_tools.io.net.address import is_loopback
+from edoras_tools.io.net.transmit import Transmitter
+from edoras_tools.io.net.wire import UdpWire
+from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions
+from edoras_tools.pipelines.sending.safety import fits
+from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sender_of
+from edoras_tools.sessions.outgoing import Outgoing
+from edoras_tools.sessions.sbn.connection import SbnConnection
+from edoras_tools.units import MILLISECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from edoras_tools.mission import Route
+    from edoras_tools.pipelines.workbench import Workbench
+
+_ROUND_NS: Final = 50 * MILLISECOND
+
+
+class Send(Protocol):
+    """Sends datagrams to cFS on one link."""
+
+    def __call__(self, data: bytes, msg_id: int, /) -> str:
+        """Send a datagram that contains a packet with this MsgId; return why it failed, or an empty text."""
+
+
+class CommandPublisher(Publisher):
+    """Makes packets from messages that clients publish, and sends them.
+
+    Args:
+        bench: its mission says which topic goes where.
+        allow: patterns of topics, keys and MsgIds that may be published, e.g. ``/robot_*``; at least one.
+        options: target and sender; its ``to`` is set by the route.
+        outlets: functions that send on a link, instead of sockets.
+
+    Attributes:
+        options: for each link that may be used, with its target; for ``check_target``.
+
+    Raises:
+        RouteError: a pattern matches no topic that goes to cFS.
+        ConfigError: one target is named for topics of two links.
+    """
+
+    def __init__(
+        self,
+        bench: Workbench,
+        allow: Sequence[str],
+        options: SendOptions | None = None,
+        *,
+        outlets: Mapping[Receiver, Send] | None = None,
+    ) -> None:
+        super().__init__(bench.types, self._not_allowed)
+        self._bench = bench
+        self._stack = ExitStack()
+        self._lock = threading.Lock()
+        self._outlets: dict[Receiver, Send] = dict(outlets or {})
+        self._due: dict[Receiver, float] = {}
+        self._check(allow)
+        links = set()
+        for to in (Receiver.CI, Receiver.SBN):
+            for route in _allowed(bench, to, allow):
+                if route.topic not in self.topics:
+                    links.add(to)
+                    self.accept(route.topic, route.type, partial(self._send, to, Encoder.of(route, bench)))
+        options = options or SendOptions()
+        if options.target is not None and len(links) > 1:
+            raise ConfigError("--target: topics of both CI and SBN are allowed; allow those of one link")
+        self.options = {to: _placed(options, to, bench) for to in links if to not in self._outlets}
+
+    def open(self) -> None:
+        """Open the sockets; on the SBN link a session starts.
+
+        Raises:
+            CaptureError: one cannot be opened.
+        """
+        for to, options in self.options.items():
+            assert options.target is not None
+            if to is Receiver.CI:
+                transmitter = self._stack.enter_context(Transmitter(options.target))
+                self._outlets[to] = _CommandIngest(transmitter).send
+            else:
+                peer = _PeerLink(options, self._bench)
+                self._stack.callback(peer.close)
+                self._outlets[to] = peer.send
+
+    def close(self) -> None:
+        """End the sessions and close the sockets; calling it again does nothing."""
+        self._stack.close()
+
+    def _not_allowed(self, topic: str) -> str:
+        return f"{topic} may not be published; --allow-publish allows {', '.join(self.topics)}"
+
+    def _send(self, to: Receiver, encoder: Encoder, cdr: bytes) -> str:
+        packet = encoder.packet(cdr, time.time_ns())
+        sender = sender_of(self.options[to], self._bench.mission) if to in self.options else None
+        datagram = Outgoing.packets(to.link, [packet], sender=sender)[0]
+        with self._lock:
+            return self._cap(to) or self._outlets[to](datagram, encoder.route.msg_id)
+
+    def _cap(self, to: Receiver) -> str:
+        """Return why a message may not be sent now, or an empty text: rates to other machines are limited."""
+        options = self.options.get(to)
+        if options is None or options.target is None or options.unlimited:
+            return ""
+        cap = options.max_rate_hz or (0.0 if is_loopback(options.target.address) else CAP_HZ)
+        if not cap:
+            return ""
+        now = time.monotonic()
+        due = max(self._due.get(to, 0.0), now - 1.0)  # at most one second's messages in a burst
+        if due > now:
+            return f"the rate to {options.target} is limited to {cap:g} messages per second"
+        self._due[to] = due + 1 / cap
+        return ""
+
+    def _check(self, allow: Sequence[str]) -> None:
+        mission = self._bench.mission
+        routes = [route for to in (Receiver.CI, Receiver.SBN) for route in routes_towards(to, mission)]
+        for pattern in allow:
+            if not any(fits(pattern, route.msg_id, mission) for route in routes):
+                there = ", ".join(route.topic for route in routes) or "none; name a mission with -c"
+                raise RouteError(f"--allow-publish {pattern!r} matches no topic that goes to cFS: {there}")
+
+
+def _allowed(bench: Workbench, to: Receiver, allow: Sequence[str]) -> list[Route]:
+    mission = bench.mission
+    return [
+        route
+        for route in routes_towards(to, mission)
+        if any(fits(pattern, route.msg_id, mission) for pattern in allow)
+    ]
+
+
+def _placed(options: SendOptions, to: Receiver, bench: Workbench) -> SendOptions:
+    return replace(options, to=to, no_listen=to is Receiver.CI).placed(bench.mission)
+
+
+class _CommandIngest:
+    """Command Ingest: one datagram for each command, without an answer."""
+
+    def __init__(self, transmitter: Transmitter) -> None:
+        self._transmitter = transmitter
+
+    def send(self, data: bytes, _msg_id: int) -> str:
+        return "" if self._transmitter.send(data) else f"{self._transmitter.target} accepts no datagrams"
+
+
+class _PeerLink:
+    """A session with cFS as its SBN peer, in a thread of its own."""
+
+    def __init__(self, options: SendOptions, bench: Workbench) -> None:
+        assert options.target is not None
+        self._target = options.target
+        self._transmitter = Transmitter(options.target, options.listen)
+        self._wire = UdpWire(self._transmitter, Receiver.SBN.link)
+        self._session = SbnConnection(options.identity(bench.mission), now=self._wire.now())
+        self._lock = threading.Lock()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="foxglove SBN", daemon=True)
+        self._thread.start()
+
+    def send(self, data: bytes, msg_id: int) -> str:
+        with self._lock:
+            if not self._session.connected:
+                return f"no SBN peer answers at {self._target}; is cFS running?"
+            if msg_id not in self._session.subscribed:
+                return f"SBN peer {self._session.answered} has not subscribed to 0x{msg_id:04x}"
+            self._session.sent(now=self._wire.now())
+            return "" if self._wire.put(data) else f"{self._target} accepts no datagrams"
+
+    def close(self) -> None:
+        self._stopping = True
+        self._thread.join()
+        for data in self._session.goodbye():
+            self._wire.put(data)
+        self._transmitter.close()
+
+    def _run(self) -> None:
+        wire, session = self._wire, self._session
+        while not self._stopping:
+            with self._lock:
+                now = wire.now()
+                answers = [
+                    data
+                    for item in wire.receive()
+                    for data in session.receive_datagram(item.payload, now=now).datagrams
+                ]
+                if now >= session.next_ns:
+                    answers += session.service(now=now).datagrams
+                for data in answers:
+                    wire.put(data)
+            wire.wait(min(wire.now() + _ROUND_NS, max(session.next_ns, now + MILLISECOND)))

@@ -1,0 +1,106 @@
+"""Shows live traffic in Foxglove: of an interface, sockets, an emulated cFS, or any other pipeline.
+
+Two lines attach it to any pipeline::
+
+    sink = attach(bench, source.info, statistics=source.statistics)
+    record(source, bench, target, tap=sink.write)  # then sink.close(source.statistics)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.io.foxglove.origins import OriginCheck
+from edoras_tools.io.foxglove.server import HERE, ServerOptions
+from edoras_tools.io.foxglove.sink import FoxgloveSink
+from edoras_tools.pipelines.capture.record import pour, record
+from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.render.severity import EXPLANATIONS, Level
+
+if TYPE_CHECKING:
+    from edoras_tools.io import Source
+    from edoras_tools.io.foxglove.playback import Player
+    from edoras_tools.io.foxglove.publishing import Publisher
+    from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
+    from edoras_tools.pipelines.capture.record import CaptureReport, Target
+    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.run import Watcher
+
+LEVELS: Final = {finding: max(item.severity - Level.NOTE, 0) for finding, item in EXPLANATIONS.items()}
+"""The level of each finding in ``diagnostic_msgs/msg/DiagnosticStatus``; notes are OK."""
+
+
+def attach(
+    bench: Workbench,
+    info: SourceInfo,
+    *,
+    listen: Endpoint = HERE,
+    statistics: SourceStatistics | None = None,
+    publisher: Publisher | None = None,
+    player: Player | None = None,
+    origins: OriginCheck = OriginCheck(),  # noqa: B008  frozen
+    token: str = "",
+) -> FoxgloveSink:
+    """Start a server; batches passed to the sink's ``write`` are shown.
+
+    Args:
+        bench: mission and types.
+        info: gives the server its name.
+        listen: address and port; with port 0 the system chooses, see ``server.endpoint``.
+        statistics: of the source, for losses of the capture itself.
+        publisher: handles messages that clients publish; None: clients may not publish.
+        player: plays a recording; None: the traffic is live.
+        origins: which web pages may connect; by default Foxglove's and this machine's own.
+        token: what clients must give; see ``ServerOptions``.
+
+    Raises:
+        CaptureError: the address cannot be listened on.
+        ConfigError: ``websockets`` is not installed.
+    """
+    return FoxgloveSink(
+        bench.mission,
+        bench.types,
+        info,
+        ServerOptions(listen, origins, publisher, player, token),
+        levels=LEVELS,
+        statistics=statistics,
+        structs=bench.columns.context.structs,
+    )
+
+
+def live(
+    source: Source,
+    bench: Workbench,
+    sink: FoxgloveSink,
+    *,
+    selection: Selection | None = None,
+    target: Target | None = None,
+    limits: Limits = Limits(),  # noqa: B008  frozen
+    watcher: Watcher[CaptureReport] | None = None,
+) -> CaptureReport:
+    """Show everything from a live source until it ends, Ctrl-C, or a limit.
+
+    Args:
+        source: where datagrams come from; it is closed.
+        bench: mission, types and decoders.
+        sink: from ``attach``; it is closed.
+        selection: which datagrams; all by default.
+        target: what to record at the same time.
+        limits: when to end; never by default.
+        watcher: called with the report after every batch.
+
+    Raises:
+        CaptureError: the recording cannot be written.
+        RouteError: the selection names a topic that is not configured.
+        ConfigError: its filter has an error.
+    """
+    try:
+        if target is not None:
+            return record(
+                source, bench, target, selection=selection, limits=limits, watcher=watcher, tap=sink.write
+            )
+        with reading(source, bench, selection, limits, keeps_failure=True) as loop:
+            return pour(loop, sink, watcher=watcher)
+    finally:
+        sink.close(source.statistics)

@@ -1,0 +1,1 @@
+"""A relay between a ground system and cFS."""

@@ -1,0 +1,393 @@
+"""A relay between ground and cFS: transparent both ways, with faults, several targets and a recording.
+
+Rules that it keeps:
+
+1. One thread moves the datagrams. Recording and display have their own threads; they cost the moving thread
+   only a copy of the bytes.
+2. Datagrams leave unchanged and in order, unless a fault changes that: they are sent from the buffer slots
+   that received them, and while a socket's buffer is full, later ones wait behind earlier ones.
+3. A client has its own socket towards each target, so that answers can be assigned to it.
+4. Every loss here has a count: in the kernel, in a full queue, in the recording, without a client.
+5. After traffic the thread polls again at once for a short time; then it sleeps until something arrives or
+   is due.
+"""
+
+from __future__ import annotations
+
+import select
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.net.address import resolve
+from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
+from edoras_tools.io.net.forward import Direction
+from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
+from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.proxy.clients import Clients, Routing
+from edoras_tools.pipelines.proxy.faults import FaultStage, Outbox
+from edoras_tools.pipelines.threads import threads_take_turns, watched
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.pipelines.proxy.clients import ProxyClient
+    from edoras_tools.pipelines.proxy.plan import ProxyPlan
+    from edoras_tools.pipelines.recorder import RelayRecorder
+    from edoras_tools.pipelines.sending.keys import Keys
+    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.scopes import Predicate
+
+_TURNS: Final = 4
+"""How often a busy socket is read before the others are read."""
+_SPIN_NS: Final = 20_000
+"""For this time after a datagram the sockets are polled without sleeping, so that bursts need no wake-ups."""
+_WAIT_MS: Final = 20
+"""Maximum delay until Ctrl-C, keys and idle clients are noticed."""
+_UPKEEP_NS: Final = 20_000_000
+_FINISH_NS: Final = 200_000_000
+"""Maximum processor time for moving the rest at the end; time in which the machine stalls does not count."""
+
+
+class Proxy:
+    """One relay; the constructor binds its ports, and nothing that is sent afterwards is missed.
+
+    Args:
+        plan: what is relayed, and where.
+        recorder: called once the ports are bound; returns the recorder of the datagrams that are sent.
+        where: compiles the filter expressions of faults.
+
+    Attributes:
+        plan: as given.
+        endpoint: the address that it listens on, with the port that the system chose if none was given.
+        to_target: counters of the direction to each target.
+        to_client: counters of the direction to the clients.
+        clients: the clients.
+        machine: the faults.
+        recorder: the recorder, or None.
+        interrupted: whether Ctrl-C ended it.
+
+    Raises:
+        CaptureError: a port is in use, or a target is unknown or unreachable.
+        ConfigError: the filter expression of a fault is wrong.
+    """
+
+    def __init__(
+        self,
+        plan: ProxyPlan,
+        *,
+        recorder: Callable[[], RelayRecorder] | None = None,
+        where: Callable[[str], Predicate] | None = None,
+    ) -> None:
+        self.plan = plan
+        self.recorder: RelayRecorder | None = None
+        self.interrupted = False
+        self._stopping = False
+        self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        self._buffer = make_buffer()
+        self._times = np.zeros(SLOTS + SPARE, np.int64)
+        self.machine = plan.faults.start(where=where)
+        self._faults = FaultStage(self.machine, self._buffer, plan.link, self._note)
+        targets = [resolve(target, f"--target {target}") for target in plan.targets]
+        self.to_target = [Direction(f"to {address.endpoint}") for _, address in targets]
+        self.to_client = Direction("to clients")
+        bind = resolve(plan.bind, f"--bind {plan.bind}")[1] if plan.bind else None
+        client = resolve(plan.client, f"--client {plan.client}")[1] if plan.client else None
+        self._active_ns = self._upkeep_ns = 0
+        self._poll = select.poll()
+        self._owners: dict[int, tuple[socket.socket, ProxyClient | None]] = {}
+        self._listen = open_bound(plan.listen, f"--listen {plan.listen}")
+        self.endpoint = local_endpoint(self._listen)
+        self._poll.register(self._listen, select.POLLIN)
+        routing = Routing(
+            self._listen, targets, self.to_target, self.to_client, plan.queue_bytes, plan.clients, bind
+        )
+        try:
+            self.clients = Clients(routing, watch=self._watch, forget=self._forget)
+        except CaptureError:
+            self._listen.close()
+            raise
+        if recorder is not None:
+            try:
+                self.recorder = recorder()
+            except CaptureError:
+                self.close()
+                raise
+        if client is not None:
+            self.clients.at(client.packed, self._now())
+
+    @property
+    def lost(self) -> int:
+        """Datagrams that the proxy itself lost, including those that it did not record."""
+        missed = self.recorder.missed if self.recorder else 0
+        dropped = self.to_target[0].kernel_drops + self.to_client.kernel_drops
+        overflowed = sum(direction.overflowed for direction in self.directions)
+        return dropped + overflowed + self.machine.overflowed + missed
+
+    @property
+    def directions(self) -> list[Direction]:
+        """The counters of all directions: to each target and to the clients."""
+        return [*self.to_target, self.to_client]
+
+    @property
+    def title(self) -> str:
+        """A short description of the relay."""
+        return f"{self.plan.link.label} {self.endpoint} to {', '.join(map(str, self.plan.targets))}"
+
+    def stop(self) -> None:
+        """End ``run``; for any thread or signal handler."""
+        self._stopping = True
+
+    def run(
+        self, *, duration_ns: int = 0, watcher: Watcher[Proxy] | None = None, keys: Keys | None = None
+    ) -> None:
+        """Relay until ``stop``, Ctrl-C, the key q, or the end of the duration.
+
+        Args:
+            duration_ns: how long; 0: without end.
+            watcher: updated while it runs.
+            keys: 1 to 9 switch faults on and off, q quits.
+
+        Raises:
+            CaptureError: a socket failed.
+        """
+        if keys is not None:
+            self._poll.register(keys.fileno(), select.POLLIN)
+        began = self._now()
+        end = began + duration_ns if duration_ns else 1 << 63
+        with on_interrupt(self.stop) as asked, watched(self, watcher), threads_take_turns():
+            while not self._stopping and (now := self._now()) < end:
+                self._turn(now, min(end, self._upkeep_ns), keys)
+            self.interrupted = asked.is_set()
+            self._finish()
+
+    def close(self) -> None:
+        """Close every socket, and the recording; may be called twice."""
+        if self._listen.fileno() < 0:
+            return
+        self._keep_up()
+        self.clients.close()
+        self._listen.close()
+        if self.recorder is not None:
+            self.recorder.close(self.to_target[0].kernel_drops + self.to_client.kernel_drops)
+
+    def switch(self, index: int) -> None:
+        """Switch a fault on or off."""
+        if index < len(self.machine.rules):
+            self.machine.switch(index, not self.machine.enabled[index], now=self._now())
+
+    def summary(self) -> dict[str, Any]:
+        """Return the shape of ``proxy --json``."""
+        machine, recorder = self.machine, self.recorder
+        recorded = recorder.ledger if recorder else None
+        return {
+            **self.plan.summary(),
+            "listen": str(self.endpoint),
+            "ways": [direction.summary() for direction in self.directions],
+            "clients": [
+                {
+                    "address": str(client.address.endpoint),
+                    "received": client.received,
+                    "answered": client.answered,
+                }
+                for client in self.clients
+            ],
+            "clients_evicted": self.clients.evicted,
+            "faults": [
+                {"rule": rule.text, "kind": rule.kind.name, "on": on, "struck": struck}
+                for rule, on, struck in zip(machine.rules, machine.enabled, machine.struck, strict=True)
+            ],
+            "held": machine.held,
+            "held_overflowed": machine.overflowed,
+            "recorded": recorded.datagrams if recorded else None,
+            "unrecorded": recorder.missed if recorder else 0,
+            "lost": self.lost,
+            "routes": recorded.routes() if recorded else [],
+        }
+
+    def _now(self) -> int:
+        """Return the time in ns since 1970, from a clock that never steps back."""
+        return time.monotonic_ns() + self._epoch_ns
+
+    def _turn(self, now: int, until: int, keys: Keys | None) -> None:
+        """Move the datagrams that have arrived or are due, or wait for them."""
+        due = self.machine.next_ns
+        until = until if due is None else min(until, due)
+        wait_ms = 0
+        if now - self._active_ns > _SPIN_NS and not self.to_target[0].queued + self.to_client.queued:
+            wait_ms = min(max(until - now, 0) // 1_000_000, _WAIT_MS)
+        for fileno, _ in self._poll.poll(wait_ms):
+            if fileno == self._listen.fileno():
+                self._from_clients()
+            elif fileno in self._owners:
+                self._from_target(*self._owners[fileno])
+            elif keys is not None:
+                self._obey(keys)
+        now = self._now()
+        if due is not None and due <= now:
+            self._deliver(now)
+        if now >= self._upkeep_ns:
+            self._keep_up()
+
+    def _finish(self) -> None:
+        """Move the datagrams that have already arrived."""
+        end = time.thread_time_ns() + _FINISH_NS
+        while time.thread_time_ns() < end and any(
+            fileno in self._owners or fileno == self._listen.fileno() for fileno, _ in self._poll.poll(0)
+        ):
+            self._turn(self._now(), 0, None)
+        self._keep_up()
+
+    def _from_clients(self) -> None:
+        buffer = self._buffer
+        for _ in range(_TURNS):
+            count = buffer.receive(self._listen)
+            if count <= 0:
+                return
+            now = self._arrived(count)
+            senders = buffer.senders(count)
+            if count == 1 or (senders == senders[0]).all():
+                self._to_target(self.clients.at(senders[0].tobytes(), now), count, now)
+            else:
+                slots: dict[bytes, list[int]] = {}
+                for slot, packed in enumerate(senders.view("V32").ravel().tolist()):
+                    slots.setdefault(packed, []).append(slot)
+                for packed, chosen in slots.items():
+                    self._to_target(self.clients.at(packed, now), np.array(chosen), now)
+            if count < SLOTS:
+                return
+
+    def _from_target(self, opened: socket.socket, client: ProxyClient | None) -> None:
+        for _ in range(_TURNS):
+            count = self._buffer.receive(opened)
+            if count < 0:
+                self.to_target[client.sockets.index(opened) if client else 0].refused += 1
+                continue
+            if not count:
+                return
+            now = self._arrived(count)
+            direction = self.to_client
+            direction.received += count
+            direction.received_bytes += int(self._buffer.length[:count].sum())
+            if client is None:
+                direction.unclaimed += count
+            else:
+                client.last_ns = now
+                client.answered += count
+                self._relay(client, count, now, to_target=False)
+            if count < SLOTS:
+                return
+
+    def _arrived(self, count: int) -> int:
+        """Store when datagrams arrived; return the time."""
+        self._times[:count] = self._buffer.times(count)
+        self._active_ns = now = self._now()
+        return now
+
+    def _to_target(self, client: ProxyClient, slots: int | NDArray[np.int64], now: int) -> None:
+        length = self._buffer.length[:slots] if isinstance(slots, int) else self._buffer.length[slots]
+        total = int(length.sum())
+        for direction in self.to_target:
+            direction.received += len(length)
+            direction.received_bytes += total
+        client.last_ns = now
+        client.received += len(length)
+        self._relay(client, slots, now, to_target=True)
+
+    def _relay(
+        self, client: ProxyClient, slots: int | NDArray[np.int64], now: int, *, to_target: bool
+    ) -> None:
+        """Forward the datagrams in some slots, after applying faults."""
+        to_cfs = self.plan.to_cfs is to_target
+        if not self.plan.faults or not self.machine.concerns(self.plan.link, to_cfs=to_cfs):
+            self._send(client, slots, to_target=to_target)
+            return
+
+        def send(chosen: NDArray[np.int64]) -> None:
+            self._send(client, chosen, to_target=to_target)
+
+        self._times[SLOTS:] = now
+        chosen = np.arange(slots) if isinstance(slots, int) else slots
+        self._faults.apply(chosen, to_cfs=to_cfs, now=now, stream=client.number, send=send)
+
+    def _send(self, client: ProxyClient, slots: int | NDArray[np.int64], *, to_target: bool) -> None:
+        outlets = client.to_target if to_target else [client.to_client]
+        for outlet in outlets:
+            outlet.send(self._buffer, slots)
+        sent_ns = time.time_ns()
+        # Datagrams that faults delayed or made are late on purpose.
+        arrived = self._times[:slots] if isinstance(slots, int) else self._times[slots[slots < SLOTS]]
+        for outlet in outlets:
+            outlet.direction.add_latencies(sent_ns - arrived)
+        if self.recorder is not None:
+            self.recorder.take(self._buffer, slots, self._times, client.ends[0 if to_target else 1])
+
+    def _deliver(self, now: int) -> None:
+        """Send delayed datagrams that are due."""
+        self._times[SLOTS:] = now
+        self._active_ns = now
+        outbox, last = None, None
+        for delivery in self.machine.due(now):
+            key = (delivery.stream, delivery.to_cfs is self.plan.to_cfs)
+            if outbox is None or key != last:
+                if outbox is not None:
+                    outbox.flush()
+                outbox, last = self._outbox(*key), key
+            outbox.put(delivery.payload)
+        if outbox is not None:
+            outbox.flush()
+
+    def _outbox(self, number: int, to_target: bool) -> Outbox:
+        client = self.clients.numbered(number)
+
+        def send(slots: NDArray[np.int64]) -> None:
+            if client is None:  # removed meanwhile
+                (self.to_target[0] if to_target else self.to_client).unclaimed += len(slots)
+            else:
+                self._send(client, slots, to_target=to_target)
+
+        return Outbox(self._buffer, send)
+
+    def _note(self, faults: list[Fault]) -> None:
+        if self.recorder is not None:
+            self.recorder.note(faults)
+
+    def _keep_up(self) -> None:
+        """Do the periodic work: queues, counters, idle clients, the recording."""
+        now = self._now()
+        self._upkeep_ns = now + _UPKEEP_NS
+        for client in self.clients:
+            for outlet in client.outlets:
+                if outlet.waits:
+                    outlet.flush()
+        dropped = kernel_drops(self._listen)
+        for direction in self.to_target:
+            direction.kernel_drops = dropped
+        self.to_client.kernel_drops = self.clients.drops()
+        for direction in self.directions:
+            direction.count_latencies()
+        if self.machine.next_ns is None:
+            self.clients.expire(now, self.plan.idle_ns)
+        if self.recorder is not None:
+            self.recorder.tick(now)
+
+    def _obey(self, keys: Keys) -> None:
+        for key in keys.pressed():
+            if key == "q":
+                self.stop()
+            elif key in "123456789":
+                self.switch(int(key) - 1)
+
+    def _watch(self, opened: socket.socket, client: ProxyClient | None) -> None:
+        self._owners[opened.fileno()] = (opened, client)
+        self._poll.register(opened, select.POLLIN)
+
+    def _forget(self, opened: socket.socket) -> None:
+        del self._owners[opened.fileno()]
+        self._poll.unregister(opened)

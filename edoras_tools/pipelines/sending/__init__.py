@@ -1,0 +1,1 @@
+"""Replay and inject: what is sent, when, and what comes back."""

@@ -1,0 +1,217 @@
+"""Messages and commands that are made up, not recorded, and sent once or at a rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from random import Random
+from typing import TYPE_CHECKING, Any, Final
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from edoras_tools.cfs import edoras_app
+from edoras_tools.cfs.names import COMMANDS, MSG_ID_NAMES
+from edoras_tools.errors import ConfigError, RouteError
+from edoras_tools.io.net.address import own_address
+from edoras_tools.pipelines.sending.options import Receiver
+from edoras_tools.pipelines.sending.replay import Loaded
+from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sender_of
+from edoras_tools.pipelines.sending.wait_for import enable_output
+from edoras_tools.ros.arbitrary import arbitrary
+from edoras_tools.sessions.outgoing import Outgoing, Packet
+from edoras_tools.wire import cfe
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.mission import Mission, Route
+    from edoras_tools.pipelines.sending.options import SendOptions
+    from edoras_tools.pipelines.workbench import Workbench
+
+_MOST: Final = 1 << 17
+"""Maximum random messages that are made before the first is sent; a longer run repeats them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Injection:
+    """What to inject.
+
+    Attributes:
+        what: a topic, a key, a MsgId; or a command's name, e.g. ``to-enable`` or ``noop``.
+        values: a message as YAML or JSON, ``@FILE`` with one; or a command's argument.
+        command: a MsgId and a function code, instead of ``what``.
+        payload: bytes after the command header.
+        function_code: of a message that is sent as a command.
+        count: how often; 0 for no end.
+        every_field_random: use random values, new ones for each message.
+        seed: of the random values.
+    """
+
+    what: str = ""
+    values: str = ""
+    command: tuple[int, int] | None = None
+    payload: bytes = b""
+    function_code: int = edoras_app.SET
+    count: int = 1
+    every_field_random: bool = False
+    seed: int = 0
+
+
+def make(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[Loaded, SendOptions]:
+    """Make the packets of an injection.
+
+    Args:
+        injection: what to send.
+        bench: provides the topics and the message types.
+        options: where to send.
+
+    Returns:
+        The packets of one pass, and the options with the number of passes that gives the count.
+
+    Raises:
+        ConfigError: the values are not YAML, or a command does not take this argument.
+        FieldError: a value does not fit its field; says which field, and what it accepts.
+        RouteError: there is no topic or command of that name, or it does not go to this receiver.
+    """
+    passes = injection.count
+    if injection.command is not None:
+        packets = [Packet(_command(*injection.command, injection.payload))]
+    elif (named := _named(injection, options)) is not None:
+        packets = [Packet(named)]
+    else:
+        packets = list(_messages(injection, bench, options))
+        passes = passes // len(packets)
+    out = Outgoing.packets(options.to.link, packets, sender=sender_of(options, bench.mission))
+    return Loaded(out), replace(options, passes=passes)
+
+
+def injection_receiver(injection: Injection, mission: Mission) -> Receiver:
+    """Return the receiver of an injection by its route; commands and unknown names go to Command Ingest."""
+    if injection.command is None:
+        for to in Receiver:
+            if any(injection.what in names for names in _all_names(routes_towards(to, mission))):
+                return to
+    return Receiver.CI
+
+
+def command_names() -> list[str]:
+    """Return the names of commands for ``inject``, e.g. ``to-enable`` and ``es-noop``."""
+    return ["to-enable", "noop", *(name for name, _, _ in _commands())]
+
+
+def _commands() -> Iterator[tuple[str, int, int]]:
+    """Yield (name, MsgId, function code) of commands that have only a header."""
+    for msg_id, codes in COMMANDS.items():
+        app = MSG_ID_NAMES[msg_id].removesuffix("_CMD").lower()
+        for code, command in codes.items():
+            if cfe.COMMAND_HEADER_BYTES in command.lengths:
+                yield f"{app}-{command.name.lower().replace('_', '-')}", msg_id, code
+
+
+def _named(injection: Injection, options: SendOptions) -> bytes | None:
+    """Return the packet of a named command; None if it is not the name of a command."""
+    name = injection.what.lower().replace("_", "-")
+    if name == "to-enable":
+        assert options.target is not None
+        address = injection.values or own_address(options.target)
+        if len(address) > 15 or address.count(".") != 3:
+            raise ConfigError(f"to-enable takes an IPv4 address, not {address!r}")
+        return enable_output(address)
+    if name == "noop":
+        msg_id, code = _noop(injection.values), 0
+    else:
+        found = next(((msg_id, code) for known, msg_id, code in _commands() if known == name), None)
+        if found is None:
+            return None
+        msg_id, code = found
+        if injection.values:
+            raise ConfigError(f"{name} takes no argument; leave {injection.values!r} out")
+    return _command(msg_id, code, b"")
+
+
+def _noop(text: str) -> int:
+    """Return the MsgId for a no-op: given as a number, or by the name of its app."""
+    apps = {MSG_ID_NAMES[msg_id].removesuffix("_CMD").lower(): msg_id for msg_id in COMMANDS}
+    wanted = text.strip().lower()
+    if wanted in apps:
+        return apps[wanted]
+    try:
+        return int(wanted, 0)
+    except ValueError:
+        said = f"not {text!r}" if text else "and none is named"
+        raise ConfigError(f"noop takes a MsgId or an app ({', '.join(apps)}), {said}") from None
+
+
+def _command(msg_id: int, function_code: int, payload: bytes) -> bytes:
+    return cfe.emit_command(msg_id, function_code, payload, sequence_flags=0, with_checksum=False)
+
+
+def _messages(injection: Injection, bench: Workbench, options: SendOptions) -> Iterator[Packet]:
+    route = _route(injection.what, bench.mission, options.to)
+    if not bench.types.has(route.type):
+        raise RouteError(f"{route.topic}: {bench.types.check(route.type)}")
+    encoder = Encoder.of(route, bench, injection.function_code)
+    if not injection.every_field_random:
+        yield encoder.packet(bench.types.encode(route.type, _values(injection.values)), 0)
+        return
+    if injection.values:
+        raise ConfigError("--every-field-random sets all values; leave the message out")
+    dice = Random(injection.seed)  # noqa: S311  for tests, and reproducible
+    wanted = injection.count or _MOST
+    # A divisor of the count, so that whole passes give exactly that count.
+    count = wanted if wanted <= _MOST else next(n for n in range(_MOST, 0, -1) if wanted % n == 0)
+    for _ in range(count):
+        values = arbitrary(bench.types, route.type, dice)
+        yield encoder.packet(bench.types.encode(route.type, values), 0)
+
+
+def _route(name: str, mission: Mission, to: Receiver) -> Route:
+    """Return the route of that name: the one that goes to the receiver, if there are several."""
+    towards = routes_towards(to, mission)
+    try:
+        route = mission.find(name)
+    except RouteError as error:
+        wanted = "/" + name.removeprefix("/")
+        fitting = [item for item in towards if wanted == item.topic or name == item.key]
+        if len(fitting) == 1:
+            return fitting[0]
+        if not any(name in item for item in _all_names(mission.routes)):
+            raise RouteError(f"{error}; commands with a name: {', '.join(command_names()[:3])} ...") from None
+        raise
+    if route not in towards:
+        there = ", ".join(item.topic for item in towards) or "none"
+        where = next((item for item in Receiver if route in routes_towards(item, mission)), None)
+        hint = f"--to {where}" if where else "it comes from cFS"
+        raise RouteError(f"{route.topic} does not go to {to}: {hint}; topics that go to {to}: {there}")
+    return route
+
+
+def _all_names(routes: Sequence[Route]) -> Sequence[tuple[str, ...]]:
+    return [
+        (item.topic, item.topic.removeprefix("/"), item.key, f"0x{item.msg_id:04x}", f"0x{item.msg_id:x}")
+        for item in routes
+    ]
+
+
+def _values(text: str) -> dict[str, Any]:
+    """Read a message from YAML (or JSON), or from ``@FILE``; an empty text gives all defaults."""
+    where = "the message"
+    if text.startswith("@"):
+        where = text[1:]
+        try:
+            text = Path(where).read_text(encoding="utf-8")
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}"
+            ) from None
+    try:
+        values = YAML(typ="safe", pure=True).load(text) if text.strip() else {}
+    except (YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f" line {mark.line + 1}, column {mark.column + 1}:" if mark else ""
+        why = getattr(error, "problem", None) or str(error).partition("\n")[0]
+        raise ConfigError(f"{where}: is not YAML:{place} {why}; write '{{linear: {{x: 0.5}}}}'") from None
+    if not isinstance(values, dict):
+        raise ConfigError(f"{where}: needs fields and values, e.g. '{{linear: {{x: 0.5}}}}', not {values!r}")
+    return values

@@ -1,0 +1,362 @@
+"""The sending loop: sends every datagram at its deadline, keeps the session alive, receives answers.
+
+Rules that it keeps:
+
+1. A datagram leaves at its deadline, or as soon after it as the system allows. Deadlines count from the start
+   of the pass, so one delay does not delay later datagrams.
+2. Datagrams that are due at the same time leave together, at most ``_BLOCK``.
+3. At least once per ``_ROUND_NS`` the loop receives, serves the session and checks keys and Ctrl-C, however
+   much there is to send; when nothing is due it sleeps in the wire's ``wait``.
+4. A pause moves the start of the pass by its duration, so that nothing is sent in a burst afterwards.
+5. Every error ends in ``SendReport.failure``; what was sent until then is counted.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.sessions.outgoing import Changes, Outgoing
+from edoras_tools.sessions.pacing import Lateness, Timetable
+from edoras_tools.units import MILLISECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from edoras_tools.errors import EdorasError
+    from edoras_tools.io.formats.watched import OutputLoss
+    from edoras_tools.io.net.wire import Wire
+    from edoras_tools.pipelines.sending.keys import Keys
+    from edoras_tools.pipelines.sending.responses import Responses
+    from edoras_tools.pipelines.sending.wait_for import Condition
+    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.sessions.faults.machine import Delivery, Fault, FaultMachine
+    from edoras_tools.sessions.sbn.connection import SbnConnection
+
+_BLOCK: Final = 512
+"""Maximum datagrams that leave together."""
+_ROUND_NS: Final = 20 * MILLISECOND
+"""Period of the checks, however busy the loop is; it also limits how late Ctrl-C and keys are noticed."""
+_ABSENT_NS: Final = SECOND
+"""If the target refuses within this time after the first datagram, it is absent."""
+_LEAD_NS: Final = 2 * MILLISECOND
+"""Time from the start to the first deadline, so that the first datagram is not late."""
+
+
+@dataclass(frozen=True, slots=True)
+class SendSchedule:
+    """What is sent, where and when.
+
+    Attributes:
+        target: where, as text for the user.
+        out: the datagrams, in the order of the timetable.
+        table: when each is sent.
+        changes: what is changed in each pass.
+        passes: how often; 0: until it is stopped.
+        paused: start in single steps.
+        linger_ns: how long to listen after the last datagram.
+    """
+
+    target: str
+    out: Outgoing
+    table: Timetable
+    changes: Changes = field(default_factory=Changes)
+    passes: int = 1
+    paused: bool = False
+    linger_ns: int = 0
+
+
+@dataclass(slots=True)
+class SendReport:
+    """What was sent, and the result.
+
+    Attributes:
+        sent: datagrams of the recording that left; at the end without those that were refused.
+        total: datagrams to send; None if there is no end.
+        send_errors: datagrams that could not be sent, or were refused.
+        errors: the reasons, with counts.
+        asked_hz: the requested rate; None for as fast as possible.
+        first_ns: when the first left, monotonic.
+        last_ns: when the last left.
+        lateness: of each datagram.
+        responses: what came back.
+        faults: injected faults by kind.
+        interrupted: whether Ctrl-C or the q key ended it.
+        failure: why it ended early.
+        notes: for the user, one line each.
+        losses: outputs of its recording that were removed while they were written.
+    """
+
+    responses: Responses
+    total: int | None
+    asked_hz: float | None
+    sent: int = 0
+    send_errors: int = 0
+    errors: dict[str, int] = field(default_factory=dict)
+    first_ns: int = 0
+    last_ns: int = 0
+    lateness: Lateness = field(default_factory=Lateness)
+    faults: dict[str, int] = field(default_factory=dict)
+    interrupted: bool = False
+    failure: EdorasError | None = None
+    notes: list[str] = field(default_factory=list)
+    losses: list[OutputLoss] = field(default_factory=list)
+
+    @property
+    def achieved_hz(self) -> float | None:
+        """Datagrams per second between the first and the last."""
+        span = self.last_ns - self.first_ns
+        return (self.sent - 1) * SECOND / span if self.sent > 1 and span > 0 else None
+
+    def summary(self) -> dict[str, Any]:
+        """Return the shape of ``replay --json``."""
+        return {
+            "sent": self.sent,
+            "rate_asked_hz": _rounded(self.asked_hz),
+            "rate_achieved_hz": _rounded(self.achieved_hz),
+            "duration_s": round((self.last_ns - self.first_ns) / SECOND, 6),
+            "lateness_us": self.lateness.summary(),
+            "send_errors": self.send_errors,
+            "errors": self.errors,
+            "faults": self.faults,
+            "interrupted": self.interrupted,
+            "failure": str(self.failure) if self.failure else None,
+            "notes": [*self.notes, *map(str, self.losses)],
+            "seen": self.responses.summary(),
+        }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)
+
+
+class Sending:
+    """One run.
+
+    Args:
+        wire: where to send.
+        schedule: what to send, and when.
+        report: updated during the run.
+        session: the SBN session that it belongs to.
+        faults: the faults to inject.
+        note: called with each fault.
+        keys: the keyboard.
+        watcher: updated up to fifty times per second, so it must be cheap.
+    """
+
+    def __init__(
+        self,
+        wire: Wire,
+        schedule: SendSchedule,
+        report: SendReport,
+        *,
+        session: SbnConnection | None = None,
+        faults: FaultMachine | None = None,
+        note: Callable[[Sequence[Fault]], None] = lambda _: None,
+        keys: Keys | None = None,
+        watcher: Watcher[SendReport] | None = None,
+    ) -> None:
+        self.report = report
+        self.stopped = False
+        self._wire, self._schedule, self._table = wire, schedule, schedule.table
+        self._session, self._faults, self._keys, self._watcher = session, faults, keys, watcher
+        self._note = note
+        self._paused = schedule.paused
+        self._steps = 0
+        self._due = schedule.table.due_ns.data
+        self._epoch_ns = wire.epoch_ns()
+        self._round_ns = 0
+        self._refused = 0
+
+    def stop(self) -> None:
+        """End as soon as possible."""
+        self.stopped = True
+
+    def run(self, wait_for: Iterable[Condition] = (), timeout_ns: int = 10 * SECOND) -> SendReport:
+        """Wait for the conditions, send, listen for a while, end the session.
+
+        Every error on the way is in ``SendReport.failure``.
+        """
+        report = self.report
+        with on_interrupt(self.stop), self._keys or nullcontext():
+            try:
+                self._wait_for(wait_for, timeout_ns)
+                if not self.stopped:
+                    self._send_all()
+                    self._listen(self._schedule.linger_ns)
+            except CaptureError as error:
+                report.failure = error
+            except KeyboardInterrupt:  # the second Ctrl-C
+                self.stopped = True
+            report.interrupted = self.stopped and report.failure is None
+            for data in self._session.goodbye() if self._session else ():
+                self._wire.put(data)
+        statistics = self._wire.statistics
+        report.errors = dict(statistics.errors)
+        if refused := statistics.refused - self._refused:
+            report.errors["Connection refused"] = refused
+            # ICMP refused a datagram that had left. Some of these may have been the session's own datagrams.
+            report.sent = max(0, report.sent - refused)
+        report.send_errors = sum(report.errors.values())
+        return report
+
+    def _wait_for(self, wait_for: Iterable[Condition], timeout_ns: int) -> None:
+        began = self._wire.now()
+        for condition in wait_for:
+            ask_ns = self._wire.now()
+            while not self.stopped:
+                now = self._look_around()
+                if condition.met():
+                    break
+                if now - began >= timeout_ns:
+                    raise CaptureError(condition.explain((now - began) / SECOND))
+                if now >= ask_ns:
+                    condition.ask()
+                    ask_ns = now + SECOND
+                self._wire.wait(min(now + _ROUND_NS, began + timeout_ns))
+
+    def _send_all(self) -> None:
+        out, changes, passes = self._schedule.out, self._schedule.changes, self._schedule.passes
+        self._refused = self._wire.statistics.refused
+        start = self._wire.now() + _LEAD_NS
+        done = 0
+        while not self.stopped and (not passes or done < passes):
+            batch = (
+                changes.each(out, sent=done, start_ns=start + self._epoch_ns, due_ns=self._table.due_ns)
+                if changes.differ
+                else out
+            )
+            start = self._one_pass(batch, start) + self._table.period_ns
+            done += 1
+        while not self.stopped and (held_ns := self._held_ns()) is not None:
+            self._pass_time(held_ns)
+
+    def _one_pass(self, out: Outgoing, start: int) -> int:
+        """Send all datagrams once; return when the pass began, without pauses."""
+        wire, due, count = self._wire, self._due, len(out)
+        report, at = self.report, 0
+        while at < count and not self.stopped:
+            now = wire.now()
+            if now >= self._round_ns:
+                now = self._look_around()
+            if self._paused:
+                if not self._steps:
+                    if not wire.wait(now + _ROUND_NS):
+                        self._round_ns = 0
+                    start = wire.now() - due[at]
+                    continue
+                self._steps -= 1
+                start = now - due[at]
+            target = start + due[at]
+            if target > now:
+                self._pass_time(target)
+                if (now := wire.now()) < target:
+                    continue
+            last = at + 1
+            if last < count and start + due[last] <= now and not self._paused:
+                last = bisect_right(due, now - start, last, min(count, at + _BLOCK))
+            if self._faults is None:
+                report.sent += wire.send(out, at, last)
+            else:
+                self._spoil(out, at, last, now)
+            report.last_ns = now
+            report.first_ns = report.first_ns or now
+            if self._table.period_ns:
+                if last - at == 1:
+                    report.lateness.add(now - target)
+                else:
+                    report.lateness.add_all(now - start - self._table.due_ns[at:last])
+            at = last
+        return start
+
+    def _pass_time(self, until_ns: int) -> None:
+        """Wait until a time, the next check, or an arrival."""
+        held_ns = self._held_ns()
+        if not self._wire.wait(min(until_ns, self._round_ns, until_ns if held_ns is None else held_ns)):
+            self._round_ns = 0
+        now = self._wire.now()
+        if now >= self._round_ns:
+            self._look_around()
+        if self._faults and held_ns is not None and now >= held_ns:
+            self._deliver(self._faults.due(now + self._epoch_ns), now)
+
+    def _held_ns(self) -> int | None:
+        """Return when a datagram that a fault delays is due; faults use time since 1970."""
+        held_ns = self._faults.next_ns if self._faults else None
+        return None if held_ns is None else held_ns - self._epoch_ns
+
+    def _look_around(self) -> int:
+        """Handle what arrived, keep the session alive, handle keys; return the time."""
+        now = self._wire.now()
+        session = self._session
+        for item in self._wire.receive():
+            self.report.responses.add(item.link, item.payload, now + self._epoch_ns)
+            if session is not None and item.link.peers:
+                self._put(session.receive_datagram(item.payload, now=now).datagrams)
+        if session is not None:
+            if now - self.report.last_ns < _ROUND_NS:
+                session.sent(now=now)
+            if now >= session.next_ns:
+                self._put(session.service(now=now).datagrams)
+        self._refusals(now)
+        for key in self._keys.pressed() if self._keys else "":
+            self._act_on(key)
+        if self._watcher is not None:
+            self._watcher.update(self.report)
+        self._round_ns = now + _ROUND_NS
+        return now
+
+    def _put(self, datagrams: Iterable[bytes]) -> None:
+        for data in datagrams:
+            self._wire.put(data)
+
+    def _refusals(self, now: int) -> None:
+        refused = self._wire.statistics.refused > self._refused
+        if refused and self.report.first_ns and now - self.report.first_ns < _ABSENT_NS:
+            raise CaptureError(
+                f"{self._schedule.target} refuses: no program listens there (ICMP port unreachable); start "
+                "the receiver, or name its address with --target"
+            )
+
+    def _act_on(self, key: str) -> None:
+        if key == "q":
+            self.stop()
+        elif key == " ":
+            self._paused = not self._paused
+        elif key in "n\n":
+            self._steps += self._paused
+
+    def _listen(self, linger_ns: int) -> None:
+        until = self._wire.now() + linger_ns
+        while (now := self._look_around()) < until and not self.stopped:
+            self._wire.wait(min(now + _ROUND_NS, until))
+
+    def _spoil(self, out: Outgoing, first: int, last: int, now: int) -> None:
+        assert self._faults is not None
+        to_cfs = not out.link.only_from_cfs
+        for index in range(first, last):
+            deliveries, faults = self._faults.apply(
+                out[index], link=out.link, to_cfs=to_cfs, now=now + self._epoch_ns
+            )
+            for fault in faults:
+                self.report.faults[fault.kind] = self.report.faults.get(fault.kind, 0) + 1
+            if faults:
+                self._note(faults)
+            self._deliver(deliveries, now)
+
+    def _deliver(self, deliveries: Iterable[Delivery], now: int) -> None:
+        for item in deliveries:
+            self.report.sent += self._wire.put(item.payload)
+            self.report.last_ns = now
+
+
+def in_order(out: Outgoing, table: Timetable) -> Outgoing:
+    """Return the datagrams in the order of their timetable."""
+    same = np.array_equal(table.order, np.arange(len(table.order)))
+    return out if same else out.take(table.order)

@@ -1,0 +1,185 @@
+"""Where to send, as which peer, how fast: the options that replay and inject share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.errors import ConfigError, RouteError
+from edoras_tools.io.net.address import LOOPBACK, is_loopback, own_address
+from edoras_tools.links.table import carrying
+from edoras_tools.model import NO_MSG_ID, Endpoint, Link, Peer
+from edoras_tools.pipelines.sending.safety import fits
+from edoras_tools.sessions.outgoing import ChecksumRule, SequenceRule
+from edoras_tools.sessions.pacing import Pacing
+from edoras_tools.units import MILLISECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.sessions.outgoing import Outgoing
+
+CAP_HZ: Final = 1000.0
+"""Maximum datagrams per second to another machine, unless the user sets a limit."""
+_LISTEN_NS: Final = 2 * SECOND
+_NO_LISTEN_NS: Final = 100 * MILLISECOND
+_IDENTITY: Final = Peer(0x42, 3)
+
+
+class Receiver(StrEnum):
+    """Who receives the datagrams."""
+
+    CI = "ci"
+    SBN = "sbn"
+    GROUND = "ground"
+
+    @property
+    def link(self) -> Link:
+        """The link to this receiver."""
+        return carrying("flight" if self is Receiver.SBN else "ground", to_cfs=self is not Receiver.GROUND)
+
+
+class Role(StrEnum):
+    """How to behave as an SBN peer: as stock SBN, as the public bridge, or only as captured."""
+
+    STOCK = "stock"
+    BRIDGE = "bridge"
+    CAPTURED = "captured"
+
+
+@dataclass(frozen=True, slots=True)
+class SendOptions:
+    """How to send.
+
+    Attributes:
+        to: who receives.
+        target: where; None: on this machine, at the port that the mission names.
+        sender: SBN identity; None: as captured, and for the session the mission's identity or 66:3.
+        role: SBN behaviour.
+        listen: where answers are received; None: this machine's address towards the target, and the port
+            that the mission names.
+        no_listen: receive nothing except answers of an SBN link.
+        wait_for: conditions before the first datagram: ``peer``, ``to-enabled``, ``event:TEXT``; ``nothing``.
+        timeout_ns: how long to wait for them.
+        linger_ns: how long to listen after the last datagram; None: two seconds, if answers can be received.
+        allow: patterns of what may be sent, e.g. ``0x18*``; empty: everything.
+        speed: as a multiple of the recorded speed.
+        rates: messages per second: (pattern, Hz); the pattern ``*`` sends all messages at even intervals.
+        unpaced: as fast as possible.
+        max_rate_hz: maximum rate; 0: ``CAP_HZ`` to other machines.
+        unlimited: no maximum.
+        confirmed: the user has confirmed that the target is another machine.
+        sequence: what to do with sequence words.
+        checksum: what to do with checksums.
+        passes: how often; 0 for no end.
+        step: start in single steps.
+    """
+
+    to: Receiver = Receiver.CI
+    target: Endpoint | None = None
+    sender: Peer | None = None
+    role: Role = Role.STOCK
+    listen: Endpoint | None = None
+    no_listen: bool = False
+    wait_for: Sequence[str] = ()
+    timeout_ns: int = 10 * SECOND
+    linger_ns: int | None = None
+    allow: Sequence[str] = ()
+    speed: float = 1.0
+    rates: Sequence[tuple[str, float]] = ()
+    unpaced: bool = False
+    max_rate_hz: float = 0.0
+    unlimited: bool = False
+    confirmed: bool = False
+    sequence: SequenceRule = SequenceRule.KEEP
+    checksum: ChecksumRule = ChecksumRule.KEEP
+    passes: int = 1
+    step: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the combination.
+
+        Raises:
+            ConfigError: options contradict each other, or a condition is not known.
+        """
+        if self.unlimited and self.max_rate_hz:
+            raise ConfigError("--unlimited removes the limit that --max-rate sets; name one of them")
+        listens = not self.no_listen or self.to is Receiver.SBN
+        if self.listen is not None and not listens:
+            raise ConfigError("--listen and --no-listen exclude each other; name one of them")
+        for item in self.wait_for:
+            if item not in {"peer", "to-enabled", "nothing"} and not item.startswith("event:"):
+                raise ConfigError(
+                    f"--wait-for {item!r} is not known; there are peer, to-enabled, event:TEXT and nothing"
+                )
+            if item == "peer" and not self.has_session:
+                raise ConfigError("--wait-for peer needs an SBN session: --to sbn, as stock or bridge")
+            if item == "to-enabled" and self.to is not Receiver.CI:
+                raise ConfigError("--wait-for to-enabled needs --to ci: telemetry is enabled through CI")
+            if item != "nothing" and not listens:
+                raise ConfigError(f"--wait-for {item} needs answers: leave --no-listen out")
+
+    @property
+    def has_session(self) -> bool:
+        """Whether an SBN session is held while sending."""
+        return self.to is Receiver.SBN and self.role is not Role.CAPTURED
+
+    def placed(self, mission: Mission) -> SendOptions:
+        """Return these options with the mission's values and the defaults filled in."""
+        ground, flight = next(iter(mission.ground), None), next(iter(mission.flight), None)
+        to_port, listen_port = {
+            Receiver.CI: (ground.fsw_port, ground.bridge_port) if ground else (1234, 1235),
+            Receiver.SBN: (flight.peer_port, flight.udp_receive_port) if flight else (2234, 2236),
+            Receiver.GROUND: (ground.bridge_port if ground else 1235, None),
+        }[self.to]
+        target = self.target or Endpoint(LOOPBACK, to_port)
+        listen = self.listen
+        if listen is None and listen_port is not None:
+            near = is_loopback(target.address)
+            listen = Endpoint(LOOPBACK if near else own_address(target), listen_port)
+        if self.no_listen and self.to is not Receiver.SBN:
+            listen = None
+        linger = _NO_LISTEN_NS if listen is None or self.no_listen else _LISTEN_NS
+        wait_for = self.wait_for or (("peer",) if self.has_session else ())
+        return replace(
+            self,
+            target=target,
+            listen=listen,
+            linger_ns=linger if self.linger_ns is None else self.linger_ns,
+            wait_for=() if "nothing" in wait_for else wait_for,
+        )
+
+    def identity(self, mission: Mission) -> Peer:
+        """Return the identity to use on the SBN link."""
+        flight = next(iter(mission.flight), None)
+        return self.sender or (Peer(flight.spacecraft_id, flight.processor_id) if flight else _IDENTITY)
+
+    def pacing(self, out: Outgoing, mission: Mission) -> Pacing:
+        """Return how fast these datagrams are sent; streams are MsgIds.
+
+        Raises:
+            ConfigError: speeds and rates contradict each other.
+            RouteError: no datagram matches the pattern of a rate.
+        """
+        assert self.target is not None
+        cap = self.max_rate_hz or (0.0 if is_loopback(self.target.address) else CAP_HZ)
+        there = [item for item in np.unique(out.msg_id).tolist() if item != NO_MSG_ID]
+        streams: dict[int, float] = {}
+        total = 0.0
+        for pattern, rate in self.rates:
+            if pattern == "*":
+                total = rate
+                continue
+            found = [item for item in there if fits(pattern, item, mission)]
+            if not found:
+                raise RouteError(f"--rate {pattern}={rate:g}: no datagram to send matches {pattern!r}")
+            streams |= dict.fromkeys(found, rate)
+        if total and streams:
+            raise ConfigError(
+                "--rate HZ sets the interval of all messages; it cannot be combined with the rate of a route"
+            )
+        return Pacing(self.speed, total, streams, self.unpaced, 0.0 if self.unlimited else cap)

@@ -1,0 +1,134 @@
+"""A recording of what is sent and received.
+
+It is written when nothing is due soon, so that writing delays no datagram. Received datagrams get the time
+when they are read.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.io.formats.watched import WatchedSink
+from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.model import SourceInfo, SourceStatistics
+from edoras_tools.pipelines.capture.record import open_sink
+from edoras_tools.pipelines.recorder import PushedSource
+from edoras_tools.units import MILLISECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edoras_tools.io.formats.watched import OutputLoss
+    from edoras_tools.io.net.transmit import SendStatistics
+    from edoras_tools.io.net.wire import Arrival, Wire
+    from edoras_tools.model import Endpoint
+    from edoras_tools.pipelines.capture.record import Target
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.outgoing import Outgoing
+
+_CALM_NS: Final = 50 * MILLISECOND
+"""A block is written when nothing is due for this time."""
+_BLOCK: Final = 256
+"""Datagrams written at once, which takes a few ms."""
+_MOST: Final = 200_000
+"""If more datagrams wait, they are written at once, even if this delays others."""
+
+
+class SentRecording:
+    """A wire that records its traffic.
+
+    Args:
+        wire: the wire.
+        target: what to write.
+        bench: mission, types and decoders.
+
+    Raises:
+        CaptureError: the recording cannot be written.
+    """
+
+    def __init__(self, wire: Wire, target: Target, bench: Workbench) -> None:
+        self.now, self.ends = wire.now, wire.ends
+        self._wire, self._bench = wire, bench
+        self._source = PushedSource(SourceInfo(f"sent to {wire.ends[1]}", "replay"), SourceStatistics())
+        self._sink = open_sink(target, self._source, bench)
+        self._demux = Demux()
+        self._waiting: list[tuple[int, Endpoint, Endpoint, bytes]] = []
+        self._faults: list[Fault] = []
+        self._epoch_ns = wire.epoch_ns()
+
+    @property
+    def losses(self) -> Sequence[OutputLoss]:
+        """Outputs that somebody took away while they were written."""
+        return self._sink.losses
+
+    @property
+    def statistics(self) -> SendStatistics:
+        """Counters of the datagrams."""
+        return self._wire.statistics
+
+    def epoch_ns(self) -> int:
+        """Return what to add to the wire's time to get ns since 1970."""
+        return self._epoch_ns
+
+    def wait(self, until_ns: int) -> bool:
+        """Wait, and write meanwhile if there is enough time."""
+        while self._waiting and until_ns - self.now() >= _CALM_NS:
+            self._write(_BLOCK)
+        return self._wire.wait(until_ns)
+
+    def send(self, out: Outgoing, first: int, last: int) -> int:
+        """Send datagrams ``first`` up to ``last``, not included; return how many left."""
+        now = self.now()
+        left = self._wire.send(out, first, last)
+        for index in range(first, last):
+            self._keep(now, *self.ends, out[index])
+        return left
+
+    def put(self, payload: bytes) -> bool:
+        """Send one datagram of the caller's own; return whether it left."""
+        self._keep(self.now(), *self.ends, payload)
+        return self._wire.put(payload)
+
+    def receive(self) -> list[Arrival]:
+        """Return what has arrived."""
+        arrived = self._wire.receive()
+        now = self.now()
+        for item in arrived:
+            self._keep(now, item.source, item.destination, item.payload)
+        return arrived
+
+    def note(self, faults: Sequence[Fault]) -> None:
+        """Record injected faults."""
+        self._faults += faults
+
+    def close(self) -> None:
+        """Write the rest, and complete the recording.
+
+        Raises:
+            CaptureError: the recording cannot be written.
+        """
+        try:
+            while self._waiting or self._faults:
+                self._write(_MOST)
+        finally:
+            self._sink.close(self._source.statistics)
+
+    def _keep(self, now: int, source: Endpoint, destination: Endpoint, payload: bytes) -> None:
+        self._waiting.append((now + self._epoch_ns, source, destination, payload))
+        if len(self._waiting) >= _MOST:
+            self._write(_MOST)
+
+    def _write(self, most: int) -> None:
+        rows, self._waiting = self._waiting[:most], self._waiting[most:]
+        if rows:
+            frames = frames_of(rows, self._source.statistics.frames + 1)
+            batch = self._demux.demux(frames)
+            self._sink.write(batch, self._bench.columns.decode(batch))
+            self._source.statistics.frames += len(frames)
+            self._source.statistics.datagrams += len(batch)
+        if self._faults and isinstance(self._sink, WatchedSink):
+            self._sink.write_faults(self._faults)
+        self._faults = []
+        self._sink.flush()

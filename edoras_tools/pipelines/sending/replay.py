@@ -1,0 +1,245 @@
+"""What is sent again from a recording: the datagrams of one link and direction, as they were captured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError, ConfigError, WireError
+from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.sending.options import Receiver
+from edoras_tools.pipelines.sending.safety import called, fits
+from edoras_tools.sessions.outgoing import Changes, Outgoing, join_datagrams
+from edoras_tools.wire import cfe, sbn
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.io import Source
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.pipelines.sending.options import SendOptions
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.ros import TypeStore
+
+_WHAT: Final = {
+    Receiver.CI: "commands to Command Ingest",
+    Receiver.SBN: "SBN datagrams towards cFS",
+    Receiver.GROUND: "telemetry from Telemetry Output",
+}
+_SBN_PORT: Final = 2234
+_MOST_BYTES: Final = 4 << 30
+_STAMP: Final = "header.stamp.sec"
+
+
+@dataclass(frozen=True, slots=True)
+class ReplaySelection:
+    """Which part of a recording is sent.
+
+    Attributes:
+        selection: by link, MsgId, topic and values.
+        routes: patterns of MsgIds, topics and keys; empty: all.
+        start_ns: leave out datagrams before this time after the recording's first datagram.
+        end_ns: leave out datagrams after this time; 0 for no end.
+        count: only the first so many of the rest; 0 for all.
+    """
+
+    selection: Selection = field(default_factory=Selection)
+    routes: Sequence[str] = ()
+    start_ns: int = 0
+    end_ns: int = 0
+    count: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the range.
+
+        Raises:
+            ConfigError: the end is not after the start.
+        """
+        if self.end_ns and self.end_ns <= self.start_ns:
+            raise ConfigError("--end is not after --start: nothing is left between them")
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """What is to be sent, and notes from reading.
+
+    Attributes:
+        out: the datagrams, in the order of the recording.
+        wanted: MsgIds that the recording's own SBN peer subscribed to.
+        notes: for the user, one line each.
+    """
+
+    out: Outgoing
+    wanted: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choice: ReplaySelection) -> Loaded:
+    """Read the datagrams to send; the source is closed.
+
+    All are kept in memory, without columns, before the first one leaves, so that reading delays no datagram.
+
+    Raises:
+        CaptureError: the source is damaged, or has no datagram that matches.
+        RouteError: a topic is not configured.
+    """
+    parts: list[Outgoing] = []
+    notes: list[str] = []
+    wanted: set[int] = set()
+    links = np.zeros(256, np.int64)
+    first_ns, left, size, there = -1, choice.count, 0, 0
+    try:
+        selection = choice.selection.over(bench)
+        for batch in source.batches():
+            if not len(batch):
+                continue
+            columns = bench.columns.decode(batch)
+            links += np.bincount(columns.link, minlength=256)
+            first_ns = first_ns if first_ns >= 0 else int(batch.time_ns[0])
+            towards = _towards(batch, columns, options, bench.mission)
+            there += int(np.count_nonzero(towards))
+            if options.has_session:
+                wanted |= _subscriptions(batch, columns, towards)
+                towards &= columns.sbn_msg_type == sbn.MsgType.APP
+            elapsed = batch.time_ns - first_ns
+            towards &= elapsed >= choice.start_ns
+            if choice.end_ns:
+                towards &= elapsed < choice.end_ns
+            towards &= _routes(columns, choice.routes, bench.mission)
+            rows = np.flatnonzero(towards)
+            chosen, columns = selection.apply(batch.take(rows), columns.take(rows), bench.mission)
+            if choice.count:
+                chosen, columns = chosen.take(slice(0, left)), columns.take(slice(0, left))
+                left -= len(chosen)
+            if len(chosen):
+                parts.append(Outgoing.of(options.to.link, chosen, columns))
+                cut = int(np.count_nonzero(chosen.capture_findings & np.uint32(Finding.CAPTURE_CUT)))
+                if cut:
+                    notes.append(f"{cut:,} datagrams were cut by the capture, and are sent cut")
+                size += len(parts[-1].data)
+            if size > _MOST_BYTES:
+                raise CaptureError(
+                    f"{source.info.name}: more than 4 GiB to send; select less with --start, --end"
+                )
+            if (choice.count and not left) or (choice.end_ns and int(elapsed[-1]) > choice.end_ns + 10**9):
+                break
+    finally:
+        source.close()
+    if not parts:
+        raise CaptureError(f"{source.info.name}: {_nothing(options.to, links, there)}")
+    return Loaded(join_datagrams(parts), tuple(sorted(wanted)), tuple(notes))
+
+
+def _towards(
+    batch: PacketBatch, columns: Columns, options: SendOptions, mission: Mission
+) -> NDArray[np.bool_]:
+    towards: NDArray[np.bool_] = columns.link == options.to.link
+    if options.to is Receiver.SBN:
+        ports = [link.peer_port for link in mission.flight] or [_SBN_PORT]
+        towards = towards & np.isin(batch.destination_port, ports)
+    return towards
+
+
+def _subscriptions(batch: PacketBatch, columns: Columns, towards: NDArray[np.bool_]) -> set[int]:
+    """Return what the captured peer subscribed to."""
+    found: set[int] = set()
+    for row in np.flatnonzero(towards & (columns.sbn_msg_type == sbn.MsgType.SUB)).tolist():
+        start = int(batch.offset[row]) + sbn.HEADER.size
+        payload = batch.data[start : int(batch.offset[row] + batch.length[row])].tobytes()
+        try:
+            ident, entries = sbn.parse_subscriptions(payload)
+        except WireError:
+            continue
+        if ident == sbn.IDENT:
+            found |= {item.msg_id for item in entries}
+    return found
+
+
+def _routes(columns: Columns, patterns: Sequence[str], mission: Mission) -> NDArray[np.bool_]:
+    if not patterns:
+        return np.ones(len(columns), bool)
+    there = np.unique(columns.msg_id).tolist()
+    fitting = [
+        item
+        for item in there
+        if item != NO_MSG_ID and any(fits(pattern, item, mission) for pattern in patterns)
+    ]
+    return np.isin(columns.msg_id, fitting)
+
+
+def _nothing(to: Receiver, links: NDArray[np.int64], there: int) -> str:
+    if there:
+        return f"none of its {there:,} {_WHAT[to]} was selected; remove some of the selection options"
+    others = [
+        f"{int(links[item.link]):,} for --to {item}"
+        for item in Receiver
+        if item is not to and links[item.link]
+    ]
+    hint = f"it has {' and '.join(others)}" if others else "it has no link traffic; other ports: --port"
+    return f"contains no {_WHAT[to]}; {hint}"
+
+
+def changes_for(
+    options: SendOptions, remap: Mapping[int, int], mission: Mission, types: TypeStore, *, restamp: bool
+) -> Changes:
+    """Return what is changed in the datagrams.
+
+    Args:
+        options: sequence, checksum and sender.
+        remap: one MsgId to another.
+        mission: its routes show which messages have a stamp.
+        types: the message types.
+        restamp: whether header stamps become the time of sending.
+    """
+    stamped = None
+    if restamp:
+        stamped = np.array([_is_stamped(types, route.type) for route in mission.routes], bool)
+        if not stamped.any():
+            raise ConfigError("--restamp: no configured topic has a type that starts with a std_msgs/Header")
+    return Changes(remap, options.sequence, options.checksum, stamped, options.sender)
+
+
+def _is_stamped(types: TypeStore, name: str) -> bool:
+    """Return whether a type starts with a header, so that its stamp has the same offset in every message."""
+    if not types.has(name):
+        return False
+    return any(span[0] == _STAMP and span[2] == 4 for span in types.spans(name, types.encode(name, {})))
+
+
+def remapped(pairs: Sequence[tuple[str, str]], mission: Mission, *, extended: bool = False) -> dict[int, int]:
+    """Return pairs of MsgIds for pairs of MsgIds, topics or keys.
+
+    Raises:
+        ConfigError: a command would become telemetry or the reverse; their headers differ.
+        RouteError: a topic is not configured.
+    """
+    found: dict[int, int] = {}
+    for old, new in pairs:
+        before, after = _msg_id(old, mission), _msg_id(new, mission)
+        if extended:
+            raise ConfigError("--remap cannot write extended headers; leave --remap or --extended-header out")
+        if cfe.is_command(before) != cfe.is_command(after):
+            raise ConfigError(
+                f"--remap {old}:={new}: of {called(before, mission)} and {called(after, mission)} one is a "
+                "command, one telemetry; their headers differ"
+            )
+        found[before] = after
+    return found
+
+
+def _msg_id(name: str, mission: Mission) -> int:
+    if name[:2].lower() == "0x" or name.isdigit():
+        try:
+            value = int(name, 0)
+        except ValueError:
+            value = -1
+        if not 0 < value <= cfe.HIGHEST_MSG_ID:
+            raise ConfigError(f"--remap: {name} is not a MsgId from 0x0001 to 0x{cfe.HIGHEST_MSG_ID:04x}")
+        return value
+    return mission.find(name).msg_id

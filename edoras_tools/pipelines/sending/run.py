@@ -1,0 +1,200 @@
+"""Opens sockets, starts a session and sends: what replay and inject have in common."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.net.transmit import Listener, Transmitter
+from edoras_tools.io.net.wire import UdpWire, precise_timing
+from edoras_tools.links.table import carrying
+from edoras_tools.model import NO_MSG_ID, Link
+from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule, in_order
+from edoras_tools.pipelines.sending.options import Receiver, Role
+from edoras_tools.pipelines.sending.responses import Responses
+from edoras_tools.pipelines.sending.safety import check_allowed
+from edoras_tools.pipelines.sending.wait_for import conditions
+from edoras_tools.sessions.sbn.connection import SbnConnection
+from edoras_tools.sessions.sbn.habits import CLIENT, PUBLIC_BRIDGE
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from edoras_tools.io.net.wire import Wire
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Endpoint
+    from edoras_tools.pipelines.sending.keys import Keys
+    from edoras_tools.pipelines.sending.options import SendOptions
+    from edoras_tools.pipelines.sending.recording import SentRecording
+    from edoras_tools.pipelines.sending.replay import Loaded
+    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.sessions.faults.machine import FaultMachine
+    from edoras_tools.sessions.outgoing import Changes, Outgoing
+    from edoras_tools.sessions.pacing import Timetable
+
+
+@dataclass(frozen=True, slots=True)
+class Transmission:
+    """Everything that a run needs, prepared before the first datagram leaves.
+
+    Attributes:
+        out: what is sent, in order.
+        table: when it is sent.
+        options: with defaults filled in, and checked.
+        mission: provides names for what is sent and received.
+        changes: what is changed in each pass.
+        wanted: MsgIds that an SBN session subscribes to.
+        notes: for the user, one line each.
+    """
+
+    out: Outgoing
+    table: Timetable
+    options: SendOptions
+    mission: Mission
+    changes: Changes
+    wanted: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, loaded: Loaded, options: SendOptions, mission: Mission, changes: Changes) -> Transmission:
+        """Prepare a run.
+
+        Args:
+            loaded: what is to be sent, as recorded.
+            options: with defaults filled in.
+            mission: see the class.
+            changes: see the class.
+
+        Raises:
+            ConfigError: rates contradict each other, or something is not allowed.
+            RouteError: no datagram matches the pattern of a rate.
+        """
+        subscribed = {route.msg_id for route in mission.routes if route.link.peers and not route.to_cfs}
+        out = loaded.out
+        table = options.pacing(out, mission).timetable(out.time_ns, out.msg_id)
+        ready = changes.once(in_order(out, table))
+        check_allowed(ready, options.allow, mission)
+        wanted = tuple(sorted(subscribed)) or loaded.wanted
+        return cls(ready, table, options, mission, changes, wanted, loaded.notes)
+
+    @property
+    def total(self) -> int | None:
+        """Datagrams to send; None for no end."""
+        return len(self.out) * self.options.passes if self.options.passes else None
+
+    def plan(self) -> dict[str, Any]:
+        """Return what would be sent, in the shape of ``--dry-run --json``."""
+        options, rate = self.options, self.table.rate_hz
+        msg_ids, counts = np.unique(self.out.msg_id, return_counts=True)
+        topics = {route.msg_id: route.topic for route in reversed(self.mission.routes)}
+        return {
+            "dry_run": True,
+            "to": options.to.value,
+            "target": str(options.target),
+            "listen": str(options.listen) if options.listen else None,
+            "sender": str(options.identity(self.mission)) if options.has_session else None,
+            "wait_for": list(options.wait_for),
+            "datagrams": self.total,
+            "passes": options.passes or None,
+            "rate_asked_hz": None if rate is None else round(rate, 3),
+            "duration_s": round(int(self.table.due_ns[-1]) / SECOND, 6) if len(self.out) else 0.0,
+            "routes": [
+                {
+                    "msg_id": None if item == NO_MSG_ID else f"0x{item:04x}",
+                    "topic": topics.get(item),
+                    "count": count,
+                }
+                for item, count in zip(msg_ids.tolist(), counts.tolist(), strict=True)
+            ],
+            "notes": list(self.notes),
+        }
+
+    def run(
+        self,
+        *,
+        faults: FaultMachine | None = None,
+        keys: Keys | None = None,
+        watcher: Watcher[SendReport] | None = None,
+        recording: Callable[[Wire], SentRecording] | None = None,
+        ready: Callable[[Endpoint], None] = lambda _: None,
+    ) -> SendReport:
+        """Open the sockets and send.
+
+        Args:
+            faults: the faults to inject.
+            keys: the keyboard.
+            watcher: updated while it runs.
+            recording: makes a recording of the wire.
+            ready: called with the endpoint that receives answers, once the sockets are open.
+
+        Raises:
+            CaptureError: a socket or the recording cannot be opened; later errors are in
+                ``SendReport.failure``.
+        """
+        options = self.options
+        assert options.target is not None
+        report = SendReport(Responses(self.mission), self.total, self.table.rate_hz, notes=list(self.notes))
+        with ExitStack() as stack:
+            is_sbn = options.to is Receiver.SBN
+            transmitter = stack.enter_context(Transmitter(options.target, options.listen if is_sbn else None))
+            listeners: list[tuple[Link, Listener]] = []
+            if options.listen is not None and not is_sbn:
+                listener = stack.enter_context(Listener(options.listen))
+                listeners.append((carrying("ground", to_cfs=options.to is not Receiver.CI), listener))
+            local = listeners[0][1].local if listeners else transmitter.local
+            wire: Wire = UdpWire(transmitter, options.to.link, listeners, [keys.fileno()] if keys else ())
+            recorded = recording(wire) if recording else None
+            wire = recorded or wire
+            session = self._session(wire.now())
+            sending = Sending(
+                wire,
+                self._schedule(),
+                report,
+                session=session,
+                faults=faults,
+                note=recorded.note if recorded else lambda _: None,
+                keys=keys,
+                watcher=watcher,
+            )
+            ready(local)
+            stack.enter_context(precise_timing())
+            wait_for = conditions(
+                self.out,
+                options,
+                self.mission,
+                responses=report.responses,
+                session=session,
+                wire=wire,
+                local=local,
+            )
+            sending.run(wait_for, options.timeout_ns)
+        if recorded is not None:
+            try:
+                recorded.close()
+            except CaptureError as error:
+                report.failure = report.failure or error
+            report.losses = list(recorded.losses)
+        return report
+
+    def _schedule(self) -> SendSchedule:
+        options = self.options
+        return SendSchedule(
+            str(options.target),
+            self.out,
+            self.table,
+            self.changes,
+            options.passes,
+            options.step,
+            options.linger_ns or 0,
+        )
+
+    def _session(self, now: int) -> SbnConnection | None:
+        if not self.options.has_session:
+            return None
+        habits = PUBLIC_BRIDGE if self.options.role is Role.BRIDGE else CLIENT
+        return SbnConnection(self.options.identity(self.mission), self.wanted, habits=habits, now=now)

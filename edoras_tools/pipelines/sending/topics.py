@@ -1,0 +1,145 @@
+"""Turns ROS messages into the packets that the bridges would have sent, by the mission's routes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.cfs import edoras_app
+from edoras_tools.errors import CaptureError, ConfigError, RouteError
+from edoras_tools.pipelines.sending.options import Receiver
+from edoras_tools.pipelines.sending.replay import Loaded
+from edoras_tools.pipelines.sending.safety import fits
+from edoras_tools.sessions.outgoing import Outgoing, Packet
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
+from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from edoras_tools.io.formats.rosbag2.reader import Rosbag
+    from edoras_tools.mission import Mission, Route
+    from edoras_tools.model import Peer
+    from edoras_tools.pipelines.sending.options import SendOptions
+    from edoras_tools.pipelines.sending.replay import ReplaySelection
+    from edoras_tools.pipelines.workbench import Workbench
+
+_CFE_EPOCH_S: Final = 315_964_800
+"""1980-01-06 in seconds since 1970."""
+
+
+@dataclass(frozen=True, slots=True)
+class Encoder:
+    """Makes the packets of one route, as its bridge or its application does.
+
+    Attributes:
+        route: the route.
+        index: its index in the mission.
+        envelope: format of the two lengths before the CDR.
+        function_code: for a command.
+    """
+
+    route: Route
+    index: int
+    envelope: EnvelopeFormat
+    function_code: int = edoras_app.SET
+
+    @classmethod
+    def of(cls, route: Route, bench: Workbench, function_code: int = edoras_app.SET) -> Encoder:
+        """Return the encoder of a route of the bench's mission."""
+        index = bench.mission.routes.index(route)
+        return cls(route, index, bench.columns.context.envelopes[index] or DEFAULT, function_code)
+
+    def packet(self, cdr: bytes, time_ns: int) -> Packet:
+        """Return a space packet; sequence word and checksum are 0, as the bridges send them."""
+        body = self.envelope.emit(cdr)
+        msg_id = self.route.msg_id
+        if cfe.is_command(msg_id):
+            data = cfe.emit_command(msg_id, self.function_code, body, sequence_flags=0, with_checksum=False)
+            head = cfe.COMMAND_HEADER_BYTES
+        else:
+            seconds, rest = divmod(max(time_ns - _CFE_EPOCH_S * SECOND, 0), SECOND)
+            data = cfe.emit_telemetry(
+                msg_id, body, seconds=seconds, subseconds=(rest << 16) // SECOND, sequence_flags=0
+            )
+            head = cfe.TELEMETRY_HEADER_BYTES
+        return Packet(data, time_ns, self.index, head + self.envelope.size)
+
+
+def routes_towards(to: Receiver, mission: Mission) -> list[Route]:
+    """Return the routes whose messages go to a receiver."""
+    return [
+        route
+        for route in mission.routes
+        if route.link is to.link and (to is not Receiver.SBN or route.to_cfs)
+    ]
+
+
+def sender_of(options: SendOptions, mission: Mission) -> Peer | None:
+    """Return the identity that sends on the SBN link; None on other links."""
+    return options.identity(mission) if options.to is Receiver.SBN else None
+
+
+def load_topics(
+    bag: Rosbag, bench: Workbench, options: SendOptions, choice: ReplaySelection, rename: Mapping[str, str]
+) -> Loaded:
+    """Read ROS messages recorded by any tool, and make packets of them.
+
+    Args:
+        bag: the recording.
+        bench: its mission says which topic uses which MsgId.
+        options: where to send.
+        choice: which part.
+        rename: a topic of the recording to a topic of the mission.
+
+    Raises:
+        CaptureError: the recording is damaged, or contains no message that matches.
+        ConfigError: a topic has another type than its route.
+        RouteError: no configured topic goes to the receiver.
+    """
+    mission = bench.mission
+    routes = {route.topic: route for route in routes_towards(options.to, mission)}
+    if not routes:
+        raise RouteError(f"--from-topics: no configured topic goes to {options.to}; name its mission with -c")
+    there = bag.topics()
+    encoders: dict[str, Encoder] = {}
+    for topic, name in there.items():
+        wanted = "/" + rename.get(topic, topic).removeprefix("/")
+        route = routes.get(wanted)
+        if route is None or not _chosen(route, choice, mission):
+            continue
+        if name != route.type:
+            raise ConfigError(
+                f"{bag.path}: {topic} is {name}, but {wanted} of the mission needs {route.type}"
+            )
+        encoders[topic] = Encoder.of(route, bench)
+    if not encoders:
+        raise CaptureError(
+            f"{bag.path}: none of its topics ({', '.join(sorted(there)) or 'none'}) goes to {options.to}; "
+            f"configured are {', '.join(routes)}; --remap A:=B renames a topic"
+        )
+    packets, short = [], 0
+    first_ns = -1
+    for message in bag.messages(encoders):
+        first_ns = message.time_ns if first_ns < 0 else first_ns
+        elapsed = message.time_ns - first_ns
+        if elapsed < choice.start_ns or (choice.end_ns and elapsed >= choice.end_ns):
+            continue
+        short += len(message.cdr) < 4
+        packets.append(encoders[message.topic].packet(message.cdr, message.time_ns))
+        if choice.count and len(packets) >= choice.count:
+            break
+    if not packets:
+        raise CaptureError(f"{bag.path}: contains no message on {', '.join(encoders)} in the selected time")
+    notes = (f"{short:,} messages are too short for CDR, and are sent as they are",) if short else ()
+    out = Outgoing.packets(options.to.link, packets, sender=sender_of(options, mission))
+    return Loaded(out, notes=notes)
+
+
+def _chosen(route: Route, choice: ReplaySelection, mission: Mission) -> bool:
+    selection = choice.selection
+    if selection.msg_ids and route.msg_id not in selection.msg_ids:
+        return False
+    patterns = [*choice.routes, *selection.topics]
+    return not patterns or any(fits(pattern, route.msg_id, mission) for pattern in patterns)

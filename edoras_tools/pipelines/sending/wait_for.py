@@ -1,0 +1,141 @@
+"""What to wait for before the first datagram leaves, and the message if it does not come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.io.net.address import ANY_ADDRESS, own_address
+from edoras_tools.model import NO_MSG_ID
+from edoras_tools.pipelines.sending.safety import called
+from edoras_tools.wire import cfe
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from edoras_tools.io.net.wire import Wire
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Endpoint
+    from edoras_tools.pipelines.sending.options import SendOptions
+    from edoras_tools.pipelines.sending.responses import Responses
+    from edoras_tools.sessions.outgoing import Outgoing
+    from edoras_tools.sessions.sbn.connection import SbnConnection
+
+_MOST_NAMED: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """Something to wait for before the first datagram leaves.
+
+    Attributes:
+        name: for the user.
+        met: returns whether it is met.
+        ask: called about once a second until it is met.
+        explain: returns what was tried and what usually is the cause; its argument is the time waited in s.
+    """
+
+    name: str
+    met: Callable[[], bool]
+    explain: Callable[[float], str]
+    ask: Callable[[], None] = lambda: None
+
+
+def conditions(
+    out: Outgoing,
+    options: SendOptions,
+    mission: Mission,
+    *,
+    responses: Responses,
+    session: SbnConnection | None,
+    wire: Wire,
+    local: Endpoint,
+) -> Iterator[Condition]:
+    """Yield the conditions that the options name.
+
+    Args:
+        out: what will be sent.
+        options: placed.
+        mission: provides the topics of MsgIds.
+        responses: what was received so far.
+        session: the SBN session, if there is one.
+        wire: sends the requests.
+        local: where answers are received.
+    """
+    for item in options.wait_for:
+        if item == "peer" and session is not None:
+            yield _peer(out, options, mission, session, wire, local)
+        elif item == "to-enabled":
+            yield _enabled(options, responses, wire, local)
+        elif item.startswith("event:"):
+            yield _event(item.removeprefix("event:"), responses, local)
+
+
+def _peer(
+    out: Outgoing, options: SendOptions, mission: Mission, session: SbnConnection, wire: Wire, local: Endpoint
+) -> Condition:
+    wanted = set(np.unique(out.msg_id[out.msg_id != NO_MSG_ID]).tolist())
+
+    def explain(seconds: float) -> str:
+        if session.answered is None:
+            refusal = f"; {options.target} refuses: no program listens there"
+            refused = refusal if wire.statistics.refused else ""
+            return (
+                f"no SBN peer answered at {options.target} within {seconds:.1f} s{refused}; tried PROTO and "
+                f"SUB, once a second, as {session.own} from {local}; usually cFS is not running, or its SBN "
+                f"peer table has no {session.own} at UDP {local.port}: set --as SC:CPU and --listen PORT as "
+                "in the table"
+            )
+        missing = sorted(wanted - session.subscribed)
+        some = ", ".join(called(msg_id, mission) for msg_id in missing[:_MOST_NAMED])
+        more = f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
+        return (
+            f"SBN peer {session.answered} answered, but did not subscribe to {some}{more} within "
+            f"{seconds:.1f} s; usually the application that receives it is not running; leave it out with "
+            "--route, or send it anyway with --wait-for nothing"
+        )
+
+    return Condition("peer", lambda: session.connected and wanted <= session.subscribed, explain)
+
+
+def _enabled(options: SendOptions, responses: Responses, wire: Wire, local: Endpoint) -> Condition:
+    address = (
+        own_address(options.target) if options.target and local.address == ANY_ADDRESS else local.address
+    )
+
+    def ask() -> None:
+        wire.put(enable_output(address))
+
+    def explain(seconds: float) -> str:
+        return (
+            f"no telemetry came to {local} within {seconds:.1f} s; asked {options.target} once a second to "
+            f"enable it towards {address}; usually cFS or its TO_LAB is not running, or it does not send to "
+            f"port {local.port}"
+        )
+
+    return Condition("to-enabled", lambda: responses.telemetry > 0, explain, ask)
+
+
+def _event(text: str, responses: Responses, local: Endpoint) -> Condition:
+    def explain(seconds: float) -> str:
+        count = len(responses.events)
+        return (
+            f"no event with {text!r} came to {local} within {seconds:.1f} s ({count} others did); usually "
+            "telemetry is not enabled: put --wait-for to-enabled before it, or set a longer --timeout"
+        )
+
+    return Condition(f"event:{text}", lambda: responses.says(text), explain)
+
+
+def enable_output(address: str) -> bytes:
+    """Return the command that makes Telemetry Output send to an IPv4 address, as the ground bridge does."""
+    return cfe.emit_command(
+        telemetry_output.COMMAND_MSG_ID,
+        telemetry_output.ENABLE,
+        address.encode().ljust(16, b"\0"),
+        sequence_flags=0,
+        with_checksum=False,
+    )

@@ -1,0 +1,1 @@
+"""How much a route can carry, found by trying."""

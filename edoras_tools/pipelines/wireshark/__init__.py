@@ -1,0 +1,1 @@
+"""The dissector for Wireshark, and our links as its capture interfaces."""

@@ -1,0 +1,159 @@
+"""The links as capture interfaces of Wireshark: the answers of its extcap protocol, and the capture itself.
+
+Wireshark runs the launcher once for each question (``--extcap-interfaces``, ``--extcap-dlts``,
+``--extcap-config``) and reads lines of ``key {name=value}``; with ``--capture`` it reads pcapng from a
+fifo.
+"""
+
+from __future__ import annotations
+
+import select
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, BinaryIO, Final
+
+import numpy as np
+
+from edoras_tools import __version__
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.io.capture.live import interfaces as live_interfaces
+from edoras_tools.io.capture.live import open_live
+from edoras_tools.io.formats.pcapng.writer import PcapngSink
+from edoras_tools.io.net.address import parse_endpoint
+from edoras_tools.io.net.receive import UdpSource
+from edoras_tools.links import table
+from edoras_tools.pipelines.reading import reading
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import Settings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from edoras_tools.io.capture.device import DeviceSource
+    from edoras_tools.model import Link
+
+_OPTIONS: Final = (
+    ("interface", "Capture from", "selector", "Interface with the traffic; needs the privilege to capture"),
+    ("listen", "Or bind [HOST:]PORT", "string", "Receive the datagrams here; needs no privilege"),
+    ("ports", "More ports", "string", "UDP ports of this link besides the standard ones, e.g. 5010,5011"),
+    ("config", "Mission", "fileselect", "EDORAS bridge YAML, which names ports and addresses"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureRequest:
+    """What the user chose in Wireshark's dialogue.
+
+    Attributes:
+        link: the link to capture.
+        interface: where to capture it live.
+        listen: UDP endpoints to bind instead, ``[HOST:]PORT``; Wireshark is then the receiver.
+        configs: mission files, which name ports and addresses.
+        ports: more UDP ports of the link.
+    """
+
+    link: Link
+    interface: str = "any"
+    listen: Sequence[str] = ()
+    configs: Sequence[Path] = ()
+    ports: Sequence[int] = ()
+
+
+def interfaces_answer() -> list[str]:
+    """Return the answer to ``--extcap-interfaces``."""
+    lines = [f"extcap {{version={__version__}}}{{display=EDORAS: the links of a cFS}}"]
+    return lines + [
+        f"interface {{value=edoras-{link.label}}}{{display=EDORAS {link.name}}}" for link in table.links()
+    ]
+
+
+def interface_link(interface: str) -> Link:
+    """Return the link of an interface.
+
+    Raises:
+        ConfigError: there is no such interface.
+    """
+    known: dict[str, Link] = {f"edoras-{link.label}": link for link in table.links()}
+    if interface not in known:
+        raise ConfigError(f"{interface or 'no interface'}: there are {', '.join(known)}")
+    return known[interface]
+
+
+def link_types() -> list[str]:
+    """Return the answer to ``--extcap-dlts``: the link type of a bound socket; a live capture has its own."""
+    return ["dlt {number=101}{name=RAW}{display=Raw IP}"]
+
+
+def options() -> list[str]:
+    """Return the answer to ``--extcap-config``."""
+    lines = [
+        f"arg {{number={number}}}{{call=--{name}}}{{display={display}}}{{type={kind}}}{{tooltip={tooltip}}}"
+        for number, (name, display, kind, tooltip) in enumerate(_OPTIONS)
+    ]
+    lines += [
+        f"value {{arg=0}}{{value={name}}}{{display={name}}}{{default={'true' if name == 'any' else 'false'}}}"
+        for name in dict.fromkeys(("any", *live_interfaces()))
+    ]
+    return lines
+
+
+def capture(wish: CaptureRequest, fifo: Path) -> None:
+    """Write the link's datagrams as pcapng until the reader closes the fifo, SIGTERM or Ctrl-C.
+
+    Args:
+        wish: what to capture.
+        fifo: where to write; opening it waits for the reader.
+
+    Raises:
+        ConfigError: the mission or an endpoint has errors.
+        CaptureError: the capture or the fifo cannot be opened.
+    """
+    settings = Settings(configs=wish.configs)
+    decoding = replace(settings.options, ports=tuple((wish.link, port) for port in _ports(wish)))
+    bench = replace(settings, options=decoding).workbench()
+    context = bench.columns.context
+    source = _source(wish, np.flatnonzero(context.ports[wish.link]).tolist())
+    try:
+        chosen = Selection(links=(wish.link,))
+        with _opened(fifo) as file, reading(source, bench, chosen, patient=True) as loop:
+            gone = _watch(file)
+            sink = PcapngSink(file)
+            sink.flush()
+            for rows in loop:
+                if gone():
+                    return
+                if len(rows):
+                    sink.write(*rows.alone())
+                    sink.flush()
+    except (BrokenPipeError, CaptureError) as error:
+        if isinstance(error.__cause__, BrokenPipeError) or isinstance(error, BrokenPipeError):
+            return  # Wireshark has closed the fifo
+        raise
+    finally:
+        source.close()
+
+
+def _ports(wish: CaptureRequest) -> list[int]:
+    """Return the named ports, including those that are bound."""
+    return [*wish.ports, *(parse_endpoint(item).port for item in wish.listen)]
+
+
+def _source(wish: CaptureRequest, ports: Sequence[int]) -> DeviceSource:
+    if wish.listen:
+        return UdpSource([parse_endpoint(item) for item in wish.listen])
+
+    return open_live(wish.interface, ports)
+
+
+def _opened(fifo: Path) -> BinaryIO:
+    try:
+        return fifo.open("wb")
+    except OSError as error:
+        raise CaptureError(f"{fifo}: cannot be opened: {error.strerror}") from error
+
+
+def _watch(file: BinaryIO) -> Callable[[], bool]:
+    """Return a function that says whether a pipe's reader has gone, even while nothing is written."""
+    poll = select.poll()
+    poll.register(file.fileno(), 0)
+    return lambda: any(event & select.POLLERR for _, event in poll.poll(0))

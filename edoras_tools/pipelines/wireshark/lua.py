@@ -1,0 +1,170 @@
+"""The Lua dissector for a mission: what the layouts do not contain, collected as plain values.
+
+Without a mission it knows the four demos of the EDORAS paper. If two of them use the same MsgId, the first
+whose message type fits the bytes is used.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import replace
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.decode import Context
+from edoras_tools.decode.findings import UNKNOWABLE
+from edoras_tools.dissectors.lua import FindingText, Knowledge, RouteText, generate
+from edoras_tools.mission import load, loads
+from edoras_tools.model import NO_ROUTE, Finding, Link
+from edoras_tools.render.severity import EXPLANATIONS, Level
+from edoras_tools.ros import TypeStore
+from edoras_tools.ros.cdr.plan import PrimitiveRun, Repeat, Text
+from edoras_tools.ros.types.schema import PLACEHOLDER, full_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.ros.cdr.plan import CdrPlan
+
+DEMOS: Final = (
+    ("rover_ground",),
+    ("single_arm_ground",),
+    ("two_rovers_ground", "two_rovers_flight"),
+    ("two_arms_ground", "two_arms_flight"),
+)
+
+
+def dissector(settings: Settings) -> tuple[str, list[str]]:
+    """Return the Lua dissector for the missions, or for the demos if there is none; and warnings.
+
+    Raises:
+        ConfigError: a mission file, a type folder or an option has errors. An unknown type is only a warning:
+            the rest of its packets is still dissected.
+    """
+    types = TypeStore(settings.distro, settings.msg_paths)
+    if settings.configs:
+        missions = [load(settings.configs)]
+        note = f"Routes of {', '.join(missions[0].files)}; ROS 2 {settings.distro}."
+    else:
+        missions = [_demo(names) for names in DEMOS]
+        note = f"Routes of the demos of the EDORAS paper; ROS 2 {settings.distro}."
+    warnings = [text for mission in missions for text in mission.warnings]
+    for name in dict.fromkeys(route.type for mission in missions for route in mission.routes):
+        why = types.check(name)
+        if why is not None:
+            warnings.append(f"{name} is left as bytes: {why}")
+    contexts = [Context(mission, types, settings.options) for mission in missions]
+    return generate(replace(_knowledge(contexts, types), note=note)), warnings
+
+
+def _demo(names: Sequence[str]) -> Mission:
+    folder = files("edoras_tools.samples") / "missions"
+    return loads({f"{name}.yaml": (folder / f"{name}.yaml").read_bytes() for name in names})
+
+
+def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
+    """Collect what several missions know; routes are numbered in their order."""
+    routes: list[RouteText] = []
+    exact: dict[str, dict[int, list[int]]] = {link.label: {} for link in contexts[0].links}
+    any_link: dict[int, list[int]] = {}
+    for context in contexts:
+        first = len(routes)
+        routes += [
+            RouteText(route.topic, full_name(route.type), context.envelopes[index])
+            for index, route in enumerate(context.mission.routes)
+        ]
+        for link in contexts[0].links:
+            _claim(exact[link.label], context.routes_on(link), first)
+        _claim(any_link, context.any_route_of, first)
+    headers = contexts[0].headers
+    return Knowledge(
+        findings=[_finding(item) for item in Finding],
+        links=contexts[0].links,
+        ports={
+            link.label: sorted({int(port) for context in contexts for port in _ports(context, link)})
+            for link in contexts[0].links
+        },
+        bridge_ports=sorted({int(port) for item in contexts for port in np.flatnonzero(item.bridge_ports)}),
+        cfs_addresses=sorted(
+            {str(ipaddress.IPv4Address(address)) for item in contexts for address in item.cfs_addresses}
+        ),
+        identities=sorted({identity for item in contexts for identity in item.identities}),
+        routes=routes,
+        exact={link: claims for link, claims in exact.items() if claims},
+        any_link=any_link,
+        types={
+            name: _type(types, name)
+            for name in dict.fromkeys(route.type for route in routes)
+            if types.has(name)
+        },
+        extended_header=headers.extended,
+        telemetry_header=headers.telemetry_bytes,
+    )
+
+
+def _claim(claims: dict[int, list[int]], route_of: Iterable[int], first: int) -> None:
+    table = np.asarray(route_of)
+    for msg_id in np.flatnonzero(table != NO_ROUTE).tolist():
+        claims.setdefault(msg_id, []).append(first + int(table[msg_id]))
+
+
+def _ports(context: Context, link: Link) -> Iterable[int]:
+    return np.flatnonzero(context.ports[link])
+
+
+def _finding(item: Finding) -> FindingText:
+    told = EXPLANATIONS[item]
+    return FindingText(
+        bit=int(item),
+        label=item.label,
+        severity=told.severity.label,
+        short=told.short if told.severity > Level.NOTE else "",
+        meaning=told.meaning,
+        unknowable=item in UNKNOWABLE,
+    )
+
+
+def _type(types: TypeStore, name: str) -> Mapping[str, Any]:
+    _, plan = types.plan(name)
+    return {"fixed": plan.fixed_size, "trailing": plan.most_trailing, "steps": _steps(plan)}
+
+
+def _steps(plan: CdrPlan) -> list[dict[str, Any]]:
+    return [_step(step) for step in plan.steps]
+
+
+def _step(step: PrimitiveRun | Text | Repeat) -> dict[str, Any]:
+    if isinstance(step, PrimitiveRun):
+        return {
+            "alignment": step.alignment,
+            "size": step.size,
+            "leaves": [
+                {
+                    "name": leaf.name,
+                    "code": leaf.code,
+                    "size": leaf.size,
+                    "count": leaf.count,
+                    "offset": leaf.offset,
+                    "hidden": leaf.name.endswith(PLACEHOLDER) or None,
+                }
+                for leaf in step.leaves
+            ],
+        }
+    if isinstance(step, Text):
+        return {"name": step.name, "bound": step.bound, "width": step.width}
+    uniform, first = step.plan.uniform, step.plan.steps[0]
+    named = first.leaves[0].name if isinstance(first, PrimitiveRun) else first.name
+    return {
+        "name": step.name,
+        "count": step.count,
+        "bound": step.bound,
+        "least": step.plan.least,
+        "element": step.plan.element is not None or None,
+        "uniform": {"alignment": uniform.alignment, "size": uniform.size} if uniform else None,
+        "unnamed": not named or None,
+        "steps": _steps(step.plan),
+    }

@@ -1,0 +1,170 @@
+"""The installed Wireshark and tshark: path, version, whether they have Lua, and their folders."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.dissectors.lua import GUARD, own_digest
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.formats.pcapng.writer import PcapngSink
+from edoras_tools.io.outputs import write_bytes
+from edoras_tools.pipelines.interrupt import on_interrupt
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+SCRIPT: Final = "edoras.lua"
+LAUNCHER: Final = "edoras-extcap"
+OLDEST: Final = (3, 6)
+"""The oldest Wireshark with all Lua functions that the dissector uses."""
+_READS: Final = frozenset({"pcap", "pcapng"})
+_COMPRESSED: Final = ".zst"
+"""A suffix that not every Wireshark reads."""
+
+
+def find_program(*names: str) -> str:
+    """Return the path of the first of some programs that is installed; it must have Lua.
+
+    Raises:
+        CaptureError: none is installed, or it is too old or without Lua.
+    """
+    found = next((path for path in map(shutil.which, names) if path), None)
+    if found is None:
+        raise CaptureError(
+            f"{' or '.join(names)} is not installed; on Debian and Ubuntu: apt install {names[0]}"
+        )
+    told = _ask(found, "--version")
+    version = re.search(r"(\d+)\.(\d+)\.\d+", told)
+    if version is None:
+        raise CaptureError(f"{found}: does not print its version; is it from Wireshark?")
+    if (int(version[1]), int(version[2])) < OLDEST:
+        raise CaptureError(
+            f"{found}: version {version[0]} is too old; {OLDEST[0]}.{OLDEST[1]} or newer is needed"
+        )
+    if not re.search(r"with\s+Lua", told):
+        raise CaptureError(
+            f"{found}: version {version[0]} was built without Lua; install a build that has it"
+        )
+    return found
+
+
+def folders() -> dict[str, Path]:
+    """Return Wireshark's folders by its names for them, e.g. ``Personal Lua Plugins``.
+
+    Raises:
+        CaptureError: Wireshark is not installed, too old, or without Lua.
+    """
+    lines = _ask(find_program("tshark", "wireshark"), "-G", "folders").splitlines()
+    pairs = (line.partition(":") for line in lines)
+    return {name.strip(): Path(path.strip()) for name, colon, path in pairs if colon and path.strip()}
+
+
+def install(text: str, folder: Path | None = None) -> Path:
+    """Write the dissector to the folder from which Wireshark and tshark load it; return its path.
+
+    Args:
+        text: the Lua code.
+        folder: instead of the personal plugin folder.
+
+    Raises:
+        CaptureError: Wireshark is not installed, or the file cannot be written.
+    """
+    if folder is None:
+        known = folders()
+        folder = known.get("Personal Lua Plugins") or known.get("Personal Plugins")
+    if folder is None:
+        raise CaptureError("this Wireshark has no folder for plugins; name one with --to")
+    return _write(folder / SCRIPT, text)
+
+
+def install_extcap(folder: Path | None = None) -> Path:
+    """Write the launcher of the capture interfaces to Wireshark's extcap folder; return its path.
+
+    Args:
+        folder: instead of Wireshark's own.
+
+    Raises:
+        CaptureError: Wireshark is not installed, or the file cannot be written.
+    """
+    if folder is None:
+        known = folders()
+        folder = known.get("Personal Extcap path") or known.get("Extcap path")
+    if folder is None:
+        raise CaptureError("this Wireshark has no folder for extcap programs; name one with --to")
+    text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m edoras_tools.cli.extcap "$@"\n'
+    try:
+        path = _write(folder / LAUNCHER, text)
+        path.chmod(0o755)
+    except CaptureError as error:
+        raise CaptureError(f"{error}; be root, or use --to DIR and WIRESHARK_EXTCAP_DIR=DIR") from error
+    return path
+
+
+def run_program(text: str, file: Path | None, arguments: Sequence[str], *, graphical: bool = False) -> int:
+    """Run tshark or Wireshark with this dissector, even if another one is installed; return its exit code.
+
+    Args:
+        text: the Lua code.
+        file: a capture or recording to read; None: the arguments name the input.
+        arguments: for the program.
+        graphical: run Wireshark, not tshark.
+
+    Raises:
+        CaptureError: the program is not installed, or the file cannot be read.
+    """
+    path = find_program("wireshark" if graphical else "tshark")
+    with tempfile.TemporaryDirectory(prefix="edoras-") as name:
+        folder = Path(name)
+        script = _write(folder / SCRIPT, text)
+        command = [path, "-X", f"lua_script:{script}"]
+        with _readable(file, folder) as capture:
+            command += ["-r", str(capture)] if capture else []
+            environment = os.environ | {GUARD: own_digest(text)}
+            # Ctrl-C also reaches the program, which handles it itself.
+            with on_interrupt(lambda: None):
+                return subprocess.run([*command, *arguments], env=environment, check=False).returncode  # noqa: S603
+
+
+@contextmanager
+def _readable(file: Path | None, folder: Path) -> Iterator[Path | None]:
+    """Yield a file that Wireshark can read: a recording is first written as pcapng."""
+    if file is None or str(file) == "-":
+        yield file
+        return
+
+    with closing(open_file(file)) as source:
+        if source.info.kind in _READS and file.suffix != _COMPRESSED:
+            yield file
+            return
+        target = folder / f"{file.stem}.pcapng"
+        with closing(PcapngSink(target)) as sink:
+            for batch in source.batches():
+                sink.write(batch)
+    yield target
+
+
+def _ask(path: str, *arguments: str) -> str:
+    try:
+        return subprocess.run(  # noqa: S603  a program of the user's own path
+            [path, *arguments], capture_output=True, check=False, text=True, errors="replace", timeout=60
+        ).stdout
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise CaptureError(f"{path}: cannot be run: {error}") from error
+
+
+def _write(path: Path, text: str) -> Path:
+    try:
+        write_bytes(path, text.encode(), folders=True)
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
+    return path

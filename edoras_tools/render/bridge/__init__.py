@@ -1,0 +1,1 @@
+"""Views of bridges and of a Foxglove server."""

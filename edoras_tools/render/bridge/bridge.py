@@ -1,0 +1,185 @@
+"""Bridges as a table: routes, messages in and out, held back and refused."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from rich.console import Group
+from rich.text import Text
+
+from edoras_tools.render import units
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.live_table import LiveTable, Moment, title_line
+from edoras_tools.render.terminal.run import size_of
+from edoras_tools.render.terminal.table import Column, build, figure, one_line, plain
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from rich.console import Console, RenderableType
+
+    from edoras_tools.render.terminal.live_table import LiveRun
+
+_NOTES: Final = 4
+
+
+def live_table(console: Console, output: Path | None = None) -> LiveTable[LiveRun]:
+    """Return the table of bridges while they run.
+
+    Args:
+        console: where to draw.
+        output: the recording that grows.
+    """
+
+    def show(_: LiveRun, moment: Moment) -> Group:
+        last = [plain(line, palette.DIM) for line in moment.summary["notes"][-_NOTES:]]
+        return Group(*_view(moment), *last, Text("Ctrl-C ends", palette.DIM))
+
+    return LiveTable(show, _counts, console, output)
+
+
+def _counts(summary: Mapping[str, Any]) -> dict[object, int]:
+    return {
+        (item["name"], route["topic"]): route["out"]
+        for item in summary["bridges"]
+        for route in item["routes"]
+    }
+
+
+def outcome(summary: Mapping[str, Any], width: int, output: Path | None = None) -> Group:
+    """Return the result of bridges.
+
+    Args:
+        summary: in the shape of ``bridge --json``.
+        width: of the terminal.
+        output: the recording.
+    """
+    moment = Moment(summary, written=size_of(output) if output else None, width=width)
+    return Group(*_view(moment), *(plain(line) for line in losses(summary)))
+
+
+def plan(bridges: Sequence[Mapping[str, Any]], ros: str, output: Path | None, width: int) -> Group:
+    """Return what bridges would do; ``bridges`` as ``bridge --dry-run --json`` has them."""
+    lines: list[RenderableType] = [
+        Text.assemble("would bridge to ROS 2 through ", (ros, palette.STRONG), "; nothing was opened")
+    ]
+    for item in bridges:
+        lines.append(plain(_title(item)))
+        lines.append(build(_PLANNED, item["routes"], width))
+    if output:
+        lines.append(plain(f"record {output}"))
+    return Group(*lines)
+
+
+def losses(summary: Mapping[str, Any]) -> list[str]:
+    """Return what was lost, refused or could not be sent, a line each."""
+    found = []
+    for item in summary["bridges"]:
+        name = item["name"]
+        for route in item["routes"]:
+            for reason, count in route["refused"].items():
+                what = plural(count, "message")
+                found.append(f"{name}: {route['topic']}: {what} refused: {reason}")
+        for reason, count in item["refused"].items():
+            found.append(f"{name}: {plural(count, 'datagram')} refused: {reason}")
+        if item["unreadable"]:
+            found.append(f"{name}: {plural(item['unreadable'], 'datagram')} too short for a packet")
+        ways = item["to_cfs"], item["from_cfs"]
+        if ways[0]["failed"]:
+            count = plural(ways[0]["failed"], "datagram")
+            found.append(f"{name}: {count} not sent: {ways[0]['reason']}")
+        if ways[0]["overflowed"]:
+            count = plural(ways[0]["overflowed"], "datagram")
+            found.append(f"{name}: {count} lost: the socket took no more")
+        if ways[1]["kernel_drops"]:
+            count = plural(ways[1]["kernel_drops"], "datagram")
+            found.append(f"{name}: {count} lost before the bridge read them: the receive buffer was full")
+    if summary["inbox_overflowed"]:
+        count = plural(summary["inbox_overflowed"], "message")
+        found.append(f"{count} lost: ROS 2 was faster than the bridge")
+    if summary["unrecorded"]:
+        found.append(f"{plural(summary['unrecorded'], 'datagram')} bridged, but not recorded")
+    return found
+
+
+def _title(item: Mapping[str, Any]) -> str:
+    return f"{item['name']}  {item['kind']} {item['listen']} ↔ {item['target']}"
+
+
+def _view(moment: Moment) -> list[RenderableType]:
+    summary, rates = moment.summary, moment.rates
+    title = f"{plural(len(summary['bridges']), 'bridge')}, ROS 2 through {summary['ros']}"
+    parts: list[RenderableType] = [title_line(title, moment)]
+    columns = [item for item in _ROUTES if rates is not None or item.title != "Rate"]
+    for item in summary["bridges"]:
+        line = plain(_title(item), palette.STRONG)
+        line.append(*_state(item, live=rates is not None))
+        rows = [
+            dict(
+                route,
+                rate=None if rates is None else rates.get((item["name"], route["topic"])),
+                latency_us=item[route["direction"]]["latency_us"],
+            )
+            for route in item["routes"]
+        ]
+        parts += [Text(), one_line(line), build(columns, rows, moment.width)]
+    parts.append(Text())
+    return parts
+
+
+def _state(item: Mapping[str, Any], *, live: bool) -> tuple[str, str]:
+    if item["kind"] == "ground":
+        if item["connected"]:
+            return "   telemetry arrives" if live else "", palette.DIM
+        return "   no telemetry", Level.WARNING.style
+    lost = sum(item["losses"].values())
+    times = f", connection lost {plural(lost, 'time')}" if lost else ""
+    if item["connected"]:
+        return f"   peer {item['peer']} connected{times}", Level.WARNING.style if lost else palette.DIM
+    return f"   peer {item['peer']} not connected{times}", Level.WARNING.style
+
+
+def _refused(row: Mapping[str, Any]) -> Text:
+    value = sum(row["refused"].values())
+    return Text(units.count(value), Level.ERROR.style if value else palette.DIM)
+
+
+def _latency(name: str) -> Any:
+    def cell(row: Mapping[str, Any]) -> Text:
+        return Text(units.microseconds(row["latency_us"][name] if row["out"] else None))
+
+    return cell
+
+
+def _limit(row: Mapping[str, Any]) -> Text:
+    return Text(units.rate(row["max_rate"]), "" if row["max_rate"] else palette.DIM)
+
+
+def _arrow(row: Mapping[str, Any]) -> Text:
+    return Text("to cFS" if row["direction"] == "to_cfs" else "from cFS", palette.DIM)
+
+
+_FIRST: Final = (
+    Column("", _arrow, justify="left"),
+    Column("MsgId", lambda row: plain(row["msg_id"]), rank=1),
+    Column("Topic", lambda row: plain(row["topic"]), justify="left", elastic=True),
+)
+_ROUTES: Final = (
+    *_FIRST,
+    Column("In", figure("in")),
+    Column("Out", figure("out")),
+    Column("Rate", lambda row: Text(units.rate(row["rate"]))),
+    Column("Limit", _limit, rank=2),
+    Column("Held", figure("held")),
+    Column("Refused", _refused),
+    Column("p50", _latency("p50"), rank=1),
+    Column("p99", _latency("p99"), rank=1),
+)
+_PLANNED: Final = (
+    *_FIRST,
+    Column("Type", lambda row: plain(row["type"]), justify="left"),
+    Column("Limit", _limit),
+)

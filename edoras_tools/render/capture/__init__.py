@@ -1,0 +1,1 @@
+"""Views of captures: packets, routes, totals."""

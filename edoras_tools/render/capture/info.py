@@ -1,0 +1,178 @@
+"""The contents of a capture or a recording: totals, a table of routes, a table of findings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from rich.table import Table
+from rich.text import Text
+
+from edoras_tools.links import table
+from edoras_tools.render import units
+from edoras_tools.render.severity import Level, explain
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.table import Column, build, plain
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+
+    from edoras_tools.model import Link
+
+
+def capture_summary(summary: Mapping[str, Any], *, explain: bool = True) -> RenderableType:
+    """Return the view of the object that ``info --json`` prints.
+
+    Args:
+        summary: the object. Beyond its fixed keys it may hold ``source`` (a name), ``kind``, ``bytes``,
+            ``skipped``, ``warnings`` (lines), and per route ``name`` (of a packet that is no topic),
+            ``processor_id``, ``bytes_min`` and ``findings`` (label to count). Routes keep their order.
+        explain: say what every finding means.
+    """
+    return _CaptureSummary(summary, explain)
+
+
+@dataclass(frozen=True, slots=True)
+class _CaptureSummary:
+    summary: Mapping[str, Any]
+    explain: bool
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the totals and the tables, with the columns that the width has room for."""
+        yield totals(self.summary)
+        if self.summary.get("routes"):
+            yield Text()
+            yield routes(self.summary["routes"], options.max_width)
+        if self.summary.get("findings"):
+            yield Text()
+            yield findings(self.summary["findings"], self.summary.get("datagrams", 0), meaning=self.explain)
+        for line in self.summary.get("warnings", ()):
+            yield plain(f"! {line}", Level.WARNING.style)
+
+
+def totals(summary: Mapping[str, Any]) -> Table:
+    """Return the figures of the whole: source, datagrams, span, drops."""
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(style=palette.DIM, no_wrap=True)
+    grid.add_column(overflow="fold")
+    if summary.get("source"):
+        kind = plain(summary.get("kind") or "", palette.DIM)
+        grid.add_row("source", Text.assemble(plain(summary["source"], palette.STRONG), "  ", kind))
+    count = summary.get("datagrams", 0)
+    line = Text(plural(count, "datagram"))
+    if summary.get("bytes"):
+        line.append(f", {units.size(summary['bytes'])}")
+    if summary.get("skipped"):
+        line.append(f", {plural(summary['skipped'], 'other frame')} skipped", palette.DIM)
+    grid.add_row("packets", line)
+    start, end = summary.get("start_ns"), summary.get("end_ns")
+    if count and start is not None and end is not None:
+        grid.add_row("from", Text(f"{units.utc(start)} UTC"))
+        span = Text(f"   {units.duration((end - start) / 1e9)}", palette.STRONG)
+        grid.add_row("to", Text(f"{units.utc(end)} UTC").append_text(span))
+    drops = summary.get("capture_drops", 0)
+    if drops:
+        lost = f"{plural(drops, 'frame')} lost by the capture itself; gaps below may be among them"
+        grid.add_row("drops", Text(lost, Level.ERROR.style))
+    else:
+        grid.add_row("drops", "none by the capture")
+    return grid
+
+
+def route_text(route: Mapping[str, Any]) -> Text:
+    """Return a route's topic, or the name of its packets in another style."""
+    if route.get("topic"):
+        return plain(route["topic"], palette.STRONG)
+    return plain(route.get("name") or units.NONE)
+
+
+def _link(route: Mapping[str, Any]) -> Link | None:
+    return table.named(route["link"]) if route.get("link") else None
+
+
+def link_text(route: Mapping[str, Any]) -> Text:
+    """Return a route's link in its colour."""
+    link = _link(route)
+    return plain(link.name, link.colour) if link else plain("")
+
+
+def msg_id_text(route: Mapping[str, Any]) -> Text:
+    """Return a route's MsgId in its link's colour."""
+    link = _link(route)
+    return plain(route.get("msg_id") or units.NONE, link.colour if link else "")
+
+
+def departures(found: Mapping[str, int], *, least: Level = Level.WARNING) -> Text:
+    """Return how many errors and warnings there are, as ``✗ 3 ! 12``."""
+    totals: dict[Level, int] = {}
+    for label, count in found.items():
+        severity = explain(label).severity
+        totals[severity] = totals.get(severity, 0) + count
+    out = Text()
+    for severity in sorted(totals, reverse=True):
+        if severity >= least:
+            out.append(" " if out else "").append(f"{severity.mark} {totals[severity]:,}", severity.style)
+    return out
+
+
+def _lost(value: int | None) -> Text:
+    return Text(units.count(value), Level.WARNING.style if value else palette.DIM)
+
+
+def _sizes(route: Mapping[str, Any]) -> Text:
+    least, most = route.get("bytes_min"), route.get("bytes_max")
+    return Text(units.count(most) if least in {None, most} else f"{units.count(least)}-{units.count(most)}")
+
+
+def _several(route: Mapping[str, Any], key: str) -> float | None:
+    """Return a figure that exists only for several packets."""
+    value: float | None = route.get(key)
+    return value if route.get("count", 0) > 1 and value else None
+
+
+_COLUMNS: Final = (
+    Column("Link", link_text, justify="left"),
+    Column("MsgId", msg_id_text, justify="left"),
+    Column("Topic", route_text, justify="left", elastic=True),
+    Column("Type", lambda row: plain(row.get("type") or ""), rank=6, justify="left"),
+    Column("CPU", lambda row: plain(row.get("processor_id") or ""), rank=3),
+    Column("Count", lambda row: Text(units.count(row.get("count")), palette.STRONG)),
+    Column("Rate", lambda row: Text(units.rate(_several(row, "rate_hz")))),
+    Column("Jitter", lambda row: Text(units.milliseconds(_several(row, "jitter_ms"))), rank=2),
+    Column("Gaps", lambda row: _lost(row.get("gaps")), rank=1),
+    Column("Dup", lambda row: _lost(row.get("duplicates")), rank=5),
+    Column("Bytes", _sizes, rank=4),
+    Column("Findings", lambda row: departures(row.get("findings") or {}), rank=1, justify="left"),
+)
+
+
+def routes(rows: Sequence[Mapping[str, Any]], width: int) -> Table:
+    """Return the table of routes, with the columns that ``width`` has room for."""
+    return build(_COLUMNS, rows, width, apart=lambda row: "topic" if row.get("topic") else row.get("link"))
+
+
+def findings(counts: Mapping[str, int], datagrams: int, *, meaning: bool = True) -> Table:
+    """Return the table of findings, the gravest and then the most frequent first.
+
+    Args:
+        counts: label to count.
+        datagrams: of how many.
+        meaning: say what every finding means.
+    """
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
+    table.add_column("Finding", no_wrap=True)
+    table.add_column("Packets", justify="right", no_wrap=True)
+    table.add_column("", justify="right", no_wrap=True, style=palette.DIM)
+    if meaning:
+        table.add_column("Meaning", overflow="fold")
+    told = [(label, count, explain(label)) for label, count in counts.items()]
+    for label, count, it in sorted(told, key=lambda item: (-item[2].severity, -item[1])):
+        name = plain(f"{it.severity.mark} {label}", it.severity.style)
+        share = (
+            "" if not datagrams else "<1%" if 200 * count < datagrams else f"{100 * count / datagrams:.0f}%"
+        )
+        table.add_row(name, units.count(count), share, *([Text(it.meaning)] if meaning else []))
+    return table

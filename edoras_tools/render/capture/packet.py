@@ -1,0 +1,64 @@
+"""One packet in full: tree and bytes, side by side where the terminal is wide enough."""
+
+from __future__ import annotations
+
+from itertools import zip_longest
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.render.capture import hexdump, tree
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.text import plain_cells
+
+if TYPE_CHECKING:
+    from edoras_tools.model import Decoded
+
+SIDE_BY_SIDE: Final = 140
+"""Width from which the tree and the bytes are shown side by side."""
+_GAP: Final = 3
+
+
+def packet_lines(
+    decoded: Decoded, width: int, *, colour: bool, chosen: str = "", base: hexdump.Base = "payload"
+) -> list[str]:
+    """Return a packet's tree, its bytes and which of them are which layer.
+
+    Args:
+        decoded: the packet.
+        width: cells that no line exceeds, at least 44.
+        colour: whether to use ANSI styles.
+        chosen: a layer or ``LAYER.FIELD`` to highlight in the bytes; empty for none.
+        base: dump the UDP payload, or the whole frame.
+
+    Raises:
+        ConfigError: the packet holds no such layer or field.
+    """
+    paint = palette.Paint(colour)
+    if width < SIDE_BY_SIDE:
+        return [*tree.tree_lines(decoded, width, paint), "", *_bytes(decoded, width, paint, chosen, base)]
+    room = width - hexdump.DUMP_WIDTH - _GAP
+    left = tree.tree_lines(decoded, room, paint)
+    right = _bytes(decoded, hexdump.DUMP_WIDTH, paint, chosen, base)
+    return [
+        f"{a}{' ' * (room + _GAP - plain_cells(a))}{b}" if b else a
+        for a, b in zip_longest(left, right, fillvalue="")
+    ]
+
+
+def _bytes(decoded: Decoded, width: int, paint: palette.Paint, chosen: str, base: hexdump.Base) -> list[str]:
+    datagram = decoded.datagram
+    data = datagram.payload if base == "payload" else datagram.frame
+    shown = hexdump.regions(decoded, base)
+    span = None
+    if chosen:
+        shift = 0 if base == "payload" else datagram.payload_offset
+        start, end = hexdump.choose(decoded, chosen)
+        # A payload reassembled from fragments is not in a single frame.
+        span = (start + shift, end + shift) if shift >= 0 else None
+    title = "UDP payload" if base == "payload" else "Frame"
+    pointed = f", {chosen} at {span[0]}-{span[1] - 1}" if span and span[1] > span[0] else ""
+    head = paint(f"{title}, {len(data):,} bytes{pointed}", palette.STRONG)
+    return [
+        head,
+        *hexdump.dump_lines(data, shown, width, paint, chosen=span),
+        *hexdump.legend(shown, width, paint),
+    ]

@@ -1,0 +1,253 @@
+"""One line per packet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.render import units
+from edoras_tools.render.capture.facts import facts
+from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.text import clean, clip, clip_left, clip_middle, fit, fit_right
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from edoras_tools.model import Decoded, Endpoint
+
+
+class TimeFormat(StrEnum):
+    """Formats of the time column."""
+
+    RELATIVE = "relative"
+    """Seconds since the first packet."""
+    DELTA = "delta"
+    """Seconds since the previous packet."""
+    UTC = "utc"
+    """Date, where there is room, and time of day."""
+    EPOCH = "epoch"
+    """Seconds since 1970-01-01 UTC, as in flight logs."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Widths:
+    """Cells of every column at one terminal width; 0 leaves the column out, and ``info`` has what is left."""
+
+    number: int
+    time: int
+    endpoints: int
+    kind: int
+    msg_id: int
+    name: int
+    length: int
+    info: int
+    gap: str
+
+
+_TIME_CELLS: Final = {
+    TimeFormat.RELATIVE: (9, 11, 11),
+    TimeFormat.DELTA: (9, 11, 11),
+    TimeFormat.UTC: (12, 15, 26),
+    TimeFormat.EPOCH: (17, 17, 17),
+}
+_PORTS, _COMPACT, _FULL = 11, 27, 45
+_KIND_CELLS: Final = 9
+_SHORT_KINDS: Final = {"NO_MSG": "NONE", "HEARTBEAT": "BEAT", "ANNOUNCE": "ANNC", "DISCONNECT": "DISC"}
+"""SBN message types in a column of ``_KIND_CELLS``, the link's name in front."""
+
+
+@lru_cache(maxsize=64)
+def _widths(width: int, time_format: TimeFormat) -> _Widths:
+    narrow, medium, wide = _TIME_CELLS[time_format]
+    columns = (7, wide, _FULL, 14, 6, 28, 5)
+    if width < 64:
+        columns = (5, narrow if width >= 48 else 0, 0, 7, 0, 0, 0)
+    elif width < 100:
+        columns = (5, narrow, 0, _KIND_CELLS, 6, width // 6 - 1, 4)
+    elif width < 150:
+        columns = (6, medium, _PORTS, _KIND_CELLS, 6, width // 6, 5)
+    elif width < 190:
+        columns = (7, medium, _COMPACT, _KIND_CELLS, 6, 24, 5)
+    gap = " " if width < 120 else "  "
+    taken = sum(cells + len(gap) for cells in columns if cells)
+    return _Widths(*columns, info=max(0, width - taken), gap=gap)
+
+
+class PacketList:
+    """Turns packets into lines that never exceed the terminal.
+
+    Args:
+        width: columns of the terminal, at least 20.
+        colour: whether to use ANSI styles.
+        time_format: format of the time column.
+        names: MsgId to a name, where neither a message nor the layers have one.
+        verbose: show notes too, not only warnings and errors.
+        begin_ns: what relative times count from; None: the first packet shown.
+    """
+
+    def __init__(
+        self,
+        width: int,
+        *,
+        colour: bool,
+        time_format: TimeFormat = TimeFormat.RELATIVE,
+        names: Mapping[int, str] | None = None,
+        verbose: bool = False,
+        begin_ns: int | None = None,
+    ) -> None:
+        self._names = names
+        self._paint = palette.Paint(colour)
+        self._time_format = time_format
+        self._at_least = Level.NOTE if verbose else Level.WARNING
+        self._first_ns = begin_ns
+        self._previous_ns: int | None = None
+        self.resize(width)
+
+    def count_from(self, begin_ns: int) -> None:
+        """Count relative times from here on, ns since 1970, unless they do from elsewhere; 0: not known."""
+        self._first_ns = self._first_ns or begin_ns or None
+
+    def resize(self, width: int) -> None:
+        """Lay the columns out for another width; the lines that follow have it."""
+        self._width = max(20, width)
+        self._widths = _widths(self._width, self._time_format)
+        self._endpoints: dict[tuple[Endpoint, Endpoint], str] = {}
+        self._badges: dict[Finding, tuple[str, int]] = {}
+
+    def header(self) -> str:
+        """Return the line of column names."""
+        size = self._widths
+        parts = [fit_right("No.", size.number)]
+        if size.time:
+            parts.append(fit_right("UTC" if self._time_format is TimeFormat.UTC else "Time", size.time))
+        if size.endpoints == _FULL:
+            parts.append(fit(f"{'Source':>21} → Destination", size.endpoints))
+        elif size.endpoints:
+            parts.append(fit("Ports" if size.endpoints == _PORTS else "Source → Destination", size.endpoints))
+        parts.append(fit("Packet", size.kind))
+        if size.msg_id:
+            parts += [
+                fit("MsgId", size.msg_id),
+                fit("Topic", size.name),
+                fit_right("Bytes" if size.length > 4 else "Len", size.length),
+            ]
+        parts.append("Message")
+        line = clip(size.gap.join(parts), self._width)
+        return self._paint(line, palette.STRONG)
+
+    def line(self, decoded: Decoded, previous_ns: int | None = None) -> str:
+        """Return a packet's line, without a line end.
+
+        Args:
+            decoded: the packet.
+            previous_ns: time of the packet above; None: that of the last one asked for.
+        """
+        if previous_ns is not None:
+            self._previous_ns = previous_ns
+        size, paint, datagram = self._widths, self._paint, decoded.datagram
+        kind, msg_id, name = facts(decoded, self._names)
+        style = decoded.link.colour
+
+        number = f"{datagram.number:>{size.number}}"
+        before = number
+        if size.time:
+            before += size.gap + fit_right(self._time(datagram.time_ns), size.time)
+        if size.endpoints:
+            before += size.gap + self._route(datagram.source, datagram.destination)
+        if size.kind <= _KIND_CELLS:
+            kind = _SHORT_KINDS.get(kind, kind)
+        middle = fit(f"{decoded.link.name} {kind}", size.kind)
+        if size.msg_id:
+            label = f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else ""
+            middle += f"{size.gap}{label:6}{size.gap}{fit(clip_middle(clean(name), size.name), size.name)}"
+        after = size.gap + f"{len(datagram.payload):>{size.length}}" if size.length else ""
+
+        # A number or a length beyond its column is shown whole, and the message gives the room.
+        room = size.info - (len(number) - size.number) - max(0, len(after) - len(size.gap) - size.length)
+        badge, taken = self._badge(decoded.findings, room)
+        told = decoded.summary or (str(decoded.stop) if decoded.stop else "")
+        # For a packet of which only the name is known, the column of names shows everything.
+        summary = clean(told) if told != name else ""
+        summary = clip(summary, room - taken)
+        if not self._paint.colour:
+            return f"{before}{size.gap}{middle}{after}{size.gap}{badge}{summary}".rstrip()
+        return (
+            f"{paint(before, palette.DIM)}{size.gap}{paint(middle, style)}{paint(after, palette.DIM)}"
+            f"{size.gap}{badge}{summary}"
+        ).rstrip()
+
+    def _time(self, time_ns: int) -> str:
+        if self._first_ns is None:
+            self._first_ns = time_ns
+        previous, self._previous_ns = self._previous_ns, time_ns
+        width = self._widths.time
+        match self._time_format:
+            case TimeFormat.RELATIVE:
+                return f"{(time_ns - self._first_ns) / 1e9:.6f}"[:width]
+            case TimeFormat.DELTA:
+                return f"{(time_ns - (time_ns if previous is None else previous)) / 1e9:.6f}"[:width]
+            case TimeFormat.EPOCH:
+                return f"{time_ns // 1_000_000_000}.{time_ns // 1000 % 1_000_000:06}"[:width]
+            case TimeFormat.UTC:
+                moment = units.utc(time_ns)
+                return moment[:width] if width == len(moment) else moment[11 : 11 + width]
+
+    def _route(self, source: Endpoint, destination: Endpoint) -> str:
+        known = self._endpoints.get((source, destination))
+        if known is None:
+            if len(self._endpoints) > 4096:
+                self._endpoints.clear()
+            known = self._endpoints[source, destination] = _endpoints(
+                source, destination, self._widths.endpoints
+            )
+        return known
+
+    def _badge(self, findings: Finding, room: int) -> tuple[str, int]:
+        """Return the painted findings that fit in at most half of the room, and the cells they take."""
+        if not findings:
+            return "", 0
+        key = findings if room == self._widths.info else None
+        if key in self._badges:
+            return self._badges[key]
+        made = self._make_badge(ranked(findings, at_least=self._at_least), room)
+        if key is not None:
+            self._badges[key] = made
+        return made
+
+    def _make_badge(self, shown: list[Finding], room: int) -> tuple[str, int]:
+        if not shown or room < 4:
+            return "", 0
+        painted, taken = "", 0
+        for index, item in enumerate(shown):
+            told = EXPLANATIONS[item]
+            label = clip(f"{told.severity.mark} {told.short}", room - 2)
+            if index and taken + 1 + len(label) > room // 2:
+                more = f" +{len(shown) - index}"
+                if taken + len(more) <= room - 2:
+                    painted, taken = painted + self._paint(more, palette.DIM), taken + len(more)
+                break
+            gap = " " if index else ""
+            painted, taken = (
+                painted + gap + self._paint(label, told.severity.style),
+                taken + len(gap) + len(label),
+            )
+        return painted + "  ", taken + 2
+
+
+def _endpoints(source: Endpoint, destination: Endpoint, width: int) -> str:
+    if width == _PORTS:
+        return fit(f"{source.port:>5}→{destination.port}", width)
+    if width == _FULL:
+        half = (width - 3) // 2
+        left, right = clip_left(clean(str(source)), half), clip_left(clean(str(destination)), half)
+        return f"{fit_right(left, half)} → {fit(right, half)}"
+    if source.address == destination.address:
+        ports = f" {source.port}→{destination.port}"
+        return fit(clip_left(clean(source.address), width - len(ports)) + ports, width)
+    half = (width - 1) // 2
+    left, right = clip_left(clean(str(source)), half), clip_left(clean(str(destination)), half)
+    return fit(f"{left}→{right}", width)

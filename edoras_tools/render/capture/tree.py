@@ -1,0 +1,222 @@
+"""The tree of one packet: layers, fields, the bytes each was read from, and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
+
+from edoras_tools.model import NO_MSG_ID
+from edoras_tools.render import units
+from edoras_tools.render.capture.facts import facts
+from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.text import ELLIPSIS, cells, clean, clip, fit, fit_right, wrap
+from edoras_tools.render.values import field_text
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.model import Decoded, Layer, LayerField
+
+RowRole = Literal["packet", "layer", "group", "field", "finding", "stop"]
+
+GUTTER: Final = 11
+"""Cells of the byte ranges at the left."""
+_MOST_LABEL: Final = 32
+_LEAST_VALUE: Final = 20
+_MOST_LINES: Final = 8
+"""Lines that one value may take."""
+_DOC_AT: Final = 64
+"""Column where the documentation of fields begins, on lines that are wide enough."""
+_LEAST_DOC: Final = 32
+
+
+@dataclass(frozen=True, slots=True)
+class TreeRow:
+    """One row of the tree.
+
+    Attributes:
+        role: what the row is.
+        depth: how far it is indented; 0 for layers.
+        label: name of the field or title of the layer.
+        value: the value as people read it; nothing for groups.
+        start: first byte, from the start of the UDP payload.
+        end: one past the last byte; ``start`` where the row stands for no bytes.
+        style: the rich style of the link, the layer or the severity.
+        doc: one line on what the field is.
+        align: cells that the labels beside this one take.
+    """
+
+    role: RowRole
+    depth: int
+    label: str
+    value: str = ""
+    start: int = 0
+    end: int = 0
+    style: str = ""
+    doc: str = ""
+    align: int = 0
+
+
+def rows(decoded: Decoded) -> Iterator[TreeRow]:
+    """Yield the rows of a packet from top to bottom, all expanded; their texts are clean."""
+    yield from _packet(decoded)
+    often = Counter(layer.name for layer in decoded.layers)
+    for layer in decoded.layers:
+        yield from _repeated(layer) if often[layer.name] > 1 else _layer(layer)
+    yield from _departures(decoded)
+
+
+def tree_lines(decoded: Decoded, width: int, paint: palette.Paint) -> list[str]:
+    """Return the tree of a packet.
+
+    Args:
+        decoded: the packet.
+        width: cells that no line exceeds, at least 40.
+        paint: with or without colour.
+    """
+    width = max(40, width)
+    return [line for row in rows(decoded) for line in row_lines(row, width, paint)]
+
+
+def _packet(decoded: Decoded) -> Iterator[TreeRow]:
+    datagram, style = decoded.datagram, decoded.link.colour
+    cut = datagram.original_length - len(datagram.frame)
+    frame = f"frame of {len(datagram.frame):,}" + (f" ({cut:,} more were cut off)" if cut > 0 else "")
+    length = f"{plural(len(datagram.payload), 'byte')} in a {frame}"
+    value = f"{units.utc(datagram.time_ns)} UTC  {length}"
+    yield TreeRow("packet", 0, f"Packet {datagram.number}", value, style=style)
+    fact = facts(decoded)
+    msg_id = f"0x{fact.msg_id:04x}" if fact.msg_id != NO_MSG_ID else ""
+    what = " ".join(word for word in (decoded.link.name, fact.kind, msg_id, fact.name) if word)
+    yield TreeRow("packet", 0, "", clean(f"{what}  {datagram.source} → {datagram.destination}"), style=style)
+
+
+def _departures(decoded: Decoded) -> Iterator[TreeRow]:
+    told = [(item.label, EXPLANATIONS[item]) for item in ranked(decoded.findings)]
+    align = max((cells(label) + 2 for label, _ in told), default=0)
+    for label, it in told:
+        yield TreeRow(
+            "finding", 0, f"{it.severity.mark} {label}", it.meaning, style=it.severity.style, align=align
+        )
+    if decoded.stop is not None:
+        align = max(align, cells("✗ stopped"))
+        yield TreeRow("stop", 0, "✗ stopped", clean(str(decoded.stop)), style=Level.ERROR.style, align=align)
+
+
+def _layer(layer: Layer) -> Iterator[TreeRow]:
+    style = palette.layer(layer.name)
+    yield TreeRow("layer", 0, clean(layer.title), "", layer.start, layer.end, style)
+    yield from _fields(layer.fields, style)
+
+
+def _repeated(layer: Layer) -> Iterator[TreeRow]:
+    """Yield one row for a layer of which a packet holds many, such as an SBN subscription."""
+    value = "  ".join(f"{item.name}: {field_text(item)}" for item in layer.fields)
+    yield TreeRow(
+        "layer", 0, clean(layer.title), clean(value), layer.start, layer.end, palette.layer(layer.name)
+    )
+
+
+def _fields(items: Sequence[LayerField], style: str, depth: int = 1, prefix: str = "") -> Iterator[TreeRow]:
+    """Yield fields, those of one dotted parent under a group of its name."""
+    blocks = list(_blocks(items, prefix))
+    align = min(max((cells(name) for name, _, leaf in blocks if leaf), default=0), _MOST_LABEL)
+    for name, members, leaf in blocks:
+        if leaf:
+            item = members[0]
+            value = clean(field_text(item))
+            yield TreeRow("field", depth, name, value, item.start, item.end, style, clean(item.doc), align)
+        else:
+            start, end = min(item.start for item in members), max(item.end for item in members)
+            yield TreeRow("group", depth, name, "", start, end, style)
+            yield from _fields(
+                members, style, depth + 1, f"{prefix}{members[0].name[len(prefix) :].partition('.')[0]}."
+            )
+
+
+def _blocks(items: Sequence[LayerField], prefix: str) -> Iterator[tuple[str, list[LayerField], bool]]:
+    """Yield (name, its fields, whether it is a field itself) of one level, in wire order."""
+    blocks: dict[tuple[str, int], list[LayerField]] = {}
+    for index, item in enumerate(items):
+        name, dot, _ = item.name[len(prefix) :].partition(".")
+        # Two fields of one name stay two rows.
+        blocks.setdefault((name, -1 if dot else index), []).append(item)
+    for (name, index), members in blocks.items():
+        yield clean(name), members, index >= 0
+
+
+def row_lines(row: TreeRow, width: int, paint: palette.Paint, *, closed: bool = False) -> list[str]:
+    """Return the lines of one row.
+
+    Args:
+        row: as :func:`rows` yields it.
+        width: cells that no line exceeds, at least 40.
+        paint: with or without colour.
+        closed: what is under it is not shown.
+    """
+    match row.role:
+        case "packet":
+            label = fit(row.label, max(GUTTER, cells(row.label) + 1))
+            return _hang(
+                paint(label, f"bold {row.style}" if row.label else ""),
+                cells(label),
+                row.value,
+                GUTTER,
+                width,
+            )
+        case "finding" | "stop":
+            label = fit(row.label, row.align + 2)
+            return _hang(paint(label, row.style), cells(label), row.value, cells(label), width)
+        case "field":
+            return _field(row, width, paint)
+    room = width - GUTTER
+    title = clip(f"{_indent(row, room)}{'▸' if closed or row.value else '▾'} {row.label}", room)
+    line = _gutter(row, paint) + paint(title, f"bold {row.style}" if row.role == "layer" else row.style)
+    value = clip(row.value, room - cells(title) - 2)
+    return [f"{line}  {value}" if value else line]
+
+
+def _field(row: TreeRow, width: int, paint: palette.Paint) -> list[str]:
+    room = width - GUTTER
+    indent = _indent(row, room)
+    # However deep a message nests and however long a name, some of the line is left for the value.
+    label = clip(
+        fit(f"{clip(row.label, row.align)}:", row.align + 1), max(4, room - len(indent) - 2 - _LEAST_VALUE)
+    )
+    used = GUTTER + len(indent) + cells(label) + 2
+    out = _hang(f"{_gutter(row, paint)}{indent}{paint(label, palette.DIM)}  ", used, row.value, used, width)
+    at = max(_DOC_AT, used + cells(row.value) + 3)
+    if row.doc and len(out) == 1 and width - at >= _LEAST_DOC:
+        out[0] += " " * (at - used - cells(row.value)) + paint(
+            clip(row.doc, width - at), f"{palette.DIM} italic"
+        )
+    return out
+
+
+def _gutter(row: TreeRow, paint: palette.Paint) -> str:
+    return paint(fit(fit_right(_range(row), GUTTER - 3), GUTTER), palette.DIM)
+
+
+def _indent(row: TreeRow, room: int) -> str:
+    return " " * min(2 * row.depth, room // 3)
+
+
+def _hang(first: str, used: int, value: str, indent: int, width: int) -> list[str]:
+    """Return ``value`` after ``first``, which takes ``used`` cells; further lines begin at ``indent``."""
+    head = wrap(value, width - used)
+    if len(head) == 1:
+        return [first + head[0] if head[0] else first.rstrip()]
+    rest = head[1:] if indent == used else wrap(value[len(head[0]) :].lstrip(" "), width - indent)
+    if len(rest) >= _MOST_LINES:
+        rest = [*rest[: _MOST_LINES - 2], clip(f"{rest[_MOST_LINES - 2]} {ELLIPSIS}", width - indent)]
+    return [first + head[0], *(" " * indent + line for line in rest)]
+
+
+def _range(row: TreeRow) -> str:
+    """Return ``24-75``, both ends inclusive as in the standards; nothing where there are no bytes."""
+    if row.end <= row.start:
+        return ""
+    return str(row.start) if row.end == row.start + 1 else f"{row.start}-{row.end - 1}"

@@ -1,0 +1,66 @@
+"""What is shown of a run on standard error, and the line printed at its end."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Any
+
+from edoras_tools.render import units
+from edoras_tools.render.terminal.run import size_of
+from edoras_tools.render.terminal.terminal import look
+from edoras_tools.render.terminal.text import clean
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from edoras_tools.render.terminal.run import CountedSource, ReadingRun, Watcher
+
+
+def watcher(
+    source: CountedSource, output: Path | None, *, quiet: bool, live: bool
+) -> AbstractContextManager[Watcher[ReadingRun] | None]:
+    """Return what shows a run on standard error: a live table, a progress bar, or nothing.
+
+    Args:
+        source: what is read.
+        output: what is written, if anything is.
+        quiet: show nothing; neither is anything shown where standard error is no terminal.
+        live: the source is live, so there is no end for a progress bar.
+    """
+    if quiet or not look(sys.stderr).interactive:
+        return nullcontext()
+    from edoras_tools.render.terminal.console import error_console
+
+    name = source.info.name
+    if not live:
+        from edoras_tools.render.terminal.progress import FileProgress
+
+        return FileProgress(name, console=error_console())
+    from edoras_tools.render.capture.live import live_table
+
+    title = f"{name} → {output}" if output else name
+    return live_table(title, error_console(), output)
+
+
+def recorded(summary: Mapping[str, Any], outputs: Sequence[Path]) -> str:
+    """Return the line that says what a recording holds.
+
+    Args:
+        summary: in the shape of ``info --json``.
+        outputs: the files or the directory written, at least one.
+    """
+    topics = [row for row in summary.get("routes", ()) if row.get("topic")]
+    messages = sum(row.get("count", 0) for row in topics)
+    words = [plural(summary.get("datagrams", 0), "datagram")]
+    if summary.get("datagrams"):
+        words[0] += f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}"
+    words.append(f"{plural(messages, 'message')} on {plural(len(topics), 'topic')}")
+    written = sum(map(size_of, outputs))
+    if written:
+        words.append(units.size(written))
+    name = str(outputs[0]) if len(outputs) == 1 else f"{outputs[0]} to {outputs[-1].name}"
+    return f"{clean(name)}: {', '.join(words)}"

@@ -1,0 +1,1 @@
+"""Views of a diagnosis: on the terminal and as a page."""

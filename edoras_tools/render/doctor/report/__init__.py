@@ -1,0 +1,5 @@
+"""A diagnosis as one self-contained HTML page: no network, no scripts needed to read it."""
+
+from edoras_tools.render.doctor.report.page import Made, page
+
+__all__ = ["Made", "page"]

@@ -1,0 +1,170 @@
+"""Charts as inline SVG: sized by their box, coloured by the page, readable without scripts."""
+
+from __future__ import annotations
+
+from html import escape
+from math import ceil, floor
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.render.chart import ticks
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from edoras_tools.diagnosis.plots import Plots
+
+CHART_WIDTH: Final = 720
+CHART_HEIGHT: Final = 190
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 12, 24, 26
+
+
+class Frame:
+    """A plot's axes; ``x`` and ``y`` turn values into positions.
+
+    Args:
+        drawn: how long it is, and when it began.
+        y_most: largest value.
+        unit: of the values.
+        title: text for screen readers.
+        height: of the whole, in the view box's units.
+    """
+
+    def __init__(
+        self, drawn: Plots, y_most: float, unit: str, title: str, height: int = CHART_HEIGHT
+    ) -> None:
+        self.begin, self.x_most, self.y_most = drawn.begin, drawn.seconds or 1.0, (y_most or 1.0) * 1.08
+        self.unit, self.title, self.height = unit, title, height
+        self.parts: list[str] = []
+
+    def x(self, value: float) -> float:
+        """Return the place of a time."""
+        return round(_LEFT + value / self.x_most * (CHART_WIDTH - _LEFT - _RIGHT), 1)
+
+    def y(self, value: float) -> float:
+        """Return the place of a value."""
+        room = self.height - _TOP - _BOTTOM
+        return round(self.height - _BOTTOM - min(value, self.y_most) / self.y_most * room, 1)
+
+    def line(self, points: Sequence[tuple[float, float]], style: str) -> None:
+        """Draw a line through points."""
+        path = " ".join(f"{self.x(x)},{self.y(y)}" for x, y in points)
+        self.parts.append(f'<polyline class="{style}" points="{path}"/>')
+
+    def level(self, value: float, style: str, text: str) -> None:
+        """Draw a horizontal line with a name."""
+        if value > self.y_most:
+            return
+        y = self.y(value)
+        self.parts.append(
+            f'<line class="{style}" x1="{_LEFT}" x2="{CHART_WIDTH - _RIGHT}" y1="{y}" y2="{y}"/>'
+        )
+        self.parts.append(
+            f'<text class="end label" x="{CHART_WIDTH - _RIGHT - 4}" y="{y - 4}">{escape(text)}</text>'
+        )
+
+    def bars(self, values: Sequence[float], base: Sequence[float], width: float, style: str) -> None:
+        """Draw bars of ``width`` s on top of others."""
+        path = []
+        for index, (value, under) in enumerate(zip(values, base, strict=True)):
+            if value:
+                left, right = self.x(index * width), self.x(min((index + 1) * width, self.x_most))
+                path.append(f"M{left} {self.y(under)}V{self.y(under + value)}H{right}V{self.y(under)}Z")
+        if path:
+            self.parts.append(f'<path class="{style}" d="{"".join(path)}"/>')
+
+    def dots(self, points: Sequence[tuple[float, float]], style: str) -> None:
+        """Draw points."""
+        path = "".join(f"M{self.x(x)} {self.y(y)}h0" for x, y in points)
+        self.parts.append(f'<path class="{style}" d="{path}"/>')
+
+    def seconds(self) -> list[str]:
+        """Return the marks of the time axis."""
+        step = ticks(self.x_most, 7)[1]
+        first, last = ceil(self.begin / step), floor((self.begin + self.x_most) / step)
+        return [
+            f'<text class="mid" x="{self.x(index * step - self.begin)}" y="{self.height - 8}">'
+            f"{index * step:g} s</text>"
+            for index in range(first, last + 1)
+        ]
+
+    def svg(self) -> str:
+        """Return the chart."""
+        axes = []
+        for value in ticks(self.y_most / 1.08, 5):
+            y = self.y(value)
+            axes.append(f'<line class="grid" x1="{_LEFT}" x2="{CHART_WIDTH - _RIGHT}" y1="{y}" y2="{y}"/>')
+            axes.append(f'<text class="end" x="{_LEFT - 6}" y="{y + 4}">{value:g}</text>')
+        axes += self.seconds()
+        axes.append(f'<text x="4" y="{_TOP - 10}">{escape(self.unit)}</text>')
+        return svg_box("".join(axes + self.parts), self.height, self.title)
+
+
+def svg_box(inside: str, height: int, title: str) -> str:
+    """Return an SVG element that fills its box."""
+    return (
+        f'<svg viewBox="0 0 {CHART_WIDTH} {height}" role="img" aria-label="{escape(title, quote=True)}">'
+        f"{inside}</svg>"
+    )
+
+
+def rate_chart(row: Mapping[str, Any], drawn: Plots) -> str:
+    """Return a route's rate: what arrived, what was lost on top of it, and the clean rate as a line."""
+    total = [a + b for a, b in zip(row["seen"], row["missing"], strict=True)]
+    peak = max(total, default=1.0)
+    clean = row["limit"] or 0.0
+    frame = Frame(
+        drawn, max(peak, clean if clean < 4 * peak else 0.0), "per second", f"rate of {row['label']}"
+    )
+    frame.bars(row["seen"], [0.0] * len(total), drawn.bin_s, f"seen {row['link']}")
+    frame.bars(row["missing"], row["seen"], drawn.bin_s, "missing")
+    if clean:
+        frame.level(clean, "limit", f"clean to {clean:g}/s, {row['limit_from']}")
+    return frame.svg()
+
+
+def delays(row: Mapping[str, Any], drawn: Plots) -> str:
+    """Return the delays of a way through cFS, over time."""
+    frame = Frame(drawn, max(row["delays"], default=1.0), "ms", f"latency of {row['label']}")
+    frame.dots(list(zip(row["times"], row["delays"], strict=True)), "dot")
+    return frame.svg()
+
+
+def counters(row: Mapping[str, Any], drawn: Plots) -> str:
+    """Return the growth of the loss counters of a cFS."""
+    most = max([*row["limits"], *row["overflows"], 1])
+    frame = Frame(drawn, most, "messages", f"loss counters of {row['label']}")
+    for name, style in (("limits", "limits"), ("overflows", "overflows")):
+        frame.line(list(zip(row["times"], row[name], strict=True)), style)
+    return frame.svg()
+
+
+def timeline(drawn: Plots) -> str:
+    """Return connections as bars and events as ticks, over time."""
+    peers, events = drawn.peers, drawn.events
+    height = 30 * (len(peers) + bool(events)) + _BOTTOM + _TOP
+    frame = Frame(drawn, 1.0, "", "connections and events", height)
+    parts = []
+    for at, row in enumerate(peers):
+        top = _TOP + 30 * at
+        parts.append(f'<text x="{_LEFT}" y="{top + 9}">{escape(row["label"])}</text>')
+        for state in row["states"]:
+            left, right = frame.x(state["from"]), frame.x(min(state["to"], drawn.seconds))
+            label = escape(
+                f"{state['state'].replace('_', ' ')} at {drawn.begin + state['from']:.1f} s: {state['why']}"
+            )
+            parts.append(
+                f'<rect class="{state["state"]}" x="{left}" y="{top + 13}" height="11" '
+                f'width="{max(right - left, 1.5):.1f}"><title>{label}</title></rect>'
+            )
+    if events:
+        top = _TOP + 30 * len(peers)
+        parts.append(f'<text x="{_LEFT}" y="{top + 9}">events</text>')
+        for item in events:
+            x, grade = frame.x(item["time"]), "error" if item["type"] >= 3 else "info"
+            label = escape(f"{drawn.begin + item['time']:.1f} s {item['text']}")
+            parts.append(
+                f'<line class="event {grade}" x1="{x}" x2="{x}" y1="{top + 13}" y2="{top + 24}">'
+                f"<title>{label}</title></line>"
+            )
+    parts += frame.seconds()
+    return svg_box("".join(parts), height, frame.title)

@@ -1,0 +1,326 @@
+"""The report's page, put together."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools import __version__
+from edoras_tools.diagnosis.plots import plots
+from edoras_tools.diagnosis.verdict import Severity, alike, group_verdicts
+from edoras_tools.render import units
+from edoras_tools.render.doctor import balance
+from edoras_tools.render.doctor.doctor import clean_to, conclusion, limits, told_of
+from edoras_tools.render.doctor.report import charts
+from edoras_tools.render.doctor.report.links import links_picture
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.diagnosis.plots import Plots
+    from edoras_tools.diagnosis.verdict import Verdict
+
+_MOST_CHARTS: Final = 24
+_MOST_VERDICTS: Final = 200
+_ALIKE: Final = 4
+"""Verdicts of one rule from here on share a table."""
+_HEADING: Final = re.compile(r'<section id="([\w-]+)"><h2>(.*?)</h2>')
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """How and when a page was made: its footer.
+
+    Attributes:
+        command: the command line that makes it again.
+        time_ns: when, ns since 1970-01-01 UTC.
+    """
+
+    command: str
+    time_ns: int
+
+
+def page(found: Diagnosis, name: str, made: Made) -> str:
+    """Return the HTML page.
+
+    Args:
+        found: the diagnosis.
+        name: of the source.
+        made: for the footer.
+    """
+    sections = [_section("Links", [links_picture(found)]), _verdicts(found)]
+    if found.case is not None and found.datagrams:
+        drawn = plots(found.case, found.choice)
+        sections += [_rates(drawn), _latency(drawn), _time(drawn), _sizes(drawn)]
+    sections += [_balance(found), _routes(found), _habits(found)]
+    parts = [_head(found, name), _summary(found), _contents(sections), *sections, _footer(made)]
+    style = (files("edoras_tools.render.doctor.report") / "style.css").read_text(encoding="utf-8")
+    title = escape(f"edoras report: {name}")
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        + "\n".join(part for part in parts if part)
+        + "\n</body>\n</html>\n"
+    )
+
+
+def _head(found: Diagnosis, name: str) -> str:
+    seconds = (found.end_ns - found.start_ns) / 1e9
+    when = (
+        f", {units.duration(seconds)} from {units.utc(found.start_ns, digits=3)} UTC"
+        if found.datagrams
+        else ""
+    )
+    bad = found.lost or found.unaccounted or found.worst is Severity.ERROR
+    style = "lost" if bad else "fine" if found.datagrams and found.worst < Severity.WARNING else ""
+    told = "<br>".join(escape(line) for line in balance.balance_lines(found)[:_MOST_CHARTS])
+    end = f'<p>{told}</p><p class="end-note {style}">{escape(conclusion(found))}</p>'
+    line = "".join(
+        f'<p class="dim">{escape(text)}</p>'
+        for text in (f"{plural(found.datagrams, 'datagram')}{when}", *limits(found))
+    )
+    return f"<header><h1>{escape(name)}</h1>{line}{end}</header>"
+
+
+def _summary(found: Diagnosis) -> str:
+    """Return how many verdicts there are of each severity, and what they lost."""
+    rows = ""
+    for severity in sorted(Severity, reverse=True):
+        members = [item for item in found.verdicts if item.severity is severity]
+        if members:
+            lost, problems = sum(item.lost or 0 for item in members), len(group_verdicts(members))
+            rows += (
+                f'<tr><td class="{severity.label}">{severity.label}</td><td>{problems:,}</td>'
+                f"<td>{lost:,}</td></tr>"
+            )
+    head = "<tr><th>severity</th><th>verdicts</th><th>lost</th></tr>"
+    return f'<table class="summary">{head}{rows}</table>' if rows else ""
+
+
+def _contents(sections: Sequence[str]) -> str:
+    """Return links to the sections of the page."""
+    found = [match for section in sections for match in _HEADING.findall(section)]
+    links = "".join(f'<a href="#{anchor}">{title}</a>' for anchor, title in found)
+    return f'<nav class="dim">{links}</nav>' if len(found) > 1 else ""
+
+
+def _footer(made: Made) -> str:
+    told = f"edoras-tools {__version__}, {units.utc(made.time_ns, digits=0)} UTC"
+    return f'<footer class="dim">{told}<br><code>{escape(made.command)}</code></footer>'
+
+
+def _verdicts(found: Diagnosis) -> str:
+    groups = group_verdicts(found.verdicts)
+    if not groups:
+        return ""
+    cards = [
+        card
+        for several in alike(groups)
+        for card in (
+            [_many(found, several)]
+            if len(several) >= _ALIKE
+            else [_verdict(found, members) for members in several]
+        )
+    ]
+    rest = len(cards) - _MOST_VERDICTS
+    more = f'<p class="dim">... and {rest:,} more, in doctor --json</p>' if rest > 0 else ""
+    return _section("Verdicts", [*cards[:_MOST_VERDICTS], more])
+
+
+def _many(found: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
+    """Return many verdicts of one rule as one table, the worst of them in full above it."""
+    every = [item for members in several for item in members]
+    rows = "".join(
+        f"<tr><td>{_when(found, item)}</td><td>{escape(item.reason)}</td>"
+        f"<td>{units.count(item.lost) if item.lost is not None else ''}</td></tr>"
+        for item in every[:_MOST_VERDICTS]
+    )
+    worst = max(several, key=lambda members: sum(item.lost or 0 for item in members))
+    head = "<tr><th>when</th><th>what</th><th>lost</th></tr>"
+    more = f", the first {_MOST_VERDICTS}" if len(every) > _MOST_VERDICTS else ""
+    return (
+        f"{_verdict(found, worst)}<details><summary>{len(every):,} verdicts of {escape(every[0].rule)}{more}"
+        f'</summary><div class="scroll"><table class="alike">{head}{rows}</table></div></details>'
+    )
+
+
+def _verdict(found: Diagnosis, members: Sequence[Verdict]) -> str:
+    """Return one problem: its worst time span in full, all of its spans in a table."""
+    worst = max(members, key=lambda item: item.lost or 0)
+    told = f"{_when(found, worst)}, confidence {worst.confidence}"
+    spans = ""
+    if len(members) > 1:
+        lost, of = sum(item.lost or 0 for item in members), sum(item.of or 0 for item in members)
+        told = f"{len(members)} spans of time, {lost:,} of {of:,} in all"
+        spans = _spans(found, members)
+    evidence = "".join(f"<li>{escape(line)}</li>" for line in worst.evidence)
+    remedy = f'<p class="remedy">{escape(worst.remedy)}</p>' if worst.remedy else ""
+    return (
+        f'<article class="verdict {worst.severity.label}"><p class="what">{escape(told_of(members))}</p>'
+        f'<p class="rule">{escape(worst.rule)}, {told}</p>{spans}<ul>{evidence}</ul>{remedy}</article>'
+    )
+
+
+def _spans(found: Diagnosis, members: Sequence[Verdict]) -> str:
+    rows = "".join(
+        f"<tr><td>{_when(found, item)}</td><td>{units.count(item.lost)}</td><td>{units.count(item.of)}</td>"
+        f"<td>{f'{100 * (item.lost or 0) / item.of:.0f}%' if item.of else ''}</td>"
+        f"<td>{item.confidence}</td></tr>"
+        for item in members
+    )
+    head = "<tr><th>when</th><th>lost</th><th>of</th><th></th><th>confidence</th></tr>"
+    return f'<div class="scroll"><table class="spans">{head}{rows}</table></div>'
+
+
+def _when(found: Diagnosis, item: Verdict) -> str:
+    start, end = ((time_ns - found.zero_ns) / 1e9 for time_ns in (item.start_ns, item.end_ns))
+    return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
+
+
+def _chart(title: str, svg: str, note: str = "") -> str:
+    told = f'<p class="dim">{escape(note)}</p>' if note else ""
+    return f'<figure class="chart"><figcaption><h3>{escape(title)}</h3>{told}</figcaption>{svg}</figure>'
+
+
+def _section(title: str, inside: Iterable[str], lead: str = "") -> str:
+    drawn = "".join(inside)
+    anchor = title.lower().replace(" ", "-")
+    return f'<section id="{anchor}"><h2>{title}</h2>{lead}{drawn}</section>' if drawn else ""
+
+
+def _key(entries: Sequence[tuple[str, str]]) -> str:
+    spans = "".join(f'<span style="background:var(--{colour})"></span>{text}' for colour, text in entries)
+    return f'<p class="key dim">{spans}</p>'
+
+
+def _rates(drawn: Plots) -> str:
+    key = _key((("ci", "CI"), ("to", "TO"), ("sbn", "SBN"), ("error", "lost")))
+    rows = drawn.rates[:_MOST_CHARTS]
+    return _section(
+        "Rates against limits",
+        (_chart(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn)) for row in rows),
+        key,
+    )
+
+
+def _latency(drawn: Plots) -> str:
+    def note(row: dict[str, Any]) -> str:
+        told = row["latency"]
+        figures = [units.milliseconds(told[name]) for name in ("p50_ms", "p99_ms", "max_ms")]
+        return "p50 {}, p99 {}, max {}".format(*figures)
+
+    return _section(
+        "Latency through cFS",
+        (_chart(row["label"], charts.delays(row, drawn), note(row)) for row in drawn.delays[:_MOST_CHARTS]),
+    )
+
+
+def _time(drawn: Plots) -> str:
+    inside = [
+        _chart(
+            f"Lost on the software bus, {row['label']}",
+            charts.counters(row, drawn),
+            "from 0x803; solid: over a message limit, dashed: by full pipes",
+        )
+        for row in drawn.counters
+        if row["limits"][-1] or row["overflows"][-1]
+    ]
+    if drawn.peers or drawn.events:
+        inside.append(_chart("SBN peers and events", charts.timeline(drawn)))
+    key = _key(
+        (
+            ("good", "connected"),
+            ("warning", "silent"),
+            ("error", "timed out, error event"),
+            ("dim", "disconnected"),
+            ("note", "event"),
+        )
+    )
+    return _section("Over time", inside, key)
+
+
+def _sizes(drawn: Plots) -> str:
+    rows = "".join(
+        f"<tr><td>{escape(row['label'])}</td><td>{row['link'].upper()}</td>"
+        f'<td><meter min="0" max="{row["room"]}" high="{row["room"] * 0.999:.1f}" '
+        f'value="{row["bytes"]}">{row["bytes"]} of {row["room"]}</meter></td>'
+        f"<td>{row['bytes']:,}</td><td>{row['room']:,}</td></tr>"
+        for row in drawn.sizes
+    )
+    head = "<tr><th>route</th><th>link</th><th></th><th>largest</th><th>buffer</th></tr>"
+    table = f'<div class="scroll"><table>{head}{rows}</table></div>'
+    return _section("Sizes against buffers", [table] if rows else [])
+
+
+def _balance(found: Diagnosis) -> str:
+    """Return the balance: a row a route and hop, which adds up."""
+    shown = balance.shown_rows(found)
+    figures = [
+        (name, head)
+        for name, head in zip(balance.FIGURES, balance.HEADS, strict=True)
+        if name in {"in", "out", "lost"} or any(row[name] for row in shown)
+    ]
+    titles = ("MsgId", "topic", "hop", *(head for _, head in figures), "lost by")
+    head = "".join(f"<th>{name}</th>" for name in titles)
+    rows = "".join(
+        "<tr>"
+        + "".join(
+            f"<td>{escape(str(value))}</td>"
+            for value in (
+                row["msg_id"] or "",
+                row["topic"] or row["name"] or "",
+                row["hop"],
+                *(units.count(row[name]) for name, _ in figures),
+                balance.causes(row),
+            )
+        )
+        + "</tr>"
+        for row in shown
+    )
+    lead = '<p class="dim">In and twice are out, lost and the rest together, in every row.</p>'
+    table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
+    return _section("Balance", [table] if rows else [], lead)
+
+
+def _routes(found: Diagnosis) -> str:
+    def cell(value: Any) -> str:
+        return f"<td>{escape(str(value))}</td>"
+
+    head = "".join(
+        f"<th>{name}</th>"
+        for name in ("link", "MsgId", "topic", "sent", "seen", "lost", "gaps", "rate", "clean to", "bytes")
+    )
+    rows = "".join(
+        "<tr>"
+        + "".join(
+            cell(value)
+            for value in (
+                row["link"].upper(),
+                row["msg_id"],
+                row["topic"] or row["name"] or "",
+                units.count(row["sent"]),
+                units.count(row["seen"]),
+                units.count(row["lost"]),
+                units.count(row["gaps"]) if row["counted"] else "no count",
+                units.rate(row["rate_hz"] or None),
+                clean_to(row),
+                units.count(row["bytes_max"]),
+            )
+        )
+        + "</tr>"
+        for row in found.routes
+    )
+    table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
+    return _section("Accounts", [table] if rows else [])
+
+
+def _habits(found: Diagnosis) -> str:
+    lines = "".join(f"<li>{escape(item.reason)}</li>" for item in found.habits)
+    lead = '<p class="dim">What these senders always do; nothing is wrong with this link for it.</p>'
+    return _section("Habits", [f"<ul>{lines}</ul>"] if lines else [], lead)

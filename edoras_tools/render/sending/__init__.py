@@ -1,0 +1,1 @@
+"""Views of the commands that send: replay, sweep, proxy."""

@@ -1,0 +1,151 @@
+"""A proxy as a table: both directions, clients, and injected faults."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from rich.console import Group
+from rich.text import Text
+
+from edoras_tools.render import units
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.live_table import LiveTable, Moment, title_line
+from edoras_tools.render.terminal.run import size_of
+from edoras_tools.render.terminal.table import Column, build, figure, plain
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from rich.console import Console, RenderableType
+
+    from edoras_tools.render.terminal.live_table import LiveRun
+
+_MOST_CLIENTS: Final = 8
+
+
+def live_table(console: Console, output: Path | None = None, *, keys: bool = False) -> LiveTable[LiveRun]:
+    """Return the table of a proxy while it runs.
+
+    Args:
+        console: where to draw.
+        output: the recording that grows.
+        keys: whether keys switch faults.
+    """
+    hint = Text("1 to 9 switch faults, q ends" if keys else "Ctrl-C ends", palette.DIM)
+    return LiveTable(lambda _, moment: Group(*_view(moment), hint), _counts, console, output)
+
+
+def _counts(summary: Mapping[str, Any]) -> dict[object, int]:
+    return {way["name"]: way["received"] for way in summary["ways"]}
+
+
+def outcome(summary: Mapping[str, Any], width: int, output: Path | None = None) -> Group:
+    """Return the result of a proxy.
+
+    Args:
+        summary: in the shape of ``proxy --json``.
+        width: of the terminal.
+        output: the recording.
+    """
+    moment = Moment(summary, written=size_of(output) if output else None, width=width)
+    return Group(*_view(moment), *(plain(line) for line in notes(summary)))
+
+
+def plan(summary: Mapping[str, Any], output: Path | None) -> Group:
+    """Return what a proxy would do."""
+    lines = [Text.assemble("would relay ", (_title(summary), palette.STRONG), "; nothing was opened")]
+    lines += [plain(f"  fault  {item['rule']}{'' if item['on'] else ' (off)'}") for item in summary["faults"]]
+    if summary["faults"]:
+        lines.append(plain(f"  seed   {summary['seed']}"))
+    if output:
+        lines.append(plain(f"  record {output}"))
+    return Group(*lines)
+
+
+def notes(summary: Mapping[str, Any]) -> list[str]:
+    """Return notes, a line each: refusals, losses, datagrams not delivered at the end."""
+    found = []
+    for way in summary["ways"]:
+        if way["refused"]:
+            answers = plural(way["refused"], "time")
+            found.append(
+                f"{way['name']}: refused {answers}: nothing listens there; start it, or see --target"
+            )
+        if way["failed"]:
+            found.append(f"{way['name']}: {plural(way['failed'], 'datagram')} not sent: {way['reason']}")
+        if way["unclaimed"]:
+            found.append(f"{way['name']}: {plural(way['unclaimed'], 'datagram')} for no client")
+        if way["kernel_drops"]:
+            drops = plural(way["kernel_drops"], "datagram")
+            found.append(
+                f"{way['name']}: {drops} lost before the proxy read them: the receive buffer was full"
+            )
+        if way["overflowed"]:
+            found.append(f"{way['name']}: {plural(way['overflowed'], 'datagram')} lost: the queue was full")
+    if summary["held"]:
+        found.append(f"{plural(summary['held'], 'datagram')} still held back on purpose at the end")
+    if summary["held_overflowed"]:
+        found.append(f"{plural(summary['held_overflowed'], 'datagram')} lost: too much was held back")
+    if summary["unrecorded"]:
+        found.append(f"{plural(summary['unrecorded'], 'datagram')} relayed, but not recorded")
+    if summary["clients_evicted"]:
+        found.append(f"{plural(summary['clients_evicted'], 'client')} forgotten: too many clients")
+    return found
+
+
+def _title(summary: Mapping[str, Any]) -> str:
+    return f"{summary['link']} {summary['listen']} → {', '.join(summary['targets'])}"
+
+
+def _view(moment: Moment) -> list[RenderableType]:
+    summary, rates, width = moment.summary, moment.rates, moment.width
+    ways = [dict(way, rate=None if rates is None else rates.get(way["name"])) for way in summary["ways"]]
+    columns = [item for item in _WAYS if rates is not None or item.title != "Rate"]
+    parts: list[RenderableType] = [title_line(_title(summary), moment), build(columns, ways, width)]
+    if summary["clients"]:
+        shown: Sequence[Mapping[str, Any]] = summary["clients"][:_MOST_CLIENTS]
+        parts += [Text(), build(_CLIENTS, shown, width)]
+        if len(summary["clients"]) > len(shown):
+            parts.append(Text(f"and {len(summary['clients']) - len(shown):,} more clients", palette.DIM))
+    if summary["faults"]:
+        faults = [dict(item, key=index) for index, item in enumerate(summary["faults"], 1)]
+        parts += [Text(), build(_FAULTS, faults, width)]
+    parts.append(Text())
+    return parts
+
+
+def _latency(name: str) -> Any:
+    return lambda row: Text(units.microseconds(row["latency_us"][name]))
+
+
+def _lost(row: Mapping[str, Any]) -> Text:
+    value = row["kernel_drops"] + row["overflowed"]
+    return Text(units.count(value), Level.ERROR.style if value else palette.DIM)
+
+
+_WAYS: Final = (
+    Column("Way", lambda row: plain(row["name"]), justify="left", elastic=True),
+    Column("In", figure("received")),
+    Column("Rate", lambda row: Text(units.rate(row["rate"]))),
+    Column("Out", figure("sent")),
+    Column("Queue", figure("queued"), rank=2),
+    Column("Refused", figure("refused", Level.ERROR.style), rank=1),
+    Column("Lost", _lost),
+    Column("p50", _latency("p50"), rank=1),
+    Column("p99", _latency("p99"), rank=1),
+    Column("Max", _latency("max"), rank=3),
+)
+_CLIENTS: Final = (
+    Column("Client", lambda row: plain(row["address"]), justify="left", elastic=True),
+    Column("From it", figure("received")),
+    Column("To it", figure("answered")),
+)
+_FAULTS: Final = (
+    Column("Key", lambda row: Text(str(row["key"]) if row["key"] < 10 else "")),
+    Column("Fault", lambda row: plain(row["rule"]), justify="left", elastic=True),
+    Column("", lambda row: Text("on", Level.WARNING.style) if row["on"] else Text("off", palette.DIM)),
+    Column("Struck", figure("struck")),
+)

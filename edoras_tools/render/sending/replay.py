@@ -1,0 +1,171 @@
+"""The result of a replay or an inject: what was sent and what came back."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from edoras_tools.render import units
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.table import plain
+from edoras_tools.render.terminal.terminal import look
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from contextlib import AbstractContextManager
+    from typing import TextIO
+
+    from rich.console import RenderableType
+
+_REFRESH_S: Final = 0.2
+_MOST_EVENTS: Final = 20
+_KEYS: Final = "space pauses, n next, q ends"
+
+
+class _Sending(Protocol):
+    """A replay or inject that is under way."""
+
+    sent: int
+
+    @property
+    def achieved_hz(self) -> float | None:
+        """Datagrams per second so far."""
+        ...
+
+
+class StatusLine:
+    """One line on standard error that shows the progress; nothing if standard error is not a terminal.
+
+    Args:
+        out: where to.
+        total: datagrams to send; None for no end.
+        keys: whether keys control it.
+    """
+
+    def __init__(self, out: TextIO, total: int | None, *, keys: bool) -> None:
+        self._out = out
+        self._total = total
+        self._keys = keys
+        self._drawn = time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._out.write("\r\x1b[K")
+        self._out.flush()
+
+    def update(self, report: _Sending) -> None:
+        """Draw, five times a second at most."""
+        now = time.monotonic()
+        if now - self._drawn < _REFRESH_S:
+            return
+        self._drawn = now
+        of = f" of {self._total:,}" if self._total else ""
+        rate = f"   {units.rate(report.achieved_hz)}" if report.achieved_hz else ""
+        self._out.write(f"\r\x1b[Ksent {report.sent:,}{of}{rate}{f'   {_KEYS}' if self._keys else ''}")
+        self._out.flush()
+
+
+def send_status(total: int | None, *, quiet: bool, keys: bool) -> AbstractContextManager[StatusLine | None]:
+    """Return the view of a running replay, or None."""
+    if quiet or not look(sys.stderr).interactive:
+        return nullcontext()
+    return StatusLine(sys.stderr, total, keys=keys)
+
+
+def plan(summary: Mapping[str, Any]) -> RenderableType:
+    """Return what ``--dry-run`` says."""
+    facts = _facts()
+    many = summary["datagrams"]
+    datagrams = "without end" if many is None else plural(many, "datagram")
+    facts.add_row("would send", f"{datagrams} to {summary['to']} at {summary['target']}")
+    facts.add_row("rate", _rate(summary["rate_asked_hz"]))
+    if summary["listen"]:
+        as_whom = f" as {summary['sender']}" if summary["sender"] else ""
+        facts.add_row("listening", f"at {summary['listen']}{as_whom}")
+    if summary["wait_for"]:
+        facts.add_row("waits for", ", ".join(summary["wait_for"]))
+    for rule in summary["faults"]:
+        facts.add_row("fault", plain(rule, palette.STRONG))
+    for note in summary["notes"]:
+        facts.add_row("note", plain(note))
+    return Group(facts, Text(), _routes(summary["routes"]))
+
+
+def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
+    """Return what was sent and what came back.
+
+    Args:
+        summary: in the shape of ``replay --json``.
+        target: where it went.
+    """
+    facts = _facts()
+    over = f" over {units.duration(summary['duration_s'])}" if summary["duration_s"] else ""
+    ended = "  (ended early)" if summary["interrupted"] else ""
+    facts.add_row("sent", f"{plural(summary['sent'], 'datagram')} to {target}{over}{ended}")
+    if summary["rate_achieved_hz"] is not None:
+        asked = _rate(summary["rate_asked_hz"])
+        facts.add_row("rate", f"{units.rate(summary['rate_achieved_hz'])}, asked: {asked}")
+    late = summary["lateness_us"]
+    if late["p50"] is not None:
+        facts.add_row(
+            "lateness",
+            "  ".join(f"{name} {_micro(late[name])}" for name in ("p50", "p99", "max")),
+        )
+    for why, count in summary["errors"].items():
+        facts.add_row("not sent", Text(f"{count:,}: {why}", Level.ERROR.style))
+    if summary["faults"]:
+        what = ", ".join(f"{name} {count:,}" for name, count in sorted(summary["faults"].items()))
+        facts.add_row("faults", plain(what, palette.STRONG))
+    for note in summary["notes"]:
+        facts.add_row("note", plain(note))
+    seen = summary["seen"]
+    for name, row in seen["counters"].items():
+        style = Level.ERROR.style if row["gained"] else palette.DIM
+        facts.add_row("counter", Text(f"{name} {row['first']} → {row['last']}", style))
+    for event in seen["events"][:_MOST_EVENTS]:
+        times = f"  x{event['count']}" if event["count"] > 1 else ""
+        style = Level.ERROR.style if event["event_type"] in {"error", "critical"} else ""
+        facts.add_row("event", plain(f"{event['app']} {event['event_id']}: {event['message']}{times}", style))
+    if len(seen["events"]) > _MOST_EVENTS:
+        facts.add_row("event", f"and {len(seen['events']) - _MOST_EVENTS} more")
+    if seen["sbn"]:
+        facts.add_row("SBN", ", ".join(f"{name} {count:,}" for name, count in seen["sbn"].items()))
+    return Group(facts, Text(), _routes(seen["telemetry"])) if seen["telemetry"] else facts
+
+
+def _rate(hertz: float | None) -> str:
+    return "as fast as it goes" if hertz is None else units.rate(hertz)
+
+
+def _micro(microseconds: float) -> str:
+    small = microseconds < 999.5
+    return f"{microseconds:.1f} µs" if small else units.milliseconds(microseconds / 1e3)
+
+
+def _facts() -> Table:
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(style=palette.DIM, no_wrap=True)
+    table.add_column(overflow="fold")
+    return table
+
+
+def _routes(rows: Sequence[Mapping[str, Any]]) -> Table:
+    linked = any(row.get("link") for row in rows)
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
+    for title in ("Link", "MsgId", "Topic", "Count")[not linked :]:
+        table.add_column(title, justify="right" if title == "Count" else "left", no_wrap=True)
+    for row in rows:
+        name = row.get("topic") or row.get("name") or units.NONE
+        cells = (plain(row["msg_id"] or units.NONE), plain(name), plain(units.count(row["count"])))
+        table.add_row(*((plain((row.get("link") or "").upper()),) if linked else ()), *cells)
+    return table

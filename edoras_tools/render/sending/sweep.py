@@ -1,0 +1,136 @@
+"""The result of a sweep: its steps, a chart, and the limit."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from edoras_tools.render import units
+from edoras_tools.render.chart import Chart, terminal
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.table import Column, build, plain
+from edoras_tools.render.terminal.terminal import look
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from rich.console import RenderableType
+
+_CHART_WIDTH: Final = 78
+
+
+def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
+    """Return what was found.
+
+    Args:
+        summary: in the shape of ``sweep --json``.
+        width: of the terminal.
+    """
+    steps = sorted(summary["steps"], key=lambda step: (step["rate_hz"], step["size"]))
+    shown: list[RenderableType] = []
+    if steps:
+        shown += [_steps(steps, width), Text()]
+    if len(steps) > 1:
+        shown += [*terminal(Chart.of(summary), min(width, _CHART_WIDTH)), Text()]
+    facts = _facts()
+    name = (
+        summary["route"] if summary["route"] == summary["msg_id"] else "{route} ({msg_id})".format(**summary)
+    )
+    facts.add_row("route", plain(f"{name}, {_way(summary)}"))
+    facts.add_row("threshold", Text(threshold_line(summary), palette.STRONG))
+    if summary["limiting_hop"]:
+        facts.add_row("limiting hop", plain(summary["limiting_hop"], Level.ERROR.style))
+        facts.add_row("reason", plain(summary["reason"]))
+    for note in summary["notes"]:
+        facts.add_row("note", plain(note))
+    if summary["interrupted"]:
+        facts.add_row("ended", "early, by Ctrl-C")
+    return Group(*shown, facts)
+
+
+def plan(summary: Mapping[str, Any]) -> RenderableType:
+    """Return what ``--dry-run`` says."""
+    facts = _facts()
+    facts.add_row("route", plain(f"{summary['route']} ({summary['msg_id']}) over {summary['link'].upper()}"))
+    rates, sizes = summary["rates_hz"], summary["sizes"]
+    facts.add_row("rate", f"{rates[0]:,} to {rates[1]:,} Hz" if rates[0] != rates[1] else f"{rates[0]:,} Hz")
+    facts.add_row(
+        "size", f"{sizes[0]:,} to {sizes[1]:,} bytes" if sizes[0] != sizes[1] else f"{sizes[0]:,} bytes"
+    )
+    facts.add_row("step", units.duration(summary["step_s"]))
+    facts.add_row("target", plain(summary["target"]))
+    facts.add_row("listening", f"at {summary['listen']}")
+    facts.add_row("would send", ", ".join(summary["sends"]))
+    return facts
+
+
+def threshold_line(summary: Mapping[str, Any]) -> str:
+    """Return the limit in a line."""
+    by_size = summary["swept"] == "size"
+    unit = "bytes" if by_size else "Hz"
+    good = summary["threshold_bytes" if by_size else "threshold_hz"]
+    bad = summary["first_loss_bytes" if by_size else "first_loss_hz"]
+    if good is not None:
+        return f"between {good:,} and {bad:,} {unit}"
+    if bad is not None:
+        return f"below {bad:,} {unit}: the lowest that was tried lost something"
+    values = [step["size" if by_size else "rate_hz"] for step in summary["steps"]]
+    return f"none found: nothing was lost up to {max(values):,} {unit}" if values else "none found"
+
+
+@contextmanager
+def step_status(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function that shows the current step, on a terminal."""
+    if quiet or not look(sys.stderr).interactive:
+        yield lambda *_: None
+        return
+
+    def show(rate: int, size: int) -> None:
+        what = f"{rate:,} Hz, {size:,} bytes" if rate else "watching"
+        sys.stderr.write(f"\r\x1b[K{what} ...  Ctrl-C ends")
+        sys.stderr.flush()
+
+    try:
+        yield show
+    finally:
+        sys.stderr.write("\r\x1b[K")
+        sys.stderr.flush()
+
+
+def _way(summary: Mapping[str, Any]) -> str:
+    towards = "to cFS" if summary["to_cfs"] else "from cFS"
+    where = f", emulated ({summary['emulated']})" if summary["emulated"] else ""
+    return f"{towards} over {summary['link'].upper()}{where}"
+
+
+def _steps(steps: list[Mapping[str, Any]], width: int) -> Table:
+    def lost(step: Mapping[str, Any]) -> Text:
+        return Text(units.count(step["lost"]), Level.ERROR.style if step["lost"] else palette.DIM)
+
+    def share(step: Mapping[str, Any]) -> Text:
+        text = f"{100 * step['lost'] / step['sent']:.1f} %" if step["lost"] else ""
+        return Text(text, Level.ERROR.style)
+
+    columns = (
+        Column("Rate", lambda step: Text(f"{step['rate_hz']:,} Hz")),
+        Column("Size", lambda step: Text(f"{step['size']:,} B")),
+        Column("Sent", lambda step: Text(units.count(step["sent"]))),
+        Column("Delivered", lambda step: Text(units.count(step["delivered"]))),
+        Column("Lost", lost),
+        Column("Share", share, rank=1),
+        Column("At", lambda step: plain(step["hop"] or ""), justify="left", elastic=True),
+    )
+    return build(columns, steps, width)
+
+
+def _facts() -> Table:
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(style=palette.DIM, no_wrap=True)
+    table.add_column(overflow="fold")
+    return table

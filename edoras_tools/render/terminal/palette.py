@@ -1,0 +1,58 @@
+"""Colours: one meaning each, from the terminal's sixteen, so that they work in light and dark themes."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Final
+
+from rich.color import ColorSystem
+from rich.style import Style
+
+DIM: Final = "dim"
+STRONG: Final = "bold"
+CHOSEN: Final = "reverse"
+"""Bytes that the user points at."""
+
+_LAYERS: Final = {
+    "sbn": "magenta",
+    "ccsds": "cyan",
+    "cfe": "blue",
+    "edoras": "yellow",
+    "cdr": "bright_cyan",
+    "ethernet": "bright_black",
+    "ip": "bright_black",
+    "ipv4": "bright_black",
+    "ipv6": "bright_black",
+    "udp": "bright_black",
+    "frame": "bright_black",
+    "padding": "bright_black",
+}
+_BODY: Final = "green"
+
+
+def layer(name: str) -> str:
+    """Return the style of a layer; layers of one protocol (``cfe_command``, ``cfe_event``) share theirs."""
+    return _LAYERS.get(name) or _LAYERS.get(name.partition("_")[0], _BODY)
+
+
+@lru_cache(maxsize=256)
+def escapes(style: str) -> tuple[str, str]:
+    """Return the ANSI sequences that begin and end a rich style such as ``bold red``."""
+    before, _, after = Style.parse(style).render("|", color_system=ColorSystem.STANDARD).partition("|")
+    return before, after
+
+
+class Paint:
+    """Puts styles on text; without colour it returns the text as it is."""
+
+    __slots__ = ("colour",)
+
+    def __init__(self, colour: bool) -> None:
+        self.colour = colour
+
+    def __call__(self, text: str, style: str) -> str:
+        """Return clean text in a rich style."""
+        if not self.colour or not text or not style:
+            return text
+        before, after = escapes(style)
+        return f"{before}{text}{after}"

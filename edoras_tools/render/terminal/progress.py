@@ -1,0 +1,115 @@
+"""A progress bar for work on files: bytes, packets per second, time left."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Final, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from edoras_tools.render import units
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.text import clean, clip_left
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from edoras_tools.model import SourceStatistics
+    from edoras_tools.render.terminal.run import CountedSource, ReadingRun
+
+_REFRESH_S: Final = 0.1
+_PATIENCE_S: Final = 0.3
+"""Shorter work shows no bar."""
+_LABEL: Final = 32
+
+
+class FileProgress:
+    """Shows how far sources are read and judged; a context manager whose methods are cheap to call.
+
+    It draws from the caller's thread, at most ten times a second, and nothing at all where the console is no
+    terminal or the work is done at once. The bar vanishes at the end.
+
+    Args:
+        label: what is read, as a file's name.
+        console: where to draw; standard error by default.
+        quiet: draw nothing.
+        clock: monotonic time in s.
+    """
+
+    def __init__(
+        self,
+        label: str,
+        *,
+        console: Console | None = None,
+        quiet: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        console = console or Console(stderr=True)
+        self._clock = clock
+        self._began = self._drawn = self._since = clock()
+        self._source: CountedSource | None = None
+        self._progress: Progress | None = None
+        if not quiet and console.is_terminal:
+            self._progress = Progress(
+                TextColumn("{task.description}", markup=False),
+                BarColumn(None, complete_style="cyan", finished_style="green"),
+                TextColumn("{task.fields[figures]}", style=palette.DIM, markup=False),
+                console=console,
+                auto_refresh=False,
+                transient=True,
+                redirect_stdout=False,
+                expand=True,
+            )
+            label = clip_left(clean(label), min(_LABEL, console.width // 4))
+            self._task = self._progress.add_task(label, total=None, figures="")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._progress:
+            self._progress.stop()
+
+    def update(self, report: ReadingRun) -> None:
+        """Draw how far a run's source is read."""
+        self.read(report.source)
+
+    def read(self, source: CountedSource) -> None:
+        """Draw how far the source is read, if the last drawing is long enough ago."""
+        statistics = source.statistics
+        if self._source not in (None, source):
+            self._since = self._clock()  # the next of several
+        self._source = source
+        total = statistics.total_bytes
+        done = min(statistics.position, total) if total else 0
+        self._draw(lambda now: figures(statistics, max(now - self._since, _REFRESH_S)), done, total or None)
+
+    def step(self, what: str, done: int, of: int) -> None:
+        """Draw how far other work is, if the last drawing is long enough ago."""
+        self._draw(lambda _: f"{what}, {done} of {of}", done, of)
+
+    def _draw(self, text: Callable[[float], str], done: int, of: int | None) -> None:
+        now = self._clock()
+        if self._progress is None or now - self._drawn < _REFRESH_S or now - self._began < _PATIENCE_S:
+            return
+        self._drawn = now
+        self._progress.update(self._task, total=of, completed=done, figures=text(now))
+        self._progress.start()
+        self._progress.refresh()
+
+
+def figures(statistics: SourceStatistics, elapsed: float) -> str:
+    """Return ``41%  12.4 MiB  310,000 packets/s  3.2 s left``, as far as it is known.
+
+    Args:
+        statistics: of the source.
+        elapsed: s since reading began, more than 0.
+    """
+    position, total = statistics.position, statistics.total_bytes
+    words = [units.size(position or statistics.bytes), f"{statistics.datagrams / elapsed:,.0f} packets/s"]
+    if total:
+        words.insert(0, f"{100 * min(position, total) / total:.0f}%")
+        if position:
+            words.append(f"{units.duration(max(0, total - position) * elapsed / position)} left")
+    return "  ".join(words)

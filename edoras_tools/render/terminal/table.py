@@ -1,0 +1,110 @@
+"""A table that leaves columns out on narrow terminals, the least important first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from rich.table import Table
+from rich.text import Text
+
+from edoras_tools.render import units
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.text import clean, clip_middle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+_LEAST_NAME: Final = 16
+"""The least width of the elastic column, where its content is that wide."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column.
+
+    Attributes:
+        title: its head.
+        cell: a row to the text in the column.
+        rank: 0 is always shown, 1 if there is room, 2 and up in this order once the elastic one is whole.
+        justify: alignment.
+        elastic: the one column that may be cut, in the middle.
+    """
+
+    title: str
+    cell: Callable[[Mapping[str, Any]], Text]
+    rank: int = 0
+    justify: Literal["left", "right"] = "right"
+    elastic: bool = False
+
+
+def build(
+    columns: Sequence[Column],
+    rows: Sequence[Mapping[str, Any]],
+    width: int,
+    *,
+    apart: Callable[[Mapping[str, Any]], Any] | None = None,
+) -> Table:
+    """Return the rows as a table of at most ``width`` cells, as long as the columns of rank 0 fit.
+
+    Args:
+        columns: in the order shown; exactly one is elastic, of rank 0.
+        rows: what the columns' ``cell`` functions take.
+        width: of the terminal.
+        apart: a blank line goes between rows for which this differs.
+    """
+    gap = 2 if width >= 100 else 1
+    cells = {column.title: [column.cell(row) for row in rows] for column in columns}
+    need = {title: max([len(title), *(text.cell_len for text in texts)]) for title, texts in cells.items()}
+    elastic = next(column for column in columns if column.elastic)
+    chosen = {column.title for column in columns if column.rank == 0}
+    room = min(need[elastic.title], _LEAST_NAME)
+    left = (
+        width
+        - room
+        - sum(need[title] for title in chosen if title != elastic.title)
+        - gap * (len(chosen) - 1)
+    )
+    for column in sorted((column for column in columns if column.rank), key=lambda item: item.rank):
+        # The elastic column gets its full width before columns of rank 2 are shown.
+        wanted = need[elastic.title] - room if column.rank > 1 else 0
+        if need[column.title] + gap <= left - wanted:
+            chosen.add(column.title)
+            left -= need[column.title] + gap
+    room += max(0, min(left, need[elastic.title] - room))
+
+    table = Table(box=None, padding=(0, gap, 0, 0), pad_edge=False, header_style=palette.STRONG)
+    shown = [column for column in columns if column.title in chosen]
+    for column in shown:
+        table.add_column(column.title, justify=column.justify, no_wrap=True, overflow="ellipsis")
+    groups = [apart(row) if apart else None for row in rows]
+    for index, group in enumerate(groups):
+        if index and group != groups[index - 1]:
+            table.add_row()
+        texts = [(column, cells[column.title][index]) for column in shown]
+        table.add_row(*(_shorten(text, room) if column is elastic else text for column, text in texts))
+    return table
+
+
+def plain(value: object, style: str = "") -> Text:
+    """Return a value as clean text, never as markup."""
+    return Text(clean(str(value)), style)
+
+
+def one_line(text: Text) -> Text:
+    """Return a text that is cut at the terminal's width, not wrapped."""
+    text.no_wrap, text.overflow = True, "ellipsis"
+    return text
+
+
+def figure(name: str, style: str = "") -> Callable[[Mapping[str, Any]], Text]:
+    """Return the cell of a column that counts: ``1,827``; 0 is dim, anything else in ``style``."""
+
+    def cell(row: Mapping[str, Any]) -> Text:
+        return Text(units.count(row[name]), style if row[name] else palette.DIM)
+
+    return cell
+
+
+def _shorten(text: Text, room: int) -> Text:
+    return Text(clip_middle(text.plain, room), text.style)

@@ -1,0 +1,224 @@
+"""The fields of many messages as columns, each read when it is first used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edoras_tools.ros.cdr import bulk, reader, validity
+from edoras_tools.ros.cdr.plan import CdrPlan, Leaf, PrimitiveRun, Repeat, Text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.ros.cdr.bulk import Cursor, Position
+
+    Piece = Callable[[], tuple[NDArray[np.int64], NDArray[Any]]]
+    """Gathers a part of a column: the row of each value, and the values."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ragged:
+    """A column whose rows hold different numbers of values.
+
+    Sequences inside sequences are joined: a row holds all of its values in wire order.
+
+    Attributes:
+        values: of all rows, one after the other.
+        offsets: i64, one more than rows; row ``i`` is ``values[offsets[i]:offsets[i + 1]]``.
+    """
+
+    values: NDArray[Any]
+    offsets: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    def __getitem__(self, row: int) -> NDArray[Any]:
+        """Return the values of one row.
+
+        Raises:
+            IndexError: there is no such row.
+        """
+        row = range(len(self))[row]
+        return self.values[self.offsets[row] : self.offsets[row + 1]]
+
+
+@dataclass(frozen=True, slots=True)
+class MessageColumns:
+    """Many messages of one type, a row each.
+
+    Attributes:
+        type: ROS type name.
+        valid: rows whose CDR ``TypeStore.decode`` accepts.
+        fields: dotted name to column, in wire order. A field of one value is an array of its own type
+            (``object`` for strings); a fixed array of primitives has shape (rows, elements); every other
+            array or sequence, and all that lies inside one, is ``Ragged``. Rows that are not valid hold
+            zeros, empty strings and no elements.
+    """
+
+    type: str
+    valid: NDArray[np.bool_]
+    fields: Mapping[str, NDArray[Any] | Ragged]
+
+    def __len__(self) -> int:
+        return len(self.valid)
+
+
+def columns(
+    name: str, plan: CdrPlan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+) -> MessageColumns:
+    """Return many messages as columns.
+
+    Args:
+        name: their type.
+        plan: of that type.
+        data: u8, the buffer.
+        offset: i64, first byte of each message, encapsulation included; any value.
+        length: i32, bytes of each message; any value.
+    """
+    data = np.ascontiguousarray(data)
+    valid = validity.trailing(plan, data, offset, length) >= 0
+    rows = np.flatnonzero(valid)
+    cursor = bulk.start_cursor(plan, data, offset[rows], length[rows])
+    cursor.rows = rows
+    fields = _Fields(plan, len(valid))
+    bulk.walk_plan(plan, cursor, fields)
+    return MessageColumns(name, valid, fields)
+
+
+class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
+    """Columns by name; collects the positions of their values, and reads them on demand."""
+
+    def __init__(self, plan: CdrPlan, rows: int) -> None:
+        self._rows = rows
+        self._ragged: dict[str, bool] = {}
+        self._items: dict[str, Leaf | Text] = {}
+        self._pieces: dict[str, list[Piece]] = {}
+        self._columns: dict[str, NDArray[Any] | Ragged] = {}
+        self._declare(plan, "", ragged=False)
+
+    def __getitem__(self, name: str) -> NDArray[Any] | Ragged:
+        if name not in self._columns:
+            self._columns[name] = self._gather(name)
+        return self._columns[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._pieces)
+
+    def __len__(self) -> int:
+        return len(self._pieces)
+
+    def run(self, prefix: str, run: PrimitiveRun, cursor: Cursor) -> None:
+        """Take a run that starts at the cursor's position."""
+        source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
+
+        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], NDArray[Any]]:
+            return rows, _read(source, leaf, start, swap)
+
+        for leaf in run.leaves:
+            self._add(bulk.joined(prefix, leaf.name), partial(gather, leaf))
+
+    def block(self, prefix: str, run: PrimitiveRun, cursor: Cursor, count: Position) -> None:
+        """Take runs that follow each other from the cursor's position."""
+        source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
+
+        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], NDArray[Any]]:
+            each = np.broadcast_to(np.asarray(count), len(rows))
+            if isinstance(count, int) and leaf.count is None and leaf.size == run.size:
+                return np.repeat(rows, each), source.numbers(start, leaf.code, count, swap).reshape(-1)
+            within = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
+            places = np.repeat(start, each) + within * run.size
+            return np.repeat(rows, each), _read(
+                source, leaf, places, None if swap is None else np.repeat(swap, each)
+            )
+
+        for leaf in run.leaves:
+            self._add(bulk.joined(prefix, leaf.name), partial(gather, leaf))
+
+    def text(self, name: str, text: Text, cursor: Cursor, length: Position) -> None:
+        """Take a string whose characters start at the cursor's position."""
+        source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
+        self._add(
+            name, lambda: (rows, _strings(source, text, start, np.broadcast_to(length, len(rows)), swap))
+        )
+
+    def _add(self, name: str, piece: Piece) -> None:
+        self._pieces[name].append(piece)
+
+    def _declare(self, plan: CdrPlan, prefix: str, *, ragged: bool) -> None:
+        """Name every column, so that those without a value in this batch exist too."""
+        for step in plan.steps:
+            if isinstance(step, Repeat):
+                self._declare(step.plan, bulk.joined(prefix, step.name), ragged=True)
+                continue
+            for item in step.leaves if isinstance(step, PrimitiveRun) else (step,):
+                name = bulk.joined(prefix, item.name)
+                self._pieces[name] = []
+                self._ragged[name] = ragged
+                self._items[name] = item
+
+    def _gather(self, name: str) -> NDArray[Any] | Ragged:
+        pieces = [piece() for piece in self._pieces[name]]
+        if not self._ragged[name]:
+            if pieces and len(pieces[0][0]) == self._rows:
+                return pieces[0][1]
+            column = _zeros(self._items[name], self._rows, flat=False)
+            for rows, values in pieces:
+                column[rows] = values
+            return column
+        if not pieces:
+            return Ragged(_zeros(self._items[name], 0, flat=True), np.zeros(self._rows + 1, np.int64))
+        pairs = [
+            (np.repeat(rows, values.shape[1]), values.reshape(-1)) if values.ndim > 1 else (rows, values)
+            for rows, values in pieces
+        ]
+        rows = np.concatenate([rows for rows, _ in pairs])
+        values = np.concatenate([values for _, values in pairs])
+        if len(pairs) > 1:
+            values = values[np.argsort(rows, kind="stable")]
+        offsets = np.zeros(self._rows + 1, np.int64)
+        np.cumsum(np.bincount(rows, minlength=self._rows), out=offsets[1:])
+        return Ragged(values, offsets)
+
+
+def _zeros(item: Leaf | Text, rows: int, *, flat: bool) -> NDArray[Any]:
+    if isinstance(item, Text):
+        return np.full(rows, "", object)
+    dtype = bool if item.code == "?" else np.dtype("<" + item.code)
+    return np.zeros(rows if flat or item.count is None else (rows, item.count), dtype)
+
+
+def _read(
+    source: bulk.Bytes, leaf: Leaf, start: NDArray[np.int64], swap: NDArray[np.bool_] | None
+) -> NDArray[Any]:
+    """Read one leaf of the runs at some offsets: shape (offsets,), or (offsets, elements) for an array."""
+    values = source.numbers(start + leaf.offset, leaf.code, leaf.count or 1, swap)
+    return values.reshape(-1) if leaf.count is None else values
+
+
+def _strings(
+    source: bulk.Bytes,
+    text: Text,
+    start: NDArray[np.int64],
+    length: NDArray[np.int64],
+    swap: NDArray[np.bool_] | None,
+) -> NDArray[Any]:
+    """Decode strings, each distinct one once."""
+    found = np.full(len(start), "", object)
+    order = np.zeros(len(start), np.int64) if swap is None else swap.astype(np.int64)
+    for units in np.unique(length):
+        for big in np.unique(order):
+            chosen = np.flatnonzero((length == units) & (order == big))
+            if units == 0 or not len(chosen):
+                continue
+            raw = source.gather(start[chosen], int(units) * text.width).tolist()
+            decoded = {item: reader.string_value(text, int(big), item) for item in set(raw)}
+            found[chosen] = [decoded[item] for item in raw]
+    return found

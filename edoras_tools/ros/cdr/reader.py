@@ -1,0 +1,290 @@
+"""Reads one message from CDR: fast if it is valid, and with details of the mistake if it is not.
+
+A message is valid when its representation is CDR, every field lies inside it, every string ends in NUL (or is
+of length 0, as some writers send an empty one) and no bound is exceeded. Invalid UTF-8 is replaced, and any
+non-zero ``bool`` is true. Bytes behind the last field are not looked at, as by every receiver of ROS 2.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, Final, NamedTuple
+
+from edoras_tools.errors import FieldError, TruncatedError, WireError
+from edoras_tools.ros.cdr.plan import CdrPlan, PrimitiveRun, Repeat, Text
+from edoras_tools.wire.cdr import CDR_BE, CDR_LE
+
+ENCAPSULATION_BYTES: Final = 4
+"""Bytes before the body: representation and options (DDSI-RTPS 10.2)."""
+_ORDERS: Final = {CDR_LE: 0, CDR_BE: 1}
+_COUNTS: Final = struct.Struct("<I"), struct.Struct(">I")
+
+
+class ValueSpan(NamedTuple):
+    """A value of a message and where it is.
+
+    Attributes:
+        path: dotted, with indexes, as ``poses[0].position.x``.
+        value: number, bool, str or a list of numbers.
+        start: first byte, counted from the encapsulation's first; a string's is its length.
+        end: one past the last byte.
+    """
+
+    path: str
+    value: Any
+    start: int
+    end: int
+
+
+class _Misfit(Exception):  # noqa: N818  it never leaves this file
+    """The fast reader stopped; ``value_spans`` finds out where and why."""
+
+
+def decode(name: str, plan: CdrPlan, cdr: bytes) -> Any:
+    """Return the value of a message.
+
+    Raises:
+        WireError: the message is not valid.
+    """
+    order = encapsulation_order(name, cdr)
+    values: list[Any] = []
+    try:
+        end = _read(plan, order, cdr[ENCAPSULATION_BYTES:], 0, values)
+    except _Misfit:
+        end = -1
+    if end < 0:
+        value_spans(name, plan, cdr)  # raises with the position
+    return plan.build(iter(values))
+
+
+def value_spans(name: str, plan: CdrPlan, cdr: bytes) -> list[ValueSpan]:
+    """Return every leaf of a message, in wire order.
+
+    Raises:
+        TruncatedError: a field needs more bytes than there are; offsets count from the start of ``cdr``.
+        FieldError: a string without NUL, or more elements than the type allows.
+        WireError: the representation is not CDR.
+    """
+    order = encapsulation_order(name, cdr)
+    found: list[ValueSpan] = []
+    _Walk(name, cdr, order, found).plan(plan, "", ENCAPSULATION_BYTES)
+    return found
+
+
+def skip(plan: CdrPlan, order: int, body: bytes, position: int, times: int) -> int | None:
+    """Return the end of some elements that start at a position; None where they do not fit.
+
+    Args:
+        plan: of one element.
+        order: 0 for little-endian, 1 for big-endian.
+        body: without the encapsulation.
+        position: from the start of the body.
+        times: how many elements.
+    """
+    try:
+        for _ in range(times):
+            position = _read(plan, order, body, position, [])
+    except _Misfit:
+        return None
+    return position
+
+
+def bytes_left(plan: CdrPlan, order: int, body: bytes) -> int:
+    """Return how many bytes follow the last field, -1 where the body is not valid; arguments as ``skip``."""
+    end = skip(plan, order, body, 0, 1)
+    return -1 if end is None else len(body) - end
+
+
+def encapsulation_order(name: str, cdr: bytes) -> int:
+    """Return 0 for a little-endian message, 1 for a big-endian one.
+
+    Raises:
+        WireError: the representation is not CDR.
+    """
+    if len(cdr) < ENCAPSULATION_BYTES:
+        raise TruncatedError(f"{name} encapsulation", 0, ENCAPSULATION_BYTES, len(cdr))
+    representation = int.from_bytes(cdr[:2], "big")
+    if representation not in _ORDERS:
+        raise WireError(
+            f"{name}: representation 0x{representation:04x} is not supported; CDR is 0x0000 or 0x0001"
+        )
+    return _ORDERS[representation]
+
+
+def _read(plan: CdrPlan, order: int, body: bytes, position: int, values: list[Any]) -> int:
+    """Append the flat values of a plan; return where it ends."""
+    for step in plan.steps:
+        if isinstance(step, PrimitiveRun):
+            position = (position + step.alignment - 1) & -step.alignment
+            if position + step.size > len(body):
+                raise _Misfit
+            values += step.structs[order].unpack_from(body, position)
+            position += step.size
+        elif isinstance(step, Text):
+            length, position = _count(order, body, position)
+            end = position + length * step.width
+            if end > len(body) or _unterminated(step, body, end, length) or _over(step, length):
+                raise _Misfit
+            values.append(string_value(step, order, body[position:end]))
+            position = end
+        else:
+            position = _read_repeat(step, order, body, position, values)
+    return position
+
+
+def _read_repeat(step: Repeat, order: int, body: bytes, position: int, values: list[Any]) -> int:
+    count = step.count
+    plan = step.plan
+    if count is None:
+        count, position = _count(order, body, position)
+        if step.bound and count > step.bound:
+            raise _Misfit
+    if position + count * plan.least > len(body):
+        raise _Misfit
+    run = plan.uniform
+    if run is None or not count:
+        elements = []
+        for _ in range(count):
+            flat: list[Any] = []
+            position = _read(plan, order, body, position, flat)
+            elements.append(plan.build(iter(flat)))
+        values.append(elements)
+        return position
+    position = (position + run.alignment - 1) & -run.alignment
+    end = position + count * run.size
+    if end > len(body):
+        raise _Misfit
+    values.append(_elements(plan, run, order, body[position:end]))
+    return end
+
+
+def _elements(plan: CdrPlan, run: PrimitiveRun, order: int, data: bytes) -> list[Any]:
+    """Read elements without gaps between them."""
+    if plan.element is not None:
+        return _numbers(plan.element.code, order, data)
+    return [plan.build(iter(flat)) for flat in run.structs[order].iter_unpack(data)]
+
+
+def _numbers(code: str, order: int, data: bytes) -> list[Any]:
+    if code == "B":
+        return list(data)
+    return list(struct.unpack(f"{'<>'[order]}{len(data) // struct.calcsize('<' + code)}{code}", data))
+
+
+def _count(order: int, body: bytes, position: int) -> tuple[int, int]:
+    position = (position + 3) & -4
+    if position + 4 > len(body):
+        raise _Misfit
+    return _COUNTS[order].unpack_from(body, position)[0], position + 4
+
+
+def _unterminated(step: Text, data: bytes, end: int, length: int) -> bool:
+    return step.width == 1 and length > 0 and data[end - 1] != 0
+
+
+def _over(step: Text, length: int) -> bool:
+    """Tell whether a string is longer than its bound; the length of a narrow one counts the NUL."""
+    return 0 < step.bound < length - (step.width == 1)
+
+
+def string_value(step: Text, order: int, data: bytes) -> str:
+    """Return a string from its characters, NUL included."""
+    if step.width == 1:
+        return data[:-1].decode("utf-8", "replace")
+    units = _numbers("I", order, data)
+    return struct.pack(f"<{len(units)}H", *(unit & 0xFFFF for unit in units)).decode("utf-16-le", "replace")
+
+
+class _Walk:
+    """Reads field by field and records positions, counted from the encapsulation's first byte."""
+
+    def __init__(self, name: str, cdr: bytes, order: int, found: list[ValueSpan]) -> None:
+        self._name = name
+        self._cdr = cdr
+        self._order = order
+        self._found = found
+
+    def plan(self, plan: CdrPlan, path: str, position: int) -> int:
+        """Append the spans of one plan; return where it ends."""
+        for step in plan.steps:
+            if isinstance(step, PrimitiveRun):
+                position = self._run(step, path, position)
+            elif isinstance(step, Text):
+                position = self._text(step, path + step.name, position)
+            else:
+                position = self._repeat(step, path + step.name, position)
+        return position
+
+    def _run(self, step: PrimitiveRun, path: str, position: int) -> int:
+        position = _aligned(position, step.alignment)
+        for leaf in step.leaves:
+            start, end = position + leaf.offset, position + leaf.end
+            self._need(path + leaf.name, start, end)
+            values = _numbers(leaf.code, self._order, self._cdr[start:end])
+            self._found.append(
+                ValueSpan(path + leaf.name, values[0] if leaf.count is None else values, start, end)
+            )
+        return position + step.size
+
+    def _text(self, step: Text, path: str, position: int) -> int:
+        length, start = self._count(path, position)
+        end = start + length * step.width
+        self._need(path, start, end)
+        if _over(step, length):
+            self._refuse(path, f"{length} characters at byte {start}; at most {step.bound} may be there")
+        if _unterminated(step, self._cdr, end, length):
+            self._refuse(path, f"the string of {length} bytes at byte {start} does not end in NUL")
+        self._found.append(
+            ValueSpan(path, string_value(step, self._order, self._cdr[start:end]), start - 4, end)
+        )
+        return end
+
+    def _repeat(self, step: Repeat, path: str, position: int) -> int:
+        begin, count, plan = position, step.count, step.plan
+        if count is None:
+            count, position = self._count(path, position)
+            begin = position - 4
+            if step.bound and count > step.bound:
+                self._refuse(path, f"{count} elements at byte {begin}; at most {step.bound} may be there")
+        self._need(path, position, position + count * plan.least)
+        leaf = plan.element
+        if leaf is not None:
+            start = _aligned(position, leaf.size) if count else position
+            end = start + count * leaf.size
+            self._need(path, start, end)
+            self._found.append(
+                ValueSpan(path, _numbers(leaf.code, self._order, self._cdr[start:end]), begin, end)
+            )
+            return end
+        if not count:
+            self._found.append(ValueSpan(path, [], begin, position))
+        dot = "" if _unnamed(plan) else "."
+        for index in range(count):
+            position = self.plan(plan, f"{path}[{index}]{dot}", position)
+        return position
+
+    def _count(self, path: str, position: int) -> tuple[int, int]:
+        start = _aligned(position, 4)
+        self._need(path, start, start + 4)
+        return _COUNTS[self._order].unpack_from(self._cdr, start)[0], start + 4
+
+    def _need(self, path: str, start: int, end: int) -> None:
+        if end > len(self._cdr):
+            raise TruncatedError(f"{self._name} {path}", start, end - start, max(len(self._cdr) - start, 0))
+
+    def _refuse(self, path: str, why: str) -> None:
+        raise FieldError(self._name, path, why)
+
+
+def _aligned(position: int, alignment: int) -> int:
+    """Align a position that counts from the encapsulation: alignment counts from the byte after it."""
+    return ((position - ENCAPSULATION_BYTES + alignment - 1) & -alignment) + ENCAPSULATION_BYTES
+
+
+def _unnamed(plan: CdrPlan) -> bool:
+    """Tell whether the elements of a plan are strings, which have no name of their own."""
+    return not _first_name(plan.steps[0])
+
+
+def _first_name(step: PrimitiveRun | Text | Repeat) -> str:
+    return step.leaves[0].name if isinstance(step, PrimitiveRun) else step.name

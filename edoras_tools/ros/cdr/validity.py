@@ -1,0 +1,159 @@
+"""Finds the end of each of many messages: most by comparison with one already read, the rest one by one.
+
+Few bytes decide whether a message is valid and where its last field ends: counts, string lengths, and the NUL
+of each string. Messages of the same length and byte order with the same values there have the same result, as
+most of a topic do.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.ros.cdr.bulk import FEW, MOST_SEEN, Cursor, start_cursor, walk_plan
+from edoras_tools.ros.cdr.reader import bytes_left
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.ros.cdr.plan import CdrPlan
+
+_CHUNK_ROWS: Final = 4096
+"""Rows compared together: few enough that the arrays stay in the processor's cache."""
+_MOST_PATTERNS: Final = 4
+"""Patterns to try before the remaining messages of a batch are read one by one."""
+_GAP: Final = 48
+"""Deciding bytes that are at most this far apart are compared together."""
+_SHORT: Final = 8
+_INVALID: Final = -1
+_MOST: Final = 2048
+"""Most bytes of a pattern; above this, comparing is not faster than reading."""
+
+
+class _Window(NamedTuple):
+    """Deciding bytes that lie close together.
+
+    Attributes:
+        first: offset of the first byte from the start of the body.
+        size: bytes, a multiple of 8.
+        want: u64 (CHUNK, size / 8), what is there.
+        mask: u64 (CHUNK, size / 8), which bits of it decide.
+    """
+
+    first: int
+    size: int
+    want: NDArray[np.uint64]
+    mask: NDArray[np.uint64]
+
+
+class _Pattern:
+    """The deciding bytes of a cursor's first row, and how many bytes it has left; -1 if it is not valid."""
+
+    def __init__(self, plan: CdrPlan, cursor: Cursor) -> None:
+        row = cursor.take(np.zeros(1, np.int64))
+        row.seen = []
+        self._end = row.end[0]
+        self._swap = None if cursor.swap is None else cursor.swap[0]
+        body = cursor.bytes.data[cursor.base[0] :]
+        left = _finish(plan, row)
+        self.left = int(left[0]) if len(left) else _INVALID
+        joined = _joined(row.seen)
+        self._usable = len(row.seen) <= MOST_SEEN and sum(end - first for first, end in joined) <= _MOST
+        self._windows = [_window(body, first, end, row.seen) for first, end in joined] if self._usable else []
+
+    def matches(self, cursor: Cursor) -> NDArray[np.bool_]:
+        """Tell which rows certainly have the same result."""
+        alike: NDArray[np.bool_] = cursor.end == self._end
+        alike &= (cursor.swap if cursor.swap is not None else False) == bool(self._swap)
+        alike &= self._usable
+        for window in self._windows:
+            last = len(cursor.bytes.data) - window.size
+            if last < 0:
+                return np.zeros(len(cursor), bool)
+            begin = cursor.base + window.first
+            if begin.max() > last:
+                alike &= begin <= last
+                begin = np.minimum(begin, last)
+            found = cursor.bytes.gather(begin, window.size).view("<u8").reshape(len(cursor), -1)
+            found ^= window.want[: len(found)]
+            found &= window.mask[: len(found)]
+            if found.any():
+                alike &= ~found.any(axis=1)
+        return alike
+
+
+def trailing(
+    plan: CdrPlan, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+) -> NDArray[np.int32]:
+    """Return how many bytes follow each message's last field; -1 for those that ``reader.decode`` refuses.
+
+    Args:
+        plan: of their type.
+        data: u8, the buffer.
+        offset: i64, first byte of each message, encapsulation included; any value.
+        length: i32, bytes of each message; any value.
+    """
+    data = np.ascontiguousarray(data)
+    found = np.full(len(offset), _INVALID, np.int32)
+    pattern, patience = None, _MOST_PATTERNS
+    for first in range(0, len(offset), _CHUNK_ROWS):
+        cursor = start_cursor(
+            plan, data, offset[first : first + _CHUNK_ROWS], length[first : first + _CHUNK_ROWS]
+        )
+        if not len(cursor):
+            continue
+        if pattern is None and patience and len(cursor) > FEW:
+            pattern, patience = _Pattern(plan, cursor), patience - 1
+        if pattern is not None:
+            alike = pattern.matches(cursor)
+            found[first + cursor.rows[alike]] = pattern.left
+            if 2 * np.count_nonzero(alike) < len(cursor):
+                pattern = None
+            cursor.keep(~alike)
+        left = _finish(plan, cursor)
+        found[first + cursor.rows] = left
+    return found
+
+
+def _finish(plan: CdrPlan, cursor: Cursor) -> NDArray[np.int64]:
+    """Walk a cursor to the end, dropping the rows that are not valid; return what the others have left."""
+    if len(cursor) <= FEW and cursor.seen is None:
+        rows = range(len(cursor))
+        left = np.fromiter((bytes_left(plan, *cursor.body(row)) for row in rows), np.int64, len(cursor))
+    else:
+        walk_plan(plan, cursor, None)
+        left = cursor.end - cursor.position
+    cursor.keep(left >= 0)
+    return left[left >= 0]
+
+
+def _joined(seen: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return ascending ranges with those joined that lie close together."""
+    joined: list[tuple[int, int]] = []
+    for first, end in seen:
+        if joined and first - joined[-1][1] <= _GAP:
+            joined[-1] = (joined[-1][0], end)
+        else:
+            joined.append((first, end))
+    return joined
+
+
+def _window(body: NDArray[np.uint8], first: int, end: int, seen: list[tuple[int, int]]) -> _Window:
+    size = -(-(end - first) // 8) * 8
+    want, mask = np.zeros(size, np.uint8), np.zeros(size, np.uint8)
+    want[: end - first] = body[first:end]
+    for begin, stop in seen:
+        if first <= begin < end:
+            mask[begin - first : stop - first] = 0xFF
+    return _Window(first, size, _rows(want), _rows(mask))
+
+
+def _rows(data: NDArray[np.uint8]) -> NDArray[np.uint64]:
+    """Return bytes as u64, once for each row of a chunk; numpy is slow to repeat short rows by itself."""
+    words = data.view("<u8")
+    return (
+        np.tile(words, (_CHUNK_ROWS, 1))
+        if len(words) <= _SHORT
+        else np.broadcast_to(words, (_CHUNK_ROWS, len(words)))
+    )

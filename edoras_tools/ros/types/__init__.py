@@ -1,0 +1,1 @@
+"""ROS message definitions: their grammar, where they are found, their fields and their text."""

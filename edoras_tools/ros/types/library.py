@@ -1,0 +1,200 @@
+"""Finds definitions: in folders, an MCAP's schemas, this package, a distribution or a sourced ROS 2.
+
+Definitions are read on demand; only the names in the folders that the user gave are listed at once.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from ast import literal_eval
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.ros.types.grammar import Section, parse_definition, sections
+from edoras_tools.ros.types.schema import TYPE_NAME, Definition, full_name
+from edoras_tools.ros.types.standard import converted, distros, standard
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+
+_INCLUDE: Final = re.compile(r"^[ \t]*#.*", re.MULTILINE)
+"""A line for the preprocessor: what it includes is found by name."""
+OWN: Final = Path(__file__).parent / "definitions"
+"""The definitions of this package's own messages, ``PACKAGE/msg/NAME.msg``."""
+
+
+class Library:
+    """Finds definitions by type name; the first place that has one wins.
+
+    Args:
+        distro: ROS 2 distribution whose standard messages are known.
+        msg_paths: folders (searched to the bottom) or files, laid out ``PACKAGE/msg/NAME.msg`` or ``.idl``.
+        schemas: complete ``ros2msg`` texts by type, as an MCAP holds them.
+
+    Raises:
+        ConfigError: there is no such distribution or folder, or a folder holds no definition.
+    """
+
+    def __init__(
+        self, distro: str, msg_paths: Iterable[str | os.PathLike[str]], schemas: Mapping[str, str]
+    ) -> None:
+        self.distro = distro
+        self._release = _known(distro)
+        self._files = _index(msg_paths)
+        self._sections: dict[str, tuple[str, Section]] = {}
+        for name, text in schemas.items():
+            for section in sections(full_name(name), text):
+                self._sections.setdefault(section.name, (f"schema of {name}", section))
+        self._found: dict[str, Definition] = {}
+
+    def find(self, name: str) -> Definition | None:
+        """Return the definition of a type, or None where it is not found.
+
+        Raises:
+            ConfigError: the definition was found and holds mistakes.
+        """
+        if name not in self._found and TYPE_NAME.fullmatch(name):
+            for place in (
+                self._from_files,
+                self._from_schemas,
+                self._from_package,
+                self._from_distro,
+                self._sourced,
+            ):
+                if found := place(name):
+                    self._found[name] = found
+                    break
+        return self._found.get(name)
+
+    def names(self) -> list[str]:
+        """Return the name of every type that any place has, sorted."""
+        folders = [OWN, *_sourced_folders()]
+        listed = {_type_of(file) for folder in folders for file in folder.glob("*/msg/*.msg")}
+        return sorted(listed | self._files.keys() | self._sections.keys() | self._standard.keys())
+
+    def _from_files(self, name: str) -> Definition | None:
+        file = self._files.get(name)
+        return _read(name, file) if file else None
+
+    def _from_schemas(self, name: str) -> Definition | None:
+        if name not in self._sections:
+            return None
+        label, section = self._sections[name]
+        return parse_definition(name, section.text, label, section.line)
+
+    def _from_package(self, name: str) -> Definition | None:
+        return _read_if_there(name, OWN)
+
+    def _from_distro(self, name: str) -> Definition | None:
+        text = self._standard.get(name)
+        return None if text is None else parse_definition(name, text, f"{name} of {self._release}")
+
+    def _sourced(self, name: str) -> Definition | None:
+        return next(filter(None, (_read_if_there(name, folder) for folder in _sourced_folders())), None)
+
+    @cached_property
+    def _standard(self) -> dict[str, str]:
+        return standard(self._release)
+
+
+def _read_if_there(name: str, folder: Path) -> Definition | None:
+    """Read a type's definition from a folder of packages; None where it is not there."""
+    file = folder / f"{name}.msg"
+    try:
+        there = file.is_file()
+    except OSError:  # longer than any file name may be
+        return None
+    return _read(name, file) if there else None
+
+
+def _known(distro: str) -> str:
+    """Return the distribution that a name stands for."""
+    known = distros()
+    if distro in {"latest", "rolling"}:
+        return known[-1]
+    if distro not in known:
+        raise ConfigError(
+            f"--distro: {distro!r} is not a ROS 2 distribution; known: {', '.join(known)}, latest, rolling"
+        )
+    return distro
+
+
+def _index(paths: Iterable[str | os.PathLike[str]]) -> dict[str, Path]:
+    """List the definitions below some folders by type name; the first of a name wins."""
+    index: dict[str, Path] = {}
+    mistakes = []
+    for given in map(Path, paths):
+        path = given.absolute()
+        if not path.exists():
+            mistakes.append(f"--msg-path: {given}: no such file or folder")
+            continue
+        candidates = (
+            [path] if path.is_file() else [*sorted(path.rglob("*.msg")), *sorted(path.rglob("*.idl"))]
+        )
+        found = {
+            _type_of(file): file
+            for file in reversed(candidates)
+            if file.parent.name in {"msg", "srv", "action"}
+        }
+        if not found:
+            mistakes.append(
+                f"--msg-path: {given}: no definition there; expected PACKAGE/msg/NAME.msg or NAME.idl"
+            )
+        index = found | index
+    if mistakes:
+        raise ConfigError(*mistakes)
+    return index
+
+
+def _type_of(file: Path) -> str:
+    return f"{file.parent.parent.name}/{file.parent.name}/{file.stem}"
+
+
+def _sourced_folders() -> Iterator[Path]:
+    """Yield the ``share`` folder of every prefix of a sourced ROS 2."""
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix, "share")
+
+
+def _read(name: str, file: Path) -> Definition:
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"{file}: cannot be read: {getattr(error, 'strerror', None) or 'not UTF-8'}"
+        ) from error
+    return parse_definition(name, text, str(file)) if file.suffix == ".msg" else _read_idl(name, text, file)
+
+
+def _read_idl(name: str, text: str, file: Path) -> Definition:
+    from rosbags.typesys import TypesysError, get_types_from_idl
+
+    try:
+        types = get_types_from_idl(_INCLUDE.sub("", text))
+    except (
+        TypesysError,
+        ValueError,
+        KeyError,
+        RecursionError,
+        AssertionError,
+        TypeError,
+        AttributeError,
+    ) as error:
+        raise ConfigError(f"{file}:{_idl_line(error)}: not the IDL that ROS 2 writes") from error
+    if name not in types:
+        raise ConfigError(f"{file}:1: defines {', '.join(types) or 'no type'}, not {name}")
+    return converted(name, types)
+
+
+def _idl_line(error: Exception) -> int:
+    """Return the line that rosbags' parser stopped at: its message holds the text, then the position."""
+    parts = str(error).split("\n")
+    try:
+        return str(literal_eval(parts[1])).count("\n", 0, int(parts[2])) + 1
+    except (IndexError, ValueError, SyntaxError):
+        return 1

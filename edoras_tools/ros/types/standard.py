@@ -1,0 +1,120 @@
+"""The standard messages of every ROS 2 distribution, as rosbags knows them.
+
+They are kept as text: rosbags builds a class for each, which takes longer than any other step of a command's
+start. ``write_standard`` writes the text again from the installed rosbags.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.ros.types.schema import (
+    PLACEHOLDER,
+    Constant,
+    Definition,
+    MessageField,
+    Shape,
+)
+
+if TYPE_CHECKING:
+    from rosbags.interfaces.typing import FieldDesc, Typesdict
+
+FILE: Final = Path(__file__).parent / "definitions" / "standard.json"
+"""``distros``, oldest first, and ``types``: name -> {distribution: ``ros2msg`` text}. A text holds until a
+newer distribution has another; null ends it."""
+_STANDARD_DEFAULTS: Final = {
+    ("geometry_msgs/msg/Quaternion", "w"): (1.0, ""),
+    ("sensor_msgs/msg/NavSatStatus", "status"): (-2, "STATUS_UNKNOWN"),
+}
+"""rosbags keeps no defaults; of the standard packages' only these differ from zero, each where the definition
+has a constant, if one is named."""
+_ADDED: Final = {
+    "jazzy": {"nav_msgs/msg/Goals": "std_msgs/Header header\ngeometry_msgs/PoseStamped[] goals\n"}
+}
+"""What a distribution got after its release, and rosbags does not know of."""
+
+
+def distros() -> list[str]:
+    """Return the names of the distributions, oldest first."""
+    return list(_table()["distros"])
+
+
+def standard(distro: str) -> dict[str, str]:
+    """Return the definitions of a distribution, ``ros2msg`` text by type name.
+
+    Raises:
+        ValueError: there is no such distribution.
+    """
+    table = _table()
+    until = table["distros"].index(distro) + 1
+    found = {}
+    for name, texts in table["types"].items():
+        for known in table["distros"][:until]:
+            if known in texts:
+                found[name] = texts[known]
+    return {name: text for name, text in found.items() if text is not None}
+
+
+@cache
+def _table() -> dict[str, Any]:
+    table: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
+    return table
+
+
+def collect() -> dict[str, Any]:
+    """Return the content of ``FILE``, made from the installed rosbags."""
+    from rosbags.typesys import Stores, get_typestore
+
+    stores = [store for store in Stores if store.value.startswith("ros2_")]
+    types: dict[str, dict[str, str | None]] = {}
+    now: dict[str, str | None] = {}
+    for store in stores:
+        distro = store.value.removeprefix("ros2_")
+        fields = get_typestore(store).fielddefs
+        texts = {name: converted(name, fields).text for name in fields} | _ADDED.get(distro, {})
+        for name in sorted({*texts, *now}):
+            if name not in now or now[name] != texts.get(name):
+                now[name] = types.setdefault(name, {})[distro] = texts.get(name)
+    return {
+        "distros": [store.value.removeprefix("ros2_") for store in stores],
+        "types": dict(sorted(types.items())),
+    }
+
+
+def write_standard() -> None:
+    """Write ``FILE``."""
+    FILE.write_text(json.dumps(collect(), indent=1) + "\n", encoding="utf-8")
+
+
+def converted(name: str, types: Typesdict) -> Definition:
+    """Return a definition as rosbags holds it as one of ours."""
+    constants, fields = types[name]
+    named = {"", *(item for item, _, _ in constants)}
+    defaults = {
+        field: value
+        for (owner, field), (value, constant) in _STANDARD_DEFAULTS.items()
+        if owner == name and constant in named
+    }
+    return Definition(
+        name,
+        tuple(_field(item, description, defaults) for item, description in fields if item != PLACEHOLDER),
+        tuple(Constant(item, kind, value) for item, kind, value in constants),
+    )
+
+
+def _field(name: str, description: FieldDesc, defaults: dict[str, Any]) -> MessageField:
+    """Turn rosbags' description of a field into ours: nested pairs of a node kind and its arguments."""
+    from rosbags.interfaces import Nodetype
+
+    kind: Any
+    arguments: Any
+    kind, arguments = description
+    shape, size = Shape.SCALAR, 0
+    if kind in {Nodetype.ARRAY, Nodetype.SEQUENCE}:
+        shape = Shape.ARRAY if kind == Nodetype.ARRAY else Shape.SEQUENCE
+        (kind, arguments), size = arguments
+    base, bound = arguments if kind == Nodetype.BASE else (arguments, 0)
+    return MessageField(name, base, bound, shape, size, defaults.get(name))

@@ -1,0 +1,282 @@
+"""A bridge between a ROS 2 graph and one cFS: messages, datagrams and times in, datagrams and messages out.
+
+Rules that it keeps:
+
+1. Datagrams to send are put into ``outbox``, in order; the owner of the socket empties it.
+2. Every message that comes in is counted once: as sent, as held back by a limit (or waiting for it), or as
+   refused with a reason.
+3. Messages for cFS while the session is not ready are never sent, also not later: old commands are dangerous.
+4. A packet longer than cFS accepts is refused, never cut.
+5. The bytes of a message stay as they are; only headers and envelopes are written or removed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from edoras_tools.cfs import limits
+from edoras_tools.sessions.bridge.limit import Limit, Limiter
+from edoras_tools.sessions.bridge.packets import Envelope, PacketWriter, find_packet
+from edoras_tools.wire import sbn
+from edoras_tools.wire.cdr import ENCAPSULATION
+from edoras_tools.wire.envelope import EnvelopeFormat
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from edoras_tools.mission import Route
+
+CI_LARGEST: Final = limits.CI_BUFFER
+"""Command Ingest cuts a longer packet: it is refused instead."""
+_REASONS: Final = 16
+SBN_LARGEST: Final = sbn.LARGEST_PAYLOAD
+
+
+class LinkSession(Protocol):
+    """The protocol with cFS apart from the messages; time is an argument, in ns."""
+
+    notes: list[str]
+    """Lines for people; the reader empties the list."""
+    refused: dict[str, int]
+    """Datagrams that were refused, by reason."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether messages may be sent."""
+        ...
+
+    @property
+    def next_ns(self) -> int | None:
+        """When ``service`` is due; None when never."""
+        ...
+
+    def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:
+        """Process a datagram; return where its space packet starts, -1 for none, and the answers."""
+        ...
+
+    def service(self, *, now: int) -> list[bytes]:
+        """Return what is due."""
+        ...
+
+    def frame(self, packet: bytes) -> bytes:
+        """Return the datagram that carries a packet."""
+        ...
+
+    def sent(self, *, now: int) -> None:
+        """Note that messages were sent."""
+        ...
+
+    def goodbye(self) -> list[bytes]:
+        """Return what to send at the end."""
+        ...
+
+    def summary(self) -> dict[str, Any]:
+        """Return its part of ``bridge --json``."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeOptions:
+    """How a bridge writes and reads packets.
+
+    Attributes:
+        telemetry_header: bytes of cFE's telemetry header.
+        envelope: format where a route names none; ``auto`` tells it from the bytes.
+        max_size: largest packet in bytes that cFS accepts.
+        max_rate_total: most messages a second to cFS; None for no limit.
+    """
+
+    telemetry_header: int = 16
+    envelope: str = "8/8 le"
+    max_size: int = SBN_LARGEST
+    max_rate_total: float | None = None
+
+
+@dataclass(slots=True)
+class Traffic:
+    """What happened to the messages of one route.
+
+    Attributes:
+        received: messages that came in.
+        sent: messages that went out.
+        refused: messages that could not go out, by reason.
+    """
+
+    received: int = 0
+    sent: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+
+    def refuse(self, reason: str) -> None:
+        """Count one that is refused.
+
+        The number of reasons is bounded, because some contain values of the message.
+        """
+        if reason not in self.refused and len(self.refused) >= _REASONS:
+            reason = "other reasons"
+        self.refused[reason] = self.refused.get(reason, 0) + 1
+
+
+class BridgeSession:
+    """The routes of one bridge, and its session with cFS.
+
+    Args:
+        routes: to and from cFS.
+        link: the session.
+        writer: of packets; the session uses the same.
+        options: of writing and reading.
+        sizes: type to the bytes of its messages; None where they vary.
+
+    Attributes:
+        routes: as given; a route is named by its index.
+        link: as given.
+        traffic: counts of each route.
+        limiter: rate limits, in the order of the routes.
+        outbox: datagrams to send, in order.
+        others: packets from cFS that no route claims.
+        unreadable: datagrams from cFS without a whole packet.
+    """
+
+    def __init__(
+        self,
+        routes: Sequence[Route],
+        link: LinkSession,
+        writer: PacketWriter,
+        options: BridgeOptions | None = None,
+        sizes: Mapping[str, int | None] | None = None,
+    ) -> None:
+        options, sizes = options or BridgeOptions(), sizes or {}
+        self.routes, self.link = tuple(routes), link
+        self.traffic = [Traffic() for _ in routes]
+        self.outbox: list[bytes] = []
+        self.others = self.unreadable = 0
+        handlings = [route.handling for route in routes]
+        # The total protects cFS; what comes from cFS does not count.
+        chosen = [Limit(item.max_rate, item.keep or "latest") for item in handlings]
+        self.limiter: Limiter[bytes] = Limiter(
+            chosen, options.max_rate_total, [route.to_cfs for route in routes]
+        )
+        self._writer, self._telemetry_header = writer, options.telemetry_header
+        self._envelopes = [
+            Envelope(_format(route.envelope or options.envelope), sizes.get(route.type), route.type)
+            for route in routes
+        ]
+        self._largest_cdr = [
+            min(envelope.most, options.max_size - writer.overhead(route.msg_id) - envelope.size)
+            for route, envelope in zip(routes, self._envelopes, strict=True)
+        ]
+        self._from_cfs = {route.msg_id: index for index, route in enumerate(routes) if not route.to_cfs}
+
+    @property
+    def next_ns(self) -> int | None:
+        """When ``service`` is due; None when never."""
+        first, second = self.link.next_ns, self.limiter.next_ns
+        if first is None or second is None:
+            return first if second is None else second
+        return min(first, second)
+
+    def receive_message(self, index: int, cdr: bytes, *, now: int) -> bool:
+        """Take a message of the graph for cFS; tell whether it was put into the outbox at once."""
+        traffic = self.traffic[index]
+        traffic.received += 1
+        if not self.link.ready:
+            traffic.refuse("cFS is not connected")
+        elif len(cdr) < ENCAPSULATION.size:
+            traffic.refuse("no CDR")
+        elif len(cdr) > self._largest_cdr[index]:
+            traffic.refuse(f"longer than the {self._largest_cdr[index]} bytes of CDR that fit a packet")
+        elif self.limiter.offer(index, cdr, now=now):
+            self._emit(index, cdr, now)
+            return True
+        return False
+
+    def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, bytes] | None:
+        """Take a datagram of cFS, any bytes; return a route's index and the message to publish, or None."""
+        at, answers = self.link.receive_datagram(data, now=now)
+        if answers:
+            self.outbox += answers
+        if at < 0:
+            return None
+        place = find_packet(data, at, self._telemetry_header)
+        if place is None:
+            self.unreadable += 1
+            return None
+        index = self._from_cfs.get(place.msg_id)
+        if index is None:
+            self.others += 1
+            return None
+        traffic = self.traffic[index]
+        traffic.received += 1
+        cdr = self._envelopes[index].open(data, place.body, place.end)
+        if isinstance(cdr, str):
+            traffic.refuse(cdr)
+        elif self.limiter.offer(index, cdr, now=now):
+            traffic.sent += 1
+            return index, cdr
+        return None
+
+    def service(self, *, now: int) -> list[tuple[int, bytes]]:
+        """Do what is due, of the session and of messages held back; return the messages to publish."""
+        due = self.link.next_ns
+        if due is not None and due <= now:
+            self.outbox += self.link.service(now=now)
+        publish = []
+        for index, cdr in self.limiter.due(now=now):
+            if not self.routes[index].to_cfs:
+                self.traffic[index].sent += 1
+                publish.append((index, cdr))
+            elif self.link.ready:
+                self._emit(index, cdr, now)
+            else:
+                self.traffic[index].refuse("cFS is not connected")
+        return publish
+
+    def not_published(self, index: int, reason: str) -> None:
+        """Count a message that could not be published as refused, not as sent."""
+        self.traffic[index].sent -= 1
+        self.traffic[index].refuse(reason)
+
+    def goodbye(self) -> None:
+        """Put what ends the session into the outbox."""
+        self.outbox += self.link.goodbye()
+
+    def summary(self) -> dict[str, Any]:
+        """Return its part of ``bridge --json``."""
+        return {
+            **self.link.summary(),
+            "refused": dict(self.link.refused),
+            "others": self.others,
+            "unreadable": self.unreadable,
+            "routes": [
+                {
+                    **describe(route),
+                    "in": traffic.received,
+                    "out": traffic.sent,
+                    "held": self.limiter.held[index],
+                    "waiting": int(self.limiter.waits(index)),
+                    "refused": dict(traffic.refused),
+                }
+                for index, (route, traffic) in enumerate(zip(self.routes, self.traffic, strict=True))
+            ],
+        }
+
+    def _emit(self, index: int, cdr: bytes, now: int) -> None:
+        packet = self._writer.write(self.routes[index].msg_id, self._envelopes[index].wrap(cdr))
+        self.outbox.append(self.link.frame(packet))
+        self.link.sent(now=now)
+        self.traffic[index].sent += 1
+
+
+def describe(route: Route) -> dict[str, Any]:
+    """Return a route as ``bridge --json`` has it, without counts."""
+    return {
+        "topic": route.topic,
+        "type": route.type,
+        "msg_id": f"0x{route.msg_id:04x}",
+        "direction": "to_cfs" if route.to_cfs else "from_cfs",
+        "max_rate": route.handling.max_rate,
+    }
+
+
+def _format(name: str) -> EnvelopeFormat | None:
+    return None if name == "auto" else EnvelopeFormat.named(name)

@@ -1,0 +1,147 @@
+"""Space packets as a bridge writes and reads them: cFE's header, the EDORAS envelope, the CDR unchanged.
+
+An envelope whose length exceeds the packet is refused; one whose length is shorter is cut there.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.cfs import edoras_app
+from edoras_tools.sessions.sequence import MODULUS
+from edoras_tools.wire import ccsds, cfe, envelope
+from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION
+
+if TYPE_CHECKING:
+    from edoras_tools.wire.envelope import EnvelopeFormat
+
+_COMMAND: Final = struct.Struct(">HHHBB")
+_PRIMARY: Final = struct.Struct(">HHH")
+_WORDS: Final = {8: "Q", 4: "I", 1: "B"}
+_UNSEGMENTED: Final = ccsds.UNSEGMENTED << 14
+_PADDING: Final = 3
+"""RTPS pads a message to four bytes."""
+
+
+def _lengths(form: EnvelopeFormat) -> struct.Struct:
+    """Return the struct format of the two lengths of an envelope."""
+    return struct.Struct(("<" if form.byte_order == "little" else ">") + 2 * _WORDS[form.width])
+
+
+class PacketWriter:
+    """Writes packets; sequence counts and checksums, which the public bridges leave 0, on request.
+
+    Args:
+        checksum: write the checksum of commands.
+        sequence: count the packets of each MsgId, as cFE does.
+        telemetry_header: bytes of a telemetry header.
+    """
+
+    def __init__(self, *, checksum: bool = False, sequence: bool = False, telemetry_header: int = 16) -> None:
+        self._checksum, self._sequence = checksum, sequence
+        self._rest = bytes(telemetry_header - ccsds.PRIMARY.size)
+        self._counts: dict[int, int] = {}
+
+    def overhead(self, msg_id: int) -> int:
+        """Return the bytes of the header that a MsgId has."""
+        return _COMMAND.size if msg_id & cfe.COMMAND_BIT else ccsds.PRIMARY.size + len(self._rest)
+
+    def write(self, msg_id: int, payload: bytes, code: int = edoras_app.SET) -> bytes:
+        """Return a packet. A telemetry MsgId gets the telemetry header with time 0, and no function code."""
+        word = 0
+        if self._sequence:
+            count = self._counts.get(msg_id, 0)
+            self._counts[msg_id] = (count + 1) % MODULUS
+            word = _UNSEGMENTED | count
+        if not msg_id & cfe.COMMAND_BIT:
+            rest = self._rest + payload
+            return _PRIMARY.pack(msg_id, word, len(rest) - 1) + rest
+        packet = _COMMAND.pack(msg_id, word, len(payload) + 1, code, 0) + payload
+        if not self._checksum:
+            return packet
+        return packet[:7] + bytes((cfe.checksum(packet),)) + payload
+
+
+class Envelope:
+    """One route's envelope, both ways.
+
+    Args:
+        form: its format; None reads the format from the bytes, and writes the default.
+        cdr_bytes: bytes of every message of the type, encapsulation included; None where they vary.
+        type_name: for refusals.
+    """
+
+    def __init__(
+        self, form: EnvelopeFormat | None, cdr_bytes: int | None = None, type_name: str = ""
+    ) -> None:
+        self._form = form
+        self._written = form or envelope.DEFAULT
+        self._lengths = _lengths(self._written)
+        self.most = (1 << 8 * self._written.width) - 1
+        self._cdr_bytes, self._type = cdr_bytes, type_name
+
+    @property
+    def size(self) -> int:
+        """Bytes that ``wrap`` puts in front."""
+        return self._written.size
+
+    def wrap(self, cdr: bytes) -> bytes:
+        """Return a message in its envelope, at most ``most`` bytes."""
+        length = len(cdr)
+        return self._lengths.pack(length, length) + cdr
+
+    def open(self, data: bytes, start: int, end: int) -> bytes | str:
+        """Return the CDR of an envelope, or why there is none.
+
+        Args:
+            data: the datagram.
+            start: where the envelope starts in it.
+            end: where its packet ends, within the datagram.
+        """
+        form = self._form or envelope.detect(data[start:end])
+        if form is None:
+            return "no envelope that fits"
+        at = start + form.size
+        if at > end:
+            return "cut inside the envelope"
+        if form is self._written:
+            length = self._lengths.unpack_from(data, start)[0]
+        else:
+            length = form.parse(data, start)[0]
+        if length > end - at:
+            return "the envelope's length exceeds the packet"
+        if length < ENCAPSULATION.size:
+            return "no CDR in the envelope"
+        if not CDR_BE <= (data[at] << 8 | data[at + 1]) <= CDR_LE:
+            return "the content of the envelope is not CDR"
+        wanted = self._cdr_bytes
+        if wanted is not None and not wanted <= length <= wanted + _PADDING:
+            return f"not the {wanted} bytes of a {self._type}"
+        return data[at : at + length]
+
+
+@dataclass(frozen=True, slots=True)
+class PacketPlace:
+    """A space packet in a datagram.
+
+    Attributes:
+        msg_id: its first word.
+        body: where its cFE header ends.
+        end: where it ends, by its own length and the datagram's.
+    """
+
+    msg_id: int
+    body: int
+    end: int
+
+
+def find_packet(data: bytes, at: int, telemetry_header: int = 16) -> PacketPlace | None:
+    """Return the space packet that starts somewhere in a datagram; None where its header is not whole."""
+    if len(data) - at < ccsds.PRIMARY.size:
+        return None
+    msg_id = data[at] << 8 | data[at + 1]
+    header = _COMMAND.size if msg_id & cfe.COMMAND_BIT else telemetry_header
+    end = min(len(data), at + (data[at + 4] << 8 | data[at + 5]) + ccsds.LENGTH_BIAS)
+    return PacketPlace(msg_id, at + header, end) if at + header <= end else None

@@ -1,0 +1,1 @@
+"""Fault injection: which datagrams are dropped, delayed, duplicated or changed."""

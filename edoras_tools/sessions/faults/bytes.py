@@ -1,0 +1,199 @@
+"""Faults in the bytes of datagrams: each function returns the bytes with one fault.
+
+A datagram without the field is returned as it was, and nothing is reported.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from edoras_tools.sessions.faults.chance import draw
+from edoras_tools.wire import ccsds, cdr, cfe, envelope, sbn
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from edoras_tools.model import Link
+    from edoras_tools.sessions.faults.values import NumberChange
+    from edoras_tools.wire.layout import Layout
+
+
+class Altered(NamedTuple):
+    """A datagram after a fault.
+
+    Attributes:
+        payload: its bytes; the same object where nothing was changed.
+        detail: what was changed, as ``packet_data_length 69 -> 70``.
+    """
+
+    payload: bytes
+    detail: str
+
+
+class Chance(NamedTuple):
+    """Random bits for one datagram: see :func:`~edoras_tools.sessions.faults.chance.draw`."""
+
+    key: int
+    number: int
+
+    def bits(self, salt: int) -> int:
+        """Return 64 of them."""
+        return draw(self.key, self.number, salt)
+
+
+def packet_offset(payload: bytes, link: Link) -> int:
+    """Return where the space packet starts, -1 where there is none."""
+    at = 0
+    if link.peers:
+        if len(payload) <= sbn.HEADER.size or payload[sbn.MSG_TYPE_AT] != sbn.MsgType.APP:
+            return -1
+        at = sbn.HEADER.size
+    return at if len(payload) - at >= ccsds.PRIMARY.size else -1
+
+
+def corrupt(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+    """Invert bits, each at a different place if there are enough."""
+    del link
+    total = 8 * len(payload)
+    places: dict[int, None] = {}
+    salt = 0
+    while len(places) < min(values["bits"], total):
+        salt += 1
+        places[chance.bits(salt) % total] = None
+    data = bytearray(payload)
+    for place in places:
+        data[place // 8] ^= 0x80 >> place % 8
+    shown = ", ".join(map(str, sorted(places)[:8])) + (" ..." if len(places) > 8 else "")
+    return Altered(bytes(data), f"bit {shown} turned over") if places else Altered(payload, "")
+
+
+def truncate(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+    """Cut the datagram."""
+    del link, chance
+    left = values["bytes"]
+    if len(payload) <= left:
+        return Altered(payload, "")
+    return Altered(payload[:left], f"cut from {len(payload)} to {left} bytes")
+
+
+def pad(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+    """Append zero bytes, up to the largest UDP payload."""
+    del link, chance
+    added = min(values["bytes"], _LARGEST - len(payload))
+    return Altered(payload + bytes(added), f"{added} bytes added") if added > 0 else Altered(payload, "")
+
+
+def break_checksum(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+    """Write a wrong checksum."""
+    del values, chance
+    at = packet_offset(payload, link)
+    if at < 0 or not cfe.is_command(int.from_bytes(payload[at : at + 2], "big")):
+        return Altered(payload, "")
+    if len(payload) - at < cfe.COMMAND_HEADER_BYTES:
+        return Altered(payload, "")
+    place = at + cfe.COMMAND_HEADER_BYTES - 1
+    right = cfe.checksum(payload[at:place] + b"\0" + payload[place + 1 :])
+    return _written(payload, place, bytes([right ^ 0xFF]), "checksum", payload[place], right ^ 0xFF, base=16)
+
+
+def sequence_ahead(payload: bytes, link: Link, ahead: int) -> Altered:
+    """Write a sequence count that is ``ahead`` too high."""
+    at = packet_offset(payload, link)
+    if at < 0 or not ahead:
+        return Altered(payload, "")
+    count = int(ccsds.PRIMARY.read(_SEQUENCE, payload, at))
+    return _rewritten(payload, at, ccsds.PRIMARY, _SEQUENCE.field.name, (count + ahead) & _SEQUENCE.mask)
+
+
+def _of_packet(layout: Layout, name: str) -> Callable[[bytes, Link, Mapping[str, Any], Chance], Altered]:
+    def wrong(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+        del chance
+        return _changed(payload, packet_offset(payload, link), layout, name, values["value"])
+
+    return wrong
+
+
+def _of_network(name: str) -> Callable[[bytes, Link, Mapping[str, Any], Chance], Altered]:
+    def wrong(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+        del chance
+        return _changed(payload, 0 if link.peers else -1, sbn.HEADER, name, values["value"])
+
+    return wrong
+
+
+def _of_envelope(name: str) -> Callable[[bytes, Link, Mapping[str, Any], Chance], Altered]:
+    def wrong(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+        del chance
+        at, found = _envelope(payload, link)
+        return _changed(payload, at, found.layout, name, values["value"])
+
+    return wrong
+
+
+def _encapsulation(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+    del chance
+    at, found = _envelope(payload, link)
+    at = at + found.size if at >= 0 else -1
+    return _changed(payload, at, cdr.ENCAPSULATION, "representation", values["value"])
+
+
+CONTENT: Final[Mapping[str, Callable[[bytes, Link, Mapping[str, Any], Chance], Altered]]] = {
+    "corrupt": corrupt,
+    "truncate": truncate,
+    "pad": pad,
+    "checksum": break_checksum,
+    "packet-length": _of_packet(ccsds.PRIMARY, "packet_data_length"),
+    "envelope-length": _of_envelope("buffer_length"),
+    "envelope-capacity": _of_envelope("buffer_capacity"),
+    "encapsulation": _encapsulation,
+    "sbn-size": _of_network("msg_size"),
+    "sbn-type": _of_network("msg_type"),
+    "sbn-processor": _of_network("processor_id"),
+    "sbn-spacecraft": _of_network("spacecraft_id"),
+}
+"""By the name of the kind."""
+
+_LARGEST: Final = 65507
+"""Largest payload of UDP over IPv4."""
+_SEQUENCE: Final = ccsds.PRIMARY.by_name["packet_sequence_count"]
+
+
+def _envelope(payload: bytes, link: Link) -> tuple[int, envelope.EnvelopeFormat]:
+    """Return where the envelope starts, -1 where there is none, and its format, told from the bytes."""
+    at = packet_offset(payload, link)
+    if at < 0:
+        return -1, envelope.DEFAULT
+    command = cfe.is_command(int.from_bytes(payload[at : at + 2], "big"))
+    at += cfe.COMMAND_HEADER_BYTES if command else cfe.TELEMETRY_HEADER_BYTES
+    found = envelope.detect(payload, at)
+    return (-1, envelope.DEFAULT) if found is None else (at, found)
+
+
+def _changed(payload: bytes, at: int, layout: Layout, name: str, change: NumberChange) -> Altered:
+    """Change one field of a header at ``at``; negative: there is none."""
+    if at < 0 or len(payload) - at < layout.size:
+        return Altered(payload, "")
+    slot = layout.by_name[name]
+    value = change.apply(layout.read(slot, payload, at)) & slot.mask
+    return _rewritten(payload, at, layout, name, value)
+
+
+def _rewritten(payload: bytes, at: int, layout: Layout, name: str, value: int) -> Altered:
+    """Write one field, its bits alone."""
+    slot = layout.by_name[name]
+    before = layout.read(slot, payload, at)
+    start, end = at + slot.start, at + slot.end
+    word = int.from_bytes(payload[start:end], layout.byte_order)
+    word = word & ~(slot.mask << slot.shift) | (value & slot.mask) << slot.shift
+    data = word.to_bytes(end - start, layout.byte_order)
+    now = layout.read(slot, data.rjust(slot.end, b"\0"), 0) if slot.start == 0 else value
+    return _written(payload, start, data, name, before, now, base=slot.field.base)
+
+
+def _written(
+    payload: bytes, start: int, data: bytes, name: str, before: int, after: int, *, base: int
+) -> Altered:
+    if payload[start : start + len(data)] == data:
+        return Altered(payload, "")
+    shown = [f"0x{item:02x}" if base == 16 else str(item) for item in (before, after)]
+    return Altered(payload[:start] + data + payload[start + len(data) :], f"{name} {shown[0]} -> {shown[1]}")

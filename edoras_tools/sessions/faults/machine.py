@@ -1,0 +1,398 @@
+"""Fault injection: which datagrams a rule strikes, and what happens to them.
+
+A ``FaultPlan`` is frozen: rules and a seed. A ``FaultMachine`` is one run of it. Rules that it keeps:
+
+1. No I/O, no clock: time is an argument, and never goes back.
+2. Each rule counts the datagrams in its scope as they came in, whatever other rules did to them. It counts
+   each sender (``stream``), link and direction apart.
+3. Whether a rule strikes the n-th datagram follows from the seed, the rule and n alone. So the same seed
+   strikes the same datagrams in every run, whatever their times, one by one or in batches, with or without
+   other rules.
+4. Rules act in the order of their stages (``kinds.Stage``), whatever the order in which they are written.
+5. A datagram that nothing strikes is handed on as the same object.
+6. What is held back is bounded by ``HOLD_BYTES``; what exceeds it is lost, and reported as a fault.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.model import NO_MSG_ID, Link
+from edoras_tools.sessions.faults.bytes import Chance
+from edoras_tools.sessions.faults.chance import draw, draws, key_of, threshold
+from edoras_tools.sessions.faults.effects import Pending, Received, effect_of
+from edoras_tools.sessions.faults.scopes import (
+    HEAD_BYTES,
+    ActiveRule,
+    BatchHeads,
+    StreamCounter,
+    datagram_msg_id,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.sessions.faults.rules import Rule
+    from edoras_tools.sessions.faults.scopes import Predicate
+
+__all__ = ["HEAD_BYTES", "HOLD_BYTES", "Delivery", "Fault", "FaultMachine", "FaultPlan"]
+
+_INVOLVED: Final = 1
+_STRUCK: Final = 2
+_HOLDING_BYTES: Final = 256
+"""Memory that a held datagram takes besides its bytes, about."""
+
+HOLD_BYTES: Final = 256 << 20
+"""Most bytes held back at once."""
+
+
+class Delivery(NamedTuple):
+    """A datagram to send now.
+
+    Attributes:
+        payload: its bytes; the same object that came in where nothing was changed.
+        due_ns: when it was due; not later than now.
+        stream: as given with the datagram.
+        to_cfs: as given with the datagram.
+    """
+
+    payload: bytes
+    due_ns: int
+    stream: int = 0
+    to_cfs: bool = True
+
+
+class Fault(NamedTuple):
+    """One fault of one datagram, as it is recorded.
+
+    Attributes:
+        time_ns: when the datagram came, on the caller's clock.
+        kind: name of the kind, or ``overflow`` where ``HOLD_BYTES`` were exceeded.
+        detail: what was done.
+        original: the datagram as it came.
+        link: which link it was on.
+        to_cfs: which way it went.
+        msg_id: its MsgId; ``NO_MSG_ID`` where it has none.
+        rule: the rule, as it was written.
+        stream: as it was given with the datagram.
+    """
+
+    time_ns: int
+    kind: str
+    detail: str
+    original: bytes
+    link: Link
+    to_cfs: bool
+    msg_id: int = NO_MSG_ID
+    rule: str = ""
+    stream: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FaultPlan:
+    """The faults to inject.
+
+    Attributes:
+        rules: the faults; they act in the order of their kinds' stages, then in this one.
+        seed: of all random choices.
+    """
+
+    rules: tuple[Rule, ...] = ()
+    seed: int = 0
+
+    def __bool__(self) -> bool:
+        return bool(self.rules)
+
+    def start(
+        self, now: int | None = None, *, where: Callable[[str], Predicate] | None = None
+    ) -> FaultMachine:
+        """Begin a run.
+
+        Args:
+            now: when it starts, which schedules count from; None: with the first datagram.
+            where: compiles the filter expressions of scopes.
+
+        Raises:
+            ConfigError: a rule has a filter expression and nothing compiles it.
+        """
+        return FaultMachine(self, now, where)
+
+
+class FaultMachine:
+    """One run of a plan.
+
+    Attributes:
+        plan: what runs.
+        rules: in the order in which they act.
+        enabled: which are in use; see ``switch``.
+        struck: how many datagrams each struck.
+        held_bytes: memory of the datagrams held back now.
+        overflowed: datagrams lost because ``HOLD_BYTES`` were held back.
+    """
+
+    def __init__(
+        self, plan: FaultPlan, now: int | None = None, where: Callable[[str], Predicate] | None = None
+    ) -> None:
+        self.plan = plan
+        self.rules: Sequence[Rule] = sorted(plan.rules, key=attrgetter("kind.stage"))
+        self.enabled = [rule.enabled for rule in self.rules]
+        self.struck = [0] * len(self.rules)
+        self.held_bytes = self.overflowed = 0
+        self._start = now
+        self._serial = 0
+        self._heap: list[tuple[int, int, Pending]] = []
+        self._counters: dict[tuple[int, bool, int], list[StreamCounter]] = {}
+        seen: dict[str, int] = {}
+        self._active: list[ActiveRule] = []
+        for index, rule in enumerate(self.rules):
+            ordinal = seen[rule.kind.name] = seen.get(rule.kind.name, -1) + 1
+            matches = None
+            if rule.scope.where:
+                if where is None:
+                    raise ConfigError(f"fault {rule}: where is not available here; leave it out")
+                matches = where(rule.scope.where)
+            self._active.append(ActiveRule(index, rule, ordinal, matches, effect_of(rule)))
+
+    @property
+    def held(self) -> int:
+        """Datagrams held back now."""
+        return sum(not item.gone for _, _, item in list(self._heap))
+
+    @property
+    def next_ns(self) -> int | None:
+        """When ``due`` returns something; None while nothing is held back."""
+        while self._heap and self._heap[0][2].gone:
+            self._pop()
+        return self._heap[0][0] if self._heap else None
+
+    def switch(self, index: int, on: bool, *, now: int) -> None:
+        """Enable or disable a rule; what it held back is still sent when it is due."""
+        self.enabled[index] = on
+        self._active[index].effect.switched_ns = now if on else None
+
+    def concerns(self, link: Link, *, to_cfs: bool) -> bool:
+        """Tell whether an enabled rule looks at datagrams of this link and direction."""
+        return any(
+            self.enabled[counter.active.index] for counter in self._counters_of(link, to_cfs=to_cfs, stream=0)
+        )
+
+    def apply(
+        self, payload: bytes, *, link: Link, to_cfs: bool, now: int, stream: int = 0
+    ) -> tuple[list[Delivery], list[Fault]]:
+        """Take one datagram.
+
+        Args:
+            payload: its bytes.
+            link: which link it is on.
+            to_cfs: which way it goes.
+            now: the caller's clock, ns; it never goes back.
+            stream: number of its sender: order and counts are kept for each sender apart.
+
+        Returns:
+            what to send now, in this order, and the faults. ``due`` returns what is held back.
+        """
+        verdicts = self._decide_one(payload, link, to_cfs, now, stream)
+        if not verdicts:
+            return [Delivery(payload, now, stream, to_cfs)], []
+        return self._act(payload, link, to_cfs, now, stream, verdicts)
+
+    def decide(
+        self,
+        heads: NDArray[np.uint8],
+        length: NDArray[np.integer[Any]],
+        payload: Callable[[int], bytes],
+        *,
+        link: Link,
+        to_cfs: bool,
+        now: int,
+        stream: int = 0,
+    ) -> NDArray[np.uint8] | None:
+        """Decide a batch at once: which datagrams pass as they are, and which need ``strike``.
+
+        Args:
+            heads: u8 (n, ``HEAD_BYTES`` or more): the first bytes of each.
+            length: (n,), bytes of each.
+            payload: gives the bytes of one, for rules with a filter expression.
+            link: as for ``apply``.
+            to_cfs: as for ``apply``.
+            now: as for ``apply``.
+            stream: as for ``apply``.
+
+        Returns:
+            u8 (rules, n): 0 where a rule does nothing to a datagram; its column goes to ``strike``. None
+            where no rule looks at this link and direction.
+        """
+        counters = self._counters_of(link, to_cfs=to_cfs, stream=stream)
+        if not counters:
+            return None
+        elapsed = self._elapsed(now)
+        verdicts = np.zeros((len(self.rules), len(length)), np.uint8)
+        seen = BatchHeads(heads, length, link)
+        for counter in counters:
+            active = counter.active
+            inside = seen.inside(active, payload)
+            places = np.flatnonzero(inside)
+            first, counter.count = counter.count, counter.count + len(places)
+            if not len(places) or not self.enabled[active.index]:
+                continue
+            effect, schedule = active.effect, active.rule.schedule
+            row = verdicts[active.index]
+            if effect.watches(to_cfs, stream, now):
+                row[places] = _INVOLVED
+            if not effect.may_strike(elapsed, now):
+                continue
+            hits = np.ones(len(places), bool)
+            if schedule.probability < 1:
+                hits &= draws(counter.key, first, len(places)) < np.uint64(counter.threshold)
+            if schedule.every:
+                hits &= (np.arange(first + 1, first + 1 + len(places)) % schedule.every) == 0
+            if effect.outlasts and hits.any():
+                row[places[int(hits.argmax()) :]] = _INVOLVED
+            row[places[hits]] = _STRUCK
+            counter.first = first
+            counter.places = places
+        return verdicts
+
+    def strike(
+        self,
+        payload: bytes,
+        column: NDArray[np.uint8],
+        row: int,
+        *,
+        link: Link,
+        to_cfs: bool,
+        now: int,
+        stream: int = 0,
+    ) -> tuple[list[Delivery], list[Fault]]:
+        """Do to a datagram what ``decide`` decided, in the order of the batch.
+
+        Args:
+            payload: its bytes.
+            column: its column of what ``decide`` returned.
+            row: its place in the batch.
+            link: as for ``apply``.
+            to_cfs: as for ``apply``.
+            now: as for ``apply``.
+            stream: as for ``apply``.
+
+        Returns:
+            as ``apply``.
+        """
+        verdicts = []
+        for counter in self._counters_of(link, to_cfs=to_cfs, stream=stream):
+            verdict = int(column[counter.active.index])
+            if verdict:
+                number = (
+                    counter.first + int(np.searchsorted(counter.places, row)) if verdict == _STRUCK else 0
+                )
+                verdicts.append((counter, verdict == _STRUCK, number))
+        return self._act(payload, link, to_cfs, now, stream, verdicts)
+
+    def due(self, now: int) -> list[Delivery]:
+        """Return what was held back up to now, in order of time."""
+        deliveries = []
+        while self._heap and self._heap[0][0] <= now:
+            item = self._pop()
+            if not item.gone:
+                item.gone = True
+                deliveries.append(Delivery(item.payload, item.due_ns, item.stream, item.to_cfs))
+        return deliveries
+
+    def _elapsed(self, now: int) -> int:
+        if self._start is None:
+            self._start = now
+        return now - self._start
+
+    def _counters_of(self, link: Link, *, to_cfs: bool, stream: int) -> list[StreamCounter]:
+        key = (int(link), to_cfs, stream)
+        counters = self._counters.get(key)
+        if counters is None:
+            counters = [
+                StreamCounter(
+                    active,
+                    key_of(self.plan.seed, active.rule.kind.name, active.ordinal, *key),
+                    threshold(min(active.rule.schedule.probability, 1 - 2**-53)),
+                )
+                for active in self._active
+                if active.looks_at(link, to_cfs=to_cfs)
+            ]
+            self._counters[key] = counters
+        return counters
+
+    def _decide_one(
+        self, payload: bytes, link: Link, to_cfs: bool, now: int, stream: int
+    ) -> list[tuple[StreamCounter, bool, int]]:
+        elapsed = self._elapsed(now)
+        verdicts = []
+        for counter in self._counters_of(link, to_cfs=to_cfs, stream=stream):
+            active = counter.active
+            if not active.inside(payload, link):
+                continue
+            number = counter.count
+            counter.count += 1
+            if not self.enabled[active.index]:
+                continue
+            schedule, effect = active.rule.schedule, active.effect
+            hit = (
+                effect.may_strike(elapsed, now)
+                and (schedule.probability >= 1 or draw(counter.key, number) < counter.threshold)
+                and (not schedule.every or (number + 1) % schedule.every == 0)
+            )
+            if hit or effect.watches(to_cfs, stream, now):
+                verdicts.append((counter, hit, number))
+        return verdicts
+
+    def _act(
+        self,
+        payload: bytes,
+        link: Link,
+        to_cfs: bool,
+        now: int,
+        stream: int,
+        verdicts: list[tuple[StreamCounter, bool, int]],
+    ) -> tuple[list[Delivery], list[Fault]]:
+        msg_id = datagram_msg_id(payload, link)
+        items = [Pending(payload, now, stream, to_cfs)]
+        faults = []
+        for counter, hit, number in verdicts:
+            active = counter.active
+            received = Received(link, to_cfs, stream, msg_id, now, hit, Chance(counter.key, number))
+            items, detail, lost = active.effect.act(items, received)
+            if detail:
+                self.struck[active.index] += 1
+                original = payload if lost is None else lost
+                about = (link, to_cfs, msg_id, active.rule.text, stream)
+                faults.append(Fault(now, active.rule.kind.name, detail, original, *about))
+        deliveries = []
+        for item in items:
+            if item.due_ns <= now:
+                deliveries.append(Delivery(item.payload, item.due_ns, stream, to_cfs))
+            elif not self._hold(item):
+                self.overflowed += 1
+                faults.append(
+                    Fault(now, "overflow", "too much held back", payload, link, to_cfs, msg_id, "", stream)
+                )
+        return deliveries, faults
+
+    def _hold(self, item: Pending) -> bool:
+        """Hold a datagram back; tell whether there was room."""
+        item.room = len(item.payload) + _HOLDING_BYTES
+        if self.held_bytes + item.room > HOLD_BYTES:
+            return False
+        self.held_bytes += item.room
+        self._serial += 1
+        heapq.heappush(self._heap, (item.due_ns, self._serial, item))
+        return True
+
+    def _pop(self) -> Pending:
+        item = heapq.heappop(self._heap)[2]
+        self.held_bytes -= item.room
+        return item

@@ -1,0 +1,128 @@
+"""Which datagrams are in the scope of a rule, one at a time and a batch at once, and how many were."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.model import NO_MSG_ID, Link
+from edoras_tools.sessions.faults.bytes import packet_offset
+from edoras_tools.wire import ccsds, sbn
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.sessions.faults.effects import Effect
+    from edoras_tools.sessions.faults.rules import Rule
+
+    Predicate = Callable[[bytes, Link], bool]
+
+HEAD_BYTES: Final = sbn.HEADER.size + 2
+"""First bytes of each datagram that ``BatchHeads`` needs: the SBN header and a MsgId."""
+
+
+def datagram_msg_id(payload: bytes, link: Link) -> int:
+    """Return a datagram's MsgId, ``NO_MSG_ID`` where it has none."""
+    at = packet_offset(payload, link)
+    return int.from_bytes(payload[at : at + 2], "big") if at >= 0 else NO_MSG_ID
+
+
+@dataclass(slots=True)
+class ActiveRule:
+    """A rule of this run.
+
+    Attributes:
+        index: its place in the order in which rules act.
+        rule: as written.
+        ordinal: its number among the rules of its kind.
+        matches: its filter expression, compiled; None where it has none.
+        effect: what it does, with the state that it keeps.
+    """
+
+    index: int
+    rule: Rule
+    ordinal: int
+    matches: Predicate | None
+    effect: Effect
+
+    def looks_at(self, link: Link, *, to_cfs: bool) -> bool:
+        """Tell whether datagrams of a link and direction may be in its scope."""
+        scope = self.rule.scope
+        return (not scope.links or link in scope.links) and scope.to_cfs in {None, to_cfs}
+
+    def inside(self, payload: bytes, link: Link) -> bool:
+        """Tell whether a datagram of a link and direction that it looks at is in its scope."""
+        scope = self.rule.scope
+        if scope.msg_ids and datagram_msg_id(payload, link) not in scope.msg_ids:
+            return False
+        if scope.sbn_types and (
+            not link.peers
+            or len(payload) < sbn.HEADER.size
+            or payload[sbn.MSG_TYPE_AT] not in scope.sbn_types
+        ):
+            return False
+        return self.matches is None or self.matches(payload, link)
+
+
+@dataclass(slots=True)
+class StreamCounter:
+    """A rule's count of the datagrams of one stream, link and direction, and the key of its random choices.
+
+    Attributes:
+        active: the rule.
+        key: of the random choices.
+        threshold: a draw below it strikes.
+        count: datagrams seen.
+        first: count before the last batch that was decided.
+        places: rows of that batch that were in scope.
+    """
+
+    active: ActiveRule
+    key: int
+    threshold: int
+    count: int = 0
+    first: int = 0
+    places: NDArray[np.int64] = None  # type: ignore[assignment]  # there is none before the first batch
+
+
+class BatchHeads:
+    """The header fields of a batch that scopes ask for, read once.
+
+    Args:
+        heads: u8 (n, ``HEAD_BYTES`` or more): the first bytes of each.
+        length: (n,), bytes of each.
+        link: of all.
+    """
+
+    def __init__(self, heads: NDArray[np.uint8], length: NDArray[np.integer[Any]], link: Link) -> None:
+        self._heads, self._length, self._link = heads, length, link
+        self._msg_id: NDArray[np.int32] | None = None
+
+    def inside(self, active: ActiveRule, payload: Callable[[int], bytes]) -> NDArray[np.bool_]:
+        """Tell of each datagram whether it is in the scope of a rule that looks at this link; bool (n,)."""
+        scope = active.rule.scope
+        inside = np.ones(len(self._length), bool)
+        if scope.msg_ids:
+            inside &= np.isin(self._msg_ids(), list(scope.msg_ids))
+        if scope.sbn_types:
+            inside &= np.isin(self._heads[:, sbn.MSG_TYPE_AT], list(scope.sbn_types))
+            inside &= (self._length >= sbn.HEADER.size) & (self._link.peers)
+        if active.matches is not None:
+            for row in np.flatnonzero(inside).tolist():
+                inside[row] = active.matches(payload(row), self._link)
+        return inside
+
+    def _msg_ids(self) -> NDArray[np.int32]:
+        if self._msg_id is None:
+            at = sbn.HEADER.size if self._link.peers else 0
+            heads = self._heads
+            word = heads[:, at].astype(np.int32) << 8 | heads[:, at + 1]
+            there = self._length >= at + ccsds.PRIMARY.size
+            if self._link.peers:
+                there &= heads[:, sbn.MSG_TYPE_AT] == sbn.MsgType.APP
+            self._msg_id = np.where(there, word, NO_MSG_ID).astype(np.int32)
+        return self._msg_id

@@ -1,0 +1,316 @@
+"""One connection of the Software Bus Network (SBN over UDP), seen from one side.
+
+Rules that it keeps:
+
+1. Bytes and times in, ``Step`` out: events that happened and datagrams to send. No socket, no clock.
+2. The state changes by ``states.TRANSITIONS`` only, and only by triggers that the habits do not ignore.
+3. Any datagram of the peer but a DISCONNECT connects. Stock SBN announces itself to other spacecraft only, so
+   the first SUB or PROTO of either side is what connects peers of one spacecraft.
+4. The peer is identified by spacecraft and processor, never by its address.
+5. Subscriptions are sent with the greeting; later only changes. The peer's subscriptions end with the
+  connection.
+6. Everything that is sent delays the next heartbeat; everything that is received delays the time-out.
+7. Any bytes may come. They give events, never exceptions.
+
+How the implementations differ is in ``habits``.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import TruncatedError
+from edoras_tools.model import Peer
+from edoras_tools.sessions.sbn.events import (
+    AppMessage,
+    Connected,
+    Disconnected,
+    NotTaken,
+    Refusal,
+    Step,
+    Subscriptions,
+    UnknownType,
+    Version,
+)
+from edoras_tools.sessions.sbn.habits import CLIENT
+from edoras_tools.sessions.sbn.states import TRANSITIONS, ConnectionState, Trigger
+from edoras_tools.wire import sbn
+from edoras_tools.wire.sbn import MsgType
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from edoras_tools.sessions.sbn.events import ConnectionEvent
+    from edoras_tools.sessions.sbn.habits import Habits
+
+_NEVER: Final = 2**63 - 1
+_NO_CONTENT: Final = frozenset({MsgType.NO_MSG, MsgType.HEARTBEAT, MsgType.ANNOUNCE, MsgType.DISCONNECT})
+
+
+class SbnConnection:
+    """This side of a connection; times in ns.
+
+    Args:
+        own: identity of this side.
+        msg_ids: what this side subscribes to.
+        habits: how it behaves.
+        peer: identity of the other side; None accepts any.
+        now: when it starts.
+
+    Attributes:
+        own: as given.
+        peer: as given.
+        habits: as given.
+        state: whether messages cross.
+        answered: identity of the last sender; None while not connected.
+        wanted: MsgIds that this side subscribes to.
+        subscribed: MsgIds that the other side has subscribed to.
+        subscribed_ns: when this side last sent all its subscriptions.
+    """
+
+    def __init__(
+        self,
+        own: Peer,
+        msg_ids: Iterable[int] = (),
+        *,
+        habits: Habits = CLIENT,
+        peer: Peer | None = None,
+        now: int,
+    ) -> None:
+        self.own, self.peer, self.habits = own, peer, habits
+        self.state = ConnectionState.DISCONNECTED
+        self.answered: Peer | None = None
+        self.wanted = tuple(dict.fromkeys(msg_ids))
+        self.subscribed: set[int] = set()
+        self.subscribed_ns = now
+        self._heard_ns = self._sent_ns = self._ask_ns = self._poll_ns = now
+        self._asked = self._introduced = False
+        self._asks = habits.ask
+        if habits.asks_strangers_only and peer is not None:
+            both_differ = own.spacecraft_id != peer.spacecraft_id and own.processor_id != peer.processor_id
+            self._asks = habits.ask if both_differ else ()
+        self._waiting: deque[bytes] = deque()
+        self._own_head = sbn.MessageHead(own)
+        self._peer_head: sbn.MessageHead | None = None
+
+    @property
+    def connected(self) -> bool:
+        """Whether messages cross."""
+        return self.state is ConnectionState.CONNECTED
+
+    @property
+    def next_ns(self) -> int:
+        """When ``service`` is due."""
+        habits = self.habits
+        if habits.reading is not None:
+            return self._poll_ns
+        if not self.connected:
+            return self._next_ask_ns
+        heartbeat = _NEVER if habits.heartbeat_ns is None else self._sent_ns + habits.heartbeat_ns
+        timeout = _NEVER if habits.timeout_ns is None else self._heard_ns + habits.timeout_ns
+        return min(heartbeat, timeout)
+
+    @property
+    def _next_ask_ns(self) -> int:
+        if not self._asks:
+            return _NEVER
+        return self._sent_ns + self.habits.ask_ns if self.habits.asks_when_silent else self._ask_ns
+
+    def receive_message(self, data: bytes, *, now: int) -> bool:
+        """Take a datagram if it is an APP message of the connected peer; tell whether it is.
+
+        This is the fast path for most datagrams, which need no answer. Polled readers do not have it.
+        """
+        if self._peer_head is None or not self._peer_head.fits(data):
+            return False
+        self._heard_ns = now
+        return True
+
+    def receive_datagram(self, data: bytes, *, now: int) -> Step:
+        """Take a datagram, any bytes."""
+        reading = self.habits.reading
+        if reading is not None:
+            self._waiting.append(data[: reading.buffer])
+        elif self.receive_message(data, now=now):
+            return Step((AppMessage(data),))
+        try:
+            header = sbn.HEADER.parse(data)
+        except TruncatedError:
+            return Step((NotTaken(Refusal.OLD_HEADER if _has_old_header(data) else Refusal.SHORT),))
+        sender = Peer(header["spacecraft_id"], header["processor_id"])
+        expected = self.peer in {None, sender}
+        if header["msg_size"] < 0 or not expected:
+            return Step((_refused(data, header["msg_size"], sender),))
+        return self._take(data, header["msg_type"], sender, now)
+
+    def service(self, *, now: int) -> Step:
+        """Do what is due: read, find that the peer is lost, ask for a connection, send a heartbeat."""
+        habits = self.habits
+        events: list[ConnectionEvent] = []
+        out: list[bytes] = []
+        if habits.reading is not None:
+            if now < self._poll_ns:
+                return Step()
+            self._poll_ns = max(self._poll_ns + habits.reading.every_ns, now)
+            self._read(habits.reading.length_modulus, events, out)
+        silent_ns, unsent_ns = now - self._heard_ns, now - self._sent_ns
+        if habits.timeout_ns is not None and silent_ns >= habits.timeout_ns:
+            events += self._lose(Trigger.TIMEOUT, now)
+        if habits.asks_always or not self.connected:
+            if now >= self._next_ask_ns:
+                out += self._ask(now)
+        elif habits.heartbeat_ns is not None and unsent_ns >= habits.heartbeat_ns:
+            out += self._say((MsgType.HEARTBEAT,), now)
+        return Step(events, out)
+
+    def want(self, msg_ids: Iterable[int], *, now: int) -> list[bytes]:
+        """Change the subscriptions of this side; return the datagrams for it: a SUB, an UNSUB, or none."""
+        before, self.wanted = self.wanted, tuple(dict.fromkeys(msg_ids))
+        if not self.connected:
+            return []
+        more = [item for item in self.wanted if item not in before]
+        fewer = [item for item in before if item not in self.wanted]
+        if more or fewer:
+            self._sent_ns = now
+        return self._subscriptions(MsgType.SUB, more) + self._subscriptions(MsgType.UNSUB, fewer)
+
+    def subscribe(self, msg_ids: Iterable[int], *, now: int) -> list[bytes]:
+        """Return the SUB of these MsgIds; it is sent connected or not."""
+        self._sent_ns = now
+        return self._subscriptions(MsgType.SUB, msg_ids)
+
+    def frame(self, packet: bytes) -> bytes:
+        """Return the datagram of a space packet, 32,767 bytes at the most."""
+        return self._own_head.emit(packet)
+
+    def sent(self, *, now: int) -> None:
+        """Note that messages were sent: the next heartbeat is later."""
+        self._sent_ns = now
+
+    def goodbye(self) -> list[bytes]:
+        """Return what lets the peer close the connection at once."""
+        return self._emit(self.habits.farewell) if self.connected else []
+
+    def _take(self, data: bytes, msg_type: int, sender: Peer, now: int) -> Step:
+        """Take a datagram of the peer."""
+        self._heard_ns = now
+        if msg_type == MsgType.DISCONNECT:
+            return Step(self._lose(Trigger.DISCONNECT, now))
+        events: list[ConnectionEvent] = []
+        out: list[bytes] = []
+        if self._happens(Trigger.HEARD):
+            self._introduced = False
+            events.append(Connected(sender))
+            out = self._greet(now)
+        elif (
+            # The first PROTO belongs to the handshake, and some peers answer everything with one.
+            msg_type == MsgType.PROTO
+            and self._introduced
+            and now - self.subscribed_ns >= self.habits.ask_ns
+            and self._happens(Trigger.RESTART)
+        ):
+            self.subscribed.clear()
+            self.subscribed_ns = now
+            out = self._say((MsgType.SUB,), now)
+        if sender != self.answered:
+            self.answered, self._peer_head = sender, sbn.MessageHead(sender)
+        payload = data[sbn.HEADER.size :]
+        if msg_type == MsgType.PROTO:
+            self._introduced = True
+            events.append(Version(sbn.PROTO.parse(payload)["protocol_version"] if payload else None))
+        elif msg_type in {MsgType.SUB, MsgType.UNSUB}:
+            events.append(self._subscription(msg_type, payload))
+        elif msg_type == MsgType.APP:
+            if self.habits.reading is None:
+                events.append(AppMessage(data))
+        elif msg_type not in _NO_CONTENT:
+            events.append(UnknownType(msg_type))
+        return Step(events, out)
+
+    def _read(self, length_modulus: int, events: list[ConnectionEvent], out: list[bytes]) -> None:
+        """Read what waits in the socket as a polled reader does, and answer it."""
+        while self._waiting:
+            data = self._waiting.popleft()
+            if len(data) % length_modulus < sbn.HEADER.size:
+                events.append(NotTaken(Refusal.LENGTH))
+                continue
+            msg_type = sbn.HEADER.parse(data)["msg_type"]
+            out += self._emit((MsgType.PROTO,))
+            if msg_type == MsgType.HEARTBEAT:
+                out += self._emit((MsgType.HEARTBEAT,))
+            if msg_type != MsgType.APP:
+                break
+            events.append(AppMessage(data))
+
+    def _subscription(self, msg_type: int, payload: bytes) -> ConnectionEvent:
+        try:
+            ident, entries = sbn.parse_subscriptions(payload)
+        except TruncatedError:
+            return NotTaken(Refusal.CUT_SUBSCRIPTIONS)
+        msg_ids = tuple(item.msg_id for item in entries)
+        if msg_type == MsgType.SUB:
+            self.subscribed.update(msg_ids)
+        else:
+            self.subscribed.difference_update(msg_ids)
+        return Subscriptions(msg_type, ident, msg_ids)
+
+    def _happens(self, trigger: Trigger) -> bool:
+        """Change the state as the table says; tell whether there was anything to change."""
+        after = TRANSITIONS.get((self.state, trigger))
+        if after is None or trigger in self.habits.ignores:
+            return False
+        self.state = after
+        return True
+
+    def _lose(self, reason: Trigger, now: int) -> list[ConnectionEvent]:
+        if not self._happens(reason):
+            return []
+        self.answered = self._peer_head = None
+        self.subscribed = set()
+        self._ask_ns, self._asked = now, False
+        return [Disconnected(reason)]
+
+    def _ask(self, now: int) -> list[bytes]:
+        first = () if self._asked else self.habits.ask_first
+        self._asked = True
+        self._ask_ns = now + self.habits.ask_ns
+        return self._say((*first, *self._asks), now)
+
+    def _greet(self, now: int) -> list[bytes]:
+        self.subscribed_ns = now
+        return self._say(self.habits.greeting, now)
+
+    def _say(self, msg_types: Iterable[MsgType], now: int) -> list[bytes]:
+        self._sent_ns = now
+        return self._emit(msg_types)
+
+    def _emit(self, msg_types: Iterable[MsgType]) -> list[bytes]:
+        """Return the datagrams of these types, in order; those of subscriptions hold what is wanted."""
+        out: list[bytes] = []
+        for msg_type in msg_types:
+            if msg_type in {MsgType.SUB, MsgType.UNSUB}:
+                out += self._subscriptions(msg_type, self.wanted)
+            else:
+                payload = sbn.emit_proto() if msg_type == MsgType.PROTO else b""
+                out.append(sbn.emit(msg_type, self.own, payload))
+        return out
+
+    def _subscriptions(self, msg_type: MsgType, msg_ids: Iterable[int]) -> list[bytes]:
+        entries = [sbn.Subscription(item) for item in msg_ids]
+        if not entries:
+            return []
+        parts = [[item] for item in entries] if self.habits.one_by_one else [entries]
+        return [sbn.emit(msg_type, self.own, sbn.emit_subscriptions(part)) for part in parts]
+
+
+def _refused(data: bytes, msg_size: int, sender: Peer) -> NotTaken:
+    if _has_old_header(data):
+        return NotTaken(Refusal.OLD_HEADER)
+    return NotTaken(Refusal.NEGATIVE_SIZE) if msg_size < 0 else NotTaken(Refusal.OTHER_PEER, sender)
+
+
+def _has_old_header(data: bytes) -> bool:
+    """Recognise the older header: seven bytes, and a size that fits seven and not eleven."""
+    size = sbn.LEGACY_HEADER.size
+    return len(data) >= size and sbn.LEGACY_HEADER.parse(data)["msg_size"] == len(data) - size

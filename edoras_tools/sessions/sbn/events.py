@@ -1,0 +1,87 @@
+"""What an SBN connection reports to its owner: frozen values, in the order in which things happened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence  # noqa: TC003  annotations of named tuples are read at run time
+from enum import Enum
+from typing import NamedTuple
+
+from edoras_tools.model import Peer  # noqa: TC001  the same
+from edoras_tools.sessions.sbn.states import Trigger  # noqa: TC001  the same
+from edoras_tools.wire import sbn
+
+
+class Refusal(Enum):
+    """Why a datagram was refused; the value is the text for people."""
+
+    SHORT = "shorter than an SBN header"
+    OLD_HEADER = "SBN header of 7 bytes"
+    NEGATIVE_SIZE = "SBN size below 0"
+    OTHER_PEER = "another peer"
+    CUT_SUBSCRIPTIONS = "subscriptions cut short"
+    LENGTH = "length modulo 256 below an SBN header's"
+
+
+class Connected(NamedTuple):
+    """A connection was made."""
+
+    peer: Peer
+
+
+class Disconnected(NamedTuple):
+    """The connection was lost; ``reason`` is ``DISCONNECT`` or ``TIMEOUT``."""
+
+    reason: Trigger
+
+
+class Version(NamedTuple):
+    """A PROTO came; None where it names no version."""
+
+    version: int | None
+
+
+class Subscriptions(NamedTuple):
+    """A SUB or an UNSUB came."""
+
+    msg_type: int
+    ident: str
+    msg_ids: tuple[int, ...]
+
+
+class AppMessage(NamedTuple):
+    """An APP message came, in its whole datagram."""
+
+    datagram: bytes
+
+    @property
+    def packet(self) -> bytes:
+        """The space packet."""
+        return self.datagram[sbn.HEADER.size :]
+
+
+class UnknownType(NamedTuple):
+    """A message of a type that SBN does not have came."""
+
+    msg_type: int
+
+
+class NotTaken(NamedTuple):
+    """A datagram was refused; ``sender`` if it can be read."""
+
+    reason: Refusal
+    sender: Peer | None = None
+
+
+ConnectionEvent = Connected | Disconnected | Version | Subscriptions | AppMessage | UnknownType | NotTaken
+
+
+class Step(NamedTuple):
+    """What one call did.
+
+    Attributes:
+        events: what happened, in order.
+        datagrams: what to send to the peer, in order.
+    """
+
+    events: Sequence[ConnectionEvent] = ()
+    datagrams: Sequence[bytes] = ()

@@ -1,0 +1,101 @@
+"""How implementations of SBN differ: the options of ``SbnConnection``, and a preset for each one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from edoras_tools.cfs import limits
+from edoras_tools.cfs import sbn as facts
+from edoras_tools.sessions.sbn.states import Trigger
+from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.sbn import MsgType
+
+
+@dataclass(frozen=True, slots=True)
+class PolledReading:
+    """A receiver that polls its socket, and stops at the first datagram that is not a message.
+
+    Attributes:
+        every_ns: period.
+        buffer: bytes of a datagram that it keeps.
+        length_modulus: its length variable counts modulo this; what is then shorter than a header is dropped.
+    """
+
+    every_ns: int
+    buffer: int
+    length_modulus: int
+
+
+@dataclass(frozen=True, slots=True)
+class Habits:
+    """How a peer behaves.
+
+    Attributes:
+        ask: what it sends while it is not connected, in order.
+        ask_ns: time between two of these.
+        ask_first: what it sends before the first of these, after each loss and at the start.
+        asks_when_silent: the time to ask counts from the last datagram of any kind that it sent.
+        asks_strangers_only: ask only a peer whose spacecraft and processor both differ from its own.
+        asks_always: ask when connected too.
+        greeting: what it sends when a connection is made.
+        farewell: what it sends at the end of a connection.
+        one_by_one: a SUB for each MsgId instead of one for all.
+        heartbeat_ns: time without sending, after which it sends a heartbeat; None: it sends none.
+        timeout_ns: silence after which the connection is lost; None: it never is.
+        ignores: changes of state that it does not have.
+        reading: how it reads its socket; None: as datagrams arrive.
+    """
+
+    ask: tuple[MsgType, ...]
+    ask_ns: int
+    ask_first: tuple[MsgType, ...] = ()
+    asks_when_silent: bool = False
+    asks_strangers_only: bool = False
+    asks_always: bool = False
+    greeting: tuple[MsgType, ...] = (MsgType.PROTO, MsgType.SUB)
+    farewell: tuple[MsgType, ...] = (MsgType.DISCONNECT,)
+    one_by_one: bool = False
+    heartbeat_ns: int | None = facts.HEARTBEAT_S * SECOND
+    timeout_ns: int | None = facts.TIMEOUT_S * SECOND
+    ignores: frozenset[Trigger] = frozenset({Trigger.RESTART})
+    reading: PolledReading | None = None
+
+
+STOCK: Final = Habits(
+    ask=(MsgType.ANNOUNCE,),
+    ask_ns=facts.ANNOUNCE_S * SECOND,
+    asks_when_silent=True,
+    asks_strangers_only=True,
+)
+"""SBN as cFS runs it.
+
+It announces itself only to peers of other spacecraft, and waits for others to send first.
+"""
+
+CLIENT: Final = Habits(ask=(MsgType.PROTO, MsgType.SUB), ask_ns=SECOND)
+"""A peer that connects at once: the default of replay, inject and sweep."""
+
+BRIDGE: Final = Habits(
+    ask=(MsgType.PROTO,),
+    ask_ns=SECOND,
+    # A cFS that still has this side as connected would not answer: the DISCONNECT resets that first.
+    ask_first=(MsgType.DISCONNECT,),
+    farewell=(MsgType.UNSUB, MsgType.DISCONNECT),
+    ignores=frozenset(),
+)
+"""The flight bridge of these tools: subscribes once, and again after a restart of cFS."""
+
+PUBLIC_BRIDGE: Final = Habits(
+    ask=(MsgType.SUB,),
+    ask_ns=500 * MILLISECOND,
+    asks_always=True,
+    greeting=(),
+    farewell=(),
+    one_by_one=True,
+    heartbeat_ns=None,
+    timeout_ns=None,
+    ignores=frozenset(Trigger) - {Trigger.HEARD},
+    reading=PolledReading(100 * MILLISECOND, 4096, limits.BRIDGE_LENGTH_MODULUS),
+)
+"""The public EDORAS flight bridge with its bugs: it repeats its SUB and answers every datagram with PROTO."""

@@ -1,0 +1,1 @@
+"""Structs from debug information: DWARF in ELF files."""

@@ -1,0 +1,262 @@
+"""C structs from debug information: DWARF 2 to 5 of an object file, a library or a program.
+
+Needs pyelftools (``pip install 'edoras-tools[elf]'``).
+"""
+
+from __future__ import annotations
+
+import zlib
+from contextlib import contextmanager
+from difflib import get_close_matches
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.structs.debug_info.entries import (
+    DEEPEST,
+    PLAIN,
+    STRUCTS,
+    members_of,
+    name_of,
+    number_attribute,
+    offset_of,
+    spelled,
+    type_of,
+    types_in,
+    underlying_type,
+)
+from edoras_tools.structs.debug_info.relocation import relocated
+from edoras_tools.structs.debug_info.types import Maker
+from edoras_tools.structs.shapes import ByteOrder, Key, StructLayout
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from edoras_tools.structs.debug_info.entries import Die
+
+_HEADERS: Final = ("telemetryheader", "commandheader", "tlmheader", "cmdheader", "tlmhdr", "cmdhdr")
+"""Names of cFE's headers, and of members that hold one, in all versions; lower case, without ``_``."""
+
+
+class Listed:
+    """A struct or union that a file describes.
+
+    Attributes:
+        name: a typedef's where it has one, else its own tag.
+        size: in bytes.
+        header: bytes of the cFE header that it begins with; 0 where it begins with none.
+        members: how many it has.
+    """
+
+    __slots__ = ("header", "members", "name", "size")
+
+    def __init__(self, name: str, size: int, header: int, members: int) -> None:
+        self.name = name
+        self.size = size
+        self.header = header
+        self.members = members
+
+
+def _shape(die: Die) -> tuple[object, ...]:
+    """Return the properties by which structs of one name differ."""
+    return number_attribute(die, "DW_AT_byte_size"), *(
+        (name_of(item), offset_of(item)) for item in members_of(die)
+    )
+
+
+class DebugInfo:
+    """The types that a file's debug information describes.
+
+    Args:
+        path: an ELF file: ``.o``, ``.so`` or a program.
+        source: its name in messages, if not the path.
+
+    Attributes:
+        path: its name in messages.
+        byte_order: of the machine.
+        warnings: one line each, for types with two different descriptions.
+
+    Raises:
+        ConfigError: the file cannot be read, is not ELF, or was stripped.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], source: Path | None = None) -> None:
+        try:
+            from elftools.common.exceptions import DWARFError, ELFError
+            from elftools.elf.elffile import ELFFile
+        except ImportError:
+            raise ConfigError(
+                "debug information is read by pyelftools: pip install 'edoras-tools[elf]'"
+            ) from None
+        self.path = source or Path(path)
+        self.warnings: list[str] = []
+        self._broken = (ELFError, DWARFError, ValueError, LookupError, AttributeError, TypeError, zlib.error)
+        try:
+            # Kept in memory: later lookups read it, and the file can be closed.
+            data = Path(path).read_bytes()
+        except OSError as error:
+            raise ConfigError(f"{self.path}: cannot be read ({error.strerror}); give an ELF file") from error
+        if data[:4] != b"\x7fELF":
+            raise ConfigError(f"{self.path}: no ELF file; give a .o, a .so or a program compiled with -g")
+
+        with self._reading():
+            elf = ELFFile(BytesIO(data))
+            self.byte_order: ByteOrder = "little" if elf.little_endian else "big"
+            self.pointer = elf.elfclass // 8
+            if sum(item.name == ".debug_info" for item in elf.iter_sections()) > 1:
+                why = "its types are in sections of their own; compile it without -fdebug-types-section"
+                raise ConfigError(f"{self.path}: {why}")
+            if elf.get_section_by_name(".debug_info") is None:
+                self._stripped(elf)
+            patched = relocated(elf, data)
+            if patched is not None:
+                dwarf = ELFFile(BytesIO(patched)).get_dwarf_info(relocate_dwarf_sections=False)
+            else:
+                dwarf = elf.get_dwarf_info()
+            self._index(dwarf)
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Turn any exception from damaged information into an error of one line."""
+        try:
+            yield
+        except (*self._broken, RuntimeError, AssertionError, OverflowError, MemoryError) as error:
+            what = str(error).partition("\n")[0] or type(error).__name__
+            raise ConfigError(f"{self.path}: its debug information cannot be read: {what}") from error
+
+    def _stripped(self, elf: Any) -> None:
+        if elf.get_section_by_name(".gnu_debuglink") is not None:
+            why = "its debug information was split off into another file; give that one"
+        elif elf.get_section_by_name(".zdebug_info") is not None:
+            why = "its debug information is compressed in an old way; compile it with -gz=zlib or no -gz"
+        elif elf.get_section_by_name(".debug_info.dwo") is not None:
+            why = "it is one half of split debug information; compile it without -gsplit-dwarf"
+        elif any(item.name.startswith(".gnu.debuglto_") for item in elf.iter_sections()):
+            why = "its debug information is not linked yet; compile it without -flto, or give the program"
+        else:
+            why = "it has no debug information, was stripped or compiled without -g; compile it with -g"
+        raise ConfigError(f"{self.path}: {why}")
+
+    def _index(self, dwarf: Any) -> None:
+        """List the names of types; their members are read on demand."""
+        self._found: dict[str, Die] = {}
+        self._named: dict[int, str] = {}
+        self._others: dict[str, list[Die]] = {}  # another struct has the name
+        tags: dict[str, Die] = {}
+        for unit in dwarf.iter_CUs():
+            if unit.header.get("unit_type") == "DW_UT_type" or dwarf.debug_types_sec is not None:
+                raise ConfigError(
+                    f"{self.path}: its types are in units of their own; compile it without "
+                    "-fdebug-types-section"
+                )
+            top = unit.get_top_DIE()
+            if "DW_AT_GNU_dwo_name" in top.attributes or "DW_AT_dwo_name" in top.attributes:
+                name = top.attributes.get("DW_AT_dwo_name") or top.attributes["DW_AT_GNU_dwo_name"]
+                raise ConfigError(
+                    f"{self.path}: its debug information is in {name.value.decode(errors='replace')}; "
+                    "compile it without -gsplit-dwarf"
+                )
+            for die in types_in(top, 0):
+                name = name_of(die)
+                if die.tag == "DW_TAG_typedef":
+                    made = underlying_type(type_of(die))
+                    if name and made is not None and made.tag == "DW_TAG_enumeration_type":
+                        self._named.setdefault(made.offset, name)
+                    elif name and made is not None and made.tag in STRUCTS:
+                        self._named.setdefault(made.offset, name)
+                        self._found_as(name, made, self._found)
+                elif die.tag in STRUCTS and name and "DW_AT_declaration" not in die.attributes:
+                    self._found_as(name, die, tags)
+        for name, die in tags.items():
+            self._found.setdefault(self._named.setdefault(die.offset, name), die)
+
+    def _found_as(self, name: str, die: Die, among: dict[str, Die]) -> None:
+        if name not in among:
+            among[name] = die
+        elif among[name].offset != die.offset:
+            self._others.setdefault(name, []).append(die)
+
+    def list(self) -> list[Listed]:
+        """Return every struct and union that has a name, in the order of their names.
+
+        Raises:
+            ConfigError: the debug information is damaged.
+        """
+        with self._reading():
+            return [
+                Listed(name, number_attribute(die, "DW_AT_byte_size"), self.header(die), len(members_of(die)))
+                for name, die in sorted(self._found.items())
+                if not name.startswith("__")  # the C library's own
+            ]
+
+    def layout(
+        self, names: Iterable[str], bindings: Mapping[Key, str], package: str
+    ) -> tuple[StructLayout, dict[str, str]]:
+        """Return some structs and all that they use, and the names that the given ones have in the result.
+
+        Args:
+            names: of structs; the tag instead of a typedef, or a name without ``_t``, is accepted.
+            bindings: the packets that some of them lie in.
+            package: ROS package of their messages.
+
+        Raises:
+            ConfigError: there is no such struct, or it cannot be read.
+        """
+        made = Maker(self)
+        with self._reading():
+            named = {name: self.find(name) for name in [*names, *bindings.values()]}
+            called = {name: made.struct(die) for name, die in named.items()}
+            made.check()
+            for die in dict.fromkeys(named.values()):
+                self._told_apart(die)
+        self.warnings += made.warnings
+        bound = {key: called[name] for key, name in bindings.items()}
+        return StructLayout(made.structs, made.enums, bound, self.byte_order, package, str(self.path)), called
+
+    def _told_apart(self, die: Die) -> None:
+        """Warn where a named struct differs between compilation units."""
+        name, shape = self.called(die), _shape(die)
+        if any(_shape(other) != shape for other in self._others.get(name, ())):
+            size = number_attribute(die, "DW_AT_byte_size")
+            self.warnings.append(
+                f"{name} is declared in more than one way; the first is taken, of {size} bytes: check it, or "
+                "give the object file that has the right one"
+            )
+
+    def find(self, name: str) -> Die:
+        """Return the entry of a struct.
+
+        Raises:
+            ConfigError: there is none of that name; with similar names.
+        """
+        for known in (name, f"{name}_t", name.removesuffix("_t"), spelled(name)):
+            if known in self._found:
+                return self._found[known]
+
+        lower = {item.lower(): item for item in self._found}
+        near = [lower[item] for item in get_close_matches(name.lower(), lower, 3)]
+        hint = f"did you mean {' or '.join(near)}?" if near else f"'edoras structs {self.path}' lists all"
+        raise ConfigError(f"{self.path}: no struct {name!r}; {hint}")
+
+    def called(self, die: Die) -> str:
+        """Return the name of a struct or an enumeration; nothing where it has none."""
+        return self._named.get(die.offset) or name_of(die)
+
+    def header(self, die: Die) -> int:
+        """Return the size of the cFE header that a struct begins with."""
+        members = members_of(die)
+        if not members or die.tag not in STRUCTS or STRUCTS[die.tag] or offset_of(members[0]):
+            return 0
+        first = members[0]
+        kind = type_of(first)
+        words = [name_of(first)]
+        for _ in range(DEEPEST):
+            if kind is None or kind.tag not in {*PLAIN, *STRUCTS, "DW_TAG_array_type"}:
+                break
+            words.append(name_of(kind))
+            kind = type_of(kind) if kind.tag in PLAIN else None
+        if not any(word.replace("_", "").lower().removesuffix("t").endswith(_HEADERS) for word in words):
+            return 0
+        return Maker(self).extent(first)

@@ -1,0 +1,255 @@
+"""Makes structs from entries of debug information."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.structs.debug_info.entries import (
+    BYTE_ORDERS,
+    DEEPEST,
+    DWARF_ENCODINGS,
+    POINTERS,
+    STRUCTS,
+    bit_place,
+    children,
+    dimensions,
+    name_of,
+    number_attribute,
+    offset_of,
+    type_of,
+    underlying_type,
+)
+from edoras_tools.structs.messages import unique
+from edoras_tools.structs.shapes import BASIC, OPEN, Basic, BasicKind, Enumeration, Member, Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from edoras_tools.structs.debug_info.entries import Die
+    from edoras_tools.structs.shapes import ByteOrder
+
+_Kept = TypeVar("_Kept", Struct, Enumeration)
+
+_LARGEST_STRUCT: Final = 1 << 24
+"""Bytes that a struct is smaller than."""
+
+
+class File(Protocol):
+    """Properties of the file that holds the entries.
+
+    Attributes:
+        path: for messages.
+        byte_order: of the machine.
+        pointer: bytes of an address.
+    """
+
+    path: Path
+    byte_order: ByteOrder
+    pointer: int
+
+    def called(self, die: Die) -> str:
+        """Return the name of a type; nothing where it has none."""
+
+    def header(self, die: Die) -> int:
+        """Return the size of the cFE header that a struct begins with."""
+
+
+class Maker:
+    """Turns entries into structs, and those that they use.
+
+    Args:
+        info: their file.
+
+    Attributes:
+        structs: what was made, by name.
+        enums: the enumerations that they use, by name.
+        warnings: one line each, of what is declared in more than one way.
+    """
+
+    def __init__(self, info: File) -> None:
+        self._info = info
+        self.structs: dict[str, Struct] = {}
+        self.enums: dict[str, Enumeration] = {}
+        self.warnings: list[str] = []
+        self._names: dict[int, str] = {}
+        self._open: set[int] = set()
+
+    def struct(self, die: Die, wish: str = "") -> str:
+        """Make a struct and return its name."""
+        if die.offset in self._names:
+            return self._names[die.offset]
+        if die.offset in self._open or len(self._open) > DEEPEST:
+            raise ConfigError(f"{self._info.path}: {self._info.called(die) or 'a struct'} contains itself")
+        self._open.add(die.offset)
+        name = self._info.called(die) or wish or "Anonymous"
+        found = list(self._members(die, 0, name))
+        # Only the last extends to the end of the packet; elsewhere an array without a size is empty.
+        members = [item for at, item in enumerate(found, 1) if OPEN not in item.dims[at == len(found) :]]
+        made = Struct(
+            name,
+            number_attribute(die, "DW_AT_byte_size"),
+            tuple(members),
+            union=STRUCTS[die.tag],
+            header=self._info.header(die),
+        )
+        self._open.discard(die.offset)
+        name = self._kept(made)
+        self._names[die.offset] = name
+        return name
+
+    def check(self) -> None:
+        """Check that every member lies inside its struct.
+
+        Raises:
+            ConfigError: one lies outside: the debug information is damaged; or the struct is too large.
+        """
+        for item in self.structs.values():
+            if item.size >= _LARGEST_STRUCT:
+                what = f"{item.size} bytes are more than any packet holds; take a smaller struct"
+                raise ConfigError(f"{self._info.path}: {item.name}: {what}")
+            for member in item.members:
+                width = (member.bit + member.bits + 7) // 8 or self._size(member) * count_of(member)
+                if not 0 <= member.offset <= member.offset + width <= item.size:
+                    raise ConfigError(f"{self._info.path}: {item.name}.{member.name} lies outside its struct")
+
+    def _kept(self, made: Struct) -> str:
+        """Add a struct; a different one of the same name gets a number."""
+        name = self._keep(made, self.structs, self.enums)
+        if name != made.name:
+            self.warnings.append(f"{made.name} is declared in more than one way; the other is called {name}")
+        return name
+
+    @staticmethod
+    def _keep(made: _Kept, alike: dict[str, _Kept], others: Mapping[str, object]) -> str:
+        """Keep a type under its name, or under one with a number where that is another's; return that."""
+        name, copy = made.name, 2
+        while name in BASIC or name in others or alike.get(name) not in (None, replace(made, name=name)):
+            name, copy = f"{made.name}_{copy}", copy + 1
+        alike[name] = replace(made, name=name)
+        return name
+
+    def _members(self, die: Die, base: int, owner: str) -> Iterator[Member]:
+        taken: set[str] = set()
+        before: Member | None = None
+        for item in children(die):
+            if item.tag == "DW_TAG_inheritance":
+                parent = underlying_type(type_of(item))
+                inner = self._members(parent, base + offset_of(item), owner) if parent else iter(())
+            elif item.tag == "DW_TAG_member" and "DW_AT_external" not in item.attributes:
+                inner = self._member(item, base, owner)
+            else:
+                continue
+            for made in inner:
+                member = made if before is None or STRUCTS[die.tag] else self._behind(before, made)
+                before = member
+                name = unique(member.name, taken)  # C++: a class may have one that its base has, too
+                yield replace(member, name=name) if name != member.name else member
+
+    def _member(self, item: Die, base: int, owner: str) -> Iterator[Member]:
+        name, at = name_of(item), base + offset_of(item)
+        kind = underlying_type(type_of(item))
+        if not name and kind is not None and kind.tag in STRUCTS:
+            yield from self._members(kind, at, owner)  # C11: its members are those of the struct around it
+            return
+        if not name:
+            return
+        member = self._typed(kind, Member(name, BASIC["byte"], at), f"{owner.removesuffix('_t')}_{name}")
+        width = number_attribute(item, "DW_AT_bit_size")
+        if width:
+            size = number_attribute(item, "DW_AT_byte_size") or self._size(member)
+            found = bit_place(item, at, base, size, width, self._info.byte_order)
+            if member.dims:  # of __int128, which no ROS type holds: the bytes that have some of it
+                found = {"offset": found["offset"], "dims": ((found["bit"] + width + 7) // 8,)}
+                yield replace(member, **found)
+                return
+            if member.type == BASIC["char"]:
+                sign = DWARF_ENCODINGS.get(number_attribute(kind, "DW_AT_encoding"))
+                member = replace(member, type=BASIC["int8" if sign is BasicKind.INT else "uint8"])
+            whole = width == 8 * self._size(member) and not found["bit"]
+            member = replace(member, **({"offset": found["offset"]} if whole else found))
+        yield member
+
+    def _behind(self, before: Member, member: Member) -> Member:
+        """Return a member that begins within the bit-field before it as the bit-field that it must be.
+
+        Clang does not say so of one that is as wide as its type.
+        """
+        bit = 8 * before.offset + before.bit + before.bits
+        whole = not before.bits or member.bits or member.dims or member.type in self.structs
+        if whole or not 0 < bit - 8 * member.offset < 8:
+            return member
+        kind = BASIC["int8"] if member.type == BASIC["char"] else member.type
+        return replace(member, type=kind, offset=bit // 8, bit=bit % 8, bits=8 * self._size(member))
+
+    def extent(self, item: Die) -> int:
+        """Return the bytes of a member."""
+        found = list(self._member(item, 0, ""))
+        return max((self._size(member) * count_of(member) for member in found), default=0)
+
+    def _size(self, member: Member) -> int:
+        if isinstance(member.type, Basic):
+            return member.type.size
+        if member.type in self.enums:
+            return self.enums[member.type].basic.size
+        return self.structs[member.type].size
+
+    def _typed(self, die: Die | None, member: Member, wish: str) -> Member:
+        """Return a member with what its type says."""
+        if die is None:
+            return replace(member, dims=(OPEN,))
+        if die.tag in STRUCTS:
+            return replace(member, type=self.struct(die, wish))
+        if die.tag == "DW_TAG_array_type":
+            inner = self._typed(underlying_type(type_of(die)), member, wish)
+            return replace(inner, dims=(*dimensions(die), *inner.dims))
+        if die.tag == "DW_TAG_enumeration_type":
+            return replace(member, type=self._enumeration(die, wish))
+        if die.tag in POINTERS:
+            size = number_attribute(die, "DW_AT_byte_size") or self._info.pointer
+            return replace(member, type=BASIC[f"uint{8 * size}"], base=16)
+        if die.tag == "DW_TAG_base_type":
+            return self._basic(die, member)
+        size = number_attribute(die, "DW_AT_byte_size")
+        return replace(member, dims=(size,))
+
+    def _basic(self, die: Die, member: Member) -> Member:
+        size, encoding = number_attribute(die, "DW_AT_byte_size"), number_attribute(die, "DW_AT_encoding")
+        if name_of(die) == "char" and size == 1:
+            return replace(member, type=BASIC["char"])
+        if encoding == 0x03 and size in {8, 16}:  # a complex number: real, then imaginary
+            return replace(member, type=BASIC[f"float{4 * size}"], dims=(2,))
+        kind = DWARF_ENCODINGS.get(encoding)
+        found = BASIC.get(str(Basic(kind, size))) if kind else None
+        turned = BYTE_ORDERS.get(number_attribute(die, "DW_AT_endianity"), self._info.byte_order)
+        if found is None or turned != self._info.byte_order:
+            # No ROS type holds it, as a long double, or one struct has both byte orders.
+            return replace(member, type=BASIC["byte"], dims=(size,))
+        return replace(member, type=found)
+
+    def _enumeration(self, die: Die, wish: str) -> str:
+        size = number_attribute(die, "DW_AT_byte_size") or 4
+        names: dict[int, str] = {}
+        for item in children(die):
+            if item.tag == "DW_TAG_enumerator" and name_of(item):
+                names.setdefault(int(item.attributes["DW_AT_const_value"].value), name_of(item))
+        under = underlying_type(type_of(die))
+        signed = min(names, default=0) < 0
+        if under is not None and "DW_AT_encoding" in under.attributes:
+            signed = DWARF_ENCODINGS.get(number_attribute(under, "DW_AT_encoding")) is BasicKind.INT
+        bits = 8 * size
+        low = -(1 << (bits - 1)) if signed else 0
+        names = {(value - low) % (1 << bits) + low: name for value, name in names.items()}
+        basic = BASIC[f"{'' if signed else 'u'}int{bits}"]
+        made = Enumeration(self._info.called(die) or wish or "Enumeration", basic, names)
+        return self._keep(made, self.enums, self.structs)
+
+
+def count_of(member: Member) -> int:
+    """Return the elements of a member in all."""
+    count = 1
+    for size in member.dims:
+        count *= size
+    return count

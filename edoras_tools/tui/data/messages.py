@@ -1,0 +1,70 @@
+"""Messages from the threads to the view."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from textual.message import Message
+
+from edoras_tools.render.severity import Level
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.filters.filter import Where
+    from edoras_tools.render.capture.sequence import SequenceMessage as Run
+    from edoras_tools.tui.data.store import PacketBlock
+
+
+class Arrived(Message):
+    """A block of packets arrived."""
+
+    def __init__(self, block: PacketBlock) -> None:
+        super().__init__()
+        self.block = block
+
+
+class Ended(Message):
+    """Reading ended."""
+
+    def __init__(self, why: str, *, failed: bool) -> None:
+        super().__init__()
+        self.why = why
+        self.failed = failed
+
+
+class FilterAnswer(Message):
+    """A filter was run on a block."""
+
+    def __init__(self, where: Where, block: PacketBlock, shown: NDArray[np.int64]) -> None:
+        super().__init__()
+        self.where = where
+        self.block = block
+        self.shown = shown
+
+
+class Found(Message):
+    """A search has ended."""
+
+    def __init__(self, text: str, number: int | None) -> None:
+        super().__init__()
+        self.text = text
+        self.number = number
+
+
+class ConversationReady(Message):
+    """The runs of a conversation were found."""
+
+    def __init__(self, runs: list[Run]) -> None:
+        super().__init__()
+        self.runs = runs
+
+
+class Notice(Message):
+    """A text for the status bar."""
+
+    def __init__(self, text: str, severity: Level = Level.NOTE) -> None:
+        super().__init__()
+        self.text = text
+        self.severity = severity

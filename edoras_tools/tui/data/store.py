@@ -1,0 +1,241 @@
+"""The packets of the list: blocks of columns, and which of their rows pass the filter.
+
+Only the thread that draws uses a store. A filter's result for a block is shown once all blocks before it have
+a result, so that the list grows from its top while the filter runs.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.model import Columns, PacketBatch, concatenate
+from edoras_tools.wire.window import copy_rows
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Datagram
+
+    Shown = range | NDArray[np.int64]
+    """Rows of a block, in order."""
+    Part = tuple["PacketBlock", int, Shown]
+
+_OFFSETS: Final = ("packet_offset", "cdr_offset")
+_ROW_BYTES: Final = 128
+"""Approximate bytes that the columns of one packet take."""
+_SMALL: Final = 16_384
+"""Blocks of a live capture are joined up to this many packets."""
+_SPARE: Final = 64
+"""Bytes after the last packet, for readers of whole words."""
+
+
+@dataclass(slots=True, eq=False)
+class PacketBlock:
+    """Some packets.
+
+    Attributes:
+        batch: the datagrams.
+        columns: what was decoded from them.
+        shown: rows that pass the filter; None if it has not run yet.
+    """
+
+    batch: PacketBatch
+    columns: Columns
+    shown: Shown | None = None
+
+    def __len__(self) -> int:
+        return len(self.batch)
+
+    @property
+    def size(self) -> int:
+        """Approximate bytes in memory."""
+        return self.batch.data.nbytes + _ROW_BYTES * len(self)
+
+
+class Store:
+    """All packets that are kept.
+
+    Args:
+        limit: maximum bytes to keep; the oldest packets are dropped when there are more. 0: no limit.
+    """
+
+    def __init__(self, limit: int = 0) -> None:
+        self.blocks: list[PacketBlock] = []
+        self.packets = 0
+        self.size = 0
+        self.forgotten = 0
+        self.begin_ns: int | None = None
+        self.filtered = False
+        self._limit = limit
+        self._ends: list[int] = []
+
+    def __len__(self) -> int:
+        """Return how many rows are shown, as far as the filter has run."""
+        return self._ends[-1] if self._ends else 0
+
+    @property
+    def settled(self) -> int:
+        """Packets that the filter was run on."""
+        return sum(len(block) for block in self.blocks[: len(self._ends)])
+
+    def append(self, block: PacketBlock) -> int:
+        """Add a block; return how many rows at the top were dropped to make space."""
+        if not len(block):
+            return 0
+        if self.begin_ns is None:
+            self.begin_ns = int(block.batch.time_ns[0])
+        if not self.filtered:
+            block.shown = range(len(block))
+        self.blocks.append(block)
+        self.packets += len(block)
+        self.size += block.size
+        self._advance()
+        self._merge()
+        return self._forget() if self._limit else 0
+
+    def restart(self, *, filtered: bool) -> None:
+        """Start again: without a filter all rows are shown; with one, no row until it has run."""
+        self.filtered = filtered
+        for block in self.blocks:
+            block.shown = None if filtered else range(len(block))
+        self._ends = []
+        self._advance()
+
+    def settle(self, block: PacketBlock, shown: NDArray[np.int64]) -> None:
+        """Take the filter's result for a block."""
+        block.shown = shown
+        self._advance()
+        self._merge()
+
+    def locate(self, row: int) -> tuple[PacketBlock, int]:
+        """Return the block of a shown row, and its index there.
+
+        Raises:
+            IndexError: there is no such row.
+        """
+        if not 0 <= row < len(self):
+            raise IndexError(row)
+        place = bisect_right(self._ends, row)
+        block = self.blocks[place]
+        assert block.shown is not None
+        return block, int(block.shown[row - (self._ends[place - 1] if place else 0)])
+
+    def datagram(self, row: int) -> Datagram:
+        """Return the datagram of a shown row."""
+        block, index = self.locate(row)
+        return block.batch[index]
+
+    def time_ns(self, row: int) -> int:
+        """Return the capture time of a shown row."""
+        block, index = self.locate(row)
+        return int(block.batch.time_ns[index])
+
+    def find_number(self, number: int) -> int | None:
+        """Return the row of the packet with that number, else of the next one after it; None at the end."""
+        return self._first_at_least("number", number)
+
+    def find_time(self, time_ns: int) -> int | None:
+        """Return the first row at or after a time."""
+        return self._first_at_least("time_ns", time_ns)
+
+    def parts(self) -> list[Part]:
+        """Return the blocks that have shown packets, the row of each block's first, and its shown rows.
+
+        The list does not change later, so threads may use it.
+        """
+        return [
+            (block, end - len(block.shown), block.shown)
+            for block, end in zip(self.blocks, self._ends, strict=False)
+            if block.shown is not None and len(block.shown)
+        ]
+
+    def _first_at_least(self, name: str, value: int) -> int | None:
+        for block, first, shown in self.parts():
+            column = getattr(block.batch, name)
+            # Blocks are in order, so most are skipped by one comparison.
+            if column[int(shown[-1])] < value:
+                continue
+            found = np.flatnonzero(column[np.asarray(shown)] >= value)
+            if len(found):
+                return first + int(found[0])
+        return None
+
+    def _advance(self) -> None:
+        """Count the blocks that the filter has run on since the last call."""
+        while len(self._ends) < len(self.blocks):
+            shown = self.blocks[len(self._ends)].shown
+            if shown is None:
+                break
+            self._ends.append(len(self) + len(shown))
+
+    def _merge(self) -> None:
+        """Join small blocks at the end, so that hours of a quiet link remain a few blocks."""
+        while len(self.blocks) > 1 and len(self._ends) == len(self.blocks):
+            before, last = self.blocks[-2:]
+            if len(before) + len(last) > _SMALL or len(before) > 2 * len(last):
+                break
+            joined = join_blocks(before, last)
+            self.size += joined.size - before.size - last.size
+            self.blocks[-2:] = [joined]
+            del self._ends[-2]
+
+    def _forget(self) -> int:
+        gone = rows = 0
+        while self.size > self._limit and gone < len(self.blocks) - 1 and gone < len(self._ends):
+            block = self.blocks[gone]
+            self.size -= block.size
+            self.packets -= len(block)
+            self.forgotten += len(block)
+            rows = self._ends[gone]
+            gone += 1
+        if gone:
+            del self.blocks[:gone]
+            self._ends = [end - rows for end in self._ends[gone:]]
+        return rows
+
+
+def join_blocks(first: PacketBlock, second: PacketBlock) -> PacketBlock:
+    """Join two blocks; the filter has run on both, or on neither."""
+    shift = len(first.batch.data)
+    columns: dict[str, Any] = {}
+    for item in fields(Columns):
+        left, right = getattr(first.columns, item.name), getattr(second.columns, item.name)
+        if item.name in _OFFSETS:
+            right = np.where(right >= 0, right + shift, right)
+        columns[item.name] = np.concatenate([left, right])
+    shown: Shown | None = None
+    if isinstance(first.shown, range) and isinstance(second.shown, range):
+        shown = range(len(first) + len(second))
+    elif first.shown is not None and second.shown is not None:
+        shown = np.concatenate([np.asarray(first.shown), np.asarray(second.shown) + len(first)])
+    return PacketBlock(concatenate([first.batch, second.batch]), Columns(**columns), shown)
+
+
+def compact(batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]:
+    """Return the same packets over a smaller buffer, if most of the buffer is unused."""
+    outside = (batch.offset < batch.frame_offset) | (
+        batch.offset + batch.length > batch.frame_offset + batch.frame_length
+    )
+    extra = np.where(outside, batch.length, 0)
+    sizes = batch.frame_length.astype(np.int64) + extra
+    total = int(sizes.sum())
+    if 2 * total >= len(batch.data) or not len(batch):
+        return batch, columns
+    starts = np.cumsum(sizes) - sizes
+    data = np.zeros(total + _SPARE, np.uint8)
+    copy_rows(data, starts, batch.data, batch.frame_offset, batch.frame_length)
+    # A payload that was reassembled from fragments is copied to a place after its frame.
+    offset = np.where(outside, starts + batch.frame_length, starts + batch.offset - batch.frame_offset)
+    rows = np.flatnonzero(outside)
+    copy_rows(data, offset[rows], batch.data, batch.offset[rows], batch.length[rows])
+    shift = offset - batch.offset
+    moved = {
+        name: np.where(column >= 0, column + shift, column)
+        for name in _OFFSETS
+        for column in (getattr(columns, name),)
+    }
+    return replace(batch, data=data, frame_offset=starts, offset=offset), replace(columns, **moved)

@@ -1,0 +1,1 @@
+"""The panes: lists that draw only the lines on the screen."""

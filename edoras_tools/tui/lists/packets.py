@@ -1,0 +1,158 @@
+"""The packet list; a packet is dissected when its line is drawn."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Final
+
+from rich.segment import Segment
+from rich.style import Style
+from rich.text import Text
+from textual.cache import LRUCache
+from textual.strip import Strip
+
+from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.decode import Dissector
+from edoras_tools.model import NO_FINDINGS, Finding
+from edoras_tools.render.capture.packet_list import PacketList, TimeFormat
+from edoras_tools.render.severity import EXPLANATIONS, NOTABLE, Level
+from edoras_tools.tui.lists.lines import Lines, strip_of
+
+if TYPE_CHECKING:
+    from edoras_tools.decode.context import Context
+    from edoras_tools.tui.data.store import Store
+
+_GUTTER: Final = 2
+"""Cells at the left for marks."""
+_KEPT: Final = 4096
+"""Drawn lines that are cached."""
+_ERRORS: Final = Finding(sum(item for item, told in EXPLANATIONS.items() if told.severity == Level.ERROR))
+
+
+class Packets(Lines):
+    """One line per packet.
+
+    Args:
+        store: the packets.
+        context: how they were decoded.
+        time_format: format of the time column.
+        verbose: show notes too, not only warnings and errors.
+
+    Attributes:
+        marks: numbers of the packets that are marked.
+        follow: stay at the end when packets arrive; set when the user goes to the end, cleared when the user
+            leaves it.
+        empty: text to show when there are no packets.
+        drawn: cached lines, by packet number.
+    """
+
+    COMPONENT_CLASSES: ClassVar[set[str]] = {
+        "lines--cursor",
+        "lines--plain",
+        "packets--error",
+        "packets--warning",
+        "packets--mark",
+        "packets--marked",
+    }
+
+    def __init__(
+        self, store: Store, context: Context, time_format: TimeFormat, *, verbose: bool = False
+    ) -> None:
+        super().__init__(id="packets")
+        self.marks: set[int] = set()
+        self.follow = False
+        self.empty = ""
+        self._store = store
+        self._dissector = Dissector(context, detail=False)
+        self._time_format = time_format
+        self._verbose = verbose
+        self._view = self._make_view(80)
+        self.drawn: LRUCache[tuple[int, int], Strip] = LRUCache(_KEPT)
+
+    @property
+    def time_format(self) -> TimeFormat:
+        """The format of the time column."""
+        return self._time_format
+
+    @time_format.setter
+    def time_format(self, value: TimeFormat) -> None:
+        self._time_format = value
+        self.forget()
+
+    def forget(self) -> None:
+        """Redraw every line, for another filter or time format."""
+        self._view = self._make_view(self.room)
+        self.drawn.clear()
+        self.refresh()
+        self.refresh_header()
+
+    def arrived(self, gone: int) -> None:
+        """Update after packets arrived and ``gone`` rows at the top were dropped."""
+        if gone:
+            self.set_reactive(Packets.cursor, max(0, self.cursor - gone))
+            self.set_scroll(None, max(0, self.scroll_y - gone))
+        self.recount()
+        if self.follow:
+            self.go(-1)
+
+    def user_moved(self) -> None:
+        """Follow when the cursor is at the end; stop following elsewhere."""
+        last = self.rows() - 1
+        self.follow = self.cursor >= last and round(self.scroll_y) + self.page >= last
+
+    def render_line(self, y: int) -> Strip:
+        """Draw a line, or the text for an empty list."""
+        if self.rows() or y != 1:
+            return super().render_line(y)
+        line = strip_of(Text(f"{' ' * _GUTTER}{self.empty}", "dim"), self.app.console)
+        return line.adjust_cell_length(self.room).apply_style(self.get_component_rich_style("lines--plain"))
+
+    def header(self) -> Text:
+        """Return the names of the columns."""
+        return Text.assemble(" " * _GUTTER, Text.from_ansi(self._view.header()))
+
+    def rows(self) -> int:
+        """Return how many packets pass the filter."""
+        return len(self._store)
+
+    def draw(self, row: int, width: int) -> Strip:
+        """Return a packet's line; it already has the list's width."""
+        del width
+        block, index = self._store.locate(row)
+        number = int(block.batch.number[index])
+        key = number, row if self._time_format is TimeFormat.DELTA else 0
+        line = self.drawn.get(key)
+        if line is None:
+            decoded = self._dissector.dissect(block.batch[index])
+            previous = self._store.time_ns(row - 1) if row else int(block.batch.time_ns[index])
+            line = strip_of(self._view.line(decoded, previous), self.app.console)
+            self.drawn[key] = line
+        marked = number in self.marks
+        style = self.get_component_rich_style("packets--mark", partial=True) if marked else Style.null()
+        return Strip([Segment("◆ " if marked else "  ", style), *line], _GUTTER + line.cell_length)
+
+    def row_style(self, row: int) -> str:
+        """Return the style of a line: cursor, mark, error or warning."""
+        if row >= self.rows() or row == self.cursor:
+            return super().row_style(row)
+        block, index = self._store.locate(row)
+        if int(block.batch.number[index]) in self.marks:
+            return "packets--marked"
+        findings = Finding(int(block.columns.findings[index])) & NOTABLE
+        if findings == NO_FINDINGS:
+            return ""
+        return "packets--error" if findings & _ERRORS else "packets--warning"
+
+    def on_resize(self) -> None:
+        """Lay out the columns for another width; the cursor stays visible."""
+        self.forget()
+        self.go(self.cursor)
+
+    def _make_view(self, width: int) -> PacketList:
+        return PacketList(
+            width - _GUTTER,
+            colour=True,
+            time_format=self._time_format,
+            names=MSG_ID_NAMES,
+            verbose=self._verbose,
+            begin_ns=self._store.begin_ns,
+        )

@@ -1,0 +1,120 @@
+"""Routes and their rates, one line each; Enter filters for the route."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from rich.segment import Segment
+from rich.text import Text
+from textual.strip import Strip
+
+from edoras_tools.render import units
+from edoras_tools.render.capture.info import departures, link_text, msg_id_text, route_text
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.live_table import Rates
+from edoras_tools.render.terminal.table import Column, build, plain
+from edoras_tools.tui.lists.lines import Lines
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from edoras_tools.pipelines.capture.ledger import Ledger
+
+_RATE: Final = "now_hz"
+_GUTTER: Final = 2
+
+
+def _rate(row: Mapping[str, Any], key: str) -> Text:
+    value = row.get(key) if row["count"] > 1 else None
+    return Text(units.rate(value or None), "" if value else palette.DIM)
+
+
+def _lost(value: int) -> Text:
+    return Text(units.count(value), "yellow" if value else palette.DIM)
+
+
+_COLUMNS: Final = (
+    Column("Link", link_text, justify="left"),
+    Column("MsgId", msg_id_text, justify="left"),
+    Column("Topic", route_text, justify="left", elastic=True),
+    Column("Type", lambda row: plain(row.get("type") or "", palette.DIM), rank=6, justify="left"),
+    Column("CPU", lambda row: plain(row.get("processor_id") or ""), rank=3),
+    Column("Count", lambda row: Text(units.count(row["count"]), palette.STRONG)),
+    Column("Now", lambda row: _rate(row, _RATE)),
+    Column("Mean", lambda row: _rate(row, "rate_hz"), rank=1),
+    Column("Jitter", lambda row: Text(units.milliseconds(row["jitter_ms"] or None)), rank=4),
+    Column("Gaps", lambda row: _lost(row["gaps"]), rank=2),
+    Column("Bytes", lambda row: Text(units.size(row["bytes"])), rank=5),
+    Column("Findings", lambda row: departures(row["findings"]), rank=1, justify="left"),
+)
+
+
+class Routes(Lines):
+    """The routes of a ledger.
+
+    Args:
+        ledger: the counts of the routes.
+        live: whether packets arrive live, so that there is a current rate.
+    """
+
+    def __init__(self, ledger: Ledger, *, live: bool) -> None:
+        super().__init__(id="routes")
+        self._ledger = ledger
+        self._columns = [column for column in _COLUMNS if live or column.title != "Now"]
+        self._rates = Rates()
+        self._rows: list[dict[str, Any]] = []
+        self._lines: list[list[Segment]] = [[]]
+
+    def update_rates(self, now: float) -> None:
+        """Update counts and rates.
+
+        Args:
+            now: monotonic time in s.
+        """
+        self._rows = self._ledger.routes()
+        rates = self._rates.add(now, {_key(row): row["count"] for row in self._rows})
+        for row in self._rows:
+            row[_RATE] = rates[_key(row)]
+        self._lay_out()
+
+    @property
+    def filter(self) -> str:
+        """The filter for the route under the cursor."""
+        row = self._rows[self.cursor]
+        words = [f"link == {row['link']}"]
+        if row["msg_id"]:
+            words.append(f"msg_id == {row['msg_id']}")
+        elif (row["name"] or "").startswith("SBN_") and "0x" not in row["name"]:
+            words.append(f"sbn.msg_type == {row['name'].removeprefix('SBN_')}")
+        if row["processor_id"]:
+            words.append(f"processor_id == {row['processor_id']}")
+        return " and ".join(words)
+
+    def header(self) -> Text:
+        """Return the column titles."""
+        return Text.assemble(" " * _GUTTER, *((part.text, part.style or "") for part in self._lines[0]))
+
+    def rows(self) -> int:
+        """Return how many routes there are."""
+        return len(self._lines) - 1
+
+    def draw(self, row: int, width: int) -> Strip:
+        """Return a route's line."""
+        return Strip([Segment(" " * _GUTTER), *self._lines[row + 1]]).crop(0, width)
+
+    def on_resize(self) -> None:
+        """Lay out the columns for another width."""
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        width = max(20, self.room - _GUTTER)
+        console = self.app.console
+        table = build(self._columns, self._rows, width)
+        options = console.options.update(width=width, height=None)
+        self._lines = console.render_lines(table, options) or [[]]
+        self.recount()
+        self.refresh_header()
+
+
+def _key(row: Mapping[str, Any]) -> object:
+    return row["link"], row["processor_id"], row["msg_id"], row["name"], row["topic"]

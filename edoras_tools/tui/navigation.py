@@ -1,0 +1,133 @@
+"""Ways to find a packet in the list: search, packet number, marks."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from textual import on, work
+from textual.binding import Binding
+from textual.worker import get_current_worker
+
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal.text import clean
+from edoras_tools.tui.data import messages
+from edoras_tools.tui.data.search import matcher, next_number
+from edoras_tools.tui.panes import Panes
+from edoras_tools.tui.prompts import Prompt
+
+if TYPE_CHECKING:
+    from textual.message import Message
+
+
+class Navigation(Panes):
+    """The panes, with search, go to packet, and marks."""
+
+    BINDINGS: ClassVar[list[Any]] = [
+        Binding("n", "again(False)", "Next found", show=False),
+        Binding("N", "again(True)", "Found before", show=False),
+        Binding("right_square_bracket", "to_mark(False)", "Next mark", show=False),
+        Binding("left_square_bracket", "to_mark(True)", "Mark before", show=False),
+        Binding("colon", "number", "Go to", show=False),
+    ]
+    _searched = ""
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Disable the search keys while a text is being entered."""
+        del parameters
+        writing = self.filter_line.input.has_focus or self.prompt.input.has_focus
+        return not (action == "search" and writing)
+
+    def action_search(self) -> None:
+        """Ask for a search."""
+        hint = "text, bytes such as 0x0b0c, or a comparison such as apid == 39"
+        self.prompt.ask("search", "Find", hint, self._searched)
+
+    def action_number(self) -> None:
+        """Ask for a packet's number."""
+        self.prompt.ask("number", "Go to packet", "its number")
+
+    @on(Prompt.Given)
+    def _answer(self, event: Prompt.Given) -> None:
+        self.packets.focus()
+        text = event.text.strip()
+        if not text:
+            return
+        if event.kind == "search":
+            self._searched = text
+            self.action_again(back=False)
+            return
+        row = self.store.find_number(int(text)) if text.isdecimal() else None
+        if row is None:
+            self._notice(f"there is no packet {clean(text)}", Level.WARNING)
+        else:
+            self.packets.go(row, centre=True)
+
+    def action_again(self, back: bool) -> None:
+        """Go to the next packet found, or the previous one."""
+        if not self._searched:
+            self.action_search()
+            return
+        self._notice(f"searching {clean(self._searched)}")
+        self._search(self._searched, self.packets.cursor, back)
+
+    @work(thread=True, exclusive=True, group="search")
+    def _search(self, text: str, row: int, back: bool) -> None:
+        worker = get_current_worker()
+        test = matcher(text, self._decoding, self.store.begin_ns)
+        number = next_number(self.store.parts(), test, row, back=back, given_up=lambda: worker.is_cancelled)
+        if not worker.is_cancelled:
+            self._post(messages.Found(text, number))
+
+    @on(messages.Found)
+    def _found(self, event: messages.Found) -> None:
+        row = None if event.number is None else self.store.find_number(event.number)
+        if row is None:
+            self._notice(f"no packet shown contains {clean(event.text)}", Level.WARNING)
+            return
+        wrapped = row <= self.packets.cursor
+        self._notice(
+            f"found {clean(event.text)}{' · from the other end' if wrapped else ''} · n next, N previous"
+        )
+        self.packets.go(row, centre=True)
+
+    def action_mark(self) -> None:
+        """Mark the packet under the cursor, or remove its mark."""
+        if not len(self.store):
+            return
+        self.packets.marks ^= {self._at_cursor}
+        self.packets.refresh()
+        self._refresh_status()
+
+    def action_to_mark(self, back: bool) -> None:
+        """Go to the next mark among the packets shown; after the last one, to the first."""
+        here = self._at_cursor
+        marks = sorted(self.packets.marks, reverse=back)
+        ahead = [item for item in marks if (item < here if back else item > here)]
+        for number in [*ahead, *marks]:
+            row = self.store.find_number(number)
+            if row is not None and self._is_at(row, number):
+                self.packets.go(row, centre=True)
+                return
+        self._notice("none of the packets shown is marked; m marks one")
+
+    def _is_at(self, row: int, number: int) -> bool:
+        block, index = self.store.locate(row)
+        return int(block.batch.number[index]) == number
+
+    @property
+    def _number(self) -> int:
+        return self.decoded.datagram.number if self.decoded else 0
+
+    @property
+    def _at_cursor(self) -> int:
+        """The number of the packet under the cursor; 0 if there is none."""
+        if not len(self.store):
+            return 0
+        block, index = self.store.locate(self.packets.cursor)
+        return int(block.batch.number[index])
+
+    def _post(self, message: Message) -> None:
+        """Post a message from a thread; do nothing once the app has ended."""
+        with suppress(RuntimeError):
+            self.post_message(message)

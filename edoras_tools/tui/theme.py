@@ -1,0 +1,133 @@
+"""The dark and the light theme, the terminal's sixteen colours in each, and the layout (Textual CSS)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rich.terminal_theme import TerminalTheme
+from textual.theme import Theme
+
+
+def _rgb(text: str) -> tuple[int, int, int]:
+    return int(text[:2], 16), int(text[2:4], 16), int(text[4:], 16)
+
+
+def _sixteen(background: str, foreground: str, *colours: str) -> TerminalTheme:
+    table = [_rgb(item) for item in colours]
+    return TerminalTheme(_rgb(background), _rgb(foreground), table[:8], table[8:])
+
+
+DARK: Final = Theme(
+    name="edoras-dark",
+    primary="#4c9fd4",
+    secondary="#7a8fa6",
+    warning="#d7a846",
+    error="#e0616b",
+    success="#6cb272",
+    accent="#e0a95c",
+    foreground="#d5dbe3",
+    background="#10141a",
+    surface="#141920",
+    panel="#1d242e",
+    dark=True,
+)
+LIGHT: Final = Theme(
+    name="edoras-light",
+    primary="#1f6fa8",
+    secondary="#5b6b7c",
+    warning="#a86f00",
+    error="#c0323e",
+    success="#2f7d3a",
+    accent="#b06a00",
+    foreground="#22272e",
+    background="#fbfbf9",
+    surface="#f5f5f2",
+    panel="#e6e8ea",
+    dark=False,
+)
+DARK_SIXTEEN: Final = _sixteen(
+    *("10141a", "d5dbe3"),
+    *("1d242e", "e0616b", "7fc38a", "d9b25f", "6aa5e8", "c792d9", "5fc3cf", "c3cbd5"),
+    *("6b7787", "f07f88", "98d6a2", "ecc97e", "8bbdf5", "dcaeea", "84dbe5", "ffffff"),
+)
+LIGHT_SIXTEEN: Final = _sixteen(
+    *("fbfbf9", "22272e"),
+    *("22272e", "b8262f", "2b7a37", "93670a", "1d5fae", "8b3fa3", "0c7480", "6b7480"),
+    *("8a939e", "d0404a", "3a8f47", "a9790f", "2f74c8", "a054b8", "138a98", "3a424c"),
+)
+
+CSS: Final = """
+Screen { layout: vertical; background: $background; }
+
+Lines {
+    background: $background;
+    scrollbar-size-vertical: 1;
+    scrollbar-background: $background;
+    scrollbar-background-hover: $background;
+    scrollbar-background-active: $background;
+    scrollbar-color: $panel-lighten-2;
+    scrollbar-color-hover: $secondary;
+    scrollbar-color-active: $primary;
+    scrollbar-gutter: stable;
+    overflow-x: hidden;
+    overflow-y: auto;
+    & > .lines--cursor { background: $panel; }
+    &:focus > .lines--cursor { background: $primary 38%; }
+}
+
+#filter-line { height: auto; background: $panel; }
+#filter-line Horizontal { height: 1; }
+#filter-label { width: auto; padding: 0 0 0 1; color: $secondary; text-style: bold; }
+#filter {
+    width: 1fr; background: $panel; padding: 0;
+    &.-right { background: $success 22%; }
+    &.-wrong { background: $error 26%; }
+}
+#filter-count { width: auto; padding: 0 1; color: $secondary; }
+#filter-wrong { height: auto; display: none; background: $panel; }
+
+HeaderLine { background: $surface; }
+Packets {
+    height: 1fr;
+    & > .packets--error { background: $error 13%; }
+    & > .packets--warning { background: $warning 8%; }
+    & > .packets--marked { background: $accent 20%; }
+    & > .packets--mark { color: $accent; text-style: bold; }
+}
+
+.bar { height: 1; background: $panel; }
+.bar > .left { width: 1fr; padding: 0 1; text-style: bold; }
+.bar > .right { width: auto; padding: 0 1; color: $secondary; }
+#lower { height: 1fr; }
+#packet { height: 1fr; }
+Layers { width: 1fr; }
+HexPane {
+    width: 43; border-left: vkey $panel-lighten-1; padding: 0 0 0 1;
+    & > .hex-pane--field { background: $accent 85%; color: $background; }
+    & > .hex-pane--byte { background: $foreground; color: $background; text-style: bold; }
+}
+HexPane.-wide { width: 76; }
+#routes-view, #sequence-view { height: 1fr; }
+#routes-heads, #sequence-heads { color: $secondary; }
+
+#prompt {
+    height: 1; background: $panel; display: none;
+    & > #prompt-label { width: auto; padding: 0 0 0 1; color: $accent; text-style: bold; }
+    & > #prompt-input { width: 1fr; background: $panel; padding: 0; }
+}
+#status {
+    height: 1; background: $panel;
+    & > #status-left { width: 1fr; padding: 0 1; }
+    & > #status-right { width: auto; padding: 0 1; color: $secondary; }
+}
+Footer { background: $panel; }
+
+Help { align: center middle; background: $background 60%; }
+Help > VerticalScroll {
+    width: 76; max-width: 96%; height: auto; max-height: 94%;
+    background: $surface; border: round $primary; padding: 0 2;
+    border-title-color: $primary; border-title-style: bold;
+    scrollbar-size-vertical: 1;
+}
+Help Static { height: auto; }
+"""

@@ -1,0 +1,44 @@
+"""An example of a link: a radio modem that puts a header of its own in front of each space packet.
+
+The modem is made up. It sends to UDP port 5600 in both directions, and its header begins with a constant that
+tells its datagrams from whatever else goes to that port.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+
+from edoras_tools.links.protocol import LinkProtocol
+from edoras_tools.model import Transport
+from edoras_tools.wire.layout import Field, Layout
+
+MAGIC: Final = 0xED0A
+
+HEADER: Final = Layout(
+    "radio",
+    "Radio modem",
+    Field("magic", 16, "always 0xED0A", base=16),
+    Field("station", 8, "the ground station that heard it"),
+    Field("signal_dbm", 8, "strength of the signal", kind="int"),
+    Field("frame_count", 16, "frames since the modem was started"),
+)
+
+
+class RadioLink(LinkProtocol):
+    """Between a ground station's modem and cFS, one space packet a datagram."""
+
+    code = 64
+    name = "RADIO"
+    label = "radio"
+    colour = "bright_red"
+    doc = "between a ground station's modem and cFS"
+    transport = Transport(ports=(5600,), first="either")
+    to_cfs = True
+    from_cfs = True
+    packets = True
+    layouts = (HEADER,)
+    header_bytes = HEADER.size
+    constants: ClassVar = {"magic": MAGIC}
+
+
+RADIO: Final = RadioLink()

@@ -1,0 +1,58 @@
+"""Applications that stop, and nothing shows what comes out: said as unaccounted, never as arrived."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from places import ROOT
+
+from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.robot import ROBOT_PORT
+from edoras_tools.pipelines.workbench import Settings
+
+SENT, REACHED_THE_ROBOT = 310, 174
+TWIST, OTHER = 0x1827, 0x1828
+
+
+def without_the_robot(*, other=False):
+    """Return what is said of n5 without the robot link; every other command on a second MsgId if asked."""
+    bench = Settings().workbench()
+    examination = Examination(bench.columns.context)
+    at = 0
+    for batch in open_file(ROOT / "tests/captures/n5_app_restarts.pcap.zst").batches():
+        kept = batch.take(np.flatnonzero(batch.destination_port != ROBOT_PORT))
+        for row in range(len(kept)):
+            start = int(kept.offset[row])
+            if kept.data[start : start + 2].tobytes() == TWIST.to_bytes(2):
+                at += 1
+                if other and at % 2:
+                    kept.data[start + 1] = OTHER & 0xFF
+        examination.add(kept, bench.columns.decode(kept))
+    return examination.diagnose()
+
+
+def test_what_is_sent_after_a_start_is_unaccounted():
+    found = without_the_robot()
+    (line,) = [item for item in found.headlines if item.topic == "0x1827"]
+    assert (line.sent, line.arrived) == (SENT, None)
+    # Two may have been on their way when the capture ended.
+    assert SENT - REACHED_THE_ROBOT <= line.lost + line.unaccounted <= SENT - REACHED_THE_ROBOT + 2
+    assert line.unaccounted == found.unaccounted > 0
+    assert [row for row in found.balance if not row.adds_up] == []
+    (verdict,) = [item for item in found.verdicts if item.rule == "crossing_loss"]
+    assert "Stop Application EDORAS_APP" in verdict.evidence[0]
+
+
+def test_where_the_application_may_take_either_of_two_none_is_said_to_be_lost_by_its_stop():
+    whole, found = without_the_robot(), without_the_robot(other=True)
+    assert sum(row.lost.get("stopped", 0) for row in whole.balance) > 0
+    assert sum(row.lost.get("stopped", 0) for row in found.balance) == 0
+    stopped = sum(row.lost.get("stopped", 0) for row in whole.balance)
+    assert found.unaccounted == whole.unaccounted + stopped
+    assert [row for row in found.balance if not row.adds_up] == []
+
+
+@pytest.mark.parametrize("rule", ["app_outage", "crossing_loss"])
+def test_both_are_told(rule):
+    assert rule in {item.rule for item in without_the_robot().verdicts}

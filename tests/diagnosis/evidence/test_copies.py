@@ -1,0 +1,102 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from places import CAPTURES
+from rewriting import datagrams, write
+
+from edoras_tools.diagnosis.evidence.copies import _perhaps_again, find_copies
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.pipelines.capture.info import inspect
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.units import MILLISECOND
+
+MS = 1_000_000
+
+
+def found(items):
+    """Return copies and duplicates of (ms, identification, tap, bytes) in one conversation."""
+    when, identification, tap, prints = (np.array(column) for column in zip(*items, strict=True))
+    out = find_copies(
+        (when * MS).astype(np.int64),
+        identification.astype(np.uint16),
+        np.zeros(len(items), np.int64),
+        tap.astype(np.uint64),
+        prints.astype(np.uint64),
+    )
+    return out.copy.sum(), out.duplicate.sum()
+
+
+def test_at_two_places_within_ms_is_captured_twice():
+    assert found([(at * 100 + step, at + 1, step, at) for at in range(3) for step in (0, 1)]) == (3, 0)
+
+
+def test_a_conversation_doubled_throughout_is_captured_twice_at_one_place_too():
+    assert found([(at * 100 + step, at + 1, 0, at) for at in range(10) for step in (0, 1)]) == (10, 0)
+
+
+def test_single_doubles_are_the_networks():
+    items = [(at * 100 + step, at + 1, 0, at) for at in range(10) for step in ((0, 1) if at == 4 else (0,))]
+    assert found(items) == (0, 1)
+
+
+def test_equal_bytes_with_other_identifications_are_sent_twice():
+    assert found([(at, at + 1, 0, 7) for at in range(50)]) == (0, 0)
+
+
+def test_the_same_identification_much_later_is_another_datagram():
+    assert found([(0, 5, 0, 7), (500, 5, 0, 7)]) == (0, 0)
+
+
+@pytest.mark.parametrize("count", [2, 16, 50])
+def test_without_identification_a_burst_stays(count):
+    assert found([(at / 10, 0, 0, 7) for at in range(count)]) == (0, 0)
+
+
+def test_without_identification_a_conversation_that_comes_in_twos_is_captured_twice():
+    items = [(at * 100 + step / 10, 0, 0, 7) for at in range(20) for step in (0, 1)]
+    assert found(items) == (20, 0)
+    assert found(items[:10]) == (0, 0)
+
+
+def test_without_identification_two_places_tell():
+    assert found([(0, 0, 1, 7), (1, 0, 2, 7)]) == (1, 0)
+
+
+def test_three_times_is_twice_too_often():
+    assert found([(at * 100 + step, at + 1, step, at) for at in range(9) for step in range(3)]) == (18, 0)
+
+
+def test_info_counts_once_what_was_captured_twice(tmp_path):
+    plain = CAPTURES / "a_rover.pcap"
+    doubled = [replace(item, tap=tap).at(tap * 1000) for item in datagrams(plain) for tap in (0, 1)]
+    found = [
+        inspect(source, Settings([]).workbench(source.info))
+        for source in map(open_file, (plain, write(tmp_path / "x.pcap", doubled, layer="any")))
+    ]
+    rows = [
+        [
+            (row["link"], row["msg_id"], row["count"], row["gaps"], row["duplicates"])
+            for row in one.ledger.routes()
+        ]
+        for one in found
+    ]
+    assert rows[0] == rows[1]
+    assert "captured twice, and are counted once" in found[1].notes[-1]
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 9), st.integers(0, 60)), max_size=60),
+    st.sampled_from([1, 1 << 40]),
+)
+def test_a_glance_misses_no_two_within_20_ms(items, spread):
+    number = np.array([value * spread for value, _ in items], np.uint64)
+    time_ns = np.cumsum(np.array([step for _, step in items], np.int64) * MILLISECOND)
+    near = abs(time_ns[:, None] - time_ns) <= 20 * MILLISECOND
+    again = near & (number[:, None] == number) & ~np.eye(len(items), dtype=bool)
+    # Windows are 40 ms long: some that are further apart share one.
+    near_enough = abs(time_ns[:, None] - time_ns) <= 40 * MILLISECOND
+    may = near_enough & (number[:, None] == number) & ~np.eye(len(items), dtype=bool)
+    assert again.any() <= _perhaps_again(number, time_ns) <= may.any()

@@ -1,0 +1,127 @@
+"""Captures that begin late or end early, at many places each: the balance claims no more than is true."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from effort import every
+from places import ROOT
+
+from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.robot import ROBOT_COMMAND, ROBOT_PORT
+from edoras_tools.pipelines.workbench import Settings
+
+PLACES = 40
+CI_PORT, TWIST = 1234, 0x1827
+COMMANDS = ("a_rover", "c4_cmd_rate", "n3_cfs_restart", "n5_app_restarts", "p6b_extended_header")
+NAMES = ("c1_tlm_rate_limit4", *COMMANDS)
+
+
+@pytest.fixture(scope="module")
+def batches():
+    """Return the batches of a capture by its name."""
+    found = {}
+
+    def read(name):
+        if name not in found:
+            found[name] = list(open_file(ROOT / f"tests/captures/{name}.pcap.zst").batches())
+        return found[name]
+
+    return read
+
+
+def examined(batches, start_ns, end_ns):
+    bench = Settings(configs=[]).workbench()
+    examination = Examination(bench.columns.context)
+    for batch in batches:
+        part = batch.take(np.flatnonzero((batch.time_ns >= start_ns) & (batch.time_ns <= end_ns)))
+        if len(part):
+            examination.add(part, bench.columns.decode(part))
+    return examination.diagnose()
+
+
+def never_arrived(batches):
+    """Return when each command was sent that the robot never got in all of the capture."""
+    items = [item for batch in batches for item in batch]
+    got = {bytes(item.payload) for item in items if item.destination.port == ROBOT_PORT}
+    sent = [item for item in items if item.destination.port == CI_PORT and item.payload[:2] == b"\x18\x27"]
+    return np.array([item.time_ns for item in sent if bytes(item.payload[-ROBOT_COMMAND.size :]) not in got])
+
+
+def cuts(batches, side):
+    """Yield (start, end) of what is left: the first so many forty-firsts of the capture, or all but those."""
+    first, last = int(batches[0].time_ns[0]), int(batches[-1].time_ns[-1])
+    for place in every(7, range(1, PLACES + 1)):
+        at = first + (last - first) * place // (PLACES + 1)
+        yield (first, at) if side == "end" else (at, last)
+
+
+@pytest.mark.parametrize("side", ["end", "start"])
+@pytest.mark.parametrize("name", NAMES)
+def test_the_sum_is_right_at_every_cut(batches, name, side):
+    whole, missing = batches(name), never_arrived(batches(name))
+    lost = []
+    for start_ns, end_ns in cuts(whole, side):
+        found = examined(whole, start_ns, end_ns)
+        assert [row for row in found.balance if not row.adds_up] == []
+        for line in found.headlines:
+            rest = line.superseded + line.lost + line.waiting + line.not_captured + line.unaccounted
+            assert line.arrived is None or line.sent == line.arrived + rest, line
+        lost.append(found.lost)
+        if name in COMMANDS:
+            # What is said to be lost, and what is said to be missing, never came in the whole capture.
+            most = int(((missing >= start_ns) & (missing <= end_ns)).sum())
+            route = [row for row in found.balance if row.msg_id == TWIST]
+            assert sum(row.all_lost + row.unaccounted for row in route) <= most
+    # What was lost once stays lost, however long the capture goes on.
+    assert lost == sorted(lost, reverse=side == "start")
+
+
+BEGINS_IN_A_BACKLOG = (201.7, 204.0, 206.9, 208.9)
+"""Seconds into c4 at which CI's socket is full: what it reads first was sent before."""
+
+
+def lost_by(found, msg_id):
+    return sum((Counter(row.lost) for row in found.balance if row.msg_id == msg_id), Counter())
+
+
+@pytest.mark.parametrize("robot", [True, False], ids=["robot", "no robot"])
+@pytest.mark.parametrize("seconds", BEGINS_IN_A_BACKLOG)
+def test_what_waited_when_the_capture_began_is_no_loss_of_what_it_shows(batches, seconds, robot):
+    whole = batches("c4_cmd_rate")
+    start_ns, end_ns = int(whole[0].time_ns[0]) + int(seconds * 1e9), int(whole[-1].time_ns[-1])
+    kept = (
+        whole if robot else [item.take(np.flatnonzero(item.destination_port != ROBOT_PORT)) for item in whole]
+    )
+    found, in_all = examined(kept, start_ns, end_ns), examined(whole, int(whole[0].time_ns[0]), end_ns)
+    (fate,) = [item for item in in_all.case.commands.fates.values() if item.stream.msg_id == TWIST]
+    sent_ns = in_all.case.rows.time_ns[fate.stream.rows]
+    read = int((fate.arrived & (sent_ns >= start_ns)).sum())
+    (line,) = [item for item in found.headlines if item.topic == f"0x{TWIST:04x}"]
+    assert line.arrived in ({read} if robot else {None})
+    # More than what the pipe lost of these cannot be said to be lost there; the socket's is a lower bound.
+    told = lost_by(found, TWIST)
+    pipe = lost_by(in_all, TWIST)["limit"]
+    later = sum(loss.lost for loss in in_all.case.losses if loss.kind == "limit" and loss.end_ns >= start_ns)
+    assert told["limit"] <= min(pipe, later, line.sent - read - told["socket"])
+    assert set(told) <= {"limit", "socket"}
+    assert line.sent == (line.arrived or 0) + line.lost + line.unaccounted or not robot
+    # The counter's growth is told in full all the same.
+    assert found.lost == told.total() + lost_by(found, None)["unknown"]
+
+
+def test_an_application_that_is_only_started_in_the_capture_did_not_run_before(batches):
+    whole = batches("n5_app_restarts")
+    last = int(whole[-1].time_ns[-1])
+    started = [item for batch in whole for item in batch if item.payload[:2] == b"\x18\x06"][-1]
+    found = examined(whole, started.time_ns - 5 * 10**9, last)
+    assert started.payload[6] == 4  # START_APP
+    (line,) = [item for item in found.headlines if item.topic == f"0x{TWIST:04x}"]
+    sent = [item.time_ns for batch in whole for item in batch if item.payload[:2] == b"\x18\x27"]
+    before = sum(started.time_ns - 5 * 10**9 <= when <= started.time_ns for when in sent)
+    assert line.lost == pytest.approx(before, abs=2)
+    assert line.arrived is None
+    assert line.sent == pytest.approx(line.lost + line.unaccounted, abs=3)

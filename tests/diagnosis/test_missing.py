@@ -1,0 +1,59 @@
+"""What did not arrive, one by one: as many as the balance says, and which."""
+
+from __future__ import annotations
+
+import pytest
+from places import CAPTURES, MISSIONS
+
+from edoras_tools.diagnosis.missing import missing
+from edoras_tools.wire import cfe
+
+ROVER = [MISSIONS / "rover_ground.yaml"]
+
+
+def of_topic(found, topic):
+    return [item for item in found if item.topic == topic]
+
+
+def test_commands_are_told_one_by_one(lab):
+    diagnosis = lab.read(CAPTURES / "a_rover.pcap", ROVER)
+    found = of_topic(missing(diagnosis.case), "/cmd_vel")
+    assert (len(found), {item.what for item in found}) == (92, {"over the message limit of EDORAS_APP_PIPE"})
+    assert [item.time_ns for item in found] == sorted(item.time_ns for item in found)
+    numbers = [item.number for item in found]
+    assert len(set(numbers)) == 92
+    rows = diagnosis.case.rows
+    sent = {int(number) for number in rows.number[rows.msg_id == 0x1827]}
+    assert set(numbers) <= sent
+
+
+def test_telemetry_is_told_by_its_counts(lab):
+    diagnosis = lab.read(CAPTURES / "c1_tlm_rate_limit4.pcap.gz")
+    found = [item for item in missing(diagnosis.case) if item.msg_id == 0x0827]
+    (route,) = [row for row in diagnosis.routes if row["msg_id"] == "0x0827"]
+    assert sum(item.count for item in found if item.first is not None) == route["gaps"]
+    # What was lost behind the last count that came has none.
+    assert sum(item.count for item in found) == route["lost"]
+    assert all(item.number is None for item in found)
+    assert [item.first is None for item in found].count(True) == 1
+
+
+@pytest.mark.parametrize("left_out", [(3,), (3, 4), (5, 9)])
+def test_counts_that_were_cut_out_are_named(lab, left_out):
+    sent = [
+        lab.at(
+            second,
+            lab.cfs,
+            lab.ground,
+            cfe.emit_telemetry(0x0805, bytes(32), seconds=1_001_000 + second, sequence_count=100 + second),
+        )
+        for second in range(20)
+        if second not in left_out
+    ]
+    found = missing(lab.examine(sent).case)
+    told = [count for item in found for count in range(item.first, item.first + item.count)]
+    assert told == [100 + second for second in left_out]
+
+
+def test_sound_traffic_misses_nothing(lab):
+    assert missing(lab.examine(lab.simulate(seconds=20)[0], lab.missions("rover")).case) == []

@@ -1,0 +1,99 @@
+"""Two runs: what is worse, what is only different."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+
+from edoras_tools.diagnosis.runs import Run, run_differences
+
+ROUTE = {
+    "topic": "/pose",
+    "type": None,
+    "name": None,
+    "link": "to",
+    "processor_id": None,
+    "msg_id": "0x0827",
+    "count": 100,
+    "rate_hz": 10.0,
+    "bytes_min": 116,
+    "bytes_max": 116,
+    "findings": {"stale_tail": 3},
+}
+ACCOUNT = {
+    "link": "to",
+    "msg_id": "0x0827",
+    "sent": 100,
+    "lost": 0,
+    "crossings": [],
+    "delay": {"p50_ms": 5.0, "p99_ms": 20.0, "max_ms": 21.0},
+}
+VERDICT = {
+    "rule": "no_subscriber",
+    "severity": "error",
+    "link": "ci",
+    "msg_id": "0x18ee",
+    "hop": None,
+    "topic": None,
+    "reason": "nobody takes it",
+}
+
+
+def run(route=(), account=(), verdicts=(), seconds=10.0):
+    info = {"source": "x.pcap", "datagrams": 100, "routes": [{**copy.deepcopy(ROUTE), **dict(route)}]}
+    doctor = {"start_ns": 0, "end_ns": int(seconds * 1e9), "routes": [{**ACCOUNT, **dict(account)}]}
+    return Run(info, {**doctor, "verdicts": list(verdicts), "lost": 0})
+
+
+def changes(good, bad):
+    found = run_differences(good, bad, tolerance=0.1, serious={"length_mismatch"})
+    return [(item.what, item.worse) for item in found]
+
+
+def test_a_run_is_no_worse_than_itself():
+    assert changes(run(), run()) == []
+
+
+def test_a_longer_run_of_the_same_rate_is_the_same():
+    assert changes(run(), run(route={"count": 1000}, seconds=100.0)) == []
+
+
+CASES = [
+    ({"route": {"count": 80}}, [("rate_hz", True)]),
+    ({"route": {"count": 120}}, [("rate_hz", False)]),
+    ({"route": {"count": 95}}, []),
+    ({"account": {"lost": 1}}, [("lost", True)]),
+    ({"account": {"delay": {"p99_ms": 31.0}}}, [("latency_ms", True)]),
+    ({"account": {"delay": {"p99_ms": 29.0}}}, []),
+    ({"account": {"delay": None}}, []),
+    ({"route": {"bytes_max": 136}}, [("bytes", False)]),
+    ({"route": {"findings": {}}}, [("finding", False)]),
+    ({"route": {"findings": {"stale_tail": 1, "length_mismatch": 1}}}, [("finding", True)]),
+    ({"route": {"findings": {"stale_tail": 1, "sequence_unset": 1}}}, [("finding", False)]),
+    ({"verdicts": [VERDICT]}, [("verdict", True)]),
+    ({"verdicts": [{**VERDICT, "severity": "note"}]}, [("verdict", False)]),
+    ({"route": {"msg_id": "0x0828"}}, [("route", True), ("route", False)]),
+]
+
+
+@pytest.mark.parametrize(("bad", "expected"), CASES)
+def test_each_change(bad, expected):
+    assert changes(run(), run(**bad)) == expected
+
+
+@pytest.mark.parametrize(("bad", "expected"), [item for item in CASES if item[0].get("verdicts")])
+def test_what_went_is_only_told(bad, expected):
+    assert changes(run(**bad), run()) == [(what, False) for what, _ in expected]
+
+
+def test_loss_that_grew_a_little_is_no_news():
+    lossy = run(account={"lost": 500, "sent": 1000})
+    assert changes(lossy, run(account={"lost": 505, "sent": 1000})) == []
+    assert changes(lossy, run(account={"lost": 530, "sent": 1000})) == [("lost", True)]
+    assert changes(lossy, run(account={"lost": 300, "sent": 1000})) == [("lost", False)]
+
+
+def test_events_have_no_rate():
+    good, bad = run(route={"msg_id": "0x0808"}), run(route={"msg_id": "0x0808", "count": 7})
+    assert changes(good, bad) == []

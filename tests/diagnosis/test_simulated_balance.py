@@ -1,0 +1,95 @@
+"""Bursts and outages of the emulated cFS: what the balance says, held to what the emulator itself counted."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+
+import pytest
+
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.emulator import Simulation
+from edoras_tools.emulator.apps import generator
+from edoras_tools.emulator.source import frames_of
+from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
+
+QUICK = 12
+ALL = 200
+QUIET_S = 16
+"""So long nothing is sent at the end: whatever waits in a socket is read, and 0x803 counts it."""
+
+
+def run(seed, lab):
+    """Return a simulation of one kind, with what it sent."""
+    chance = random.Random(seed)
+    scenario = chance.choice(["rover", "rover", "arm", "two-rovers", "two-arms"])
+    profile = SimProfile(
+        app_msg_limit=chance.choice([2, 4, 4, 8]),
+        to_pipe_depth=chance.choice([12, 50, 50]),
+        socket_queue=chance.choice([40, 256]),
+        seed=seed,
+    )
+    if chance.random() < 0.5:
+        profile = replace(profile, to_limits={**profile.to_limits, 0x8F1: chance.choice([4, 10, 255])})
+    seconds = chance.randint(12, 25)
+    hertz = chance.choice([1.0, 4.0, 9.0, 12.0, 20.0])
+    simulation = Simulation(
+        profile,
+        scenario,
+        start_ns=lab.start_ns,
+        command_rate_hz=hertz,
+        state_rate_hz=chance.choice([1.0, 4.0, 12.0]),
+        command_count=int(hertz * (seconds - 4)),
+    )
+    at = 5.0
+    for _ in range(chance.randint(0, 3)):
+        rate, length = chance.choice([6, 20, 60, 200]), chance.uniform(0.3, 4)
+        for when, value in ((at, rate), (at + length, 0)):
+            payload = generator.set_command(0x8F1, value)
+            packet = cfe.emit_command(generator.COMMAND_MSG_ID, 2, payload, sequence_flags=0)
+            simulation.feed(lab.start_ns + int(when * SECOND), simulation.cfs.ci_endpoint, packet)
+        at += length + chance.uniform(0.2, 3)
+    sent = list(simulation.run(lab.start_ns + (seconds + QUIET_S) * SECOND))
+    return simulation, sent
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=pytest.mark.long if seed >= QUICK else []) for seed in range(ALL)]
+)
+def test_the_sums_are_the_counters_of_the_emulator(seed, lab):
+    simulation, sent = run(seed, lab)
+    bench = Settings(configs=[]).workbench()
+    examination = Examination(bench.columns.context)
+    demux = Demux()
+    for first in range(0, len(sent), 1000):
+        batch = demux.demux(frames_of(sent[first : first + 1000], first + 1))
+        examination.add(batch, bench.columns.decode(batch))
+    found = examination.diagnose()
+    assert [row for row in found.balance if not row.adds_up] == []
+    (track,) = found.case.tracks.values()
+    told = sum(row.lost.get("limit", 0) + row.lost.get("overflow", 0) for row in found.balance)
+    unknown = sum(
+        row.lost.get("unknown", 0)
+        for row in found.balance
+        if row.msg_id is None and row.hop == "software bus"
+    )
+    counted = track.growth("msg_limits") + track.growth("pipe_overflows")
+    # What the emulator lost before its first 0x803 is older than the capture; what it lost behind its last is
+    # told where sequence counts show it.
+    older = sum(track.older[name] for name in ("msg_limits", "pipe_overflows"))
+    counters = simulation.cfs.bus.counters
+    assert counted <= told + unknown <= counters.msg_limits + counters.pipe_overflows - older
+    by_msg_id = {}
+    for (msg_id, _), number in simulation.cfs.bus.losses.items():
+        by_msg_id[msg_id] = by_msg_id.get(msg_id, 0) + number
+    for row in found.balance:
+        if row.msg_id in by_msg_id and row.hop == telemetry_output.PIPE:
+            lost = row.lost.get("limit", 0) + row.lost.get("overflow", 0)
+            # What was lost behind the last message of a burst is shared with what others lost just then.
+            assert lost == pytest.approx(by_msg_id[row.msg_id], rel=0.3, abs=24)
+    assert sum(row.lost.get("after", 0) + row.lost.get("network", 0) for row in found.balance) <= 2

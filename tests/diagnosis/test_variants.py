@@ -1,0 +1,409 @@
+"""Real captures doctored by a script, each with the answer that is known: what is lost, what is said."""
+
+import random
+import struct
+from collections import Counter
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import pytest
+from effort import long_but
+from places import MISSIONS, ROOT
+from rewriting import Udp, datagrams, write
+
+from edoras_tools.decode import Options
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links import table
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.workbench import Settings
+
+TRUTH = {
+    "a_rover": 92,
+    "b_arm_single": 0,
+    "d3_cpu1_cpu2": 6601,
+    "n1_to_remove_all": 0,
+    "n3_cfs_restart": 38,
+    "n5_app_restarts": 158,
+    "n10_uplink_loss": 34,
+    "p6b_extended_header": 23,
+}
+"""Messages lost in each capture as it is, counted at the robot or at a relay."""
+ROVER = ["rover_ground"]
+MISSION = {"b_arm_single": ["single_arm_ground"]}
+PORTS = {"n10_uplink_loss": [("ci", 5234)]}
+SECOND, MS = 10**9, 10**6
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What is done to a capture, and what the doctor must say then.
+
+    Attributes:
+        change: makes other datagrams of those of the capture.
+        how: the options of ``write``.
+        more: how many more messages are lost than in the capture as it is.
+        says: rules that must speak.
+        silent: rules that must not.
+        ports: links' ports that are named.
+    """
+
+    change: object = list
+    how: dict = field(default_factory=dict)
+    more: int = 0
+    says: tuple = ()
+    silent: tuple = ("not_examined", "not_cfs", "captured_twice", "duplicated", "clock_jump")
+    ports: tuple = ()
+
+
+def taps(count, step_ns=20_000):
+    return lambda items: [replace(item, tap=tap).at(tap * step_ns) for item in items for tap in range(count)]
+
+
+def to_ipv6(items):
+    def moved(end):
+        return f"fd00::{end[0].rpartition('.')[2]}", end[1]
+
+    return [replace(item, source=moved(item.source), destination=moved(item.destination)) for item in items]
+
+
+def shuffled(within_ns=None):
+    def change(items):
+        chance = random.Random(3)
+        if within_ns is None:
+            return chance.sample(items, len(items))
+        return sorted(items, key=lambda item: item.time_ns + chance.randrange(within_ns))
+
+    return change
+
+
+def unnumbered(items):
+    return [replace(item, identification=0) for item in items]
+
+
+def port(old, new):
+    def moved(end):
+        return (end[0], new if end[1] == old else end[1])
+
+    return lambda items: [
+        replace(item, destination=moved(item.destination), source=item.source) for item in items
+    ]
+
+
+def at_host(items, address, shift_ns=0):
+    """Return the datagrams of a loopback capture as of a host of their own, and at another time."""
+
+    def moved(end):
+        return (address, end[1]) if end[0] == "127.0.0.1" else end
+
+    return [
+        replace(item, source=moved(item.source), destination=moved(item.destination)).at(shift_ns)
+        for item in items
+    ]
+
+
+def merged(items, more):
+    return sorted([*items, *more], key=lambda item: item.time_ns)
+
+
+def beside(payload, source=("10.9.9.9", 5004), target=("10.9.9.8", 1234), count=400):
+    def change(items):
+        chance = random.Random(11)
+        more = [
+            Udp(items[0].time_ns + at * 50 * MS, source, target, payload(chance, at), at + 1)
+            for at in range(count)
+        ]
+        return merged(items, more)
+
+    return change
+
+
+def msg_id(item):
+    return int.from_bytes(item.payload[:2]) if item.destination[1] in {1234, 1235} else -1
+
+
+def without(chosen):
+    return lambda items: [item for at, item in enumerate(items) if not chosen(at, item)]
+
+
+def some(wanted, places):
+    """Tell which datagrams of a MsgId are the n-th of it."""
+    seen = iter(range(1 << 30))
+    return lambda _, item: msg_id(item) == wanted and next(seen) in places
+
+
+def doubled(places):
+    return lambda items: [item for at, one in enumerate(items) for item in [one] * (1 + (at in places))]
+
+
+def telemetry_doubled(items):
+    return [
+        one for at, item in enumerate(items) for one in [item] * (1 + (at % 9 == 0 and msg_id(item) == 0x827))
+    ]
+
+
+def swapped(items):
+    """Let some telemetry overtake the packet before it."""
+    out, at = list(items), [place for place, item in enumerate(items) if item.destination[1] == 1235]
+    for place in at[50:250:40]:
+        before, after = out[place - 1], out[place]
+        out[place - 1 : place + 1] = [
+            replace(after, time_ns=before.time_ns),
+            replace(before, time_ns=after.time_ns),
+        ]
+    return out
+
+
+def clock_set(by_ns):
+    return lambda items: [item.at(by_ns * (at > len(items) // 2)) for at, item in enumerate(items)]
+
+
+def mission_time(change):
+    """Let cFE's clock say something else: seconds, of its own and since the capture's start."""
+
+    def changed(items):
+        for item in items:
+            if item.destination[1] != 1235 or len(item.payload) < 16:
+                yield item
+                continue
+            seconds, part = struct.unpack_from(">IH", item.payload, 6)
+            told = change(seconds + part / 65536, (item.time_ns - items[0].time_ns) / 1e9)
+            head = struct.pack(">IH", int(told), int(told % 1 * 65536))
+            yield replace(item, payload=item.payload[:6] + head + item.payload[12:])
+
+    return changed
+
+
+def rtp(chance, at):
+    return bytes([0x80, 96]) + at.to_bytes(2) + chance.randbytes(168)
+
+
+def dns(chance, _):
+    return chance.randbytes(2) + b"\1\0\0\1\0\0\0\0\0\0\5robot\0\0\1\0\1"
+
+
+def json(_, at):
+    return b'{"x": %d}' % at
+
+
+def noise(chance, _):
+    return chance.randbytes(chance.randrange(1, 300))
+
+
+FIRST = {
+    "as it is": Variant(),
+    "on any": Variant(taps(2), {"layer": "any"}, says=("captured_twice",), silent=("duplicated",)),
+    "on any, cooked 2": Variant(taps(2), {"layer": "any2"}, says=("captured_twice",), silent=("duplicated",)),
+    "at one tap of any": Variant(how={"layer": "any2"}),
+    "with a VLAN": Variant(how={"layer": "vlan"}),
+    "cut to 200": Variant(how={"snap": 200}, says=("cut_frames",)),
+    "cut to 96": Variant(how={"snap": 96}, says=("cut_frames",)),
+    "raw IP": Variant(how={"layer": "raw"}),
+    "IPv6": Variant(to_ipv6),
+    "fragments of 64": Variant(how={"cut": 64}),
+    "shuffled": Variant(shuffled(), says=("out_of_order",)),
+}
+"""Done to every capture."""
+QUIET = ("not_examined", "clock_jump")
+ROVERS = {
+    "IPv6 on any": Variant(
+        lambda items: taps(2)(to_ipv6(items)), {"layer": "any"}, says=("captured_twice",), silent=()
+    ),
+    "IPv6 with a VLAN": Variant(to_ipv6, {"layer": "vlan"}),
+    "fragments of 8": Variant(how={"cut": 8}),
+    "fragments on any": Variant(taps(2), {"cut": 64, "layer": "any"}, silent=()),
+    "at three taps": Variant(taps(3), says=("captured_twice",), silent=("duplicated",)),
+    "twice at one place": Variant(doubled(range(10**6)), says=("captured_twice",), silent=("duplicated",)),
+    "without identification": Variant(unnumbered),
+    "without identification, at two taps": Variant(
+        lambda items: taps(2)(unnumbered(items)), says=("captured_twice",), silent=()
+    ),
+    "without identification, twice": Variant(
+        lambda items: doubled(range(10**6))(unnumbered(items)), says=("captured_twice",), silent=()
+    ),
+    "some doubled by the network": Variant(
+        telemetry_doubled, says=("duplicated",), silent=("captured_twice",)
+    ),
+    "telemetry that overtakes": Variant(swapped),
+    "records up to 30 ms out of order": Variant(shuffled(30 * MS), says=("out_of_order",)),
+    "records backwards": Variant(lambda items: items[::-1], says=("out_of_order",)),
+    "cut to 160": Variant(how={"snap": 160}, says=("cut_frames",)),
+    "cut to 128": Variant(how={"snap": 128}, says=("cut_frames",)),
+    "cut to 80": Variant(how={"snap": 80}, says=("cut_frames",)),
+    "cut to 60, before the counters of 0x803": Variant(
+        how={"snap": 60}, more=-92, says=("cut_frames", "not_observable")
+    ),
+    "a year later": Variant(lambda items: [item.at(365 * 86400 * SECOND) for item in items]),
+    "the capture's clock set forward": Variant(clock_set(300 * SECOND), says=("clock_jump",), silent=()),
+    "the capture's clock set back": Variant(clock_set(-300 * SECOND), says=("clock_jump",), silent=()),
+    "cFE's clock slips by 0.7 s": Variant(mission_time(lambda told, since: told + 0.7 * (since > 30))),
+    "cFE's clock slips by 2 s": Variant(
+        mission_time(lambda told, since: told + 2 * (since > 30)), says=("clock_jump",), silent=()
+    ),
+    "cFE's clock slips back by 2 s": Variant(
+        mission_time(lambda told, since: told - 2 * (since > 30)), says=("clock_jump",), silent=()
+    ),
+    "cFE's clock set by an hour": Variant(
+        mission_time(lambda told, since: told + 3600 * (since > 30)), says=("clock_jump",), silent=()
+    ),
+    "cFE's clock drifts by 1 %": Variant(mission_time(lambda told, since: told + 0.01 * since)),
+    "cFE's clock drifts by -5 %": Variant(mission_time(lambda told, since: told - 0.05 * since)),
+    "cFE's clock drifts by 10 %": Variant(mission_time(lambda told, since: told + 0.1 * since)),
+    "RTP on CI's port of others": Variant(beside(rtp), says=("not_cfs",), silent=QUIET),
+    "RTP to CI's host": Variant(beside(rtp, target=("127.0.0.1", 1234)), says=("not_cfs",), silent=QUIET),
+    "one RTP datagram": Variant(beside(rtp, count=1), says=("not_cfs",), silent=QUIET),
+    "a DNS client's answers": Variant(
+        beside(dns, ("10.9.9.1", 53), ("10.9.9.8", 1235)), says=("not_cfs",), silent=QUIET
+    ),
+    "JSON on SBN's port": Variant(beside(json, target=("10.9.9.8", 2236)), says=("not_cfs",), silent=QUIET),
+    "noise on CI's port": Variant(beside(noise), says=("not_cfs",), silent=QUIET),
+    "noise to the ground": Variant(
+        beside(noise, target=("127.0.0.1", 1235)), says=("not_cfs",), silent=QUIET
+    ),
+    "other traffic elsewhere": Variant(beside(noise, target=("10.9.9.8", 5353))),
+    "CI at another port": Variant(port(1234, 5234), ports=(("ci", 5234),)),
+    "TO to another port": Variant(port(1235, 6235), ports=(("to", 6235),)),
+    "SBN at another port": Variant(port(2236, 7236), ports=(("sbn", 7236),)),
+    "poses lost after TO": Variant(
+        without(some(0x827, {10, 20, 21, 22, 40})), more=5, says=("lost_after_cfs",)
+    ),
+}
+"""Done to a_rover."""
+UNNAMED = {
+    "CI": (port(1234, 5234), "name the port with --port ci:5234"),
+    "TO": (port(1235, 6235), "name the port with --port to:6235"),
+}
+HIDDEN = {
+    ("n5_app_restarts", "cut to 200"): (108, 108),
+    ("n5_app_restarts", "cut to 96"): (108, 108),
+    ("a_rover", "cut to 60, before the counters of 0x803"): (0, 92),
+}
+"""Messages not said to be lost, as what tells why is cut off: those, and how many are unaccounted for."""
+ROBOT_GOT = {
+    "a_rover": (508, 600),
+    "b_arm_single": (120, 120),
+    "c4_cmd_rate": (1287, 3080),
+    "n1_to_remove_all": (210, 210),
+    "n3_cfs_restart": (207, 245),
+    "n5_app_restarts": (174, 310),
+    "p6b_extended_header": (277, 300),
+}
+"""Of the commands that were sent, as counted when the captures were made."""
+CASES = [(name, what, variant) for name in TRUTH for what, variant in FIRST.items()]
+CASES += [("a_rover", what, variant) for what, variant in ROVERS.items()]
+QUICK = [case for case in CASES if case[0] != "d3_cpu1_cpu2" or case[1] in {"as it is", "on any", "shuffled"}]
+"""The others of the largest capture are for ``make long``."""
+
+
+@cache
+def captured(name):
+    return datagrams(ROOT / f"tests/captures/{name}.pcap.zst")
+
+
+def diagnosed(path, name, ports=()):
+    links = tuple((table.named(link), number) for link, number in (*ports, *PORTS.get(name, ())))
+    config = [MISSIONS / f"{item}.yaml" for item in MISSION.get(name, ROVER)]
+    source = open_file(path)
+    bench = Settings(config, options=Options(ports=links)).workbench(source.info)
+    with closing(source):
+        return examine(source, bench).diagnosis
+
+
+@pytest.mark.parametrize(
+    ("name", "what", "variant"), long_but(QUICK, CASES), ids=[f"{one}: {two}" for one, two, _ in CASES]
+)
+def test_the_answer_is_known(tmp_path, name, what, variant):
+    hidden, open_ = HIDDEN.get((name, what), (0, 0))
+    path = write(tmp_path / "x.pcap", variant.change(captured(name)), **variant.how)
+    found = diagnosed(path, name, variant.ports)
+    rules = {item.rule for item in found.verdicts}
+    assert (found.lost, found.unaccounted) == (TRUTH[name] + variant.more - hidden, open_), sorted(rules)
+    assert rules >= set(variant.says)
+    assert not rules & set(variant.silent) - set(variant.says)
+
+
+@pytest.mark.parametrize("late_ms", [0, 300, 2300, 40_000])
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("a_rover", "a_rover"),
+        ("a_rover", "n3_cfs_restart"),
+        ("n5_app_restarts", "n3_cfs_restart"),
+        ("n5_app_restarts", "n1_to_remove_all"),
+        ("n1_to_remove_all", "a_rover"),
+        # builds with different headers
+        ("a_rover", "p6b_extended_header"),
+        ("p6b_extended_header", "n5_app_restarts"),
+    ],
+)
+def test_two_cfs_of_one_name_lose_each_its_own(tmp_path, one, other, late_ms):
+    first, second = captured(one), captured(other)
+    shift_ns = first[0].time_ns - second[0].time_ns + late_ms * MS
+    items = merged(at_host(first, "10.0.0.1"), at_host(second, "10.0.0.2", shift_ns))
+    found = diagnosed(write(tmp_path / "x.pcap", items), one)
+    lost = Counter()
+    for row in found.balance:
+        lost[row.instance and row.instance.rpartition(" ")[2]] += row.all_lost
+    assert [row for row in found.balance if not row.adds_up] == []
+    assert found.unaccounted == 0
+    assert lost == Counter({"10.0.0.1": TRUTH[one]}) + Counter({"10.0.0.2": TRUTH[other]})
+
+
+@pytest.mark.parametrize(
+    ("one", "other"), [("a_rover", "p6b_extended_header"), ("p6b_extended_header", "n3_cfs_restart")]
+)
+def test_two_builds_on_one_host_one_after_the_other_lose_each_its_own(tmp_path, one, other):
+    first, second = captured(one), captured(other)
+    later = [item.at(first[-1].time_ns + 100 * SECOND - second[0].time_ns) for item in second]
+    found = diagnosed(write(tmp_path / "x.pcap", [*first, *later]), one)
+    assert [row for row in found.balance if not row.adds_up] == []
+    assert (found.lost, found.unaccounted) == (TRUTH[one] + TRUTH[other], 0)
+
+
+@pytest.mark.parametrize("link", UNNAMED)
+def test_a_port_that_is_not_named_is_said_first(tmp_path, link):
+    change, remedy = UNNAMED[link]
+    found = diagnosed(write(tmp_path / "x.pcap", change(captured("a_rover"))), "a_rover")
+    assert found.bad
+    assert (found.verdicts[0].rule, found.verdicts[0].remedy) == ("not_examined", remedy)
+
+
+@pytest.mark.parametrize("payload", [rtp, dns, json, noise], ids=lambda item: item.__name__)
+def test_a_capture_without_cfs_says_so_and_no_more(tmp_path, payload):
+    items = beside(payload)(captured("b_arm_single")[:1])[1:]
+    found = diagnosed(write(tmp_path / "x.pcap", items), "a_rover")
+    assert found.bad
+    assert found.datagrams == 0
+    assert {item.rule for item in found.verdicts} == {"not_cfs"}
+
+
+@pytest.mark.parametrize("snap", [60, 68, 76, 80, 100, 120, 160, 172, 190])
+def test_frames_that_are_cut_anywhere_say_no_more_than_whole_ones(tmp_path, snap):
+    """Two cFS that hand on each other's packets: of SBN 11 bytes less are left than of Telemetry Output."""
+    name = "d3_cpu1_cpu2"
+    found = diagnosed(write(tmp_path / "x.pcap", captured(name), snap=snap), name)
+    assert found.verdicts[0].rule == "cut_frames"
+    assert [row for row in found.balance if not row.adds_up] == []
+    whole = diagnosed(write(tmp_path / "y.pcap", captured(name)), name)
+
+    def lost_by(found):
+        return sum((Counter(row.lost) for row in found.balance), Counter())
+
+    assert found.lost <= whole.lost
+    assert set(lost_by(found)) <= {"unknown", *lost_by(whole)}
+    if snap >= 86:  # the counters of every 0x803 are there
+        assert lost_by(found) == lost_by(whole)
+
+
+@pytest.mark.parametrize("snap", [60, 72, 96])
+@pytest.mark.parametrize("name", ROBOT_GOT)
+def test_what_reached_the_robot_is_counted_where_its_values_are_cut(tmp_path, name, snap):
+    found = diagnosed(write(tmp_path / "x.pcap", captured(name), snap=snap), name)
+    assert [row for row in found.balance if not row.adds_up] == []
+    (line,) = [item for item in found.headlines if item.sent == ROBOT_GOT[name][1]]
+    assert (line.arrived, line.sent) == ROBOT_GOT[name]
+    assert line.sent == line.arrived + line.lost + line.unaccounted + line.waiting
+
+
+def test_there_are_forty_at_the_least():
+    assert len({what for _, what, _ in CASES}) + len(UNNAMED) >= 40

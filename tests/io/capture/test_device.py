@@ -1,0 +1,232 @@
+"""The thread, the queue and the hand-over that all live sources share, on a device made of lists."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from waiting import until
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.capture.device import DeviceSource
+from edoras_tools.io.frames.build import frames_of
+from edoras_tools.model import Endpoint, InterfaceOutage, SourceInfo
+
+
+def frames(payload, number):
+    here = Endpoint("127.0.0.1", 1234)
+    return frames_of([(number * 1000, here, here, payload)], number)
+
+
+class Fake:
+    """A device that gives what it was told to, then what comes from the test."""
+
+    def __init__(self, *items, why=None, holds=()):
+        self.info = SourceInfo("fake", "live")
+        self.drops = 0
+        self.linger_s = 0.0
+        self.look_s = 0.1
+        self.outages = []
+        self.items = list(items)
+        self.why = why
+        self.holds = list(holds)  # comes out only once nothing more gets in
+        self.reads = 0
+        self.refused = self.closed = 0
+        self.pipe = os.pipe()
+
+    def filenos(self):
+        return (self.pipe[0],)
+
+    def read(self):
+        self.reads += 1
+        if not self.items:
+            return None
+        item = self.items.pop(0)
+        if isinstance(item, Exception):
+            raise item
+        return item
+
+    def count(self):
+        self.drops += 1
+
+    def refuse(self):
+        self.refused += 1
+        self.items += self.holds
+        self.holds = []
+
+    def drained(self):
+        return not self.items
+
+    def failure(self):
+        return self.why
+
+    def close(self):
+        self.closed += 1
+        for end in self.pipe:
+            os.close(end)
+
+
+@pytest.fixture
+def source_of():
+    sources = []
+
+    def make(device, **options):
+        sources.append(DeviceSource(device, idle_s=0.01, **options))
+        return sources[-1]
+
+    yield make
+    for source in sources:
+        source.close()
+
+
+def payloads(batches):
+    return [batch[row].payload for batch in batches for row in range(len(batch))]
+
+
+def first(batches):
+    """The first that is no sign of life only."""
+    return next(batch for batch in batches if len(batch))
+
+
+def test_everything_comes_in_order_and_is_counted(source_of):
+    device = Fake(*(frames(bytes([number]) * 5, number) for number in range(1, 6)))
+    source = source_of(device)
+    source.stop()
+    assert payloads(source.batches()) == [bytes([number]) * 5 for number in range(1, 6)]
+    statistics = source.statistics
+    assert (statistics.frames, statistics.datagrams, statistics.skipped) == (5, 5, 0)
+    assert statistics.bytes == 5 * (28 + 5)
+    assert statistics.kernel_drops > 0
+    assert source.info is device.info
+
+
+def test_ready_comes_first_and_once(source_of):
+    calls = []
+    source = source_of(Fake(frames(b"x", 1)), ready=lambda: calls.append(source.started.is_set()))
+    assert not source.started.is_set()
+    assert calls == []
+    source.stop()
+    assert len(payloads(source.batches())) == 1
+    assert calls == [True]
+
+
+def test_silence_is_handed_over_as_empty_batches(source_of):
+    source = source_of(Fake())
+    batches = source.batches()
+    for _ in range(3):
+        batch = next(batches)
+        assert len(batch) == 0
+        assert batch.take(slice(0)).ipv6 == ()
+    source.stop()
+    assert payloads(batches) == []
+
+
+def test_stop_takes_what_the_device_still_holds(source_of):
+    device = Fake(frames(b"early", 1), holds=[frames(b"held", 2)])
+    source = source_of(device)
+    batches = source.batches()
+    assert payloads([first(batches)]) == [b"early"]
+    source.stop()
+    source.stop()
+    assert payloads(batches) == [b"held"]
+    assert device.refused == 1
+
+
+def test_who_is_behind_is_given_all_that_waits_at_once(source_of):
+    """Batches of one are dear: a consumer that could not keep up catches up with large ones."""
+    device = Fake(*(frames(b"%d" % number, number) for number in range(1, 51)))
+    source = source_of(device)
+    until(lambda: not device.items)
+    source.stop()
+    batches = [batch for batch in source.batches() if len(batch)]
+    assert payloads(batches) == [b"%d" % number for number in range(1, 51)]
+    assert len(batches) < 3
+    assert np.concatenate([batch.number for batch in batches]).tolist() == list(range(1, 51))
+
+
+@pytest.mark.parametrize(
+    ("later", "ends"), [([b"x" * 60_000] * 80, False), ([b"second", b"third"], True)], ids=["much", "stop"]
+)
+def test_frames_gather_until_many_wait_or_the_end(source_of, later, ends):
+    """The first does not wait; of those behind it, none comes before its time, but for these reasons."""
+    device = Fake(frames(b"first", 1))
+    source = source_of(device)
+    source.gather_s = 3600.0
+    batches = source.batches()
+    assert payloads([first(batches)]) == [b"first"]
+    device.items += [frames(item, number) for number, item in enumerate(later, 2)]
+    if ends:
+        source.stop()
+    got = payloads([first(batches)])
+    assert got == later[: len(got)]
+    assert len(got) > (1 if ends else 60)
+
+
+def test_an_interface_that_goes_away_is_told(source_of):
+    """When it goes and when it is back, each once, in order."""
+    device, told = Fake(), []
+    source = source_of(device, told=told.append)
+    batches = source.batches()
+    next(batches)
+    away = [InterfaceOutage("eth1", "down", 10 * number) for number in range(3)]
+    back = [replace(outage, end_ns=outage.start_ns + 5) for outage in away]
+    for outages in ([away[0]], [away[0]], [back[0]], [*back[:2], away[2]], back, back):
+        device.outages[:] = outages
+        next(batches)
+    assert told == [away[0], back[0], away[1], back[1], away[2], back[2]]
+    assert source.statistics.outages == back
+
+
+def test_a_failing_device_gives_everything_first(source_of):
+    source = source_of(Fake(frames(b"before", 1), why="eth7 went down", holds=[frames(b"held", 2)]))
+    seen = []
+    with pytest.raises(CaptureError, match=r"^eth7 went down$"):
+        seen.extend(source.batches())
+    assert payloads(seen) == [b"before", b"held"]
+
+
+@pytest.mark.parametrize("error", [CaptureError("udp: broken"), RuntimeError("a mistake in the device")])
+def test_an_error_in_the_thread_reaches_the_consumer(source_of, error):
+    source = source_of(Fake(frames(b"before", 1), error))
+    seen = []
+    with pytest.raises(type(error), match=str(error)):
+        seen.extend(payloads([batch]) for batch in source.batches() if len(batch))
+    assert seen == [[b"before"]]
+
+
+def test_a_full_queue_leaves_the_rest_in_the_device(source_of):
+    device = Fake(*(frames(b"y" * 1000, number) for number in range(100)))
+    source = source_of(device, queue_bytes=5000)
+    batches = source.batches()
+    begun = payloads([first(batches)])
+    # Five of about 1100 bytes fill the queue, and one was taken: the device keeps nearly all of the rest.
+    assert len(device.items) > 80
+    source.stop()
+    assert len(begun + payloads(batches)) == 100
+    assert device.items == []
+
+
+def test_stop_from_a_signal_handler(source_of):
+    source = source_of(Fake(frames(b"x", 1)))
+    former = signal.signal(signal.SIGUSR1, lambda *_: source.stop())
+    timer = threading.Timer(0.05, lambda: os.kill(os.getpid(), signal.SIGUSR1))
+    try:
+        timer.start()
+        assert payloads(source.batches()) == [b"x"]
+    finally:
+        timer.join()
+        signal.signal(signal.SIGUSR1, former)
+
+
+def test_close_needs_no_consumer_and_may_come_twice(source_of):
+    device = Fake(*(frames(b"y" * 1000, number) for number in range(100)))
+    source = source_of(device, queue_bytes=2000)
+    source.close()
+    source.close()
+    source.stop()
+    assert device.closed == 1
+    assert not any(thread.name == "capture fake" for thread in threading.enumerate())

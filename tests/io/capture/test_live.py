@@ -1,0 +1,120 @@
+"""Live capture as a source: on loopback, which needs CAP_NET_RAW (``unshare -rn`` gives a user that)."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+
+import pytest
+from waiting import PATIENCE_S, until
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.capture.live import LiveSource, interfaces, open_live
+from edoras_tools.model import concatenate
+
+SENDER = """
+import socket, sys
+sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+sender.connect(("127.0.0.1", int(sys.argv[1])))
+for number in range(int(sys.argv[2])):
+    sender.send(number.to_bytes(8, "big") * 25)
+"""
+
+
+@pytest.fixture
+def live():
+    sources = []
+
+    def make(*arguments, **options):
+        sources.append(open_live(*arguments, **options))
+        return sources[-1]
+
+    yield make
+    for source in sources:
+        source.close()
+
+
+def payloads(batches):
+    return [batch[row].payload for batch in batches for row in range(len(batch))]
+
+
+@pytest.mark.parametrize("interface", ["lo", "any"])
+def test_everything_from_construction_to_stop(live, pair, interface):
+    sender, port = pair
+    wanted = [number.to_bytes(8, "big") for number in range(3000)]
+    source = live(interface, [port])
+    assert isinstance(source, LiveSource)
+    for payload in wanted[:1000]:
+        sender.send(payload)
+
+    def ready():
+        for payload in wanted[1000:]:
+            sender.send(payload)
+        source.stop()
+
+    source._ready = ready
+    assert payloads(source.batches()) == wanted
+    statistics = source.statistics
+    assert (statistics.frames, statistics.datagrams, statistics.skipped) == (3000, 3000, 0)
+    assert statistics.kernel_drops == 0
+    assert statistics.bytes == 3000 * ({"lo": 14, "any": 20}[interface] + 28 + 8)
+    assert (source.info.name, source.info.kind) == (interface, "live")
+
+
+def test_ready_is_said_when_nothing_can_be_missed(live, pair):
+    sender, port = pair
+    said = threading.Event()
+    source = live("lo", [port], ready=said.set)
+    batches = source.batches()
+    waiting = threading.Thread(target=lambda: said.wait(PATIENCE_S) and sender.send(b"the first"))
+    waiting.start()
+    assert until(lambda: payloads([next(batches)])) == [b"the first"]
+    waiting.join()
+    assert source.started.is_set()
+
+
+def test_a_sender_in_another_process(live, pair):
+    _, port = pair
+    source = live("lo", [port])
+    child = subprocess.Popen([sys.executable, "-c", SENDER, str(port), "20000"])
+    threading.Thread(target=lambda: (child.wait(), source.stop())).start()
+    whole = concatenate([batch for batch in source.batches() if len(batch)])
+    assert child.returncode == 0
+    assert source.statistics.kernel_drops == 0
+    numbers = [int.from_bytes(whole.data[at : at + 8].tobytes(), "big") for at in whole.offset]
+    assert numbers == list(range(20000))
+    assert whole.number.tolist() == list(range(1, 20001))
+    assert set(whole.destination_port.tolist()) == {port}
+
+
+def test_a_consumer_that_sleeps_loses_nothing(live, pair):
+    # The thread takes the frames out of the ring while nobody asks for batches.
+    sender, port = pair
+    source = live("lo", [port])
+    for number in range(30):
+        sender.send(bytes([number]))
+        threading.Event().wait(0.03)  # each in a block of its own
+    assert source.statistics.datagrams == 0
+    source.stop()
+    assert payloads(source.batches()) == [bytes([number]) for number in range(30)]
+
+
+@pytest.mark.parametrize("backend", ["auto", "ring", "scapy"])
+def test_no_such_interface(live, backend):
+    with pytest.raises(CaptureError, match=r"^nonesuch0: no such interface; there are .*lo"):
+        live("nonesuch0", backend=backend)
+
+
+def test_no_such_backend(live):
+    with pytest.raises(CaptureError, match=r"^dpdk: no such capture back end; there are auto, ring, scapy$"):
+        live("lo", backend="dpdk")
+
+
+def test_a_port_that_is_none(live):
+    with pytest.raises(CaptureError, match="70000 is not a UDP port"):
+        live("lo", [70000])
+
+
+def test_interfaces():
+    assert "lo" in interfaces()

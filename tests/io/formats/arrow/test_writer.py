@@ -1,0 +1,72 @@
+"""Parquet and Arrow files as pyarrow reads them; ``pipelines/export`` asks other readers."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from places import SUPPORT
+from tables import COLUMNS, VALUES, written
+
+pa = pytest.importorskip("pyarrow")
+parquet = pytest.importorskip("pyarrow.parquet")
+
+
+def read_arrow(path):
+    with pa.ipc.open_file(path) as file:
+        return file.read_all()
+
+
+@pytest.mark.parametrize(
+    ("name", "read"), [("ParquetWriter", parquet.read_table), ("ArrowWriter", read_arrow)]
+)
+def test_every_kind_of_column(tmp_path, name, read):
+    from edoras_tools.io.formats.arrow import writer
+
+    path = tmp_path / "a"
+    written(path, getattr(writer, name), COLUMNS, COLUMNS)
+    table = read(path)
+    assert table.num_rows == 6
+    equal = table.drop_columns(["single"])  # NaN equals nothing
+    assert equal.slice(0, 3).equals(equal.slice(3), check_metadata=True)
+    for column, values in VALUES.items():
+        assert table.column(column).to_pylist()[:3] == values
+    assert table.column("time").cast(pa.int64()).to_pylist()[1] == 1_795_241_600_123_456_789
+    assert np.isnan(table.column("single")[2].as_py())
+    types = {field.name: str(field.type) for field in table.schema}
+    assert types == {
+        "time": "timestamp[ns, tz=UTC]",
+        "ns": "int64",
+        "whole": "uint8",
+        "single": "float",
+        "double": "double",
+        "yes": "bool",
+        "text": "string",
+        "fixed": types["fixed"],
+        "list": types["list"],
+        "words": types["words"],
+        "a.b": "int32",
+    }
+    lists = [table.schema.field(column).type.value_type for column in ("fixed", "list", "words")]
+    assert list(map(str, lists)) == ["double", "int16", "string"]
+    assert table.schema.field("ns").metadata[b"unit"] == b"ns"
+    told = {key: value for key, value in table.schema.metadata.items() if key.startswith(b"edoras")}
+    assert told == {
+        b"edoras.topic": b"/all",
+        b"edoras.type": b"x/msg/All",
+        b"edoras.definition": b"float64 x",
+    }
+
+
+def test_writing_does_not_import_pandas():
+    """It takes half a second, which a short export is not worth."""
+    code = """
+import sys, io
+from tables import COLUMNS, HEAD
+from edoras_tools.io.formats.arrow.writer import ParquetWriter
+writer = ParquetWriter(io.BytesIO(), HEAD, COLUMNS)
+writer.write(COLUMNS)
+writer.close()
+assert "pandas" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=SUPPORT, timeout=60)

@@ -1,0 +1,256 @@
+from __future__ import annotations
+
+import io
+import struct
+from contextlib import closing, suppress
+
+import numpy as np
+import pytest
+from effort import every
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from places import CAPTURES
+from scapy.layers.inet import IP, UDP
+from scapy.layers.l2 import Ether
+from scapy.packet import Raw
+from scapy.utils import RawPcapReader, wrpcap
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats import chain as framing
+from edoras_tools.io.formats import stream
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.formats.pcap import reader as pcap
+
+FRAME = bytes(Ether() / IP(src="127.0.0.1", dst="127.0.0.2") / UDP(sport=1, dport=2) / Raw(b"hello"))
+RAW = bytes(IP(src="127.0.0.1", dst="127.0.0.2") / UDP(sport=1, dport=2) / Raw(b"hello"))
+
+
+def header(order="<", magic=0xA1B2C3D4, link_type=1, snap_length=65535, version=(2, 4)):
+    return struct.pack(f"{order}IHHiIII", magic, *version, 0, 0, snap_length, link_type)
+
+
+def record(frame, seconds=1, rest=0, order="<", original=None):
+    return struct.pack(f"{order}IIII", seconds, rest, len(frame), original or len(frame)) + frame
+
+
+def udp_frame(payload):
+    """Raw IPv4 and UDP around a payload, without checksums."""
+    total = 28 + len(payload)
+    head = struct.pack(">BBHHHBBHII", 0x45, 0, total, 0, 0, 64, 17, 0, 0x7F000001, 0x7F000001)
+    return head + struct.pack(">HHHH", 1, 2, 8 + len(payload), 0) + payload
+
+
+def read(path):
+    """All datagrams of a file, and the message of the error at its end."""
+    source = open_file(path)
+    rows = []
+    try:
+        rows.extend(row for batch in source.batches() for row in batch)
+    except CaptureError as error:
+        return rows, str(error)
+    finally:
+        source.close()
+    return rows, ""
+
+
+@pytest.fixture(params=["default", "tiny"])
+def _sizes(monkeypatch, request):
+    """Once as it is, once so small that a few records take all the ways that millions do."""
+    if request.param == "tiny":
+        monkeypatch.setattr(stream, "FIRST", 300)
+        monkeypatch.setattr(stream, "SLICE", 1000)
+        monkeypatch.setattr(pcap, "_STRIDE", 64)
+        monkeypatch.setattr(pcap, "_SIGHT", 64)
+        monkeypatch.setattr(framing, "_LANES", 2)
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize(("magic", "unit"), [(0xA1B2C3D4, 1000), (0xA1B23C4D, 1)])
+def test_both_resolutions_in_both_byte_orders(tmp_path, order, magic, unit):
+    path = tmp_path / "a"
+    path.write_bytes(
+        header(order, magic)
+        + record(FRAME, 0xFFFFFFFF, 999_999, order)
+        + record(FRAME[:50], 2, 7, order, original=len(FRAME) + 3)
+    )
+    rows, error = read(path)
+    assert not error
+    assert [row.time_ns for row in rows] == [0xFFFFFFFF * 10**9 + 999_999 * unit, 2 * 10**9 + 7 * unit]
+    assert [(row.number, row.frame, row.original_length) for row in rows] == [
+        (1, FRAME, len(FRAME)),
+        (2, FRAME[:50], len(FRAME) + 3),
+    ]
+    with closing(open_file(path)) as source:
+        info = source.info
+    assert (info.kind, info.time_resolution_ns, info.snap_length) == ("pcap", unit, 65535)
+
+
+def test_bits_about_the_frame_check_sequence_are_no_link_type(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(header(link_type=0x24000065) + record(RAW))
+    ((row,), error) = read(path)
+    assert (row.link_type, row.payload, error) == (101, b"hello", "")
+
+
+@pytest.mark.usefixtures("_sizes")
+@pytest.mark.parametrize("name", ["a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect"])
+def test_scapy_reads_the_same_of_real_captures(name):
+    path = CAPTURES / f"{name}.pcap"
+    rows, error = read(path)
+    with RawPcapReader(str(path)) as reader:
+        theirs = [(frame, (meta.sec * 1_000_000 + meta.usec) * 1000, meta.wirelen) for frame, meta in reader]
+    assert not error
+    assert [(row.frame, row.time_ns, row.original_length) for row in rows] == theirs
+    assert [row.number for row in rows] == list(range(1, len(theirs) + 1))
+
+
+def test_a_file_by_scapy(tmp_path):
+    path = tmp_path / "a.pcap"
+    wrpcap(str(path), [Ether(FRAME)] * 3)
+    assert [row.payload for row in read(path)[0]] == [b"hello"] * 3
+
+
+def imitation(order):
+    """A payload that looks like records: plausible times and lengths, one after another."""
+    return b"".join(record(b"\x01" * length, 1_700_000_000, 5, order) for length in (1, 0, 40, 7, 64)) * 3
+
+
+@pytest.mark.usefixtures("_sizes")
+@pytest.mark.parametrize("order", "<>")
+@settings(max_examples=40)
+@given(data=st.data())
+def test_hostile_payloads_and_times_change_nothing(tmp_path_factory, order, data):
+    payloads = st.one_of(
+        st.binary(max_size=30),
+        st.integers(0, 200).map(bytes),
+        st.integers(0, 200).map(lambda start: imitation(order)[start:]),
+    )
+    times = st.sampled_from([0, 1, 1_700_000_000, 1_700_000_001, 0xFFFFFFFF])
+    drawn = data.draw(st.lists(st.tuples(payloads, times, st.integers(0, 999_999)), max_size=80))
+    frames = [udp_frame(payload) for payload, _, _ in drawn]
+    path = tmp_path_factory.mktemp("pcap") / "a"
+    path.write_bytes(
+        header(order, link_type=101)
+        + b"".join(
+            record(frame, seconds, rest, order)
+            for frame, (_, seconds, rest) in zip(frames, drawn, strict=True)
+        )
+    )
+    rows, error = read(path)
+    assert not error
+    assert [(row.frame, row.payload, row.time_ns) for row in rows] == [
+        (frame, payload, seconds * 10**9 + rest * 1000)
+        for frame, (payload, seconds, rest) in zip(frames, drawn, strict=True)
+    ]
+
+
+def test_a_large_file_of_mixed_sizes_takes_the_fast_way(tmp_path, monkeypatch):
+    random = np.random.default_rng(3)
+    frames = [udp_frame(random.bytes(size)) for size in random.integers(20, 300, 6000).tolist()]
+    path = tmp_path / "a"
+    path.write_bytes(header(link_type=101) + b"".join(record(frame, 1_700_000_000, 9) for frame in frames))
+    singles = []
+    original = framing.walk_records
+
+    def counting(start, end, seeds, successor, step):
+        return original(start, end, seeds, successor, lambda at: singles.append(at) or step(at))
+
+    monkeypatch.setattr(pcap, "walk_records", counting)
+    rows, _ = read(path)
+    assert [row.frame for row in rows] == frames
+    assert len(singles) < len(frames) / 4
+
+
+@pytest.mark.usefixtures("_sizes")
+def test_a_file_cut_anywhere_gives_all_whole_records_first(tmp_path):
+    path = tmp_path / "a.pcap"
+    whole = header() + record(FRAME) * 20
+    size = len(record(FRAME))
+    for kept in every(11, range(24, len(whole))):
+        path.write_bytes(whole[:kept])
+        rows, error = read(path)
+        count, rest = divmod(kept - 24, size)
+        assert [row.frame for row in rows] == [FRAME] * count
+        if rest:
+            assert f"ends inside record {count + 1} at byte {24 + count * size};" in error
+            assert "cut off while being written" in error
+        else:
+            assert not error
+
+
+@pytest.mark.usefixtures("_sizes")
+@pytest.mark.parametrize("claim", [0x7FFFFFFF, 0xFFFFFFFF, 262145])
+def test_an_absurd_length(tmp_path, claim):
+    path = tmp_path / "a.pcap"
+    good = header() + record(FRAME) * 16
+    for tail in (b"", bytes(300_000)):
+        path.write_bytes(good + struct.pack("<IIII", 1, 0, claim, claim) + tail)
+        rows, error = read(path)
+        assert len(rows) == 16
+        assert error.startswith(f"{path}: record 17 at byte {len(good)} claims a frame of {claim} bytes")
+        assert error.endswith("16 packets before it were read")
+
+
+def test_a_frame_longer_than_the_snap_length_is_read_all_the_same(tmp_path):
+    path = tmp_path / "a.pcap"
+    frame = udp_frame(bytes(60_000))
+    path.write_bytes(header(snap_length=96, link_type=101) + record(frame) * 2)
+    rows, error = read(path)
+    assert ([row.frame for row in rows], error) == ([frame] * 2, "")
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        (header()[:10], "ends inside the pcap file header, at byte 10 of 24"),
+        (header(version=(7, 1)), "pcap version 7.1 is not supported; 2.4 is"),
+        (header(magic=0xA1B2CD34), "a modified pcap (magic 34cdb2a1)"),
+    ],
+)
+def test_headers_that_cannot_be_read(tmp_path, content, what):
+    path = tmp_path / "a.pcap"
+    path.write_bytes(content)
+    with pytest.raises(CaptureError) as caught:
+        open_file(path)
+    assert what in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_packets_and_no_datagrams(tmp_path):
+    path = tmp_path / "a.pcap"
+    path.write_bytes(header())
+    assert read(path) == ([], "")
+    path.write_bytes(header() + record(bytes(60)) * 5)
+    source = open_file(path)
+    assert list(source.batches()) == []
+    statistics = source.statistics
+    assert (statistics.frames, statistics.skipped, statistics.datagrams, statistics.bytes) == (5, 5, 0, 300)
+    assert statistics.position == statistics.total_bytes == path.stat().st_size
+
+
+def test_a_link_type_that_cannot_be_read_is_named(tmp_path):
+    path = tmp_path / "a.pcap"
+    path.write_bytes(header(link_type=105) + record(FRAME))
+    source = open_file(path)
+    assert list(source.batches()) == []
+    assert source.statistics.warnings == [f"{path}: frames of link type 105 are not supported; skipped"]
+
+
+@given(st.binary(max_size=400))
+def test_garbage_behind_a_header(content):
+    file = io.BytesIO(content)
+
+    class Memory:
+        name, total_bytes, position = "memory", len(content), 0
+
+        def fill(self, view):
+            return file.readinto(view)
+
+        def close(self):
+            pass
+
+    source = pcap.PcapSource(stream.Window(Memory(), header()))
+    with suppress(CaptureError):
+        for batch in source.batches():
+            assert len(batch)

@@ -1,0 +1,309 @@
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+from contextlib import closing, suppress
+
+import pytest
+from effort import every
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from places import CAPTURES
+from scapy.layers.inet import IP, UDP
+from scapy.layers.l2 import Ether
+from scapy.packet import Raw
+from scapy.utils import RawPcapNgReader, wrpcapng
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats import chain as framing
+from edoras_tools.io.formats import stream
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.formats.pcapng import reader as pcapng
+
+RAW = bytes(IP(src="127.0.0.1", dst="127.0.0.2") / UDP(sport=1, dport=2) / Raw(b"hello"))
+FRAME = bytes(Ether())[:12] + b"\x08\x00" + RAW
+RESOLUTION, OFFSET = 9, 14
+
+
+def block(kind, body, order="<"):
+    body += bytes(-len(body) % 4)
+    size = struct.pack(f"{order}I", len(body) + 12)
+    return struct.pack(f"{order}I", kind) + size + body + size
+
+
+def section(order="<", version=(1, 0)):
+    return block(0x0A0D0D0A, struct.pack(f"{order}IHHq", 0x1A2B3C4D, *version, -1), order)
+
+
+def interface(order="<", link_type=1, snap_length=0, options=()):
+    body = struct.pack(f"{order}HHI", link_type, 0, snap_length)
+    for code, value in options:
+        body += struct.pack(f"{order}HH", code, len(value)) + value + bytes(-len(value) % 4)
+    return block(1, body, order)
+
+
+def enhanced(frame, ticks=0, number=0, order="<", original=None, options=b""):
+    head = struct.pack(
+        f"{order}IIIII", number, ticks >> 32, ticks & 0xFFFFFFFF, len(frame), original or len(frame)
+    )
+    return block(6, head + frame + bytes(-len(frame) % 4) + options, order)
+
+
+def obsolete(frame, ticks=0, number=0, order="<"):
+    head = struct.pack(f"{order}HHIIII", number, 9, ticks >> 32, ticks & 0xFFFFFFFF, len(frame), len(frame))
+    return block(2, head + frame, order)
+
+
+def simple(frame, order="<", original=None):
+    return block(3, struct.pack(f"{order}I", original or len(frame)) + frame, order)
+
+
+def read(path):
+    with closing(open_file(path)) as source:
+        rows = []
+        try:
+            rows.extend(row for batch in source.batches() for row in batch)
+        except CaptureError as error:
+            return rows, str(error)
+    return rows, ""
+
+
+@pytest.fixture(params=["default", "tiny"])
+def _sizes(monkeypatch, request):
+    if request.param == "tiny":
+        monkeypatch.setattr(stream, "FIRST", 300)
+        monkeypatch.setattr(stream, "SLICE", 1000)
+        monkeypatch.setattr(pcapng, "_STRIDE", 64)
+        monkeypatch.setattr(pcapng, "_SIGHT", 64)
+        monkeypatch.setattr(framing, "_LANES", 2)
+
+
+@pytest.mark.usefixtures("_sizes")
+@pytest.mark.parametrize("order", "<>")
+def test_every_packet_block(tmp_path, order):
+    path = tmp_path / "a"
+    path.write_bytes(
+        section(order)
+        + interface(order)
+        + interface(order, link_type=101, snap_length=30)
+        + enhanced(FRAME, 1_700_000_000_000_001, 0, order, options=struct.pack(f"{order}HHI", 2, 4, 0))
+        + block(0x0BAD, b"custom", order)
+        + obsolete(RAW, 1_700_000_000_000_002, 1, order)
+        + enhanced(RAW[:30], 1_700_000_000_000_003, 1, order, original=len(RAW))
+        + simple(FRAME, order)
+        + block(4, bytes(40), order)
+    )
+    rows, error = read(path)
+    assert not error
+    assert [(row.number, row.link_type, row.frame, row.original_length, row.time_ns) for row in rows] == [
+        (1, 1, FRAME, len(FRAME), 1_700_000_000_000_001_000),
+        (2, 101, RAW, len(RAW), 1_700_000_000_000_002_000),
+        (3, 101, RAW[:30], len(RAW), 1_700_000_000_000_003_000),
+        (4, 1, FRAME, len(FRAME), 0),
+    ]
+
+
+def test_a_simple_packet_cut_at_the_snap_length(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(section() + interface(snap_length=43) + simple(FRAME[:43], original=len(FRAME)))
+    ((row,), error) = read(path)
+    assert (row.frame, row.original_length, row.payload, error) == (FRAME[:43], len(FRAME), b"h", "")
+
+
+@pytest.mark.usefixtures("_sizes")
+@pytest.mark.parametrize("orders", ["<>", "><", "<<", "<><"])
+def test_sections_begin_anew(tmp_path, orders):
+    path = tmp_path / "a"
+    path.write_bytes(
+        b"".join(
+            section(order)
+            + interface(order, 1 if index % 2 else 101)
+            + enhanced(FRAME if index % 2 else RAW, 5, 0, order) * 30
+            for index, order in enumerate(orders)
+        )
+    )
+    rows, error = read(path)
+    assert not error
+    assert [row.number for row in rows] == list(range(1, 30 * len(orders) + 1))
+    assert [row.link_type for row in rows] == [
+        1 if index % 2 else 101 for index in range(len(orders)) for _ in range(30)
+    ]
+    assert {row.payload for row in rows} == {b"hello"}
+
+
+@pytest.mark.parametrize(
+    ("options", "ticks", "time_ns"),
+    [
+        ([], 1_500_000, 1_500_000_000),
+        ([(RESOLUTION, b"\x09")], 1_500_000, 1_500_000),
+        ([(RESOLUTION, b"\x0c")], 1_999, 1),
+        ([(RESOLUTION, b"\x00")], 3, 3_000_000_000),
+        ([(RESOLUTION, b"\x8a")], 1536, 1_500_000_000),
+        ([(OFFSET, struct.pack("<q", 100))], 1, 100_000_001_000),
+        ([(2, b"eth0"), (RESOLUTION, b"\x03"), (OFFSET, struct.pack("<q", -1))], 2500, 1_500_000_000),
+    ],
+)
+def test_time_scales(tmp_path, options, ticks, time_ns):
+    path = tmp_path / "a"
+    path.write_bytes(section() + interface(options=options) + enhanced(FRAME, ticks))
+    assert read(path)[0][0].time_ns == time_ns
+
+
+def test_info_knows_the_interfaces_in_front_of_the_packets(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(
+        section()
+        + interface(snap_length=100)
+        + interface(snap_length=200, options=[(RESOLUTION, b"\x09")])
+        + enhanced(FRAME)
+    )
+    with closing(open_file(path)) as source:
+        info = source.info
+    assert (info.name, info.kind, info.time_resolution_ns, info.snap_length) == (str(path), "pcapng", 1, 200)
+
+
+@pytest.mark.usefixtures("_sizes")
+@pytest.mark.parametrize("name", ["a_rover", "e_ci_errors"])
+def test_editcap_and_scapy_agree_on_real_captures(tmp_path, name):
+    editcap = shutil.which("editcap")
+    assert editcap, "the suite needs editcap, which comes with tshark: apt install tshark"
+    path = tmp_path / "a.pcapng"
+    subprocess.run(
+        [editcap, "-F", "pcapng", CAPTURES / f"{name}.pcap", path], check=True, capture_output=True
+    )
+    rows, error = read(path)
+    with RawPcapNgReader(str(path)) as reader:
+        theirs = [(frame, (meta.tshigh << 32 | meta.tslow) * 1000, meta.wirelen) for frame, meta in reader]
+    assert not error
+    assert [(row.frame, row.time_ns, row.original_length) for row in rows] == theirs
+    assert rows == [*read(CAPTURES / f"{name}.pcap")[0]]
+
+
+def test_a_file_by_scapy(tmp_path):
+    path = tmp_path / "a.pcapng"
+    wrpcapng(str(path), [Ether(FRAME)] * 3)
+    assert [row.payload for row in read(path)[0]] == [b"hello"] * 3
+
+
+@pytest.mark.usefixtures("_sizes")
+def test_a_file_cut_anywhere_gives_all_whole_blocks_first(tmp_path):
+    path = tmp_path / "a.pcapng"
+    head = section() + interface()
+    size = len(enhanced(FRAME))
+    whole = head + enhanced(FRAME) * 12
+    for kept in every(7, range(len(section()), len(whole))):
+        path.write_bytes(whole[:kept])
+        rows, error = read(path)
+        count, rest = divmod(max(kept - len(head), 0), size)
+        assert len(rows) == count
+        assert bool(error) == bool(rest or len(section()) < kept < len(head))
+        if rest:
+            assert f"ends inside the block of record {count + 1} at byte {len(head) + count * size};" in error
+
+
+def broken(at, value):
+    damaged = bytearray(enhanced(FRAME))
+    struct.pack_into("<I", damaged, at, value)
+    return bytes(damaged)
+
+
+@pytest.mark.usefixtures("_sizes")
+@pytest.mark.parametrize(
+    ("bad", "what"),
+    [
+        (broken(4, 0), "claims a length of 0 bytes"),
+        (broken(4, 8), "claims a length of 8 bytes"),
+        (broken(4, 0xFFFFFFF0), "claims a length of 4294967280 bytes"),
+        (broken(4, 61), "claims a length of 61 bytes"),
+        (broken(4, 28), "claims a length of 28 bytes"),
+        (broken(len(enhanced(FRAME)) - 4, 4), "has two lengths that differ"),
+        (broken(20, 10_000), "claims a frame of 10000 bytes"),
+        (enhanced(FRAME, number=1), "uses an interface that the section does not describe"),
+        (section(version=(2, 0)), "is pcapng 2.0, which is not supported"),
+    ],
+)
+def test_damage_is_named_after_all_before_it(tmp_path, bad, what):
+    path = tmp_path / "a.pcapng"
+    good = section() + interface() + enhanced(FRAME) * 16
+    path.write_bytes(good + bad + enhanced(FRAME) * 40)
+    rows, error = read(path)
+    assert len(rows) == 16
+    assert what in error
+    assert f"record 17 at byte {len(good)}" in error
+    assert error.startswith(f"{path}: ")
+    assert error.endswith("16 packets before it were read")
+
+
+def test_a_packet_without_any_interface(tmp_path):
+    path = tmp_path / "a.pcapng"
+    path.write_bytes(section() + simple(FRAME))
+    assert "does not describe" in read(path)[1]
+
+
+@pytest.mark.parametrize("content", [section()[:13], section()[:8] + bytes(20), section(version=(9, 0))])
+def test_a_first_section_header_that_cannot_be_read(tmp_path, content):
+    path = tmp_path / "a.pcapng"
+    path.write_bytes(content)
+    with pytest.raises(CaptureError, match="section"):
+        open_file(path)
+
+
+@pytest.mark.usefixtures("_sizes")
+@settings(max_examples=40)
+@given(data=st.data())
+def test_payloads_that_imitate_blocks_change_nothing(tmp_path_factory, data):
+    decoys = [
+        enhanced(b"decoy" * 5),
+        simple(b"x"),
+        section(),
+        section(">"),
+        struct.pack("<III", 6, 32, 6) * 4,
+    ]
+    payloads = st.one_of(st.binary(max_size=30), st.sampled_from(decoys), st.integers(0, 300).map(bytes))
+    frames = [
+        bytes(RAW[:2])
+        + struct.pack(">H", 28 + len(payload))
+        + RAW[4:24]
+        + struct.pack(">HH", 8 + len(payload), 0)
+        + payload
+        for payload in data.draw(st.lists(payloads, max_size=60))
+    ]
+    order = data.draw(st.sampled_from("<>"))
+    path = tmp_path_factory.mktemp("pcapng") / "a"
+    path.write_bytes(
+        section(order) + interface(order, 101) + b"".join(enhanced(frame, 7, 0, order) for frame in frames)
+    )
+    rows, error = read(path)
+    assert ([row.frame for row in rows], error) == (frames, "")
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.binary(max_size=60),
+            st.sampled_from(
+                [
+                    section(),
+                    section(">"),
+                    interface(),
+                    interface(">"),
+                    enhanced(FRAME),
+                    enhanced(FRAME, order=">"),
+                    simple(FRAME),
+                    obsolete(FRAME),
+                    broken(4, 64),
+                    interface(options=[(RESOLUTION, b"\xff")]),
+                    interface()[:-4],
+                ]
+            ),
+        ),
+        max_size=12,
+    ).map(b"".join)
+)
+def test_garbage_behind_a_section_header(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("garbage") / "a"
+    path.write_bytes(section() + content)
+    with suppress(CaptureError), closing(open_file(path)) as source:
+        for batch in source.batches():
+            assert len(batch)

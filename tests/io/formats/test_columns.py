@@ -1,0 +1,65 @@
+"""A table's file: under its name when it is whole, and not before."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tables import COLUMNS, HEAD, AtOnce, written
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.columns import TableFile
+from edoras_tools.io.formats.csv.writer import CsvWriter
+
+
+def test_it_appears_when_it_is_whole(tmp_path):
+    path = tmp_path / "a.csv"
+    table = TableFile(path, CsvWriter, HEAD, COLUMNS, AtOnce())
+    table.write(COLUMNS)
+    assert [item.name for item in tmp_path.iterdir()] == [".a.csv.part"]
+    table.close()
+    assert [item.name for item in tmp_path.iterdir()] == ["a.csv"]
+    assert table.rows == 3
+
+
+class Full:
+    """A writer whose disk fills with the second block."""
+
+    def __init__(self, file, _head, _columns):
+        self.file = file
+
+    def write(self, _):
+        if self.file.tell():
+            raise OSError(28, "No space left on device")
+        self.file.write(b"x")
+
+    def close(self):
+        """Nothing is left."""
+
+
+def test_what_cannot_be_written_is_removed_and_what_was_there_stays(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("before")
+    table = TableFile(path, Full, HEAD, COLUMNS, AtOnce())
+    table.write(COLUMNS)
+    table.write(COLUMNS)
+    with pytest.raises(CaptureError, match=r"a\.csv: cannot be written: No space left on device"):
+        table.close()
+    assert [(item.name, item.read_text()) for item in tmp_path.iterdir()] == [("a.csv", "before")]
+
+
+def test_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(CaptureError, match="cannot be written: No such file"):
+        written(tmp_path / "no/a.csv", CsvWriter, COLUMNS)
+
+
+def test_what_is_no_file_is_written_at_once():
+    table = TableFile(Path("/dev/null"), CsvWriter, HEAD, COLUMNS, AtOnce())
+    table.write(COLUMNS)
+    table.close()
+
+
+@pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
+def test_lists_lie_one_after_the_other(column):
+    values, offsets = column.spread()
+    assert len(values) == (len(column) if offsets is None else offsets[-1])
+    assert offsets is None or (np.diff(offsets) >= 0).all()

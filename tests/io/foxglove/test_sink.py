@@ -1,0 +1,184 @@
+from __future__ import annotations
+
+import json
+import re
+from functools import cache
+
+import foxglove_client as peer
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from places import ROOT
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from edoras_tools.io.formats.mcap.writer import McapSink
+from edoras_tools.io.foxglove.server import ServerOptions
+from edoras_tools.io.foxglove.sink import FoxgloveSink
+from edoras_tools.io.topics.rows import Records
+from edoras_tools.links.ci import CI
+from edoras_tools.model import Endpoint, Finding, SourceStatistics
+from edoras_tools.sessions.faults.machine import Fault
+
+ANY = ServerOptions(Endpoint("127.0.0.1", 0))
+LAST = 1
+OWN = 5
+"""Topics beside those of the mission."""
+
+
+@pytest.fixture
+def serve(types):
+    sinks = []
+
+    def start(read, **options):
+        sinks.append(FoxgloveSink(read.mission, types, read.info, ANY, **options))
+        return sinks[-1]
+
+    yield start
+    for sink in sinks:
+        sink.close(SourceStatistics())
+
+
+def show(sink, read, meanwhile=lambda: None):
+    """A client that has subscribed to everything, after all was written; and what it was told.
+
+    All is written twice: some topics are there only once there is a message for them.
+    """
+    for batch, columns in read.pairs:
+        sink.write(batch, columns)
+    sink.restart()
+    meanwhile()
+    topics = len(sink.server._channels)
+    with peer.Client(sink.server.url, topics) as client:
+        client.subscribe()
+        peer.wait(lambda: all(sink.server.wanted(place) for place in range(topics)))
+        for batch, columns in read.pairs:
+            sink.write(batch, columns)
+        # Messages come in order: once this one is there, all are.
+        none, place = np.zeros(1, np.int64), np.full(1, topics - 1, np.uint16)
+        sink.server.publish(Records(place, np.full(1, LAST, np.uint64), none, none, b""))
+        client.until(lambda: client.messages and client.messages[-1].time_ns == LAST)
+        client.messages.pop()
+        assert sink.summary()["dropped"] == 0
+    return client
+
+
+def recorded(path, read, types):
+    """What a recording of the same holds: (topic, time) to data."""
+    sink = McapSink(path, read.mission, types, read.info)
+    for batch, columns in read.pairs:
+        sink.write(batch, columns)
+    sink.close(SourceStatistics())
+    with path.open("rb") as file:
+        return [
+            (channel.topic, message.log_time, message.data)
+            for _, channel, message in make_reader(file).iter_messages(log_time_order=False)
+        ]
+
+
+@cache
+def judge(schema, name):
+    """rosbags, which knows a type only from the schema that the server told."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(schema, name))
+    return store
+
+
+def decoded(client, message):
+    told = client.channels[message.topic]
+    return judge(told["schema"], told["schemaName"]).deserialize_cdr(message.data, told["schemaName"])
+
+
+def test_what_is_served_is_what_a_recording_holds(serve, capture, types, tmp_path):
+    rover = capture("a_rover", "rover_ground")
+    client = show(serve(rover), rover)
+    expected = recorded(tmp_path / "a.mcap", rover, types)
+    # The last second of the statistics ends with the recording; a server has no such end.
+    ending = max(time for topic, time, _ in expected if topic == "/edoras/link_statistics")
+    expected = [item for item in expected if item[:2] != ("/edoras/link_statistics", ending)]
+    assert [item for item in client.messages if item.topic != "/diagnostics"] == expected
+    assert len(client.on("/cmd_vel")) == 600
+
+
+def test_rosbags_reads_every_message_by_the_schema_that_was_told(serve, capture):
+    rover = capture("a_rover", "rover_ground")
+    client = show(serve(rover), rover)
+    assert {channel["encoding"] for channel in client.channels.values()} == {"cdr"}
+    twist = decoded(client, client.on("/cmd_vel")[2])
+    assert (twist.linear.x, twist.angular.z) == (0.5099833416646828, 0.19900083305560518)
+    pose = decoded(client, client.on("/telemetry_pose")[2])
+    assert (pose.header.frame_id, pose.pose.position.y, pose.pose.orientation.w) == ("world", 0.5, 1.0)
+    assert client.channels["/telemetry_pose"]["metadata"]["msg_id"] == "0x0827"
+    event = next(
+        item for item in (decoded(client, raw) for raw in client.on("/edoras/events")) if item.level == 40
+    )
+    assert event.msg == "Msg Limit Err,MsgId 0x1827,pipe EDORAS_APP_PIPE,sender CI_LAB_APP"
+    counts = [decoded(client, item) for item in client.on("/edoras/link_statistics")]
+    assert sum(item.count for item in counts if item.topic == "/cmd_vel") > 550
+    assert client.times[-1] == rover.batches[-1].time_ns[-1]
+
+
+def test_findings_become_diagnostics(serve, capture):
+    errors = capture("e_ci_errors", "rover_ground")
+    levels = {Finding.TRUNCATED: 2, Finding.LENGTH_MISMATCH: 1, Finding.SEQUENCE_UNSET: 0}
+    levels |= {item: 0 for item in Finding if item not in levels}
+    statistics = SourceStatistics(kernel_drops=0)
+    sink = serve(errors, levels=levels, statistics=statistics)
+    client = show(sink, errors, lambda: setattr(statistics, "kernel_drops", 7))
+    arrays = [decoded(client, item) for item in client.on("/diagnostics")]
+    assert arrays
+    statuses = {status.name: status for array in arrays for status in array.status}
+    assert (statuses["capture"].level, statuses["capture"].message) == (
+        2,
+        "7 packets lost by the capture itself",
+    )
+    truncated = [item for item in statuses.values() if item.message == "truncated"]
+    assert truncated
+    assert {item.level for item in truncated} == {2}
+    assert all(item.level == 0 for item in statuses.values() if item.message == "OK")
+    values = {value.key: value.value for value in truncated[0].values}
+    assert int(values["truncated"]) >= 1
+    assert int(values["datagrams"]) >= int(values["truncated"])
+
+
+def test_what_was_done_on_purpose_is_told(serve, capture):
+    rover = capture("a_rover", "rover_ground")
+    sink = serve(rover)
+    fault = Fault(5_000_000_000, "drop", "", b"", CI, to_cfs=True, msg_id=0x1827, rule="drop:1")
+    sink.write_faults([fault])
+    with peer.Client(sink.server.url, OWN + 3) as client:
+        client.subscribe("/edoras/faults")
+        peer.wait(lambda: sink.server.wanted(OWN + 2))
+        sink.write_faults([fault])
+        client.until(lambda: client.messages)
+        told = decoded(client, client.messages[0])
+        assert (told.kind, told.msg_id, told.rule) == ("drop", 0x1827, "drop:1")
+
+
+def test_the_layout_that_is_shipped_finds_its_topics(serve, capture):
+    """Topics of the layout's panels are there, with the fields that they plot."""
+    rovers = capture("f_sbn_disconnect", "two_rovers_ground", "two_rovers_flight")
+    sink = serve(rovers)
+    layout = json.loads((ROOT / "samples/foxglove_layout.json").read_text())
+    panels = layout["configById"]
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
+    named = {re.match(r"/[\w/]+", path).group() for path in paths}
+    named |= {topic for panel in panels.values() for topic in panel.get("topics", ())}
+    named |= {panel["topicToRender"] for panel in panels.values() if "topicToRender" in panel}
+    with peer.Client(sink.server.url, OWN + len(rovers.mission.routes)) as client:
+        assert named <= {*client.channels}
+        for path in paths:
+            topic, fields = re.fullmatch(r"(/[\w/]+)(?:\{.*\})?\.([\w.]+)", path).groups()
+            channel = client.channels[topic]
+            store = judge(channel["schema"], channel["schemaName"])
+            kind = channel["schemaName"]
+            for field in fields.split("."):
+                _, members = store.fielddefs[kind]
+                found = dict(members)[field]
+                kind = found[1]
+
+
+def test_a_batch_of_none_is_a_batch(serve, capture):
+    rover = capture("a_rover", "rover_ground")
+    sink = serve(rover)
+    sink.write(rover.batches[0].take(slice(0, 0)), rover.columns[0].take(slice(0, 0)))
+    sink.flush()

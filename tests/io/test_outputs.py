@@ -1,0 +1,179 @@
+"""Outputs in a folder for all: links of one's own are followed, others are not."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.mcap.file import McapFile
+from edoras_tools.io.formats.pcap.writer import PcapSink
+from edoras_tools.io.outputs import OutputFile, check_links, opener, path_beside, write_bytes
+
+PACKAGE = ROOT / "edoras_tools"
+NOBODY = 65534
+AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root makes links of another user")
+
+
+@pytest.fixture
+def for_all(tmp_path):
+    """A folder as /tmp is, and a file elsewhere."""
+    folder = tmp_path / "for_all"
+    folder.mkdir()
+    folder.chmod(0o1777)
+    (tmp_path / "precious").write_bytes(b"precious")
+    return folder
+
+
+def link(place, target, owner=None):
+    place.symlink_to(target)
+    if owner is not None:
+        os.lchown(place, owner, owner)
+    return place
+
+
+def test_files_and_links_of_one_s_own(for_all, tmp_path):
+    write_bytes(for_all / "new", b"1")
+    write_bytes(for_all / "new", b"22")
+    assert (for_all / "new").read_bytes() == b"22"
+    write_bytes(link(for_all / "mine", tmp_path / "precious"), b"333")
+    assert (tmp_path / "precious").read_bytes() == b"333"
+
+
+@AS_ROOT
+@pytest.mark.parametrize("make", [McapFile, PcapSink, lambda path: write_bytes(path, b"")])
+def test_a_link_of_somebody_else_is_refused(for_all, tmp_path, make):
+    place = link(for_all / "x.mcap", tmp_path / "precious", NOBODY)
+    with pytest.raises((CaptureError, OSError), match="is another user's link in a shared folder"):
+        make(place)
+    assert (tmp_path / "precious").read_bytes() == b"precious"
+
+
+@AS_ROOT
+def test_a_folder_that_is_such_a_link_is_refused(for_all, tmp_path):
+    place = link(for_all / "folder", tmp_path, NOBODY)
+    with pytest.raises(OSError, match=r"for_all/folder is another user's link"):
+        check_links(place / "x.mcap")
+
+
+@AS_ROOT
+def test_where_not_all_may_write_links_are_anybody_s(for_all, tmp_path):
+    for_all.chmod(0o755)
+    write_bytes(link(for_all / "x", tmp_path / "precious", NOBODY), b"new")
+    assert (tmp_path / "precious").read_bytes() == b"new"
+
+
+@AS_ROOT
+def test_the_folder_s_owner_may_link(for_all, tmp_path):
+    os.chown(for_all, NOBODY, NOBODY)
+    write_bytes(link(for_all / "x", tmp_path / "precious", NOBODY), b"new")
+    assert (tmp_path / "precious").read_bytes() == b"new"
+
+
+def test_a_link_that_appears_at_the_last_moment_is_not_followed(for_all, tmp_path, monkeypatch):
+    """Between the look and the opening: the system's own check holds."""
+    place, real = for_all / "x", os.open
+    monkeypatch.setattr(os, "open", lambda *given: (link(place, tmp_path / "precious"), real(*given))[1])
+    with pytest.raises(OSError, match="is another user's link"):
+        opener(str(place), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    assert (tmp_path / "precious").read_bytes() == b"precious"
+
+
+@AS_ROOT
+def test_folders_are_not_made_through_such_a_link(for_all, tmp_path):
+    place = link(for_all / "folder", tmp_path, NOBODY)
+    with pytest.raises(OSError, match="is another user's link"):
+        write_bytes(place / "deep/x.c", b"", folders=True)
+    assert not (tmp_path / "deep").exists()
+
+
+_WRITES = re.compile(r"\.write_(text|bytes)\(|open\([^()]*[\"'][wax]b?[+]?[\"']")
+
+
+def test_nobody_writes_files_in_another_way():
+    """What writes a file does it here, or opens it by ``opener``."""
+    others = {
+        "ros/types/standard.py": "makes a file of this package, by hand",
+        "cli/main.py": "the null device",
+        "pipelines/wireshark/extcap.py": "a pipe of Wireshark's",
+        "structs/debug_info/compiler.py": "in a temporary folder of its own",
+    }
+    found = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in PACKAGE.rglob("*.py")
+        for line in path.read_text().splitlines()
+        if _WRITES.search(line) and "opener=opener" not in line
+    }
+    assert found == set(others)
+
+
+class TestOutputFile:
+    """A file that one program writes and others may take away."""
+
+    @pytest.fixture
+    def file(self, tmp_path):
+        made = OutputFile(tmp_path / "x.mcap")
+        made.write(b"one", memoryview(b"two"))
+        yield made
+        made.close()
+
+    def test_a_second_writer_is_refused_and_nothing_is_lost(self, file):
+        with pytest.raises(BlockingIOError, match="another program is writing it"):
+            OutputFile(file.path)
+        assert file.path.read_bytes() == b"onetwo"
+        file.close()
+        OutputFile(file.path).close()
+        assert file.path.read_bytes() == b""
+
+    def test_what_is_as_it_should_be(self, file):
+        assert (file.fate(), file.place, file.size) == ("", file.path, 6)
+
+    def test_deleted(self, file):
+        file.path.unlink()
+        assert (file.fate(), file.place) == ("was deleted", None)
+
+    def test_deleted_with_its_folder(self, tmp_path):
+        (tmp_path / "a").mkdir()
+        file = OutputFile(tmp_path / "a/x.mcap")
+        shutil.rmtree(tmp_path / "a")
+        assert file.fate() == "was deleted"
+
+    def test_moved(self, file, tmp_path):
+        file.path.rename(tmp_path / "y.mcap")
+        assert (file.fate(), file.place) == (f"was moved to {tmp_path}/y.mcap", tmp_path / "y.mcap")
+        file.write(b"three")
+        assert (tmp_path / "y.mcap").read_bytes() == b"onetwothree"
+
+    def test_replaced(self, file, tmp_path):
+        (tmp_path / "y").write_bytes(b"onetwo")
+        (tmp_path / "y").rename(file.path)
+        assert file.fate() == "was replaced by another file"
+
+    def test_truncated_it_gets_no_more(self, file):
+        """Also where nobody looked before the next write: it would end in a hole."""
+        os.truncate(file.path, 2)
+        file.write(b"three")
+        assert (file.fate(), file.path.read_bytes()) == ("was truncated", b"on")
+
+    def test_what_is_no_file_is_only_written(self):
+        first, second = OutputFile(Path("/dev/null")), OutputFile(Path("/dev/null"))
+        first.write(b"x" * 100)
+        assert (first.fate(), second.fate()) == ("", "")
+
+    def test_many_pieces(self, file):
+        file.write(*[b"%d" % (number % 10) for number in range(3000)])
+        assert file.path.stat().st_size == file.size == 3006
+
+
+def test_beside(tmp_path):
+    path = tmp_path / "a.b.mcap"
+    assert path_beside(path) == tmp_path / "a.b_1.mcap"
+    (tmp_path / "a.b_1.mcap").touch()
+    (tmp_path / "a.b_2_0.mcap").touch()
+    assert path_beside(path) == tmp_path / "a.b_3.mcap"
+    assert path_beside(tmp_path / "bag") == tmp_path / "bag_1"

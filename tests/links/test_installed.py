@@ -1,0 +1,250 @@
+"""The example link of ``samples/links``, installed as any package is; no file of ours knows it."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from places import SAMPLES
+
+from edoras_tools.decode import ColumnDecoder, Context, Dissector
+from edoras_tools.errors import ConfigError, WireError
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links import table
+from edoras_tools.wire import cfe
+
+EDORAS = Path(sys.executable).with_name("edoras")
+MAGIC = b"\xed\x0a"
+PORT = 5600
+PANES = """
+import asyncio, sys
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.tui.viewer import Viewer, ViewOptions
+
+async def main():
+    settings = Settings()
+    app = Viewer(open_files([sys.argv[1]]), settings.workbench(), ViewOptions(Selection(), settings))
+    async with app.run_test(size=(120, 40)) as pilot:
+        while app.reading or app.decoded is None:
+            await pilot.pause(0.01)
+        for pane in (app.packets, app.layers, app.hex_pane):
+            print("PANE", *(pane.render_line(line).text.rstrip() for line in range(pane.page)), sep="\\n")
+
+asyncio.run(main())
+"""
+
+
+def udp(payload: bytes, port: int = PORT) -> bytes:
+    """An IPv4 packet without a link layer."""
+    ends = bytes((127, 0, 0, 1)) * 2
+    head = struct.pack(">BBHHHBBH", 0x45, 0, 28 + len(payload), 1, 0, 64, 17, 0) + ends
+    return head + struct.pack(">HHHH", 40000, port, 8 + len(payload), 0) + payload
+
+
+def write(path: Path, payloads: list[bytes]) -> Path:
+    records = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 101)]
+    for number, payload in enumerate(payloads):
+        frame = udp(payload)
+        records.append(struct.pack("<IIII", 1_795_000_000 + number, 0, len(frame), len(frame)) + frame)
+    path.write_bytes(b"".join(records))
+    return path
+
+
+def header(station: int, count: int) -> bytes:
+    return MAGIC + struct.pack(">BbH", station, -90, count)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A folder with the package installed, as pip would lay it out."""
+    folder = tmp_path_factory.mktemp("site")
+    shutil.copy(SAMPLES / "links/edoras_radio_link.py", folder)
+    project = tomllib.loads((SAMPLES / "links/pyproject.toml").read_text())["project"]
+    info = folder / f"edoras_radio_link-{project['version']}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    )
+    entries = project["entry-points"]["edoras.links"].items()
+    lines = "".join(f"{name} = {value}\n" for name, value in entries)
+    (info / "entry_points.txt").write_text(f"[edoras.links]\n{lines}")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """Three packets over the radio, and one datagram to its port that is none of it."""
+    packets = [cfe.emit_telemetry(0x0800), cfe.emit_telemetry(0x0800), cfe.emit_command(0x1880, 6, bytes(16))]
+    payloads = [header(7 if number else 9, number) + packet for number, packet in enumerate(packets)]
+    return write(tmp_path_factory.mktemp("radio") / "radio.pcap", [*payloads, b"GET / HTTP/1.1\r\n"])
+
+
+@pytest.fixture
+def edoras(site):
+    def run(*command, program=(EDORAS,)):
+        done = subprocess.run(
+            [*program, *map(str, command)],
+            env={**os.environ, "PYTHONPATH": str(site)},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=120,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run
+
+
+def test_it_is_sniffed_and_filtered(edoras, capture):
+    def numbers(*choice):
+        return [
+            json.loads(line)["number"]
+            for line in edoras("sniff", "-r", capture, "--json", *choice).splitlines()
+        ]
+
+    assert numbers() == [1, 2, 3]
+    assert numbers("--link", "radio") == [1, 2, 3]
+    assert numbers("--link", "other") == [4]
+    assert numbers("--where", "link == radio and radio.station == 7") == [2, 3]
+    assert numbers("--where", "radio.signal_dbm < -80 and cfe_command.function_code == 6") == [3]
+
+
+def test_it_is_recorded_and_read_back(edoras, capture, tmp_path):
+    edoras("record", "-r", capture, "-o", tmp_path / "radio.mcap", "-q")
+    edoras("record", "-r", tmp_path / "radio.mcap", "-o", tmp_path / "again.pcap", "-q")
+    assert (tmp_path / "again.pcap").read_bytes() == capture.read_bytes()
+    back = edoras("sniff", "-r", tmp_path / "radio.mcap", "--json", "--link", "radio")
+    assert back == edoras("sniff", "-r", capture, "--json", "--link", "radio")
+
+
+def test_it_is_counted(edoras, capture):
+    routes = json.loads(edoras("info", capture, "--json"))["routes"]
+    assert [(row["link"], row["msg_id"], row["count"]) for row in routes] == [
+        ("radio", "0x0800", 2),
+        ("radio", "0x1880", 1),
+        ("other", None, 1),
+    ]
+    assert "RADIO" in edoras("sniff", "-r", capture, "--stat", "routes")
+
+
+def test_it_is_shown_in_the_three_panes(edoras, capture):
+    shown = edoras("-c", PANES, capture, program=(sys.executable,))
+    packets, layers, octets = shown.split("PANE\n")[1:]
+    assert "RADIO" in packets
+    assert "Radio modem" in layers
+    assert "ed 0a" in octets
+
+
+def test_tshark_shows_it(edoras, capture, tmp_path):
+    if shutil.which("tshark") is None:
+        pytest.skip("needs tshark: make judges")
+    script = tmp_path / "edoras.lua"
+    script.write_text(edoras("wireshark", "print"))
+    fields = [
+        part for name in ("radio.station", "radio.signal_dbm", "edoras.msg_id") for part in ("-e", name)
+    ]
+    done = subprocess.run(
+        ["tshark", "-X", f"lua_script:{script}", "-r", capture, "-Y", "radio", "-T", "fields", *fields],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    assert [line.split() for line in done.stdout.splitlines()] == [
+        ["9", "-90", "0x0800"],
+        ["7", "-90", "0x0800"],
+        ["7", "-90", "0x1880"],
+    ]
+
+
+@pytest.fixture(scope="module")
+def installed(site):
+    """The link in this process; afterwards the table is as it was."""
+    caches = (table.links, table._by_code)
+    sys.path.insert(0, str(site))
+    importlib.invalidate_caches()
+    for cached in caches:
+        cached.cache_clear()
+    yield table.named("radio")
+    sys.path.remove(str(site))
+    sys.modules.pop("edoras_radio_link", None)
+    for cached in caches:
+        cached.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def both(installed, tmp_path_factory):
+    """A function: what either reader says of payloads to the radio's port."""
+    path = tmp_path_factory.mktemp("any") / "any.pcap"
+
+    def read(payloads):
+        context = Context()
+        (batch,) = open_file(write(path, payloads)).batches()
+        columns = ColumnDecoder(context).decode(batch)
+        dissector = Dissector(Context())
+        return columns, [dissector.dissect(batch[row]) for row in range(len(batch))]
+
+    return read
+
+
+@given(st.lists(st.one_of(st.binary(max_size=40), st.binary(max_size=40).map(MAGIC.__add__)), min_size=1))
+def test_any_bytes_are_read_alike_and_raise_nothing(both, installed, payloads):
+    columns, decoded = both(payloads)
+    for row, (payload, one) in enumerate(zip(payloads, decoded, strict=True)):
+        mine = payload.startswith(MAGIC) and len(payload) >= 6
+        assert (one.link is installed) == mine == (columns.link[row] == installed)
+        assert int(one.findings) == int(columns.findings[row])
+        assert one.stop is None or isinstance(one.stop, WireError)
+        packet = one.layer("ccsds")
+        start = int(columns.packet_offset[row])
+        assert (packet is not None) == (start >= 0)
+
+
+def test_kinds_and_masks_know_it(installed):
+    codes = np.array([0, 1, 2, 3, 4, 64], np.uint8)
+    assert table.among(codes, lambda link: link.packets).tolist() == [False, True, True, True, False, True]
+    assert table.link(64) is installed
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("wrong = edoras_radio_link:RADIO", "its label is 'radio'"),
+        ("radio = edoras_radio_link:HEADER", "not an object of a class made from LinkProtocol"),
+        ("radio = edoras_radio_link:MISSING", "cannot be loaded"),
+    ],
+)
+def test_a_link_that_breaks_the_rules_is_refused_in_one_line(site, tmp_path, text, said):
+    shutil.copytree(site, tmp_path / "site")
+    (entries,) = (tmp_path / "site").glob("*.dist-info/entry_points.txt")
+    entries.write_text(f"[edoras.links]\n{text}\n")
+    done = subprocess.run(
+        [EDORAS, "info", SAMPLES / "captures/a_rover.pcap"],
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "site")},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "edoras-radio-link" in line
+    assert said in line
+
+
+def test_a_name_that_is_no_link_is_refused():
+    with pytest.raises(ConfigError, match="'warp' is not a link; there are ci, to, sbn, robot"):
+        table.named("warp")

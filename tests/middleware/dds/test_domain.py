@@ -1,0 +1,85 @@
+"""Options as Cyclone DDS's configuration."""
+
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.dds.domain import compatible, configuration, discovery, hold
+
+
+def test_without_options_nothing_is_configured():
+    assert configuration({}) == ""
+
+
+def test_options_become_configuration():
+    domain = ET.fromstring(
+        configuration({"interface": 'eth"0', "multicast": "false", "peers": "10.0.0.1, 10.0.0.2,"})
+    )[0]
+    assert domain.find("General/Interfaces/NetworkInterface").get("name") == 'eth"0'
+    assert domain.findtext("General/AllowMulticast") == "false"
+    assert domain.findtext("Discovery/ParticipantIndex") == "auto"
+    assert [peer.get("Address") for peer in domain.iter("Peer")] == ["10.0.0.1", "10.0.0.2"]
+
+
+def test_one_option_configures_one_thing():
+    assert configuration({"interface": "lo"}) == (
+        '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces></General>'
+        "</Domain></CycloneDDS>"
+    )
+
+
+def test_all_mistakes_are_told_at_once():
+    with pytest.raises(ConfigError) as caught:
+        configuration({"iface": "lo", "multicast": "no"})
+    assert caught.value.mistakes == (
+        "--ros dds has no option 'iface'; there are interface, peers, multicast",
+        "dds: multicast cannot be 'no'; write true or false",
+    )
+
+
+@pytest.mark.parametrize("number", [-1, 233])
+def test_a_domain_that_has_no_ports_is_refused(number):
+    with pytest.raises(ConfigError, match=f"dds: domain {number} does not exist; they are 0 to 232"):
+        hold(number, "")
+
+
+def test_types_of_fast_dds_3_are_matched_by_name():
+    assert ET.fromstring(compatible()).findtext("Domain/Compatibility/IgnoreTypeInformation") == "1.15"
+
+
+DISCOVERY = [
+    ({}, None, None, []),
+    ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, None, None, []),
+    ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT", "ROS_STATIC_PEERS": "10.0.0.1"}, None, None, []),
+    ({"ROS_STATIC_PEERS": "10.0.0.1; robot;"}, None, None, ["10.0.0.1", "robot"]),
+    ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, "lo", "false", ["localhost"]),
+    (
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.1"},
+        None,
+        "false",
+        ["localhost", "10.0.0.1"],
+    ),
+    ({"ROS_LOCALHOST_ONLY": "1", "ROS_STATIC_PEERS": "10.0.0.1"}, "lo", "false", ["localhost"]),
+    ({"ROS_LOCALHOST_ONLY": "0"}, None, None, []),
+    ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "ROS_STATIC_PEERS": "10.0.0.1"}, "lo", "false", []),
+]
+
+
+@pytest.mark.parametrize(("environ", "interface", "multicast", "peers"), DISCOVERY)
+def test_variables_of_ros(environ, interface, multicast, peers):
+    domain = ET.fromstring(discovery(environ) or "<CycloneDDS/>")
+    found = domain.find("Domain/General/Interfaces/NetworkInterface")
+    assert (found.get("name") if found is not None else None) == interface
+    assert domain.findtext("Domain/General/AllowMulticast") == multicast
+    assert [peer.get("Address") for peer in domain.iter("Peer")] == peers
+    assert (domain.findtext("Domain/Discovery/Tag") is not None) == ("OFF" in environ.values())
+
+
+def test_a_variable_that_ros_does_not_know():
+    with pytest.raises(ConfigError) as caught:
+        discovery({"ROS_AUTOMATIC_DISCOVERY_RANGE": "localhost"})
+    assert str(caught.value) == (
+        "ROS_AUTOMATIC_DISCOVERY_RANGE cannot be 'localhost'; "
+        "set it to SUBNET, LOCALHOST, OFF, SYSTEM_DEFAULT"
+    )

@@ -1,0 +1,27 @@
+"""What is wrong before a network is needed."""
+
+import sys
+
+import pytest
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.middleware import opening
+from edoras_tools.middleware.dds.joining import open_graph
+from edoras_tools.ros import TypeStore
+
+
+def test_without_the_library_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cyclonedds.internal", None)
+    with pytest.raises(ConfigError, match=r"--ros dds needs an extra .*: pip install 'edoras-tools\[dds\]'"):
+        opening.open_graph("dds", TypeStore(), "bridge")
+
+
+@pytest.mark.parametrize("name", ["", "9lives", "a b", "/", "a//b"])
+def test_a_node_has_a_ros_name(name):
+    with pytest.raises(ConfigError, match="is not a ROS name"):
+        open_graph(TypeStore(), name)
+
+
+def test_an_option_that_does_not_exist_is_refused():
+    with pytest.raises(ConfigError, match="--ros dds has no option 'router'"):
+        open_graph(TypeStore(), "bridge", options={"router": "tcp/localhost:7447"})

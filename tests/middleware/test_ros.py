@@ -1,0 +1,206 @@
+"""Against real ROS 2: Jazzy and Kilted from their wheels, which ``make ros`` installs below ``.ros``.
+
+Where the wheels cannot be had, the tests are skipped with what ``make ros`` said.
+"""
+
+import json
+import os
+import site
+import socket
+import subprocess
+import sys
+from contextlib import contextmanager
+from random import Random
+
+import pytest
+from effort import LONG
+from namespace import ip
+from places import ROOT, SUPPORT
+from ros_round_trip import topics
+
+from edoras_tools.ros import TypeStore
+from edoras_tools.ros.arbitrary import arbitrary
+from edoras_tools.ros.type_hash import type_hash
+
+HOME = ROOT / ".ros"
+DISTROS = ("jazzy", "kilted")
+GRAPHS = ("dds", "rclpy")
+HASHES = {"jazzy": 132, "kilted": 131}
+"""How many types of each distribution have a hash in its wheels and a definition here."""
+PACKAGES = ("geometry_msgs", "sensor_msgs", "nav_msgs", "std_msgs", "diagnostic_msgs", "rcl_interfaces")
+BRIDGED = (
+    *(
+        f"geometry_msgs/msg/{name}"
+        for name in ("Accel", "Point", "Polygon", "Pose", "PoseArray", "Quaternion")
+    ),
+    *(f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "PoseWithCovariance", "Transform", "Twist")),
+    *(f"geometry_msgs/msg/{name}" for name in ("TransformStamped", "TwistStamped", "Vector3", "Wrench")),
+    *(
+        f"sensor_msgs/msg/{name}"
+        for name in ("BatteryState", "CameraInfo", "CompressedImage", "Image", "Imu")
+    ),
+    *(f"sensor_msgs/msg/{name}" for name in ("JointState", "Joy", "LaserScan", "MagneticField", "NavSatFix")),
+    *(f"sensor_msgs/msg/{name}" for name in ("PointCloud2", "Range", "Temperature")),
+    *(f"nav_msgs/msg/{name}" for name in ("Odometry", "Path", "OccupancyGrid", "MapMetaData")),
+    *(f"std_msgs/msg/{name}" for name in ("String", "Header", "Float64MultiArray", "Empty")),
+    "diagnostic_msgs/msg/DiagnosticArray",
+)
+"""36 types: of all sizes, with and without sequences, arrays and strings."""
+
+
+LOCAL = (
+    {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+    {"ROS_AUTOMATIC_DISCOVERY_RANGE": "", "ROS_LOCALHOST_ONLY": "1"},
+)
+
+
+def distro(name, *marks):
+    """Return a distribution as a parameter: its test is skipped where its wheels are not installed."""
+    if (HOME / name / ".installed").exists():
+        return pytest.param(name, marks=marks)
+    absent = HOME / f"{name}.absent"
+    why = absent.read_text().strip() if absent.exists() else f"ROS 2 {name} is not installed: make ros"
+    return pytest.param(name, marks=pytest.mark.skip(reason=why))
+
+
+INSTALLED = [distro(name) for name in DISTROS]
+APART = [distro(name, pytest.mark.own_network) for name in DISTROS]
+
+
+def python(name):
+    return HOME / name / "bin/python"
+
+
+@contextmanager
+def peer(name, types, **variables):
+    """Run a real node that gives back what it hears of some types.
+
+    Yields:
+        Its environment, and a dict that is filled when it ends: by topic, who published, and its type's hash.
+    """
+    environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": "14"} | variables
+    routes = [word for item in types for word in (item, *topics(item))]
+    command = [python(name), SUPPORT / "ros_peer.py", "peer", *routes]
+    process = subprocess.Popen(
+        command, env=environ, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout.readline() == "ready\n", process.stderr.read()
+        seen = {}
+        yield environ, seen
+    finally:
+        said, complaints = process.communicate(timeout=30)
+    assert not complaints
+    seen |= json.loads(said)
+
+
+def round_trip(ros, name, types, environ):
+    """Return what ``ros_round_trip.py`` says, and what it said beside that."""
+    ours = {"PYTHONPATH": os.pathsep.join([str(ROOT), *site.getsitepackages()])} if ros == "rclpy" else {}
+    runner = python(name) if ros == "rclpy" else sys.executable
+    command = [runner, SUPPORT / "ros_round_trip.py", ros, name, *types]
+    done = subprocess.run(
+        command, env=environ | ours, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout), done.stderr
+
+
+def check(name, types, told):
+    """Check that a message of each type came back with the values that went out."""
+    store = TypeStore(name)
+    missing = [item for item in types if item not in told["back"]]
+    assert not missing
+    for item in types:
+        sent, back = (store.decode(item, bytes.fromhex(told[way][item])) for way in ("sent", "back"))
+        assert sent == back, item
+
+
+@pytest.mark.parametrize("name", APART)
+def test_every_type_both_ways(name):
+    assert len(BRIDGED) == 36
+    with peer(name, BRIDGED) as (environ, seen):
+        for ros in reversed(GRAPHS):  # DDS last: what is seen in the end
+            told, said = round_trip(ros, name, BRIDGED, environ)
+            check(name, BRIDGED, told)
+            assert (told["notes"], said) == ([], "")
+    store = TypeStore(name)
+    assert seen  # what it saw before our node left; all, on a machine with nothing else to do
+    expected = {topics(item)[0]: ["/round_trip", type_hash(store, item)] for item in BRIDGED}
+    assert seen == {topic: expected[topic] for topic in seen}
+
+
+@pytest.mark.parametrize("variables", LOCAL if LONG else LOCAL[:1])
+@pytest.mark.parametrize("name", APART)
+def test_on_this_machine_only_nothing_leaves_it(name, variables):
+    """The namespace has another interface, with an address and the default route; its far end is watched."""
+    ip("link", "add", "leaving", "type", "veth", "peer", "name", "far")
+    try:
+        for end in ("leaving", "far"):
+            ip("link", "set", end, "addrgenmode", "none", "up")
+        ip("addr", "add", "10.9.0.1/24", "dev", "leaving")
+        ip("route", "add", "default", "via", "10.9.0.2")
+        with socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(3)) as watched:
+            watched.bind(("far", 0))
+            watched.setblocking(False)
+            some = BRIDGED if LONG else BRIDGED[:3]
+            with peer(name, some, **variables) as (environ, _):
+                check(name, some, round_trip("dds", name, some, environ)[0])
+            with pytest.raises(BlockingIOError):
+                watched.recv(2048)
+    finally:
+        ip("link", "del", "leaving")
+
+
+def known(name):
+    """Return the types of a distribution's wheels, and a store: our own definitions, but for test_msgs."""
+    share = HOME / name / "share"
+    store = TypeStore(name, [share / "test_msgs"])
+    found = (f"{path.parts[-3]}/msg/{path.stem}" for path in sorted(share.glob("*/msg/*.json")))
+    return [item for item in found if item.startswith((*PACKAGES, "test_msgs", "builtin_interfaces"))], store
+
+
+@pytest.mark.parametrize("name", INSTALLED)
+def test_every_message_is_what_rclpy_reads_and_writes(name):
+    names, store = known(name)
+    assert not [item for item in names if store.check(item)]
+    dice = Random(7)
+    values = {item: arbitrary(store, item, dice) for item in names}
+    cdrs = {item: store.encode(item, values[item]).hex() for item in names}
+    command = [python(name), SUPPORT / "ros_values.py"]
+    done = subprocess.run(
+        command, input=json.dumps(cdrs), capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    for item, told in json.loads(done.stdout).items():
+        assert store.decode(item, bytes.fromhex(cdrs[item])) == without_placeholder(told["values"]), item
+        for cdr, expected in ((told["again"], told["values"]), (told["default_cdr"], told["default"])):
+            written = bytes.fromhex(cdr)
+            assert store.decode(item, written) == without_placeholder(expected), item
+            assert len(written) - store.extent(item, written) <= store.most_trailing(item), item
+        assert store.decode(item, store.encode(item, {})) == without_placeholder(told["default"]), item
+
+
+def without_placeholder(values):
+    """Return values without the member that an empty message has in C."""
+    if isinstance(values, dict):
+        left = {key: without_placeholder(value) for key, value in values.items()}
+        left.pop("structure_needs_at_least_one_member", None)
+        return left
+    return [without_placeholder(item) for item in values] if isinstance(values, list) else values
+
+
+@pytest.mark.parametrize("name", INSTALLED)
+def test_type_hashes_are_those_of_the_distribution(name):
+    compared = 0
+    store = TypeStore(name, [HOME / name / "share/test_msgs"])
+    for path in sorted((HOME / name / "share").glob("*/msg/*.json")):
+        item = f"{path.parts[-3]}/msg/{path.stem}"
+        if not store.has(item):
+            continue
+        hashes = {
+            told["type_name"]: told["hash_string"] for told in json.loads(path.read_text())["type_hashes"]
+        }
+        assert type_hash(store, item) == hashes[item]
+        compared += 1
+    assert compared >= HASHES[name]

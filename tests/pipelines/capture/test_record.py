@@ -1,0 +1,322 @@
+"""Recording without a command line: limits, flushing, losses, and ends of every kind."""
+
+import itertools
+import os
+import signal
+import sys
+import threading
+import time
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import typer
+from mcap.reader import make_reader
+from places import ROOT
+
+from edoras_tools.cli import endings
+from edoras_tools.cli.endings import LOST
+from edoras_tools.errors import CaptureError, ConfigError, RouteError
+from edoras_tools.mission import Mission
+from edoras_tools.pipelines.capture import record as module
+from edoras_tools.pipelines.capture.record import Target, check_output, record
+from edoras_tools.pipelines.reading import Limits
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import open_files
+
+
+class Sink:
+    """Remembers what is done to it."""
+
+    def __init__(self, fail_at=None):
+        self.done = []
+        self.paths, self.losses = [Path("out.mcap")], []
+        self._fail_at = fail_at
+
+    def write(self, batch, columns):
+        assert len(batch) == len(columns)
+        if len(self.done) == self._fail_at:
+            raise CaptureError("out.mcap: cannot be written: No space left on device")
+        self.done.append(len(batch))
+
+    def flush(self):
+        self.done.append("flush")
+
+    def close(self, statistics):
+        self.done.append("close")
+        self.statistics = statistics
+
+
+@pytest.fixture
+def sink(monkeypatch):
+    """A function: a sink that is opened whatever the target says."""
+
+    def make(**keywords):
+        made = Sink(**keywords)
+        monkeypatch.setattr(module, "open_sink", lambda *_, **__: made)
+        return made
+
+    return make
+
+
+CAPTURE = ROOT / "samples/captures/a_rover.pcap"
+TARGET = Target(Path("out.mcap"))
+STILL = Limits(clock=lambda: 0)
+
+
+def test_everything_in_order(bench, batches, made_up, sink):
+    opened, source, tapped = sink(), made_up(batches), []
+    report = record(
+        source,
+        bench,
+        TARGET,
+        limits=STILL,
+        tap=lambda batch, columns: tapped.append((len(batch), len(columns))),
+    )
+    assert opened.done == [100] * 18 + ["close"]
+    assert tapped == [(100, 100)] * 18
+    assert (report.ledger.datagrams, report.failure, report.interrupted) == (1800, None, False)
+    assert opened.statistics is source.statistics
+    assert source.closed
+
+
+def test_flushed_at_least_once_a_second(bench, batches, made_up, sink):
+    """Also while nothing comes: a killed recorder loses a second at most."""
+    opened, times = sink(), itertools.count(0, 300_000_000)
+    record(made_up(batches[:8]), bench, TARGET, limits=Limits(clock=lambda: next(times)))
+    writes = [place for place, item in enumerate(opened.done) if item == "flush"]
+    assert len(writes) == 8
+
+
+@pytest.mark.parametrize(
+    ("count", "written"), [(1, [1]), (100, [100]), (101, [100, 1]), (250, [100, 100, 50])]
+)
+def test_count(count, written, bench, batches, made_up, sink):
+    opened = sink()
+    report = record(made_up(batches), bench, TARGET, limits=replace(STILL, count=count))
+    assert (opened.done, report.ledger.datagrams) == ([*written, "close"], count)
+
+
+def test_duration_ends_a_source_that_never_does(bench, batches, made_up, sink):
+    opened, times = sink(), itertools.count(0, 50_000_000)
+    endless = made_up(itertools.repeat(batches[3]))
+    record(endless, bench, TARGET, limits=Limits(0, 2_000_000_000, lambda: next(times)))
+    assert opened.done.count("flush") == 8
+    assert endless.closed
+
+
+def test_the_end_of_a_cut_source_is_told_after_all_was_written(bench, batches, made_up, sink):
+    opened = sink()
+    broken = made_up([*batches[:2], CaptureError("x.pcap: ends inside record 201")])
+    report = record(broken, bench, TARGET, limits=STILL)
+    assert opened.done == [100, 100, "close"]
+    assert str(report.failure) == "x.pcap: ends inside record 201"
+    with pytest.raises(CaptureError, match="record 201"):
+        endings.finish(report, live=False)
+
+
+def test_an_output_that_fails_ends_the_recording(bench, batches, made_up, sink):
+    opened, source = sink(fail_at=2), made_up(batches)
+    with pytest.raises(CaptureError, match="No space left"):
+        record(source, bench, TARGET, limits=STILL)
+    assert opened.done == [100, 100, "close"]
+    assert source.closed
+
+
+def test_losses_are_exit_code_3(bench, batches, made_up, sink, capsys):
+    sink()
+    report = record(made_up(batches, kernel_drops=1234), bench, TARGET, limits=STILL)
+    assert (report.lost, report.summary()["capture_drops"]) == (1234, 1234)
+    with pytest.raises(typer.Exit) as ending:
+        endings.finish(report, live=True)
+    assert ending.value.exit_code == LOST == 3
+    assert (
+        capsys.readouterr().err == "edoras: the capture itself lost 1,234 packets; it was too slow for them\n"
+    )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="there is no second process elsewhere")
+def test_a_second_process_watches_its_files_too(bench, made_up, tmp_path, monkeypatch):
+    monkeypatch.setattr("edoras_tools.pipelines.capture.record._LARGE", 1)
+    path, beside, told = tmp_path / "x.mcap", tmp_path / "x_1.mcap", tmp_path / "told"
+    with closing(open_files([CAPTURE])) as opened:
+        (batch,) = opened.batches()
+
+    def endless():
+        """Batches until somebody has noticed."""
+        yield batch
+        path.unlink()
+        while not beside.exists():
+            yield batch.take(slice(0, 10))
+            time.sleep(0.01)
+        yield batch
+
+    source = made_up(endless(), total_bytes=1)
+    target = Target(path, told=told.write_text)
+    report = record(source, bench, target, limits=STILL)
+    (loss,) = report.losses
+    assert (loss.path, loss.fate, loss.kept) == (path, "was deleted", False)
+    assert loss.datagrams >= len(batch)
+    assert report.outputs == [beside]
+    assert told.read_text() == f"{loss}; continuing in {beside}"
+    with closing(open_files([beside])) as opened:
+        kept = sum(len(item) for item in opened.batches())
+    assert kept == report.summary()["datagrams"] >= len(batch)
+
+
+def test_an_unknown_topic_is_told_before_anything_is_written(bench, batches, made_up, tmp_path):
+    source, target = made_up(batches), Target(tmp_path / "x.mcap")
+    with pytest.raises(RouteError, match="no configured topic matches 'nothing'"):
+        record(source, bench, target, selection=Selection(topics=["nothing"]))
+    assert not target.path.exists()
+    assert source.closed
+
+
+def test_an_output_that_cannot_be_opened_closes_the_source(bench, batches, made_up, tmp_path):
+    source = made_up(batches)
+    with pytest.raises(CaptureError, match="cannot be created"):
+        record(source, bench, Target(Path("/proc/nowhere/x.mcap")))
+    assert source.closed
+
+
+def test_ctrl_c_while_it_waits_for_a_pipe(bench, batches, made_up, sink):
+    """The signal comes inside the source, as while reading a pipe that says nothing."""
+    opened = sink()
+    before = signal.getsignal(signal.SIGINT)
+    source = made_up([batches[0], lambda: os.kill(os.getpid(), signal.SIGINT), batches[1]])
+    report = record(source, bench, TARGET, limits=STILL)
+    assert opened.done == [100, "close"]
+    assert report.interrupted
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ctrl_c_while_it_writes_loses_nothing(number, bench, batches, made_up, sink):
+    opened = sink()
+    report = record(
+        made_up(batches), bench, TARGET, limits=STILL, tap=lambda *_: os.kill(os.getpid(), number)
+    )
+    assert opened.done == [100, "close"]
+    assert (report.interrupted, report.ledger.datagrams) == (True, 100)
+
+
+def test_ctrl_c_of_a_live_source_takes_what_arrived(bench, batches, made_up, sink):
+    """A live source is told to stop, and goes on until it has handed over everything."""
+    opened, source = sink(), made_up([])
+    stopped = threading.Event()
+    source.stop = stopped.set
+
+    def given():
+        yield batches[0]
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stopped.wait(60)
+        yield batches[1]
+        yield batches[2]
+
+    source.batches = given
+    report = record(source, bench, TARGET, limits=STILL)
+    assert opened.done == [100, 100, 100, "close"]
+    assert report.interrupted
+
+
+def test_a_second_ctrl_c_does_not_wait(bench, batches, made_up, sink):
+    """For a sink that hangs; what it has is still closed."""
+    opened, source = sink(), made_up([])
+    source.stop = lambda: None
+
+    def given():
+        yield batches[0]
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        yield batches[1]
+
+    source.batches = given
+    with pytest.raises(KeyboardInterrupt):
+        record(source, bench, TARGET, limits=STILL)
+    assert opened.done == [100, "close"]
+    assert source.closed
+
+
+def test_signals_are_left_alone_outside_the_main_thread(bench, batches, made_up, sink):
+    opened = sink()
+    thread = threading.Thread(target=record, args=(made_up(batches), bench, TARGET), kwargs={"limits": STILL})
+    thread.start()
+    thread.join()
+    assert opened.done == [100] * 18 + ["close"]
+
+
+TARGETS = [
+    (Target("x.mcap"), None),
+    (Target("x.MCAP", split_bytes=5), None),
+    (Target("x", rosbag2=True), None),
+    (Target("x", rosbag2=True, split_ns=5), None),
+    (Target("x.pcap"), None),
+    (Target("x.pcapng"), None),
+    (Target("x.pcap", split_ns=5), "only MCAP recordings can be split"),
+    (Target("x.txt"), "unknown suffix"),
+    (Target("x.mcap.gz"), "unknown suffix"),
+    (Target("x"), "unknown suffix"),
+]
+
+
+@pytest.mark.parametrize(("target", "words"), TARGETS, ids=str)
+def test_targets(target, words, tmp_path):
+    target = Target(tmp_path / target.path, target.rosbag2, target.split_bytes, target.split_ns)
+    if words is None:
+        check_output(target, [])
+        return
+    with pytest.raises(ConfigError, match=words):
+        check_output(target, [])
+
+
+def test_batches_of_one_make_the_same_recording(bench, batches, made_up, tmp_path):
+    singles = [batches[0].take(slice(index, index + 1)) for index in range(100)]
+    contents = []
+    for name, given in (("one.mcap", batches[:1]), ("many.mcap", singles)):
+        record(made_up(given), bench, Target(tmp_path / name), limits=STILL)
+        with (tmp_path / name).open("rb") as file:
+            contents.append(
+                [
+                    (channel.topic, message.log_time, message.publish_time, message.data)
+                    for _, channel, message in make_reader(file).iter_messages(["/edoras/datagrams"])
+                ]
+            )
+    assert contents[0] == contents[1]
+    assert len(contents[0]) == 100
+    assert bench.mission == Mission()
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+@pytest.mark.parametrize("limits", [{}, {"split_bytes": 60_000}, {"split_ns": 20_000_000_000}])
+def test_a_process_of_its_own_for_what_writes_makes_the_same_recording(
+    bench, captures, tmp_path, monkeypatch, limits
+):
+    contents = []
+    for large in (1 << 60, 0):
+        monkeypatch.setattr(module, "_LARGE", large)
+        report = record(
+            open_files([captures("a_rover")]),
+            bench,
+            Target(tmp_path / "a.mcap", **limits),
+            limits=replace(STILL, count=1500),
+        )
+        assert report.ledger.datagrams == 1500
+        assert len(report.outputs) == 1 or limits
+        contents.append({path.name: path.read_bytes() for path in report.outputs})
+        for path in report.outputs:
+            path.unlink()
+    assert contents[0] == contents[1]
+
+
+def test_where_no_process_can_be_forked_it_records_all_the_same(bench, captures, tmp_path, monkeypatch):
+    def none(*_):
+        raise BlockingIOError("Resource temporarily unavailable")
+
+    monkeypatch.setattr(module, "_LARGE", 0)
+    monkeypatch.setattr("os.fork", none)
+    source = open_files([captures("a_rover")])
+    report = record(source, bench, Target(tmp_path / "a.mcap"), limits=STILL)
+    assert report.ledger.datagrams == 1827
+    with (tmp_path / "a.mcap").open("rb") as file:
+        assert sum(1 for _ in make_reader(file).iter_messages(["/edoras/datagrams"])) == 1827

@@ -1,0 +1,190 @@
+"""Packets one by one: what is chosen, where it ends, and what becomes of values that JSON has no word for."""
+
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edoras_tools.errors import CaptureError, RouteError, TruncatedError
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
+from edoras_tools.mission import Mission, Route
+from edoras_tools.model import (
+    OTHER,
+    Datagram,
+    Decoded,
+    Endpoint,
+    Finding,
+    Layer,
+    LayerField,
+    RosMessage,
+)
+from edoras_tools.pipelines.capture.sniff import as_json, decode_packet, sniff
+from edoras_tools.pipelines.reading import Limits
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import open_files
+
+ROUTES = tuple(
+    Route(topic, "geometry_msgs/msg/Twist", 0x1827 + index, CI, "command")
+    for index, topic in enumerate(["/robot_1/cmd_vel", "/robot_2/cmd_vel", "/arm/target"])
+)
+
+
+@pytest.fixture
+def rover(captures):
+    source = open_files([captures("a_rover")])
+    yield source
+    source.close()
+
+
+def test_everything_then_closed(bench, batches_of, made_up):
+    source = made_up(batches_of("a_rover", 700))
+    shown = list(sniff(source, bench, selection=Selection()))
+    assert [item.datagram.number for item in shown] == list(range(1, 1828))
+    assert source.closed
+
+
+@pytest.fixture
+def batches_of(captures):
+    def cut(name, size):
+        source = open_files([captures(name)])
+        (whole,) = source.batches()
+        source.close()
+        return [whole.take(slice(start, start + size)) for start in range(0, len(whole), size)]
+
+    return cut
+
+
+@pytest.mark.parametrize("count", [1, 99, 100, 101])
+def test_count_stops_there(count, bench, batches_of, made_up):
+    source = made_up(batches_of("a_rover", 100))
+    assert len(list(sniff(source, bench, selection=Selection(), limits=Limits(count)))) == count
+    assert source.closed
+
+
+def test_duration_stops_after_a_batch(bench, batches_of, made_up):
+    times = itertools.count(0, 10**9)
+    source = made_up(batches_of("a_rover", 100))
+    shown = sniff(source, bench, selection=Selection(), limits=Limits(0, 2 * 10**9, lambda: next(times)))
+    assert len(list(shown)) == 200
+
+
+def test_everything_before_an_error(bench, batches_of, made_up):
+    source = made_up([*batches_of("a_rover", 100)[:2], CaptureError("cut")])
+    shown = sniff(source, bench, selection=Selection())
+    assert len(list(itertools.islice(shown, 200))) == 200
+    with pytest.raises(CaptureError, match="cut"):
+        next(shown)
+    assert source.closed
+
+
+def test_an_abandoned_reader_closes_its_source(bench, batches_of, made_up):
+    source = made_up(batches_of("a_rover", 100))
+    shown = sniff(source, bench, selection=Selection())
+    next(shown)
+    shown.close()
+    assert source.closed
+
+
+def test_find_by_number(bench, captures):
+    for number in (1, 1000, 1827):
+        assert decode_packet(open_files([captures("a_rover")]), bench, number).datagram.number == number
+
+
+def test_find_says_what_is_wrong(bench, batches_of, made_up):
+    (whole,) = batches_of("a_rover", 10**6)
+    without = [whole.take(np.flatnonzero(whole.number != 5))]
+    with pytest.raises(CaptureError, match="made up: packet 5 is not a UDP datagram"):
+        decode_packet(made_up(without), bench, 5)
+    with pytest.raises(CaptureError, match="packet 1828 does not exist: the last datagram is number 1827"):
+        decode_packet(made_up([whole]), bench, 1828)
+    source = made_up([whole, CaptureError("never reached")])
+    decode_packet(source, bench, 3)
+    assert source.closed
+
+
+SELECTIONS = [
+    (Selection(), [True] * 4),
+    (Selection(links=[CI]), [True, True, False, False]),
+    (Selection(msg_ids=[0x1828, 0x827]), [False, True, True, False]),
+    (Selection(topics=["/robot_*"]), [True, True, False, False]),
+    (Selection(topics=["*/cmd_vel"]), [True, True, False, False]),
+    (Selection(topics=["robot_2/cmd_vel"]), [False, True, False, False]),
+    (Selection(topics=["/robot_[2-9]/*", "/arm/target"]), [False, True, False, False]),
+    (Selection(notable=int(Finding.TRUNCATED)), [False, False, False, True]),
+    (Selection(links=[CI, TO], msg_ids=[0x827]), [False, False, True, False]),
+]
+
+
+@pytest.mark.parametrize(("selection", "wanted"), SELECTIONS, ids=[str(case[0]) for case in SELECTIONS])
+def test_selections(selection, wanted, as_batch, row):
+    rows = [
+        row(link=CI, msg_id=0x1827, route=0),
+        row(link=CI, msg_id=0x1828, route=1),
+        row(link=TO, msg_id=0x827),
+        row(link=OTHER, msg_id=-1, findings=int(Finding.TRUNCATED)),
+    ]
+    batch, columns = as_batch(rows)
+    mission = Mission(routes=ROUTES)
+    assert selection.mask(columns, mission).tolist() == wanted
+    chosen, chosen_columns = selection.apply(batch, columns, mission)
+    assert len(chosen) == len(chosen_columns) == sum(wanted)
+    assert bool(selection) is not all(wanted)
+
+
+def test_a_topic_that_is_not_there():
+    with pytest.raises(
+        RouteError, match="matches '/robot'; there are: /robot_1/cmd_vel, /robot_2/cmd_vel, /arm/target"
+    ):
+        Selection(topics=["/robot"]).check(Mission(routes=ROUTES))
+    with pytest.raises(RouteError, match="name a mission with -c"):
+        Selection(topics=["/robot"]).check(Mission())
+
+
+SCALARS = (
+    st.none() | st.booleans() | st.integers() | st.floats() | st.binary(max_size=9) | st.text(max_size=9)
+)
+VALUES = st.recursive(
+    SCALARS,
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.tuples(inner, inner)
+        | st.dictionaries(st.text(max_size=5), inner, max_size=4)
+    ),
+    max_leaves=20,
+)
+
+
+@given(value=VALUES)
+def test_any_value_is_json(value):
+    """NaN and the infinities have no word in JSON; bytes are hex."""
+    local = Endpoint("::1", 5)
+    decoded = Decoded(
+        datagram=Datagram(7, 8, 101, b"", b"abc", -1, 3, local, local),
+        link=SBN,
+        layers=(Layer("sbn", "SBN", 0, 3, (LayerField("field", value, 0, 3),)),),
+        findings=Finding.TRUNCATED | Finding.FRAGMENT,
+        message=RosMessage("a/msg/B", "/t", {"v": value}, b""),
+        stop=TruncatedError("ccsds", 3, 6, 0),
+    )
+
+    def refuse(word):
+        raise AssertionError(word)
+
+    read = json.loads(json.dumps(as_json(decoded)), parse_constant=refuse)
+    assert read["layers"] == {"sbn": {"field": read["message"]["v"]}}
+    assert read["findings"] == ["truncated", "fragment"]
+    assert read["source"] == "[::1]:5"
+    assert read["stop"] == "ccsds at byte 3 needs 6 bytes, 0 are there"
+    assert (read["number"], read["time_ns"], read["length"], read["msg_id"]) == (7, 8, 3, None)
+    if isinstance(value, float) and not math.isfinite(value):
+        assert read["message"]["v"] is None
+    elif isinstance(value, bytes):
+        assert bytes.fromhex(read["message"]["v"]) == value
+    elif not isinstance(value, (dict, list, tuple)):
+        assert read["message"]["v"] == value

@@ -1,0 +1,164 @@
+"""Several captures of one system as one: the same result whatever their clocks say."""
+
+import itertools
+import re
+
+import pytest
+from effort import every, long_but
+from places import CAPTURES, MISSIONS, ROOT
+from rewriting import datagrams, write
+
+from edoras_tools.pipelines.doctor.clocks import open_aligned
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.workbench import Settings
+
+CONFIG = [MISSIONS / "two_rovers_ground.yaml", MISSIONS / "two_rovers_flight.yaml"]
+SBN = {2234, 2235, 2236}
+GROUND = "127.0.0.2"
+SPLITS = {
+    "every other datagram": lambda item, _: item.identification % 2 == 0,
+    "by link": lambda item, _: item.destination[1] in SBN,
+    "by sender": lambda item, _: item.source[1] != 2235,
+    "by what cpu2 and the ground send": lambda item, _: item.source[1] != 2235 and item.source[0] != GROUND,
+    "one after the other": lambda item, middle: item.time_ns < middle,
+}
+
+
+def diagnosed(*paths):
+    settings = Settings(CONFIG)
+    source, notes = open_aligned(paths, settings)
+    return examine(source, settings.workbench(source.info)).diagnosis, notes
+
+
+APART_S = (-1, 0.05, 0, 4)
+# In `make test` each way to split has one of the shifts, and each shift is there.
+QUICK = list(zip(SPLITS, itertools.cycle(APART_S)))
+
+
+@pytest.fixture(scope="module")
+def traffic():
+    (path,) = CAPTURES.glob("d3_cpu1_cpu2.pcap*")
+    return datagrams(path)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, traffic):
+    """What is found in a capture that nobody split."""
+    return totals(diagnosed(write(tmp_path_factory.mktemp("whole") / "c.pcap", traffic))[0])
+
+
+def totals(found):
+    return found.lost, found.superseded, found.unaccounted, found.datagrams
+
+
+@pytest.mark.parametrize(("split", "seconds"), long_but(QUICK, list(itertools.product(SPLITS, APART_S))))
+def test_a_capture_in_two_whose_clocks_differ_loses_the_same(tmp_path, traffic, whole, split, seconds):
+    middle = traffic[len(traffic) // 2].time_ns
+    first = [item for item in traffic if SPLITS[split](item, middle)]
+    second = [item.at(int(seconds * 1e9)) for item in traffic if not SPLITS[split](item, middle)]
+    found, (note,) = diagnosed(write(tmp_path / "a.pcap", first), write(tmp_path / "b.pcap", second))
+    low, high = (float(part.split()[0]) for part in note.split("between ")[1].split(" and ")[:2])
+    assert low - 1e-4 <= seconds <= high + 1e-4
+    assert totals(found) == whole
+
+
+ROVERS = {
+    # From here to there, who is in the second capture: what came out of cFS says when it went in.
+    "a_rover": lambda item: item.destination[1] == 1234,
+    "c4_cmd_rate": lambda item: item.destination[1] in {8080, 8585},
+    "n3_cfs_restart": lambda item: item.destination[1] == 1234,
+    "p6b_extended_header": lambda item: item.destination[1] == 1234,
+}
+
+
+@pytest.mark.parametrize("name", ROVERS)
+def test_what_comes_out_of_cfs_tells_when_it_went_in(tmp_path, name):
+    traffic = datagrams(ROOT / f"tests/captures/{name}.pcap.zst")
+    path = write(tmp_path / "a.pcap", [item for item in traffic if not ROVERS[name](item)])
+    whole, _ = diagnosed(write(tmp_path / "c.pcap", traffic))
+    for seconds in (-1, 4):
+        moved = [item.at(seconds * 10**9) for item in traffic if ROVERS[name](item)]
+        found, (note,) = diagnosed(path, write(tmp_path / "b.pcap", moved))
+        low, high = (float(part.split()[0]) for part in note.split("between ")[1].split(" and ")[:2])
+        assert low - 1e-4 <= seconds <= high + 1e-4
+        assert (found.lost, found.unaccounted) == (whole.lost, whole.unaccounted)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_two_hosts_that_captured_the_same_are_one(order):
+    paths = sorted((ROOT / "tests/captures").glob("n12_two_hosts_*.pcap*"))[::order]
+    assert len(paths) == 2
+    found, (note,) = diagnosed(*paths)
+    assert (found.lost, found.datagrams) == (83, 1358)
+    assert "1,307 datagrams are in both" in note
+    assert abs(float(note.split(" by ")[1].split()[0])) < 0.005
+
+
+def test_captures_that_have_nothing_in_common_are_not_aligned(tmp_path, traffic):
+    commands = [item for item in traffic if item.destination[1] == 1234]
+    rest = [item for item in traffic if item.destination[1] != 1234]
+    path, alone = write(tmp_path / "a.pcap", rest), diagnosed(write(tmp_path / "c.pcap", rest))[0].lost
+    for seconds in every(2, (-1, 0, 4)):
+        other = write(tmp_path / "b.pcap", [item.at(seconds * 10**9) for item in commands])
+        found, (note,) = diagnosed(path, other)
+        assert "its clock cannot be compared with that of" in note
+        # Each is judged by itself: nothing is concluded from which came first.
+        assert (found.lost, found.unaccounted) == (alone, 0)
+        assert found.datagrams == len(traffic)
+
+
+def drifting(items, ppm, seconds):
+    """Captured by a clock that is ahead at the first of them, and gains on the other one."""
+    first = items[0].time_ns
+    return [item.at(round((item.time_ns - first) * ppm / 1e6) + round(seconds * 1e9)) for item in items]
+
+
+DRIFT = re.compile(r"by ([+-][\d.]+) ppm, between ([+-][\d.]+) and ([+-][\d.]+) ppm")
+
+
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize(("ppm", "seconds"), [(0, 0), (20, -1), (-100, 0.3), (200, 4)])
+def test_the_drift_of_two_hosts_clocks_is_told_and_taken_out(tmp_path, order, ppm, seconds):
+    paths = sorted((ROOT / "tests/captures").glob("n12_two_hosts_*.pcap*"))[::order]
+    moved = write(tmp_path / "b.pcap", drifting(datagrams(paths[1]), ppm, seconds))
+    found, (note,) = diagnosed(paths[0], moved)
+    assert (found.lost, found.superseded, found.unaccounted, found.datagrams) == (83, 132, 0, 1358)
+    told, low, high = map(float, DRIFT.search(note).groups())
+    assert low <= ppm <= high <= low + 1
+    assert abs(told - ppm) < 1
+    low, high = (float(part.split()[0]) for part in note.split("between ")[1].split(" and ")[:2])
+    assert low <= seconds <= high <= low + 0.005
+
+
+@pytest.mark.parametrize("ppm", [20, -200])
+def test_the_drift_between_parts_of_streams_is_told_by_their_counts(tmp_path, traffic, ppm):
+    split = SPLITS["every other datagram"]
+    path = write(tmp_path / "a.pcap", [item for item in traffic if split(item, 0)])
+    other = drifting([item for item in traffic if not split(item, 0)], ppm, 0.05)
+    found, (note,) = diagnosed(path, write(tmp_path / "b.pcap", other))
+    assert (found.lost, found.unaccounted, found.datagrams) == (6601, 0, len(traffic))
+    _, low, high = map(float, DRIFT.search(note).groups())
+    assert low <= ppm <= high <= low + 1
+
+
+def test_a_drift_that_order_alone_cannot_show_is_not_claimed(tmp_path, traffic):
+    split = SPLITS["by link"]
+    path = write(tmp_path / "a.pcap", [item for item in traffic if split(item, 0)])
+    other = drifting([item for item in traffic if not split(item, 0)], 100, 0)
+    found, (note,) = diagnosed(path, write(tmp_path / "b.pcap", other))
+    assert "its drift cannot be told" in note
+    assert (found.lost, found.unaccounted) == (6601, 0)
+
+
+def test_a_third_capture_is_aligned_by_the_one_it_shares_packets_with(tmp_path):
+    flight = datagrams(ROOT / "tests/captures/n12_two_hosts_flight.pcap.zst")
+    commands = [item for item in flight if item.destination[1] == 1234]
+    rest = [item.at(3_000_000_000) for item in flight if item.source[1] == 2236]
+    first, third = write(tmp_path / "a.pcap", commands), write(tmp_path / "c.pcap", rest)
+    assert "its clock cannot be compared" in diagnosed(first, third)[1][0]
+    second = write(tmp_path / "b.pcap", [item.at(-1_000_000_000) for item in flight])
+    found, notes = diagnosed(first, second, third)
+    assert "ahead of that of" in notes[0]
+    assert f"ahead of that of {second} by +4.000 s" in notes[1]
+    whole, _ = diagnosed(write(tmp_path / "d.pcap", flight))
+    assert (found.lost, found.datagrams) == (whole.lost, whole.datagrams)

@@ -1,0 +1,161 @@
+"""The doctor from a source to a diagnosis: at the end, and again and again on the way."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from edoras_tools import doctor
+from edoras_tools.diagnosis.rules import RULES
+from edoras_tools.emulator import Simulation
+from edoras_tools.emulator.source import SimulatedSource
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.links.to import TO
+from edoras_tools.model import SourceInfo, SourceStatistics
+from edoras_tools.pipelines.doctor.doctor import Pace, examine, profile_with
+from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.units import SECOND
+
+
+def simulated(seconds=20, hz=10.0):
+    return SimulatedSource(Simulation(command_rate_hz=hz, start_ns=1_800_000_000 * SECOND), seconds * SECOND)
+
+
+class Onlooker:
+    def __init__(self):
+        self.seen = []
+
+    def update(self, diagnosis):
+        self.seen.append(diagnosis)
+
+
+def test_a_live_diagnosis_is_made_again_and_grows():
+    now = iter(range(0, 10_000 * SECOND, SECOND // 2))
+    onlooker = Onlooker()
+    findings = examine(
+        simulated(), Settings().workbench(), pace=Pace(lambda: next(now), SECOND, watcher=onlooker)
+    )
+    counts = [item.datagrams for item in onlooker.seen]
+    assert len(counts) > 3
+    assert counts == sorted(counts)
+    assert findings.diagnosis.datagrams >= counts[-1]
+    assert {item.rule for item in findings.diagnosis.verdicts} >= {"app_pipe_limit"}
+
+
+def test_it_stops_when_told_to():
+    now = iter(range(0, 10_000 * SECOND, SECOND))
+    findings = examine(
+        simulated(60), Settings().workbench(), pace=Pace(lambda: next(now), duration_ns=5 * SECOND)
+    )
+    assert 0 < findings.diagnosis.datagrams < 200
+
+
+def test_progress_is_told_after_every_batch_and_while_judging():
+    source, told, steps = simulated(), [], []
+    progress = SimpleNamespace(
+        read=lambda of: told.append(of.statistics.datagrams), step=lambda *step: steps.append(step)
+    )
+    examine(source, Settings().workbench(), progress=progress)
+    assert len(told) > 3
+    assert told == sorted(told)
+    assert told[-1] == source.statistics.datagrams
+    assert steps == sorted(steps)
+    assert steps[-1] == ("judging", len(RULES), len(RULES))
+
+
+class Broken:
+    """A source that fails after its first batches."""
+
+    def __init__(self):
+        self.info = SourceInfo("broken", "pcap")
+        self.statistics = SourceStatistics(kernel_drops=3, warnings=["odd"])
+        self.closed = False
+
+    def batches(self):
+        yield from simulated(15).batches()
+        raise CaptureError("cut off")
+
+    def close(self):
+        self.closed = True
+
+
+def test_what_was_read_before_a_failure_is_judged():
+    source = Broken()
+    findings = examine(source, Settings().workbench())
+    assert source.closed
+    assert isinstance(findings.failure, CaptureError)
+    assert findings.diagnosis.verdicts[0].rule in {"capture_drops", "app_pipe_limit"}
+    summary = findings.summary()
+    assert (summary["capture_drops"], summary["warnings"], summary["source"]) == (3, ["odd"], "broken")
+    # Frames that the capture lost are no messages that cFS lost.
+    assert summary["lost"] == sum(
+        item["lost"] or 0 for item in summary["verdicts"] if item["rule"] != "capture_drops"
+    )
+
+
+def found(scope, **options):
+    return examine(simulated(**options), Settings().workbench(), scope=scope).diagnosis
+
+
+def test_a_span_of_time_is_cut_out_and_the_rest_counted():
+    whole = found(Scope())
+    parts = [found(Scope(start_ns=a, end_ns=b)) for a, b in ((0, 8 * SECOND), (8 * SECOND, 0))]
+    assert sum(part.datagrams for part in parts) == whole.datagrams
+    assert [part.left_out - whole.left_out for part in parts] >= [part.datagrams for part in parts[::-1]]
+    assert {part.zero_ns for part in parts} == {whole.zero_ns}
+    assert parts[0].end_ns < whole.zero_ns + 8 * SECOND <= parts[1].start_ns
+    assert parts[1].as_json()["not_examined"] == parts[1].left_out
+    empty = found(Scope(start_ns=900 * SECOND))
+    assert (empty.datagrams, empty.bad) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("selection", "links", "lost"),
+    [
+        (Selection(msg_ids=(0x1827,)), {"ci"}, True),
+        (Selection(links=(TO,)), {"to"}, False),
+        (Selection(where="msg_id == 0x1827 and length > 40"), {"ci"}, True),
+        (Selection(where="msg_id == 0x1827 and length > 9999"), set(), False),
+    ],
+)
+def test_a_choice_limits_what_is_shown_not_what_is_counted(selection, links, lost):
+    whole, part = found(Scope()), found(Scope(selection))
+    assert {row["link"] for row in part.routes} == links
+    assert {row.link for row in part.balance} == links
+    assert part.lost == (whole.lost if lost else 0)
+    assert part.bad == lost
+    assert part.datagrams == whole.datagrams
+    told = part.as_json()
+    assert told["choice"] == str(selection)
+    assert told["not_shown"]["lost"] == whole.lost - part.lost
+    assert told["not_shown"]["verdicts"] == len(whole.verdicts) - len(part.verdicts) > 0
+    assert (whole.as_json()["choice"], whole.as_json()["not_shown"]) == (None, None)
+
+
+def test_the_library_reads_a_file_or_a_source(tmp_path):
+    diagnosis = doctor.examine(simulated())
+    assert diagnosis.lost > 0
+    with pytest.raises(CaptureError):
+        doctor.examine(tmp_path / "none.pcap")
+
+
+def test_importing_the_package_does_not_bring_the_doctor():
+    import subprocess
+    import sys
+
+    code = "import sys, edoras_tools; print('numpy' in sys.modules, 'edoras_tools.doctor' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False"]
+
+
+def test_constants_are_named():
+    assert profile_with(["app_msg_limit=0x10", "ci_wake_ns=250000000"]).app_msg_limit == 16
+    for text, words in (
+        ("app_limit=3", "did you mean app_msg_limit"),
+        ("app_msg_limit=many", "is not a whole number"),
+        ("seed", "is not a whole number"),
+        ("cores=0", "1 or more"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            profile_with([text])

@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import math
+import os
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+import foxglove_client as peer
+import pytest
+from places import ROOT
+
+from edoras_tools.errors import CaptureError, RouteError
+from edoras_tools.io.foxglove.playback import PlaybackRequest
+from edoras_tools.model import Endpoint
+from edoras_tools.pipelines.live.player import RecordingPlayer, open_recording
+from edoras_tools.pipelines.live.run import attach
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import Settings, open_files
+
+ANY = Endpoint("127.0.0.1", 0)
+ROVER = ROOT / "samples/captures/a_rover.pcap"
+SETTINGS = Settings((ROOT / "samples/missions/rover_ground.yaml",))
+SECOND = 1_000_000_000
+TOPICS = 7
+WANTED = ("/cmd_vel", "/telemetry_pose")
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """When each message of the two topics was captured."""
+    source, bench = open_files([ROVER]), SETTINGS.workbench()
+    found = {topic: [] for topic in WANTED}
+    for batch in source.batches():
+        columns = bench.columns.decode(batch)
+        for index, route in enumerate(bench.mission.routes):
+            rows = (columns.route == index) & (columns.cdr_length > 0)
+            found[route.topic] += batch.time_ns[rows].tolist()
+    source.close()
+    return found
+
+
+class Deck:
+    """A player in a thread, by a clock that the test moves."""
+
+    def __init__(self, files=(ROVER,), **options):
+        self.now = 0
+        info, bench, reopen = open_recording(files, SETTINGS)
+        self.player = RecordingPlayer(reopen, bench, clock=lambda: self.now, **options)
+        self.start, self.end = self.player.range_ns
+        self.sink = attach(bench, info, listen=ANY, player=self.player)
+        self._thread = threading.Thread(target=self.player.run, args=(self.sink,))
+        self._thread.start()
+
+    def client(self):
+        return peer.Client(self.sink.server.url, TOPICS)
+
+    def subscribe(self, client, *topics):
+        client.subscribe(*(topics or WANTED))
+        peer.wait(lambda: all(self.wanted(topic) for topic in topics or WANTED))
+
+    def wanted(self, topic):
+        names = [item.name for item in self.sink._streams.topics]
+        return self.sink.server.wanted(names.index(topic))
+
+    def stop(self):
+        self.player.stop()
+        self._thread.join(peer.PATIENCE_S)
+        assert not self._thread.is_alive()
+
+
+@contextmanager
+def deck(**options):
+    made = Deck(**options)
+    try:
+        yield made
+    finally:
+        made.stop()
+
+
+def times(client, topic):
+    return [item.time_ns for item in client.on(topic)]
+
+
+def reached(client, deck, position, topic, due):
+    """Wait until playback shows this time; then what was due before has come on a topic, and nothing else.
+
+    The clock may overtake messages on the way, messages never each other.
+    """
+    client.until(lambda: client.times and client.times[-1] == position)
+    client.until(lambda: len(client.on(topic)) >= len(due))
+    assert times(client, topic) == due
+
+
+def test_messages_come_when_they_are_due(truth):
+    with deck(paused=True) as player, player.client() as client:
+        player.subscribe(client)
+        assert client.control(play=True)[:2] == ("playing", player.start)
+        for seconds in (5, 7, 7.5):
+            player.now = int(seconds * SECOND)
+            until = player.start + player.now
+            for topic in WANTED:
+                reached(client, player, until, topic, [time for time in truth[topic] if time <= until])
+
+
+def test_playing_begins_when_somebody_comes():
+    with deck() as player:
+        player.now = 100 * SECOND
+        assert player.player.state.time_ns == player.start
+        with player.client() as client:
+            client.until(lambda: client.states)
+            assert client.states[0][:2] == ("playing", player.start)
+
+            def gone_on():
+                player.now += SECOND
+                return client.times and client.times[-1] > player.start + 10 * SECOND
+
+            client.until(gone_on)
+
+
+def test_paused_is_paused():
+    with deck(paused=True) as player, player.client() as client:
+        player.subscribe(client)
+        client.until(lambda: client.states)
+        assert client.states[0] == ("paused", player.start, 1.0, False, "")
+        client.control(play=True, request="on")
+        player.now = 4 * SECOND
+        client.until(lambda: client.times and client.times[-1] == player.start + 4 * SECOND)
+        assert client.control(play=False, request="off")[:2] == ("paused", player.start + 4 * SECOND)
+        client.drain(0.2)
+        before = len(client.messages)
+        player.now = 40 * SECOND
+        client.drain(0.2)
+        assert len(client.messages) == before
+        assert player.player.state.time_ns == player.start + 4 * SECOND
+        assert client.control(play=True, request="again")[:2] == ("playing", player.start + 4 * SECOND)
+        player.now = 42 * SECOND
+        client.until(lambda: client.times[-1] == player.start + 6 * SECOND)
+
+
+def test_rate_is_times_the_recorded_speed(truth):
+    with deck(paused=True, speed=2.0) as player, player.client() as client:
+        player.subscribe(client)
+        assert client.control(play=True, speed=2.0, request="twice").speed == 2.0
+        player.now = SECOND
+        client.until(lambda: client.times and client.times[-1] == player.start + 2 * SECOND)
+        assert client.control(play=True, speed=8.0, request="more").speed == 8.0
+        player.now = 3 * SECOND
+        until = player.start + 18 * SECOND
+        reached(client, player, until, "/cmd_vel", [time for time in truth["/cmd_vel"] if time <= until])
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_jump_shows_what_is_then_and_goes_on_from_there(truth, backwards):
+    with deck(paused=True) as player, player.client() as client:
+        player.subscribe(client)
+        if backwards:
+            client.control(play=False, seek_ns=player.end, request="end")
+            client.until(
+                lambda: {item.time_ns for item in client.messages} >= {max(truth[t]) for t in WANTED}
+            )
+            client.messages.clear()
+        target = player.start + 30 * SECOND
+        answer = client.control(play=False, seek_ns=target, request="jump")
+        assert answer == ("paused", target, 1.0, True, "jump")
+        # Each topic as it stands there, and nothing that is later.
+        there = {max(time for time in truth[topic] if time <= target) for topic in WANTED}
+        client.until(lambda: there <= {item.time_ns for item in client.messages})
+        assert max(item.time_ns for item in client.messages) <= target
+        assert len(client.messages) <= 4
+        client.messages.clear()
+        client.control(play=True, request="on")
+        player.now = 3 * SECOND
+        until = target + 3 * SECOND
+        due = [time for time in truth["/cmd_vel"] if target < time <= until]
+        reached(client, player, until, "/cmd_vel", due)
+
+
+def test_the_end_is_told_and_play_begins_anew():
+    with deck(paused=True) as player, player.client() as client:
+        player.subscribe(client, "/telemetry_pose")
+        client.control(play=True, request="on")
+        player.now = player.end - player.start + SECOND
+        client.until(lambda: client.states[-1].status == "ended")
+        assert client.states[-1].time_ns == player.end
+        client.until(lambda: len(client.on("/telemetry_pose")) == 63)
+        answer = client.control(play=True, request="again")
+        assert answer[:2] == ("playing", player.start)
+        assert answer.seeked
+        player.now += player.end - player.start
+        client.until(lambda: client.states[-1].status == "ended" and client.states[-1].request == "")
+        client.until(lambda: len(client.on("/telemetry_pose")) == 126)
+
+
+def test_whatever_is_asked_playback_stays_inside_the_recording():
+    with deck(paused=True) as player:
+        ask = player.player.control
+        for speed in (math.nan, math.inf, -1.0, 0.0, 1e30):
+            assert ask(PlaybackRequest(playing=False, speed=speed)).speed == 1.0
+        assert ask(PlaybackRequest(playing=False, speed=1.0, seek_ns=0)).time_ns == player.start
+        assert ask(PlaybackRequest(playing=False, speed=1.0, seek_ns=1 << 63)).time_ns == player.end
+
+
+def test_statistics_begin_anew_where_playback_jumps_to():
+    with deck(paused=True) as player, player.client() as client:
+        player.subscribe(client, "/edoras/link_statistics")
+        client.control(play=False, seek_ns=player.start + 30 * SECOND, request="jump")
+        client.control(play=True, request="on")
+        player.now = 5 * SECOND
+        client.until(lambda: len(client.messages) > 20)
+        assert min(times(client, "/edoras/link_statistics")) > player.start + 30 * SECOND
+
+
+def test_only_what_was_chosen_is_played(truth):
+    with deck(paused=True, selection=Selection(topics=("/telemetry_pose",))) as player:
+        assert player.player.range_ns == (min(truth["/telemetry_pose"]), max(truth["/telemetry_pose"]))
+    with pytest.raises(RouteError, match="no configured topic matches"):
+        Deck(selection=Selection(topics=("/nowhere",)))
+    with pytest.raises(CaptureError, match="it contains no selected datagram"):
+        Deck(selection=Selection(msg_ids=(0x1FFF,)))
+
+
+def test_a_recording_that_is_cut_off_is_played_as_far_as_it_goes(tmp_path):
+    cut = tmp_path / "cut.pcap"
+    cut.write_bytes(ROVER.read_bytes()[:60_000])
+    with deck(files=(cut,), paused=True) as player:
+        assert isinstance(player.player.failure, CaptureError)
+        assert player.end > player.start
+
+
+def test_what_cannot_be_read_twice_cannot_be_played(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (Path("-"), tmp_path / "pipe"):
+        with pytest.raises(CaptureError, match="playback reads it several times"):
+            open_recording([path], SETTINGS)
+    with pytest.raises(CaptureError):
+        open_recording([tmp_path / "nothing.pcap"], SETTINGS)
+
+
+def test_times_that_step_back_are_played_in_the_order_they_were_captured(tmp_path):
+    """A frame whose time is before its predecessor's does not wait, and holds up nobody."""
+    data = bytearray(ROVER.read_bytes())
+    at = 24
+    for _ in range(400):
+        at += 16 + int.from_bytes(data[at + 8 : at + 12], "little")
+    seconds = int.from_bytes(data[at : at + 4], "little")
+    data[at : at + 4] = (seconds - 5).to_bytes(4, "little")
+    path = tmp_path / "back.pcap"
+    path.write_bytes(data)
+    with deck(files=(path,), paused=True) as player, player.client() as client:
+        player.subscribe(client)
+        client.control(play=True)
+        player.now = player.end - player.start
+        client.until(lambda: client.states[-1].status == "ended")
+        client.until(lambda: len(client.on("/cmd_vel")) == 600)

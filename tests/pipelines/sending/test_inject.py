@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import struct
+
+import pytest
+from places import MISSIONS
+
+from edoras_tools.cfs.names import COMMANDS
+from edoras_tools.errors import ConfigError, EdorasError, FieldError, RouteError
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
+from edoras_tools.pipelines.sending.inject import Injection, command_names, injection_receiver, make
+from edoras_tools.pipelines.sending.options import Receiver, SendOptions
+from edoras_tools.pipelines.workbench import Settings
+
+TWIST = "geometry_msgs/msg/Twist"
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return Settings([MISSIONS / f"two_rovers_{side}.yaml" for side in ("ground", "flight")]).workbench()
+
+
+@pytest.fixture
+def made(bench):
+    def run(*what, to=None, **injection):
+        injection = Injection(*what, **injection)
+        options = SendOptions(to=to or injection_receiver(injection, bench.mission)).placed(bench.mission)
+        loaded, options = make(injection, bench, options)
+        return loaded.out, options
+
+    return run
+
+
+CMD = "/robot_1/ground/cmd_vel"
+
+
+@pytest.mark.parametrize("text", ["{linear: {x: 0.5}}", '{"linear": {"x": 0.5}}', "linear:\n  x: 0.5\n"])
+@pytest.mark.parametrize("name", [CMD, CMD[1:], "twist_cmd_1", "0x1827"])
+def test_a_message_by_any_name_from_yaml_and_json(name, text, made):
+    out, options = made(name, text)
+    assert out[0] == (
+        struct.pack(">HHHBB", 0x1827, 0, 69, 1, 0)
+        + struct.pack("<QQ", 52, 52)
+        + bytes.fromhex("00010000")
+        + struct.pack("<6d", 0.5, 0, 0, 0, 0, 0)
+    )
+    assert options.passes == 1
+
+
+def test_a_message_from_a_file(made, tmp_path):
+    (tmp_path / "twist.yaml").write_text("angular: {z: -1}\n")
+    assert made(CMD, f"@{tmp_path / 'twist.yaml'}")[0][0][-8:] == struct.pack("<d", -1)
+
+
+def test_nothing_but_defaults(made):
+    assert made(CMD)[0][0][28:] == bytes(48)
+
+
+@pytest.mark.parametrize(
+    ("name", "to", "link"),
+    [
+        (CMD, Receiver.CI, CI),
+        ("/robot_1/pose", Receiver.SBN, SBN),
+        ("/robot_1/ground/pose", Receiver.GROUND, TO),
+    ],
+)
+def test_a_topic_knows_where_it_goes(name, to, link, bench, made):
+    assert injection_receiver(Injection(name), bench.mission) is to
+    assert made(name)[0].link is link
+
+
+def test_commands_by_msg_id_and_by_name(made):
+    assert made(command=(0x1880, 4), payload=b"\x29\x08")[0][0] == bytes.fromhex("1880 0000 0003 0400 2908")
+    assert made("noop", "ci")[0][0] == bytes.fromhex("1884 0000 0001 0000")
+    assert made("noop", "0x1827")[0][0] == bytes.fromhex("1827 0000 0001 0000")
+    assert made("time-noop")[0][0] == bytes.fromhex("1805 0000 0001 0000")
+    assert made("to-reset-counters")[0][0] == bytes.fromhex("1880 0000 0001 0100")
+    assert made("TO_ENABLE")[0][0] == bytes.fromhex("1880 0000 0011 0600") + b"127.0.0.1".ljust(16, b"\0")
+    assert made("to-enable", "127.0.0.2")[0][0][8:17] == b"127.0.0.2"
+
+
+def test_every_name_of_a_command_is_a_bare_header(made):
+    for name in command_names()[2:]:
+        packet = made(name)[0][0]
+        assert len(packet) == 8
+        assert packet[6] in COMMANDS[int.from_bytes(packet[:2], "big")]
+
+
+def test_counts(made):
+    assert made(CMD, count=50)[1].passes == 50
+    assert made(CMD, count=0)[1].passes == 0
+
+
+def test_random_messages_are_all_different_and_the_same_again(made, bench):
+    out, options = made(CMD, every_field_random=True, count=20, seed=4)
+    again = made(CMD, every_field_random=True, count=20, seed=4)[0]
+    other = made(CMD, every_field_random=True, count=20, seed=5)[0]
+    packets = [out[row] for row in range(20)]
+    assert packets == [again[row] for row in range(20)]
+    assert packets != [other[row] for row in range(20)]
+    assert len(set(packets)) == 20
+    assert options.passes == 1
+    values = bench.types.decode(TWIST, packets[0][24:])
+    assert all(value != 0 for part in values.values() for value in part.values())
+
+
+def test_a_long_random_run_keeps_its_count(made, monkeypatch):
+    monkeypatch.setattr("edoras_tools.pipelines.sending.inject._MOST", 64)
+    for count in (64, 65, 1000, 127):
+        out, options = made(CMD, every_field_random=True, count=count)
+        assert len(out) * options.passes == count
+        assert len(out) <= 64
+    out, options = made(CMD, every_field_random=True, count=0)
+    assert (len(out), options.passes) == (64, 0)
+
+
+@pytest.mark.parametrize(
+    ("what", "injection", "error", "words"),
+    [
+        (
+            ["/nope"],
+            {},
+            RouteError,
+            "'/nope' is not configured; there are .*; commands with a name: to-enable",
+        ),
+        ([CMD, "{linear: {q: 1}}"], {}, FieldError, "linear: .*Vector3 has no field q; it has x, y, z"),
+        ([CMD, "{linear: {x: fast}}"], {}, FieldError, "linear.x: takes a number that fits float64, not str"),
+        ([CMD, "5"], {}, ConfigError, "needs fields and values"),
+        ([CMD, "{linear:{x: 1}"], {}, ConfigError, "is not YAML: line 1, column 9"),
+        ([CMD, "@/nowhere/at/all"], {}, ConfigError, "/nowhere/at/all: cannot be read: No such file"),
+        ([CMD, "{}"], {"every_field_random": True}, ConfigError, "leave the message out"),
+        (
+            [CMD],
+            {"to": Receiver.SBN},
+            RouteError,
+            "does not go to sbn: --to ci; topics that go to sbn: /robot_1/pose",
+        ),
+        (["/robot_1/cmd_vel"], {}, RouteError, "does not go to ci: it comes from cFS"),
+        (["noop"], {}, ConfigError, "noop takes a MsgId or an app .*and none is named"),
+        (["noop", "nobody"], {}, ConfigError, "not 'nobody'"),
+        (["noop", "0x803"], {}, FieldError, "lacks the command bit"),
+        (["to-enable", "everywhere"], {}, ConfigError, "takes an IPv4 address"),
+        (["es-noop", "twice"], {}, ConfigError, "takes no argument"),
+        ([], {"command": (0x1880, 300)}, FieldError, "300 exceeds 7 bits"),
+        ([], {"command": (0x803, 0)}, FieldError, "lacks the command bit"),
+    ],
+)
+def test_what_cannot_be_sent_says_why(what, injection, error, words, made):
+    with pytest.raises(error, match=words) as caught:
+        made(*what, **injection)
+    assert isinstance(caught.value, EdorasError)
+    assert "\n" not in str(caught.value)

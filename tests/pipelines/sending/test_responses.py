@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import struct
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edoras_tools.links import table
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
+from edoras_tools.mission import Mission
+from edoras_tools.mission.model import Route
+from edoras_tools.model import OTHER, Peer
+from edoras_tools.pipelines.sending.responses import Responses
+from edoras_tools.wire import cfe, sbn
+
+MISSION = Mission(routes=(Route("/pose", "geometry_msgs/msg/PoseStamped", 0x0827, TO, "telemetry"),))
+
+
+def event(text, kind=3, event_id=17):
+    body = struct.pack("<20sHHII122s2x", b"CFE_SB", event_id, kind, 66, 1, text.encode())
+    return cfe.emit_telemetry(0x808, body)
+
+
+def housekeeping(overflows, limits, others=0):
+    return cfe.emit_telemetry(
+        0x803, bytes([0, 0, 0, others]) + bytes(8) + struct.pack("<HHIII", overflows, limits, 0, 0, 0)
+    )
+
+
+def test_events_are_told_once_and_counted():
+    seen = Responses(MISSION)
+    for now, text in enumerate(["lost\n", "lost\n", "other"]):
+        seen.add(TO, event(text), now)
+    events = seen.summary()["events"]
+    assert [(item["message"], item["count"], item["time_ns"]) for item in events] == [
+        ("lost", 2, 0),
+        ("other", 1, 2),
+    ]
+    assert events[0].items() >= {"app": "CFE_SB", "event_id": 17, "event_type": "error"}.items()
+    assert seen.says("CFE_SB 17: lo")
+    assert not seen.says("nothing")
+
+
+def test_counters_tell_what_was_gained():
+    seen = Responses(MISSION)
+    for overflows, limits in ((3, 10), (3, 12), (3, 60)):
+        seen.add(TO, housekeeping(overflows, limits), 0)
+    assert seen.summary()["counters"] == {
+        "pipe_overflow_error_counter": {"first": 3, "last": 3, "gained": 0},
+        "message_limit_error_counter": {"first": 10, "last": 60, "gained": 50},
+    }
+    assert seen.lost == 50
+
+
+def test_a_counter_that_changed_is_told_and_one_goes_round():
+    seen = Responses(MISSION)
+    seen.add(TO, housekeeping(65_530, 0, others=5), 0)
+    seen.add(TO, housekeeping(4, 0, others=9), 0)
+    counters = seen.summary()["counters"]
+    assert counters["message_send_error_counter"]["gained"] == 4
+    assert counters["pipe_overflow_error_counter"]["gained"] == 10
+
+
+def test_packets_are_counted_by_link_and_msg_id():
+    seen = Responses(MISSION)
+    peer = Peer(0x42, 1)
+    seen.add(TO, cfe.emit_telemetry(0x827, b"x"), 0)
+    seen.add(TO, cfe.emit_telemetry(0x827, b"y"), 0)
+    seen.add(SBN, sbn.emit(sbn.MsgType.APP, peer, cfe.emit_telemetry(0x82A)), 0)
+    seen.add(SBN, sbn.emit(sbn.MsgType.HEARTBEAT, peer), 0)
+    summary = seen.summary()
+    assert [
+        (item["link"], item["msg_id"], item["topic"], item["count"]) for item in summary["telemetry"]
+    ] == [
+        ("to", "0x0827", "/pose", 2),
+        ("sbn", "0x082a", None, 1),
+    ]
+    assert summary["sbn"] == {"HEARTBEAT": 1}
+    assert seen.telemetry == 2
+
+
+def test_nothing_heard_is_nothing_lost():
+    assert Responses(MISSION).lost == 0
+    assert Responses(MISSION).summary() == {"events": [], "counters": {}, "telemetry": [], "sbn": {}}
+
+
+@given(st.lists(st.tuples(st.sampled_from([OTHER, *table.links()]), st.binary(max_size=200)), max_size=30))
+def test_any_bytes_are_counted_or_left_out(datagrams):
+    seen = Responses(MISSION)
+    for link, data in datagrams:
+        seen.add(link, data, 0)
+        seen.add(link, event("x")[:16] + data, 0)
+        seen.add(link, housekeeping(1, 1)[:16] + data, 0)
+    seen.summary()

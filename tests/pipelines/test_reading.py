@@ -1,0 +1,91 @@
+"""The loop that reads: what it hands on, and what ends it."""
+
+import itertools
+import os
+import signal
+
+import pytest
+
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.pipelines.selection import Selection
+
+
+def counts(source, bench, *options, **keywords):
+    with reading(source, bench, *options, **keywords) as loop:
+        return [len(rows) for rows in loop], loop
+
+
+def test_chosen_rows_of_every_batch_also_of_empty_ones(bench, batches, made_up):
+    given = [batches[0], batches[0].take(slice(0, 0)), batches[1]]
+    source = made_up(given)
+    with reading(source, bench, Selection(msg_ids=(0x1880,))) as loop:
+        for batch, rows in zip(given, loop, strict=True):
+            own, columns = rows.alone()
+            assert rows.batch is batch
+            assert len(rows) == len(own) == len(columns) == (rows.columns.msg_id == 0x1880).sum()
+            assert rows.begin_ns == int(batches[0].time_ns[0])
+    assert source.closed
+    assert (loop.failure, loop.interrupted) == (None, False)
+
+
+@pytest.mark.parametrize(("count", "taken"), [(0, [100, 100]), (1, [1]), (100, [100]), (101, [100, 1])])
+def test_count(count, taken, bench, batches, made_up):
+    assert counts(made_up(batches[:2]), bench, None, Limits(count))[0] == taken
+
+
+def test_duration(bench, batches, made_up):
+    times = itertools.count()
+    limits = Limits(duration_ns=3, clock=lambda: next(times))
+    assert counts(made_up(itertools.repeat(batches[0])), bench, None, limits)[0] == [100] * 3
+
+
+def test_what_is_not_read_is_not_decoded_either(bench, batches, made_up):
+    with reading(made_up(batches[:1]), bench, within=lambda batch: batch.take(slice(0, 7))) as loop:
+        (rows,) = loop
+    assert len(rows) == len(rows.batch) == len(rows.columns) == 7
+
+
+def test_a_failure_comes_after_what_was_read_and_is_raised_or_kept(bench, batches, made_up):
+    broken = [batches[0], CaptureError("x.pcap: ends inside record 101")]
+    taken, loop = counts(made_up(broken), bench, keeps_failure=True)
+    assert taken == [100]
+    assert "record 101" in str(loop.failure)
+    seen, source = [], made_up(broken)
+    with pytest.raises(CaptureError, match="record 101"), reading(source, bench) as loop:
+        seen += map(len, loop)
+    assert source.closed
+
+
+def test_a_failure_of_the_work_is_never_kept(bench, batches, made_up):
+    source = made_up(batches)
+    loop = None
+
+    def work():
+        nonlocal loop
+        with reading(source, bench, keeps_failure=True) as loop:
+            for _ in loop:
+                raise CaptureError("disk full")
+
+    with pytest.raises(CaptureError, match="disk full"):
+        work()
+    assert loop.failure is None
+    assert source.closed
+
+
+def test_a_mistake_in_the_selection_closes_the_source(bench, batches, made_up):
+    source = made_up(batches)
+    with pytest.raises(ConfigError, match="nothing"), reading(source, bench, Selection(where="nothing == 1")):
+        pass
+    assert source.closed
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ctrl_c_ends_it_after_the_batch_at_hand(number, bench, batches, made_up):
+    before, taken = signal.getsignal(number), []
+    with reading(made_up(batches), bench) as loop:
+        for rows in loop:
+            taken.append(len(rows))
+            os.kill(os.getpid(), number)
+    assert (taken, loop.interrupted) == ([100], True)
+    assert signal.getsignal(number) is before

@@ -1,0 +1,133 @@
+"""What a proxy records: what was sent, and what was done on purpose, each as what it is."""
+
+from __future__ import annotations
+
+import select
+import time
+
+import pytest
+from mcap.reader import make_reader
+from waiting import HOST, until
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.links.ci import CI
+from edoras_tools.model import Endpoint
+from edoras_tools.pipelines import recorder as relay_recorder
+from edoras_tools.pipelines.capture.record import Target
+from edoras_tools.pipelines.proxy.plan import as_relayed
+from edoras_tools.pipelines.recorder import RelayRecorder
+from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.ros import TypeStore
+from edoras_tools.wire import cfe
+
+
+def take(opened, count):
+    return [opened.recv(65536) for _ in range(count)]
+
+
+def waiting(opened):
+    """What has arrived."""
+    found = []
+    while select.select([opened], [], [], 0)[0]:
+        found.append(opened.recv(65536))
+    return found
+
+
+def numbered(count, size=12):
+    return [
+        cfe.emit_command(0x1827, 1, number.to_bytes(4, "big") + bytes(size - 4)) for number in range(count)
+    ]
+
+
+def recorder(path, targets, **keywords):
+    bench = as_relayed(Settings(), CI, Endpoint(*targets[0].getsockname())).workbench()
+    return lambda: RelayRecorder(Target(path), bench, "test")
+
+
+def recorded(path, port):
+    """Datagrams as payload, source port and destination port; and faults."""
+    settings = as_relayed(Settings(), CI, Endpoint(HOST, port))
+    source = open_files([path])
+    datagrams = []
+    for batch in source.batches():
+        columns = settings.workbench().columns.decode(batch)
+        for row in range(len(batch)):
+            item = batch[row]
+            datagrams.append((item.payload, item.source.port, item.destination.port, int(columns.link[row])))
+    source.close()
+    types = TypeStore()
+    with path.open("rb") as file:
+        faults = [
+            types.decode(schema.name, message.data)
+            for schema, _, message in make_reader(file).iter_messages(["/edoras/faults"])
+        ]
+    return datagrams, faults
+
+
+def test_a_recording_holds_what_was_sent_and_what_was_done_on_purpose(ends, tmp_path, arena):
+    target, path = ends.port(), tmp_path / "a.mcap"
+    rules = ["drop:0.2", "corrupt:0.2", "duplicate:0.1"]
+    proxy = ends.proxy(target, rules=rules, recorder=recorder(path, [target]))
+    client = ends.client(proxy)
+    before, arrived = time.time_ns(), []
+    for first in range(0, 600, 60):
+        for datagram in numbered(600)[first : first + 60]:
+            client.send(datagram)
+        until(lambda first=first: proxy.to_target[0].received == first + 60)
+        arrived += waiting(target)
+    target.sendto(b"answer", next(iter(proxy.clients)).sockets[0].getsockname())
+    client.recv(99)
+    proxy.end()
+    arrived += waiting(target)
+    ports = client.getsockname()[1], target.getsockname()[1]
+    datagrams, faults = recorded(path, ports[1])
+    assert datagrams[:-1] == [(data, *ports, CI) for data in arrived]
+    assert datagrams[-1][:3] == (b"answer", *reversed(ports))
+    kinds = [fault["kind"] for fault in faults]
+    assert {kind: kinds.count(kind) for kind in ("drop", "corrupt", "duplicate")} == {
+        rule.kind.name: struck for rule, struck in zip(proxy.machine.rules, proxy.machine.struck, strict=True)
+    }
+    # What was sent, with what was lost on purpose put back and what was done on purpose undone, is what came.
+    changed = [bytes(fault["original"]) for fault in faults if fault["kind"] in {"drop", "corrupt"}]
+    assert set(numbered(600)) <= {*arrived, *changed}
+    stamps = [fault["stamp"]["sec"] * 10**9 + fault["stamp"]["nanosec"] for fault in faults]
+    assert before <= min(stamps)
+    assert max(stamps) <= time.time_ns()
+    assert {fault["rule"] for fault in faults} == set(rules)
+    assert proxy.summary()["recorded"] == len(datagrams)
+
+
+def test_what_could_not_be_recorded_is_counted_and_relayed_all_the_same(ends, tmp_path, monkeypatch):
+    monkeypatch.setattr(relay_recorder, "_QUEUE_BYTES", -1)
+    target = ends.port()
+    proxy = ends.proxy(target, recorder=recorder(tmp_path / "a.mcap", [target]))
+    client = ends.client(proxy)
+    for datagram in numbered(10):
+        client.send(datagram)
+    assert take(target, 10) == numbered(10)
+    proxy.end()
+    assert proxy.summary()["unrecorded"] == proxy.lost == 10
+
+
+@pytest.mark.parametrize(
+    ("failure", "told"),
+    [
+        (CaptureError("a.mcap: no space left"), "a.mcap: no space left"),
+        (KeyError("x"), "{path}: the recording ended by an internal error: KeyError('x')"),
+    ],
+)
+def test_a_recording_that_fails_is_told_and_the_relay_goes_on(ends, tmp_path, monkeypatch, failure, told):
+    target = ends.port()
+    proxy = ends.proxy(target, recorder=recorder(tmp_path / "a.mcap", [target]))
+
+    def fail(*_):
+        raise failure
+
+    monkeypatch.setattr(proxy.recorder._sink, "write", fail)
+    client = ends.client(proxy)
+    for _ in range(2):
+        client.send(b"x" * 8)
+        assert target.recv(99) == b"x" * 8
+        until(lambda: proxy.recorder.failure is not None)
+    proxy.end()
+    assert str(proxy.recorder.failure) == told.format(path=tmp_path / "a.mcap")

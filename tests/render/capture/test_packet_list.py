@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from edoras_tools.model import Finding
+from edoras_tools.render.capture.packet_list import PacketList, TimeFormat
+from edoras_tools.render.terminal.text import cells, plain_cells
+
+WIDTHS = [80, 120, 160, 200]
+
+
+def listing(packets, width, **options):
+    view = PacketList(width, colour=False, **options)
+    return [view.header(), *(view.line(item) for item in packets.values())]
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_looks_as_drawn(packets, golden, width):
+    golden(f"packet_list_{width}.txt", "\n".join(listing(packets, width)) + "\n")
+
+
+@pytest.mark.parametrize("time_format", TimeFormat)
+@pytest.mark.parametrize("width", [20, 40, 48, 63, 64, 79, 99, 100, 119, 120, 149, 150, 189, 190, 250])
+def test_never_exceeds_the_width(packets, width, time_format):
+    for line in listing(packets, width, time_format=time_format, verbose=True):
+        assert cells(line) <= width
+        assert line.isprintable()
+
+
+def test_columns_stand_under_their_names(packets):
+    header, *lines = listing(packets, 120)
+    assert {line[header.index("Packet")] for line in lines[:-1]} <= set("CTSU")
+    assert lines[0][header.index("MsgId") :].startswith("0x1827")
+    assert lines[0][: header.index("Bytes") + len("Bytes")].endswith(" 76")
+
+
+def test_colour_only_where_wanted(packets):
+    plain, painted = PacketList(120, colour=False), PacketList(120, colour=True)
+    for item in packets.values():
+        line, coloured = plain.line(item), painted.line(item)
+        assert "\x1b" not in line
+        assert re.sub(r"\x1b\[[0-9;]*m", "", coloured).rstrip() == line
+        assert plain_cells(coloured) <= 120
+        assert "\x1b[" in coloured
+
+
+def test_link_decides_the_colour(packets):
+    view = PacketList(120, colour=True)
+    seen = {re.search(r"\x1b\[(\d+)m(CI|TO|SBN|UDP) ", view.line(item)).groups() for item in packets.values()}
+    assert {link for _, link in seen} == {"CI", "TO", "SBN", "UDP"}
+    assert len({colour for colour, _ in seen}) == 4
+
+
+def test_notes_show_only_when_asked_for(packets):
+    assert "no checksum" not in PacketList(160, colour=False).line(packets["twist"])
+    assert "· no checksum" in PacketList(160, colour=False, verbose=True).line(packets["twist"])
+
+
+def test_gravest_finding_comes_first_and_the_rest_is_counted(packets):
+    decoded = replace(packets["twist"], findings=Finding((1 << 27) - 1))
+    line = PacketList(120, colour=False).line(decoded)
+    assert re.search(r"✗ truncated( ✗ [^+]+)? \+\d+  linear", line)
+
+
+@pytest.mark.parametrize(
+    ("time_format", "expected"),
+    [
+        (TimeFormat.RELATIVE, ["0.000000", "1.250000", "2.500000"]),
+        (TimeFormat.DELTA, ["0.000000", "1.250000", "1.250000"]),
+        (TimeFormat.UTC, ["06:16:42.553538", "06:16:43.803538", "06:16:45.053538"]),
+        (TimeFormat.EPOCH, ["1795241802.553538", "1795241803.803538", "1795241805.053538"]),
+    ],
+)
+def test_tells_time(packets, time_format, expected):
+    lines = listing(packets, 120, time_format=time_format)[1:]
+    assert [line.split()[1] for line in lines[:3]] == expected
+
+
+def test_date_where_there_is_room(packets):
+    assert "2026-11-21 06:16:42.553538" in listing(packets, 200, time_format=TimeFormat.UTC)[1]
+
+
+def test_long_numbers_take_room_from_the_message(packets):
+    decoded = replace(packets["twist"], datagram=replace(packets["twist"].datagram, number=123_456_789))
+    line = PacketList(80, colour=False).line(decoded)
+    assert line.startswith("123456789 ")
+    assert cells(line) <= 80
+
+
+def test_why_it_stopped_stands_in_for_a_missing_summary(packets):
+    assert "cfe_command at byte 6 needs 2 bytes" in PacketList(200, colour=False).line(packets["truncated"])
+
+
+def test_names_fill_in_where_decode_has_none(packets):
+    decoded = replace(packets["event"], layers=(replace(packets["event"].layers[0], fields=()),))
+    assert "events" in PacketList(120, colour=False, names={0x808: "events"}).line(decoded)
+
+
+def test_resize_lays_out_again(packets):
+    view = PacketList(200, colour=False)
+    wide = view.line(packets["event"])
+    view.resize(80)
+    assert cells(view.line(packets["event"])) <= 80 < cells(wide)

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from edoras_tools.model import SourceInfo, SourceStatistics
+from edoras_tools.render.capture import watch
+from edoras_tools.render.terminal.live_table import LiveTable
+from edoras_tools.render.terminal.progress import FileProgress
+from edoras_tools.render.terminal.terminal import Terminal
+
+SOURCE = SimpleNamespace(info=SourceInfo("eth0", "live"), statistics=SourceStatistics())
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    monkeypatch.setattr("sys.stderr", io.StringIO())
+    monkeypatch.setattr(watch, "look", lambda _: Terminal(80, colour=False, interactive=True))
+
+
+@pytest.mark.usefixtures("terminal")
+def test_live_sources_have_a_table_and_files_a_bar():
+    assert isinstance(watch.watcher(SOURCE, Path("a.mcap"), quiet=False, live=True), LiveTable)
+    assert isinstance(watch.watcher(SOURCE, None, quiet=False, live=False), FileProgress)
+
+
+@pytest.mark.usefixtures("terminal")
+def test_quiet_shows_nothing():
+    with watch.watcher(SOURCE, None, quiet=True, live=True) as nothing:
+        assert nothing is None
+
+
+def test_no_terminal_shows_nothing(monkeypatch):
+    monkeypatch.setattr("sys.stderr", io.StringIO())
+    with watch.watcher(SOURCE, None, quiet=False, live=True) as nothing:
+        assert nothing is None
+
+
+def test_recorded_says_what_the_file_holds(summary, tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(bytes(13_000_000))
+    said = watch.recorded(summary, [path])
+    assert said == f"{path}: 1,827 datagrams over 65.3 s, 663 messages on 2 topics, 12.4 MiB"
+
+
+def test_recorded_counts_a_directory_and_bears_an_empty_one(summary, tmp_path):
+    (tmp_path / "metadata.yaml").write_bytes(bytes(1000))
+    (tmp_path / "a.db3").write_bytes(bytes(1048))
+    assert watch.recorded(summary, [tmp_path]).endswith(", 2.0 KiB")
+    nothing = {"datagrams": 0, "routes": []}
+    assert (
+        watch.recorded(nothing, [tmp_path / "gone"])
+        == f"{tmp_path / 'gone'}: 0 datagrams, 0 messages on 0 topics"
+    )

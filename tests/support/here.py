@@ -1,0 +1,10 @@
+"""``edoras`` in this process, as the installed command runs it: only the command that is named is made."""
+
+import sys
+
+from edoras_tools.cli import main
+
+
+def edoras():
+    """Run what ``sys.argv`` says, to its ``SystemExit``."""
+    main.run(main.program(*(word for word in sys.argv[1:2] if word in main.COMMANDS)))

@@ -1,0 +1,109 @@
+"""What is installed with this package, by licence: a new one is looked at before it comes in.
+
+The package itself is MIT. What it imports at all times, and what comes with an extra, may be used in any
+program; the one exception has a name, and is imported only where somebody asks for it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import tomllib
+
+import pytest
+from places import ROOT
+
+GPL = {"scapy": "GPL-2.0-only"}
+"""Imported by dissectors/ and by one back end of live capture, for systems without packet sockets."""
+LICENCES = {
+    "MIT": (
+        "annotated-doc ast-serialize duckdb execnet foxglove-sdk iniconfig librt linkify-it-py "
+        "markdown-it-py mcap mdit-py-plugins mdurl mypy mypy-extensions platformdirs pluggy polars "
+        "polars-runtime-32 pytest pytest-xdist pyparsing rich rich-click ruamel-yaml ruff setuptools "
+        "textual typer fonttools six"
+    ),
+    "BSD": (
+        "click colorama contourpy cycler grimp import-linter kiwisolver lz4 numpy pandas pygments "
+        "python-dateutil websockets zstandard"
+    ),
+    "Apache-2.0": "pyarrow rosbags sortedcontainers tzdata",
+    "Apache-2.0 or BSD": "packaging",
+    "EPL-2.0, or Apache-2.0, or BSD": "cyclonedds eclipse-zenoh",
+    "MPL-2.0": "hypothesis pathspec",
+    "PSF-2.0": "backports-zstd isal matplotlib typing-extensions",
+    "ISC": "shellingham",
+    "MIT-CMU": "pillow",
+    "any that OSI approves": "apsw",
+    "public domain": "pyelftools",
+    **{licence: name for name, licence in GPL.items()},
+}
+SAYS = {
+    "MIT": r"MIT( License)?",
+    "BSD": r"(BSD|0BSD).*",
+    "Apache-2.0": r"Apache.*",
+    "Apache-2.0 or BSD": r"(?=.*Apache)(?=.*BSD).*",
+    "EPL-2.0, or Apache-2.0, or BSD": r"(?=.*(EPL|Eclipse))(?=.*(Apache|BSD)).*",
+    "MPL-2.0": r"(MPL|Mozilla).*",
+    "PSF-2.0": r"(PSF|Python).*",
+    "ISC": r"ISC.*",
+    "any that OSI approves": r"any-OSI.*",
+    "public domain": r"[Pp]ublic [Dd]omain",
+    "MIT-CMU": r"MIT-CMU|HPND.*",
+    **{licence: licence for licence in GPL.values()},
+}
+"""What the packages write for each."""
+
+
+@pytest.fixture(scope="module")
+def sbom():
+    spec = importlib.util.spec_from_file_location("make_sbom", ROOT / ".ci/make_sbom.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_each_is_listed_with_its_licence(sbom):
+    listed = {name: licence for licence, names in LICENCES.items() for name in names.split()}
+    there = {name: sbom.licence(item) for name, (item, _) in sbom.installed().items() if name != sbom.PACKAGE}
+    assert set(there) <= set(listed), "look at its licence, and list it"
+    wrong = {name: said for name, said in there.items() if not re.fullmatch(SAYS[listed[name]], said)}
+    assert not wrong, "the licence is another one than is listed"
+    gpl = {name for name, said in there.items() if re.search(r"\bA?GPL|General Public", said)}
+    assert gpl <= set(GPL)
+
+
+def test_the_bill_of_materials_is_whole(sbom, monkeypatch, tmp_path):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1")
+    monkeypatch.setattr("sys.argv", ["make_sbom.py", str(tmp_path / "new/bill.json")])
+    sbom.main()
+    bill = json.loads((tmp_path / "new/bill.json").read_text())
+    assert (bill["bomFormat"], bill["specVersion"]) == ("CycloneDX", "1.6")
+    assert bill["metadata"]["timestamp"] == "1970-01-01T00:00:01Z"
+    assert bill == sbom.bill(), "the same environment gives the same bill"
+    names = {item["name"].lower() for item in bill["components"]}
+    wanted = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    assert {re.match(r"[\w.-]+", item)[0].lower() for item in wanted} <= names
+    own = bill["metadata"]["component"]
+    references = {own["bom-ref"], *(item["bom-ref"] for item in bill["components"])}
+    assert len(references) == len(bill["components"]) + 1
+    assert {item["ref"] for item in bill["dependencies"]} == references
+    assert all(set(item["dependsOn"]) <= references for item in bill["dependencies"])
+    assert all(item["purl"].startswith("pkg:pypi/") and item["licenses"] for item in bill["components"])
+
+
+def test_every_locked_version_has_hashes_and_no_place_to_come_from(sbom):
+    text = (ROOT / "requirements.lock").read_text()
+    assert "://" not in text
+    assert "--index" not in text
+    assert "/tmp" not in text
+    entries = re.split(r"\n(?=[a-z])", text.partition("\n")[2])
+    locked = {}
+    for entry in entries:
+        if found := re.match(r"([a-z][\w.-]*)==(\S+)", entry):
+            assert re.search(r"--hash=sha256:[0-9a-f]{64}", entry), found[0]
+            locked[found[1]] = found[2]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = [item for extra in project["optional-dependencies"].values() for item in extra]
+    asked = {re.match(r"[\w.-]+", item)[0] for item in (*project["dependencies"], *extras)}
+    assert {sbom.plain(name) for name in asked} - {sbom.PACKAGE} <= set(locked)

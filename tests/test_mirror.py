@@ -1,0 +1,127 @@
+"""Every source file has its test: at the place that mirrors it, or at the one that is named here."""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+
+from places import ROOT
+
+PACKAGE = ROOT / "edoras_tools"
+TESTS = ROOT / "tests"
+
+NO_BEHAVIOUR = (
+    *("units.py", "cfs/command_ingest.py", "cfs/core.py", "cfs/edoras_app.py", "cfs/executive_services.py"),
+    *("cfs/limits.py", "cfs/names.py", "cfs/sbn.py", "cfs/software_bus.py", "cfs/telemetry_output.py"),
+    *("io/signals.py", "io/topics/names.py", "links/protocol.py", "middleware/graph.py"),
+    *(
+        "render/terminal/palette.py",
+        "render/terminal/run.py",
+        "sessions/sbn/events.py",
+        "sessions/sbn/habits.py",
+    ),
+    *("sessions/sbn/habits.py", "tui/help.py", "tui/theme.py"),
+)
+"""Constants, types and protocols: what uses them is tested."""
+
+ELSEWHERE = {
+    "doctor.py": "docs/test_pages.py",
+    "errors.py": "wire/test_headers.py",
+    "model.py": "decode/test_agreement.py",
+    "cli/*": "cli/test_bad_input.py",
+    "codegen/*": "codegen/test_library.py",
+    "decode/*": "decode/test_agreement.py",
+    "decode/filters/*": "decode/filters/test_agreement.py",
+    "diagnosis/*": "diagnosis/test_captures.py",
+    "diagnosis/accounting/*": "diagnosis/test_captures.py",
+    "diagnosis/evidence/*": "diagnosis/test_parts.py",
+    "diagnosis/evidence/clocks/*": "diagnosis/test_parts.py",
+    "diagnosis/matching/*": "diagnosis/test_parts.py",
+    "diagnosis/rules/*": "diagnosis/test_rules.py",
+    "emulator/*": "emulator/test_simulation.py",
+    "emulator/apps/*": "emulator/test_captures.py",
+    "io/capture/interfaces.py": "io/capture/test_device.py",
+    "io/formats/*": "io/formats/test_open.py",
+    "io/formats/arrow/*": "io/formats/arrow/test_writer.py",
+    "io/formats/jsonl/*": "io/formats/jsonl/test_writer.py",
+    "io/formats/mcap/*": "io/formats/mcap/test_writer.py",
+    "io/formats/mcap/recovery/*": "io/formats/mcap/test_recover.py",
+    "io/foxglove/*": "io/foxglove/test_sink.py",
+    "io/frames/*": "io/frames/test_linklayer.py",
+    "io/net/*": "io/net/test_transmit.py",
+    "io/topics/*": "io/formats/mcap/test_writer.py",
+    "links/*": "decode/test_agreement.py",
+    "middleware/dds/*": "middleware/dds/test_graph.py",
+    "middleware/names.py": "middleware/zenoh/test_names.py",
+    "middleware/zenoh/*": "middleware/zenoh/test_graph.py",
+    "mission/*": "mission/test_mistakes.py",
+    "pipelines/*": "pipelines/capture/test_record.py",
+    "pipelines/bridge/*": "pipelines/bridge/test_run.py",
+    "pipelines/capture/*": "pipelines/capture/test_record.py",
+    "pipelines/demo/*": "pipelines/demo/test_parts.py",
+    "pipelines/doctor/*": "cli/test_doctor.py",
+    "pipelines/export/*": "pipelines/export/test_run.py",
+    "pipelines/faults/*": "pipelines/faults/test_scenario.py",
+    "pipelines/live/*": "pipelines/live/test_run.py",
+    "pipelines/proxy/*": "pipelines/proxy/test_run.py",
+    "pipelines/sending/*": "pipelines/sending/test_replay.py",
+    "pipelines/structs.py": "cli/test_structs.py",
+    "pipelines/sweep/*": "pipelines/sweep/test_run.py",
+    "pipelines/wireshark/*": "dissectors/test_program.py",
+    "render/*": "render/test_hostile.py",
+    "render/capture/exported.py": "cli/test_export.py",
+    "render/demo/*": "render/demo/test_view.py",
+    "render/doctor/*": "cli/test_doctor.py",
+    "render/doctor/report/*": "cli/test_doctor.py",
+    "render/terminal/*": "render/terminal/test_text.py",
+    "ros/cdr/*": "ros/test_against_rosbags.py",
+    "ros/types/schema.py": "ros/types/test_grammar.py",
+    "sessions/faults/*": "sessions/faults/test_machine.py",
+    "sessions/sbn/*": "sessions/sbn/test_connection.py",
+    "structs/*": "structs/test_compiled.py",
+    "structs/debug_info/*": "structs/debug_info/test_dwarf.py",
+    "tui/*": "tui/test_viewer.py",
+    "tui/data/*": "tui/data/test_store.py",
+    "tui/lists/*": "tui/test_viewer.py",
+    "wire/*": "wire/test_headers.py",
+}
+"""Files whose behaviour shows only together with others', and the test that asks them together."""
+
+
+def sources():
+    return sorted(
+        path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py") if path.name != "__init__.py"
+    )
+
+
+def mirrored(source):
+    folder, _, name = source.rpartition("/")
+    return (TESTS / folder / f"test_{name}").exists()
+
+
+def elsewhere(source):
+    """Return the pattern that names a file: the file itself, or its folder."""
+    folder = source.rpartition("/")[0]
+    return next((item for item in (source, f"{folder}/*" if folder else source) if item in ELSEWHERE), None)
+
+
+def test_every_file_has_its_test():
+    without = [
+        item for item in sources() if not mirrored(item) and item not in NO_BEHAVIOUR and not elsewhere(item)
+    ]
+    assert without == []
+
+
+def test_what_is_named_here_is_there():
+    assert [item for item in NO_BEHAVIOUR if not (PACKAGE / item).is_file()] == []
+    assert [item for item in ELSEWHERE.values() if not (TESTS / item).is_file()] == []
+
+
+def test_nothing_is_named_that_need_not_be():
+    alone = [item for item in sources() if not mirrored(item) and item not in NO_BEHAVIOUR]
+    assert [item for item in NO_BEHAVIOUR if mirrored(item)] == []
+    needless = [
+        pattern
+        for pattern in ELSEWHERE
+        if not any(fnmatchcase(item, pattern) and elsewhere(item) == pattern for item in alone)
+    ]
+    assert needless == []
