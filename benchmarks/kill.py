@@ -2,7 +2,7 @@
 
 What is lost is the time from the last datagram in the file, made whole by ``edoras recover``, to the kill.
 
-Run: python kill.py [--kills 102] [--rate 2000] [--seconds 900]
+Run: python kill.py [--kills 104] [--rate 2000] [--seconds 900]
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from typing import NamedTuple
 HERE = Path(__file__).resolve().parent
 EDORAS = str(Path(sys.executable).with_name("edoras"))
 GROUND = HERE.parent / "samples/missions/rover_ground.yaml"
+CAPTURE = HERE.parent / "samples/captures/a_rover.pcap"
 BYTES = 200
 LONGEST_S = 5.0
 
@@ -34,7 +35,7 @@ class Way(NamedTuple):
 
     Attributes:
         words: the command; ``PORT``, ``OTHER`` and ``MISSION`` are put in.
-        says: what it says on standard error once it takes datagrams.
+        says: what it says on standard error once it takes datagrams; empty: it sends them itself, to OTHER.
     """
 
     words: str
@@ -48,6 +49,8 @@ WAYS = {
     "proxy": Way("proxy ci --listen 127.0.0.1:PORT --target 127.0.0.1:OTHER", "relaying"),
     "bridge": Way("bridge ground --ros local --no-enable -c MISSION", "bridging"),
     "live": Way("live -i lo --ws-port 0 --port ci:PORT", "in Foxglove"),
+    "replay": Way(f"replay {CAPTURE} --to ci --target 127.0.0.1:OTHER --no-listen --rate 2000 --loop 0", ""),
+    "inject": Way("inject /cmd_vel {} -c MISSION --target 127.0.0.1:OTHER --no-listen --hz 2000", ""),
 }
 
 
@@ -78,9 +81,14 @@ def free_port() -> int:
 def kill(way: Way, rate: int, seed: int) -> Kill:
     """Start a recorder and its traffic, kill it at a random moment, and look at what is left."""
     chosen = random.Random(seed)
-    with tempfile.TemporaryDirectory() as name:
+    with (
+        tempfile.TemporaryDirectory() as name,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as target_socket,
+    ):
         folder = Path(name)
-        port, other = free_port(), free_port()
+        target_socket.bind(("127.0.0.1", 0))
+        target_socket.settimeout(30)
+        port, other = free_port(), target_socket.getsockname()[1]
         mission = folder / "ground.yaml"
         mission.write_text(GROUND.read_text().replace("bridge_port: 1235", f"bridge_port: {port}"))
         put = {"PORT": str(port), "OTHER": str(other), "MISSION": str(mission)}
@@ -92,7 +100,7 @@ def kill(way: Way, rate: int, seed: int) -> Kill:
             [EDORAS, *words.split(), "-o", str(target)], stderr=subprocess.PIPE, text=True
         )
         assert process.stderr is not None
-        if not any(way.says in line for line in process.stderr):
+        if not (any(way.says in line for line in process.stderr) if way.says else target_socket.recv(1)):
             return Kill(0, 0, 0, f"{words} did not start")
         threading.Thread(target=process.stderr.read, daemon=True).start()
         sender = subprocess.Popen(
@@ -111,10 +119,10 @@ def kill(way: Way, rate: int, seed: int) -> Kill:
         sender.kill()
         sender.stderr.close()
         sender.wait()
-        return _left(folder, killed_ns, ran)
+        return _left(folder, killed_ns, ran, other)
 
 
-def _left(folder: Path, killed_ns: int, ran: float) -> Kill:
+def _left(folder: Path, killed_ns: int, ran: float, port: int) -> Kill:
     """Make what is left whole, and compare its last datagram with the kill."""
     files = sorted(folder.glob("x*.mcap"), key=lambda path: path.stat().st_ctime_ns)
     end_ns, kept, problem = 0, 0, ""
@@ -124,7 +132,10 @@ def _left(folder: Path, killed_ns: int, ran: float) -> Kill:
             whole = folder / "whole.mcap"
             subprocess.run([EDORAS, "recover", str(path), "-o", str(whole)], capture_output=True, check=False)
         told = subprocess.run(
-            [EDORAS, "info", "--json", str(whole)], capture_output=True, text=True, check=False
+            [EDORAS, "info", "--json", "--port", f"ci:{port}", str(whole)],
+            capture_output=True,
+            text=True,
+            check=False,
         )
         if not told.stdout:
             problem = "" if path == files[-1] and len(files) > 1 else told.stderr.strip()
@@ -140,7 +151,7 @@ def _left(folder: Path, killed_ns: int, ran: float) -> Kill:
 def main() -> None:
     """Kill as often as asked, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=102, help="in all, shared by the ways")
+    parser.add_argument("--kills", type=int, default=104, help="in all, shared by the ways")
     parser.add_argument("--rate", type=int, default=2000, help="datagrams a second")
     parser.add_argument("--seconds", type=float, default=900, help="begin no kill after so long")
     parser.add_argument("--at-once", type=int, default=2)

@@ -1,7 +1,12 @@
 """A recording of what is sent and received.
 
-It is written when nothing is due soon, so that writing delays no datagram. Received datagrams get the time
-when they are read.
+Rules that it keeps:
+
+1. What was sent or received is in the file ``FLUSH_NS`` later, however much is due: a killed run loses at
+   most a second. ``receive`` sees to it, which the sending loop calls every 20 ms.
+2. From half of that time on it is written as soon as nothing is due for ``_CALM_NS``, so that writing delays
+   no datagram where there is time for both.
+3. Received datagrams get the time when they are read.
 """
 
 from __future__ import annotations
@@ -12,6 +17,7 @@ from edoras_tools.io.formats.watched import WatchedSink
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import SourceInfo, SourceStatistics
+from edoras_tools.pipelines.capture.flushing import FLUSH_NS
 from edoras_tools.pipelines.capture.record import open_sink
 from edoras_tools.pipelines.recorder import PushedSource
 from edoras_tools.units import MILLISECOND
@@ -28,8 +34,8 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.machine import Fault
     from edoras_tools.sessions.outgoing import Outgoing
 
-_CALM_NS: Final = 50 * MILLISECOND
-"""A block is written when nothing is due for this time."""
+_CALM_NS: Final = 10 * MILLISECOND
+"""A block is written when nothing is due for this time; the sending loop never waits longer than 20 ms."""
 _BLOCK: Final = 256
 """Datagrams written at once, which takes a few ms."""
 _MOST: Final = 200_000
@@ -57,6 +63,7 @@ class SentRecording:
         self._waiting: list[tuple[int, Endpoint, Endpoint, bytes]] = []
         self._faults: list[Fault] = []
         self._epoch_ns = wire.epoch_ns()
+        self._written_ns = wire.now()
 
     @property
     def losses(self) -> Sequence[OutputLoss]:
@@ -74,7 +81,7 @@ class SentRecording:
 
     def wait(self, until_ns: int) -> bool:
         """Wait, and write meanwhile if there is enough time."""
-        while self._waiting and until_ns - self.now() >= _CALM_NS:
+        while until_ns - (now := self.now()) >= _CALM_NS and now - self._written_ns >= FLUSH_NS // 2:
             self._write(_BLOCK)
         return self._wire.wait(until_ns)
 
@@ -92,11 +99,13 @@ class SentRecording:
         return self._wire.put(payload)
 
     def receive(self) -> list[Arrival]:
-        """Return what has arrived."""
+        """Return what has arrived, and write what has waited long enough."""
         arrived = self._wire.receive()
         now = self.now()
         for item in arrived:
             self._keep(now, item.source, item.destination, item.payload)
+        if now - self._written_ns >= FLUSH_NS:
+            self._write(_MOST)
         return arrived
 
     def note(self, faults: Sequence[Fault]) -> None:
@@ -132,3 +141,5 @@ class SentRecording:
             self._sink.write_faults(self._faults)
         self._faults = []
         self._sink.flush()
+        if not self._waiting:
+            self._written_ns = self.now()

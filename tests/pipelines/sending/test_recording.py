@@ -14,12 +14,16 @@ from edoras_tools.io.net.transmit import SendStatistics
 from edoras_tools.io.net.wire import Arrival
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
+from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.capture.record import Target
+from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule
 from edoras_tools.pipelines.sending.recording import SentRecording
+from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.faults.machine import Fault
 from edoras_tools.sessions.outgoing import Outgoing, Packet
+from edoras_tools.sessions.pacing import Pacing
 from edoras_tools.wire import cfe
 
 HERE, THERE, TELEMETRY = (Endpoint("127.0.0.1", port) for port in (40000, 1234, 1235))
@@ -115,6 +119,47 @@ def test_much_is_written_before_the_end(bench, tmp_path, monkeypatch):
         recording.put(payload)
     recording.close()
     assert [payload for *_, payload in recorded(tmp_path / "x.pcap")] == COMMANDS
+
+
+class LookingWire(FakeWire):
+    """Looks into the file at each datagram, as if the program was killed then: how old is what is missing?"""
+
+    path, worst_ns, each_ns = None, 0, 0
+
+    def wait(self, until_ns):
+        self.clock = max(self.clock, until_ns)
+        return True
+
+    def send(self, out, first, last):
+        self.clock += self.each_ns * (last - first)
+        times = [time_ns for time_ns, *_ in recorded(self.path)] if self.path.stat().st_size > 24 else []
+        if len(times) < len(self.sent):
+            self.worst_ns = max(self.worst_ns, self.clock - self.sent[len(times)])
+        self.sent += [self.clock] * (last - first)
+        return last - first
+
+
+@pytest.mark.parametrize(
+    ("pacing", "count"),
+    [
+        (Pacing(rate_hz=5), 20),
+        (Pacing(rate_hz=30), 60),
+        (Pacing(rate_hz=400), 400),
+        (Pacing(unpaced=True), 8000),
+    ],
+)
+def test_what_was_sent_is_in_the_file_within_a_second_at_any_rate(pacing, count, bench, tmp_path):
+    """A replay that is killed loses what is not in the file: there too where something is always due."""
+    wire = LookingWire()
+    wire.path, wire.each_ns = tmp_path / "x.pcap", MS // 10 if pacing.unpaced else 0
+    recording = SentRecording(wire, Target(wire.path), bench)
+    out = Outgoing.packets(CI, [Packet(COMMANDS[0])] * count)
+    table = pacing.timetable(out.time_ns, out.msg_id)
+    report = SendReport(Responses(Mission()), count, table.rate_hz)
+    Sending(recording, SendSchedule("there", out, table), report).run()
+    recording.close()
+    assert (report.failure, report.sent, len(recorded(wire.path))) == (None, count, count)
+    assert wire.worst_ns <= 250 * MS
 
 
 def test_what_cannot_be_recorded_is_said_first(bench, tmp_path):
