@@ -106,7 +106,7 @@ def _examine(
     if not (given.paths or any(given.live)):
         raise ConfigError("name the input to examine: FILE..., -i IFACE, or --listen PORT")
     live = not given.paths
-    if live and (scope.start_ns or scope.end_ns):
+    if live and scope.period:
         raise ConfigError("--start and --end select part of a file; for live traffic use --duration")
     name = ", ".join(map(str, given.paths))
     with FileProgress(name, console=error_console(), quiet=quiet or json or live) as bar:
@@ -183,7 +183,7 @@ def _predict(settings: Settings, profile: SimProfile, scope: Scope, *, json: boo
     bench = settings.workbench()
     if not bench.mission.routes:
         raise ConfigError("--predict needs a mission: name its files with -c")
-    if scope.selection.where or scope.start_ns or scope.end_ns:
+    if scope.selection.where or scope.period:
         raise ConfigError(
             "--predict does not read a capture: --where, --start and --end cannot be used with it"
         )

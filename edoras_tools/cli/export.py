@@ -12,23 +12,15 @@ from edoras_tools.cli.endings import lost, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions
 from edoras_tools.cli.main import INTERRUPTED
 from edoras_tools.cli.output import print_json
-from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN
+from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, TimeForm
 
 _FORMATS = ", ".join(item.suffix[1:] for item in TABLE_FORMATS)
-_TIMES = ("utc", "ns", "seconds")
 
 
 def table_format(text: str) -> str:
     """Read the name of a table's format."""
     if f".{text}" not in [item.suffix for item in TABLE_FORMATS]:
         raise typer.BadParameter(f"{text!r} is not a table format; use {_FORMATS}")
-    return text
-
-
-def time_form(text: str) -> str:
-    """Read the name of a time format."""
-    if text not in _TIMES:
-        raise typer.BadParameter(f"{text!r} is not a time format; use {', '.join(_TIMES)}")
     return text
 
 
@@ -48,13 +40,12 @@ class TableOptions(NamedTuple):
         ),
     ] = False
     time: Annotated[
-        str,
+        TimeForm,
         typer.Option(
             metavar="FORM",
-            parser=time_form,
             help="Times as utc timestamps, ns since 1970, or seconds since the input's start.",
         ),
-    ] = "utc"
+    ] = TimeForm.UTC
     layout: Annotated[
         str | None,
         typer.Option(
@@ -93,7 +84,7 @@ def export(
     from edoras_tools.pipelines.export.run import ExportTarget
     from edoras_tools.pipelines.export.run import export as write
     from edoras_tools.pipelines.export.sources import open_topics
-    from edoras_tools.pipelines.export.tables import TableForm, TimeForm
+    from edoras_tools.pipelines.export.tables import TableForm
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
 
@@ -103,7 +94,7 @@ def export(
     scope = part.scope()
     patterns, scope = scope.selection.topics, replace(scope, selection=replace(scope.selection, topics=()))
     fields = tuple(item.strip() for item in (table.fields or "").split(",") if item.strip())
-    form = TableForm(fields, table.explode, TimeForm(table.time))
+    form = TableForm(fields, table.explode, table.time)
     source = open_topics(files, decoding.settings(), scope)
     quiet = printing.quiet or printing.json
     with FileProgress(source.name, console=error_console(), quiet=quiet) as bar:

@@ -233,7 +233,7 @@ def live(
         raise ConfigError(
             "--allow-publish, -o, -a and -n can only be used with live traffic, not with a recording"
         )
-    if files and (limits.start_ns or limits.end_ns):
+    if files and limits.period:
         raise ConfigError("--start and --end do not apply to playback; seek in Foxglove")
     if not files and any(playback):
         raise ConfigError("--speed and --paused can only be used with a recording, not with live traffic")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.reading import Limits
-    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.selection import Period, Selection
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.sessions.faults.machine import FaultPlan
 
@@ -330,15 +330,17 @@ class SelectionOptions(NamedTuple):
         )
 
 
-def _between(start: int | None, end: int | None) -> tuple[int, int]:
+def _period(start: int | None, end: int | None) -> Period:
     """Return both in the form that pipelines take.
 
     Raises:
         typer.BadParameter: the end is not after the start.
     """
+    from edoras_tools.pipelines.selection import Period
+
     if end is not None and (start or 0) >= end:
         raise typer.BadParameter("--end is not after --start; both count from the start of the capture")
-    return start or 0, end or 0
+    return Period(start or 0, end or 0)
 
 
 class ScopeOptions(NamedTuple):
@@ -356,7 +358,7 @@ class ScopeOptions(NamedTuple):
         """
         from edoras_tools.pipelines.doctor.scope import Scope
 
-        return Scope(self.chosen.selection(), *_between(self.start, self.end))
+        return Scope(self.chosen.selection(), _period(self.start, self.end))
 
 
 class PartOptions(NamedTuple):
@@ -377,8 +379,8 @@ class PartOptions(NamedTuple):
         """
         from edoras_tools.pipelines.reading import Limits
 
-        start_ns, end_ns = _between(self.start, self.end)
-        return Limits(self.datagrams or 0, self.duration or 0, start_ns=start_ns, end_ns=end_ns)
+        period = _period(self.start, self.end)
+        return Limits(self.datagrams or 0, self.duration or 0, period=period)
 
 
 class PrintOptions(NamedTuple):

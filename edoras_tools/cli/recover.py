@@ -12,8 +12,7 @@ import typer
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import LOST
 from edoras_tools.cli.output import print_json
-from edoras_tools.errors import ConfigError
-from edoras_tools.io.outputs import in_the_way
+from edoras_tools.io.outputs import in_the_way, refuse_existing
 
 
 def recover(
@@ -30,8 +29,9 @@ def recover(
     from edoras_tools.io.formats.mcap.recover import recover as run
 
     target = output or file.parent / f"{file.stem}.recovered.mcap"
-    if in_the_way(target) and not force and not (file.exists() and target.samefile(file)):
-        raise ConfigError(f"{target} exists; name another output with -o, or replace it with --force")
+    there = in_the_way(target)
+    if there and not force and not (file.exists() and target.samefile(file)):
+        refuse_existing(there)
     report = run(file, target, unproved=unproved)
     if json:
         print_json({**asdict(report), "output": None if report.whole else str(target)})

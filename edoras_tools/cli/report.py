@@ -14,7 +14,7 @@ from edoras_tools.cli import options
 from edoras_tools.cli.endings import LOST, no_datagrams
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import print_json
-from edoras_tools.errors import ConfigError
+from edoras_tools.io.outputs import refuse_input
 from edoras_tools.words import plural
 
 
@@ -48,8 +48,7 @@ def report(
     files, scope, (json, quiet) = inputs.named(), part.scope(), printing
     profile = profile_with(constant or ())
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")
-    if any(item.exists() and path.exists() and item.samefile(path) for item in files):
-        raise ConfigError(f"{path}: would overwrite its own input; name another output")
+    refuse_input(path, files)
     with FileProgress(", ".join(map(str, files)), console=error_console(), quiet=quiet or json) as bar:
         source, bench = open_input(InputOptions(inputs), decoding.settings(), aligned=True, progress=bar)
         findings = examine(source, bench, profile=profile, scope=scope, progress=bar)

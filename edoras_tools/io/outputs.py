@@ -13,7 +13,12 @@ import stat
 from glob import escape
 from itertools import count
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 _PIECES: Final = 1024
 """Most buffers in one write, Linux's IOV_MAX."""
@@ -83,6 +88,27 @@ def in_the_way(path: Path, *, split: bool = False) -> Path | None:
         if there.is_file() and there.stat().st_size:
             return there
     return None
+
+
+def refuse_input(path: Path, inputs: Iterable[Path]) -> None:
+    """Refuse to write over an input.
+
+    Raises:
+        ConfigError: the path is one of the inputs.
+    """
+    for item in inputs:
+        if item.exists() and path.exists() and item.samefile(path):
+            raise ConfigError(f"{path}: would overwrite its own input; name another output")
+
+
+def refuse_existing(there: Path | None) -> None:
+    """Refuse to replace what is there, if anything.
+
+    Raises:
+        ConfigError: something is.
+    """
+    if there is not None:
+        raise ConfigError(f"{there} exists; name another output, or replace it with --force")
 
 
 def to_disk(path: Path) -> None:

@@ -7,7 +7,7 @@ keeps it for callers that report on what was read.
 from __future__ import annotations
 
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic_ns
 from typing import TYPE_CHECKING
 
@@ -15,14 +15,11 @@ from edoras_tools.decode.conversations import Conversations
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError
 from edoras_tools.pipelines.interrupt import interruptible
-from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.selection import Period, Selection
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Iterator
-
-    import numpy as np
-    from numpy.typing import NDArray
 
     from edoras_tools.io import Source
     from edoras_tools.model import PacketBatch
@@ -36,20 +33,14 @@ class Limits:
     Attributes:
         count: maximum number of selected datagrams; 0 for all.
         duration_ns: how long to read; 0: to the end.
-        start_ns: datagrams before this time after the first one are left out.
-        end_ns: datagrams from this time after the first one on are left out; 0 for none.
         clock: monotonic time in ns.
+        period: which datagrams are yielded; all are decoded.
     """
 
     count: int = 0
     duration_ns: int = 0
     clock: Callable[[], int] = monotonic_ns
-    start_ns: int = 0
-    end_ns: int = 0
-
-    def within(self, since_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which times, in ns since the first datagram, are between start and end."""
-        return (since_ns >= (self.start_ns or since_ns)) & (since_ns < (self.end_ns or since_ns + 1))
+    period: Period = field(default_factory=Period)
 
 
 @dataclass(slots=True, eq=False)
@@ -61,23 +52,29 @@ class ReadLoop:
         bench: mission, types and decoders.
         selection: which datagrams; already prepared for the bench.
         limits: when to end.
-        within: which part of a batch is read at all; the rest is not even decoded.
+        examined: datagrams outside this period are not even decoded.
         keeps_failure: keep the error that ended the source in ``failure``, instead of raising it.
         conversations: of all that was read, if they are followed; a batch is added before it is yielded.
         failure: why the source ended early, if it did.
+        begin_ns: time of the first datagram; None before it.
+        last_ns: latest time of a datagram, also of one outside; -1 before.
+        outside: number of datagrams outside ``examined``.
     """
 
     source: Source
     bench: Workbench
     selection: Selection
     limits: Limits
-    within: Callable[[PacketBatch], PacketBatch] | None
+    examined: Period
     keeps_failure: bool
     conversations: Conversations
     _conversing: bool
     _batches: Iterator[PacketBatch]
     _asked: threading.Event
     failure: CaptureError | None = None
+    begin_ns: int | None = None
+    last_ns: int = -1
+    outside: int = 0
 
     @property
     def interrupted(self) -> bool:
@@ -91,21 +88,26 @@ class ReadLoop:
             CaptureError: the source ended early, and ``keeps_failure`` is not set.
         """
         limits, bench = self.limits, self.bench
-        left, began, begin_ns = limits.count, limits.clock(), None
+        left, began = limits.count, limits.clock()
         for whole in self._until_failure():
-            batch = self.within(whole) if self.within else whole
-            if begin_ns is None and len(whole):
-                begin_ns = int(whole.time_ns[0])
+            if len(whole):
+                self.begin_ns = int(whole.time_ns[0]) if self.begin_ns is None else self.begin_ns
+                self.last_ns = max(self.last_ns, int(whole.time_ns.max()))
+            begin_ns = self.begin_ns or 0
+            batch = whole
+            if self.examined:
+                batch = whole.take(self.examined.holds(whole.time_ns - begin_ns))
+                self.outside += len(whole) - len(batch)
             columns = bench.columns.decode(batch)
             if self._conversing:
                 self.conversations.add(batch, columns)
             rows = self.selection.rows(batch, columns, bench.mission)
-            if limits.start_ns or limits.end_ns:
-                rows = rows[limits.within(batch.time_ns[rows] - (begin_ns or 0))]
+            if limits.period:
+                rows = rows[limits.period.holds(batch.time_ns[rows] - begin_ns)]
             if limits.count:
                 rows = rows[:left]
                 left -= len(rows)
-            yield ColumnRows(bench.columns.context, begin_ns or 0, batch, columns, rows)
+            yield ColumnRows(bench.columns.context, begin_ns, batch, columns, rows)
             if limits.count and not left:
                 return
             if limits.duration_ns and limits.clock() - began >= limits.duration_ns:
@@ -127,7 +129,7 @@ def reading(
     selection: Selection | None = None,
     limits: Limits = Limits(),
     *,
-    within: Callable[[PacketBatch], PacketBatch] | None = None,
+    examined: Period = Period(),  # noqa: B008  frozen
     keeps_failure: bool = False,
     conversing: bool = False,
     patient: bool = False,
@@ -142,7 +144,7 @@ def reading(
         bench: mission, types and decoders.
         selection: which datagrams; all by default.
         limits: when to end; never by default.
-        within: see ``ReadLoop``.
+        examined: see ``ReadLoop``.
         keeps_failure: see ``ReadLoop``.
         conversing: follow conversations; see ``ReadLoop``.
         patient: see ``on_interrupt``.
@@ -156,7 +158,7 @@ def reading(
         with interruptible(source, patient=patient) as (batches, asked):
             spoken = Conversations(bench.columns.context)
             yield ReadLoop(
-                source, bench, ready, limits, within, keeps_failure, spoken, conversing, batches, asked
+                source, bench, ready, limits, examined, keeps_failure, spoken, conversing, batches, asked
             )
 
 

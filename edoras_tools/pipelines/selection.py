@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -21,6 +21,31 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
+
+
+@dataclass(frozen=True, slots=True)
+class Period:
+    """The datagrams between two times, in ns after the first datagram; by default all.
+
+    Attributes:
+        start_ns: earlier ones are left out; with 0 also those are in that are older than the first one.
+        end_ns: those from this time on are left out; 0 for none.
+    """
+
+    start_ns: int = 0
+    end_ns: int = 0
+
+    def __bool__(self) -> bool:
+        return bool(self.start_ns or self.end_ns)
+
+    @overload
+    def holds(self, since_ns: int) -> bool: ...
+    @overload
+    def holds(self, since_ns: NDArray[np.int64]) -> NDArray[np.bool_]: ...
+    def holds(self, since_ns: int | NDArray[np.int64]) -> bool | NDArray[np.bool_]:
+        """Return which times after the first datagram are in the period."""
+        after = (since_ns >= self.start_ns) | (not self.start_ns)
+        return after & ((since_ns < self.end_ns) | (not self.end_ns))
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,7 +56,7 @@ def test_what_is_there_is_replaced_only_by_force(call, rover, tmp_path):
         (["-o", "a.xls"], 2, ".xls is not a table format; use .parquet, .arrow, .csv or .jsonl"),
         (["-o", "a.csv", "--format", "jsonl"], 2, "is CSV by its suffix, and --format says jsonl"),
         (["-o", "a/", "--format", "xls"], 2, "'xls' is not a table format"),
-        (["-o", "a.csv", "--time", "local"], 2, "use utc, ns, seconds"),
+        (["-o", "a.csv", "--time", "local"], 2, "is not one of 'utc', 'ns', 'seconds'"),
         (["-o", "a.csv", "--topic", "cmd_vle"], 1, "did you mean /cmd_vel?"),
         (["-o", "a.csv", "--topic", "cmd_vel", "--fields", "linaer.x"], 2, "did you mean linear.x"),
         (["-o", "a.csv", "--topic", "cmd_vel", "--start", "90"], 1, "its times go from 0 to 65.270 s"),

@@ -4,11 +4,12 @@ import itertools
 import os
 import signal
 
+import numpy as np
 import pytest
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.pipelines.reading import Limits, reading
-from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.selection import Period, Selection
 
 
 def counts(source, bench, *options, **keywords):
@@ -41,9 +42,20 @@ def test_duration(bench, batches, made_up):
 
 
 def test_what_is_not_read_is_not_decoded_either(bench, batches, made_up):
-    with reading(made_up(batches[:1]), bench, within=lambda batch: batch.take(slice(0, 7))) as loop:
+    times = batches[0].time_ns
+    with reading(made_up(batches[:1]), bench, examined=Period(0, int(times[7] - times[0]))) as loop:
         (rows,) = loop
     assert len(rows) == len(rows.batch) == len(rows.columns) == 7
+    assert (loop.begin_ns, loop.last_ns, loop.outside) == (times[0], times.max(), 93)
+
+
+@pytest.mark.parametrize("period", [Period(), Period(20), Period(0, 20), Period(10, 20)])
+def test_a_period_holds_one_time_as_it_holds_many(period):
+    times = [-5, 0, 9, 10, 19, 20]
+    after, before = period.start_ns or -10, period.end_ns or 100
+    expected = [after <= time < before for time in times]
+    assert period.holds(np.array(times)).tolist() == expected
+    assert [period.holds(time) for time in times] == expected
 
 
 def test_a_failure_comes_after_what_was_read_and_is_raised_or_kept(bench, batches, made_up):

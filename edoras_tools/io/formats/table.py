@@ -6,6 +6,7 @@ A file is read by its content, and written by its suffix. A new format needs its
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
@@ -58,6 +59,14 @@ TABLE_FORMATS: Final = (
     Format("JSON Lines", ".jsonl", "", "jsonl:JsonLinesWriter"),
 )
 """Tables of the messages of a topic, which are only written; their writers are ``TableWriter``."""
+
+
+class TimeForm(StrEnum):
+    """How the times of messages are written; those inside messages stay as they are."""
+
+    UTC = "utc"
+    NS = "ns"
+    SECONDS = "seconds"
 
 
 def written_as(path: Path, among: Sequence[Format] = FILE_FORMATS) -> Format | None:

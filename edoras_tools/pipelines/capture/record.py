@@ -13,7 +13,7 @@ from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import WatchedSink
-from edoras_tools.io.outputs import in_the_way
+from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Limits, reading
@@ -126,13 +126,9 @@ def check_output(target: Target, inputs: Sequence[Path]) -> None:
         raise ConfigError(
             f"{target.path}: only MCAP recordings can be split; name it .mcap, or leave --split-* out"
         )
-    for item in inputs:
-        if item.exists() and target.path.exists() and item.samefile(target.path):
-            raise ConfigError(f"{target.path}: would overwrite its own input; name another output")
-    split = bool(target.split_bytes or target.split_ns)
-    there = in_the_way(target.path, split=split)
-    if there and not target.replace and not target.rosbag2:
-        raise ConfigError(f"{there} exists; name another output, or replace it with --force")
+    refuse_input(target.path, inputs)
+    if not target.replace and not target.rosbag2:
+        refuse_existing(in_the_way(target.path, split=bool(target.split_bytes or target.split_ns)))
 
 
 def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str = "") -> WatchedSink | Apart:

@@ -12,7 +12,6 @@ from edoras_tools.pipelines.reading import reading
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
-    from edoras_tools.model import PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress
 
@@ -55,15 +54,7 @@ def _recorded(
     source: Source, bench: Workbench, scope: Scope, chosen: Chosen, progress: Progress | None
 ) -> Recorder:
     recorder = Recorder(bench.columns.context)
-    zero_ns: int | None = None
-
-    def within(batch: PacketBatch) -> PacketBatch:
-        nonlocal zero_ns
-        if zero_ns is None and len(batch):
-            zero_ns = int(batch.time_ns[0])
-        return scope.cut(batch, zero_ns or 0)
-
-    with reading(source, bench, within=within) as loop:
+    with reading(source, bench, examined=scope.period) as loop:
         for rows in loop:
             recorder.add(rows.batch, rows.columns)
             chosen.add(rows.batch, rows.columns)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from edoras_tools.io import Source
-    from edoras_tools.model import PacketBatch
     from edoras_tools.pipelines.capture.info import Counting
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress, Watcher
@@ -96,7 +95,7 @@ def examine(
     examination = Examination(bench.columns.context, profile)
     if progress is not None:
         examination.progress = partial(progress.step, "judging")
-    scope, cut = scope or Scope(), 0
+    scope = scope or Scope()
     try:
         chosen = Chosen(scope.selection, bench)
     except EdorasError:
@@ -104,19 +103,11 @@ def examine(
         raise
     pace = pace or Pace(lambda: 0)
 
-    def within(batch: PacketBatch) -> PacketBatch:
-        nonlocal cut
-        if len(batch) and examination.zero_ns is None and (scope.start_ns or scope.end_ns):
-            examination.zero_ns = int(batch.time_ns[0])
-        part = scope.cut(batch, examination.zero_ns or 0)
-        cut += len(batch) - len(part)
-        return part
-
     def diagnose() -> Diagnosis:
         statistics = source.statistics
         warnings = *bench.columns.context.notes, *statistics.warnings
         capture = Capture(
-            statistics.kernel_drops, warnings, examination.zero_ns, cut, tuple(statistics.outages)
+            statistics.kernel_drops, warnings, examination.zero_ns, loop.outside, tuple(statistics.outages)
         )
         found, choice = examination.diagnose(capture), chosen.choice()
         return found.limited(choice) if choice else found
@@ -125,19 +116,21 @@ def examine(
     limits = Limits(duration_ns=pace.duration_ns, clock=pace.clock)
     conversing = counting is not None
     with reading(
-        source, bench, limits=limits, within=within, keeps_failure=True, conversing=conversing
+        source, bench, limits=limits, examined=scope.period, keeps_failure=True, conversing=conversing
     ) as loop:
         part, faults = 0, recorded_faults(source)
         for rows in loop:
             if isinstance(source, OneByOne) and source.part != part:
                 examination.separate()
                 part = source.part
+            if scope.period:
+                examination.zero_ns = loop.begin_ns
             if len(rows):
                 if faults:
-                    zero_ns = (
-                        int(rows.batch.time_ns[0]) if examination.zero_ns is None else examination.zero_ns
-                    )
-                    examination.faults = [item for item in faults if scope.holds(item.time_ns - zero_ns)]
+                    begin_ns = loop.begin_ns or 0
+                    examination.faults = [
+                        item for item in faults if scope.period.holds(item.time_ns - begin_ns)
+                    ]
                     faults = []
                 examination.add(rows.batch, rows.columns)
                 chosen.add(rows.batch, rows.columns)

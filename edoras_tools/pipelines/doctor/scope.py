@@ -9,11 +9,9 @@ import numpy as np
 
 from edoras_tools.diagnosis.choice import Choice
 from edoras_tools.links import table
-from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.selection import Period, Selection
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
@@ -25,33 +23,11 @@ class Scope:
 
     Attributes:
         selection: what is shown; loss is counted from all traffic.
-        start_ns: examine from this time after the first datagram.
-        end_ns: examine up to this time after the first datagram; 0 for all.
+        period: what is examined.
     """
 
     selection: Selection = field(default_factory=Selection)
-    start_ns: int = 0
-    end_ns: int = 0
-
-    def holds(self, since_ns: int) -> bool:
-        """Return whether a time after the first datagram is examined."""
-        after = since_ns >= self.start_ns or not self.start_ns
-        return after and (since_ns < self.end_ns or not self.end_ns)
-
-    def cut(self, batch: PacketBatch, zero_ns: int) -> PacketBatch:
-        """Return the datagrams of a batch that are examined.
-
-        Args:
-            batch: as read.
-            zero_ns: time of the capture's first datagram.
-        """
-        if not (self.start_ns or self.end_ns):
-            return batch
-        return batch.take(self.mask(batch.time_ns - zero_ns))
-
-    def mask(self, since_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which of many times after the first datagram are examined."""
-        return (since_ns >= self.start_ns) & ((since_ns < self.end_ns) | (self.end_ns == 0))
+    period: Period = field(default_factory=Period)
 
 
 class Chosen:

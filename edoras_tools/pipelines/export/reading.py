@@ -14,12 +14,13 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.formats.columns import TableColumn, TableHead
+from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.io.topics.streams import EVENTS_TOPIC
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.judged import JUDGED, LOST_TOPIC, VERDICTS_TOPIC
 from edoras_tools.pipelines.export.sources import open_topics
-from edoras_tools.pipelines.export.tables import TableForm, TimeForm, chosen_topics
-from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.export.tables import TableForm, chosen_topics
+from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros.cdr.columns import Ragged
 
@@ -207,7 +208,7 @@ def read(
     given = settings or Settings()
     if configs := _paths(config):
         given = Settings(configs, given.distro, given.msg_paths, given.options, given.structs)
-    scope = Scope(Selection(where=where), int(start * 1e9), int(end * 1e9))
+    scope = Scope(Selection(where=where), Period(int(start * 1e9), int(end * 1e9)))
     form = TableForm(explode=explode, time=TimeForm(time))
     made = RecordingTables(_paths(paths), given, scope, form)
     made._open().close()  # noqa: SLF001  what is wrong is told now

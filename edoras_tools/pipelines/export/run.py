@@ -11,7 +11,7 @@ from urllib.parse import quote
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.columns import TableFile, TableHead
 from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, written_as
-from edoras_tools.io.outputs import check_links, in_the_way
+from edoras_tools.io.outputs import check_links, in_the_way, refuse_existing, refuse_input
 from edoras_tools.io.topics.streams import DATAGRAMS_TOPIC, FAULTS, OWN_TOPICS
 from edoras_tools.pipelines.export.judged import JUDGED
 from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen_topics
@@ -77,12 +77,10 @@ class ExportTarget:
         Raises:
             ConfigError: something is there, and it may not be replaced; or it is an input.
         """
-        for item in inputs:
-            if item.exists() and self.path.exists() and item.samefile(self.path):
-                raise ConfigError(f"{self.path}: would overwrite its own input; name another output")
-        there = any(self.path.iterdir()) if self.path.is_dir() else in_the_way(self.path)
-        if there and not self.force:
-            raise ConfigError(f"{self.path} exists; name another output, or replace it with --force")
+        refuse_input(self.path, inputs)
+        full = self.path.is_dir() and any(self.path.iterdir())
+        if not self.force:
+            refuse_existing(self.path if full else in_the_way(self.path))
 
     def check_alone(self, topic: str, others: Collection[str]) -> None:
         """Refuse a second topic in one file.

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag
     from edoras_tools.io.topics.rows import Messages
     from edoras_tools.io.topics.streams import Topic
-    from edoras_tools.model import PacketBatch
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.run import Progress
 
@@ -148,11 +147,13 @@ class CaptureTopics(TopicSource):
         routes = [place for place, item in enumerate(self._bench.mission.routes) if item.topic in wanted]
         statistics = STATISTICS_TOPIC in wanted
         with reading(
-            self._source, self._bench, self._scope.selection, within=self._within, keeps_failure=True
+            self._source, self._bench, self._scope.selection, examined=self._scope.period, keeps_failure=True
         ) as loop:
             for rows in loop:
                 if progress is not None:
                     progress.read(self._source)
+                if loop.begin_ns is not None:
+                    self.zero_ns, self.last_ns = loop.begin_ns, loop.last_ns
                 if not len(rows):
                     continue
                 batch, columns = rows.alone()
@@ -165,7 +166,9 @@ class CaptureTopics(TopicSource):
         rest = [self._streams.finish()] if statistics else []
         rest.append(self._streams.outages(self._source.statistics.outages))
         faults = [
-            item for item in recorded_faults(self._source) if self._scope.holds(item.time_ns - self.zero_ns)
+            item
+            for item in recorded_faults(self._source)
+            if self._scope.period.holds(item.time_ns - self.zero_ns)
         ]
         rest.append(fault_messages(faults, self._places.index(FAULTS)))
         for messages in rest:
@@ -175,12 +178,6 @@ class CaptureTopics(TopicSource):
                 yield from self._judge(JUDGED & set(wanted), progress)
             except CaptureError as error:
                 self.failure = self.failure or error
-
-    def _within(self, batch: PacketBatch) -> PacketBatch:
-        if len(batch):
-            self.zero_ns = int(batch.time_ns[0]) if self.zero_ns < 0 else self.zero_ns
-            self.last_ns = max(self.last_ns, int(batch.time_ns.max()))
-        return self._scope.cut(batch, self.zero_ns)
 
     def _add(self, topic: Topic) -> int:
         self._places.append(topic)
@@ -276,7 +273,7 @@ class BagTopics(TopicSource):
     def _block(self, found: RecordedBlock) -> TopicBlock:
         kind = self.topics[found.topic]
         self.last_ns = max(self.last_ns, int(found.time_ns.max(initial=-1)))
-        rows = np.flatnonzero(self._scope.mask(found.time_ns - self.zero_ns))
+        rows = np.flatnonzero(self._scope.period.holds(found.time_ns - self.zero_ns))
         valid = self._types.valid(kind, found.data, found.offset[rows], found.length[rows])
         self.left_out += len(rows) - int(valid.sum())
         rows = rows[valid]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from difflib import get_close_matches
-from enum import StrEnum
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.formats.columns import TableColumn
+from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.selection import fits_topic
 from edoras_tools.ros.cdr.columns import Ragged
 
@@ -25,14 +25,6 @@ if TYPE_CHECKING:
 
 ELEMENT: Final = "element"
 """The column of a list's indices, where every element has a row."""
-
-
-class TimeForm(StrEnum):
-    """How the times of messages are written; those inside messages stay as they are."""
-
-    UTC = "utc"
-    NS = "ns"
-    SECONDS = "seconds"
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from edoras_tools.links.to import TO
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.doctor.doctor import Pace, examine, profile_with
 from edoras_tools.pipelines.doctor.scope import Scope
-from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND
 
@@ -100,13 +100,13 @@ def found(scope, **options):
 
 def test_a_span_of_time_is_cut_out_and_the_rest_counted():
     whole = found(Scope())
-    parts = [found(Scope(start_ns=a, end_ns=b)) for a, b in ((0, 8 * SECOND), (8 * SECOND, 0))]
+    parts = [found(Scope(period=Period(a, b))) for a, b in ((0, 8 * SECOND), (8 * SECOND, 0))]
     assert sum(part.datagrams for part in parts) == whole.datagrams
     assert [part.left_out - whole.left_out for part in parts] >= [part.datagrams for part in parts[::-1]]
     assert {part.zero_ns for part in parts} == {whole.zero_ns}
     assert parts[0].end_ns < whole.zero_ns + 8 * SECOND <= parts[1].start_ns
     assert parts[1].as_json()["not_examined"] == parts[1].left_out
-    empty = found(Scope(start_ns=900 * SECOND))
+    empty = found(Scope(period=Period(900 * SECOND)))
     assert (empty.datagrams, empty.bad) == (0, True)
 
 

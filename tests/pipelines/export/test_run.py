@@ -16,12 +16,13 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import edoras_tools
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
+from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.run import ExportTarget, export
 from edoras_tools.pipelines.export.sources import open_topics
-from edoras_tools.pipelines.export.tables import TableForm, TimeForm
-from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.export.tables import TableForm
+from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 
 SAMPLES = {
@@ -186,7 +187,7 @@ def test_a_bag_and_its_capture_give_the_same(suffix, tmp_path):
 
 
 def test_seconds_count_from_the_start_and_end_before_the_end(tmp_path):
-    scope = Scope(Selection(where="linear.x > 0.5"), 10 * 10**9, 20 * 10**9)
+    scope = Scope(Selection(where="linear.x > 0.5"), Period(10 * 10**9, 20 * 10**9))
     export(
         open_topics([ROVER], settings("a_rover"), scope),
         ExportTarget.of(tmp_path / "a.jsonl"),
@@ -242,7 +243,7 @@ def test_what_cannot_be_exported_leaves_nothing(patterns, chosen, error, words, 
 
 
 def test_a_time_outside_of_the_capture_says_what_times_there_are(tmp_path):
-    source = open_topics([ROVER], settings("a_rover"), Scope(start_ns=10**13))
+    source = open_topics([ROVER], settings("a_rover"), Scope(period=Period(10**13)))
     with pytest.raises(CaptureError, match=r"its times go from 0 to 65\.270 s"):
         export(source, ExportTarget.of(tmp_path / "a.csv"), ["cmd_vel"])
 
