@@ -57,7 +57,7 @@ class TaskOptions(NamedTuple):
         typer.Option(
             "--list-lost",
             metavar="FORMAT",
-            help="Only list the messages that did not arrive, with time and values; table, csv or json.",
+            help="Only list the messages that were lost, with time and values; table, csv or json.",
         ),
     ] = None
 
@@ -161,19 +161,12 @@ def _list_lost(
         console = output_console()
         console.print(missing_table(found, findings.diagnosis.zero_ns, console.width))
     elif listing is Listing.JSON:
-        print_json({"schema": 1, "missing": [item.as_json() for item in found]})
+        print_json({"schema": 1, "lost": len(found), "missing": [item.as_json() for item in found]})
     else:
         print_csv([item.as_json() for item in found])
-    told, listed = findings.diagnosis, sum(item.count for item in found)
-    missing = told.lost + told.superseded + told.unaccounted
-    if listed != missing:
-        tell(
-            f"{listed:,} listed, {missing:,} in the balance (lost, superseded, unaccounted): "
-            "counts that are missing while a path was closed, or on two links, are listed as well"
-        )
     if findings.failure is not None:
         raise findings.failure
-    if found or missing:
+    if findings.diagnosis.bad:
         raise typer.Exit(LOST)
 
 

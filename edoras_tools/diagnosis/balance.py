@@ -398,7 +398,7 @@ def _socket(
     case: Case, stream: Stream, common: tuple[int, str, int, str | None], way: int, silenced: int
 ) -> Row:
     """Return the row of Telemetry Output's socket: what it took and did not send until it was enabled."""
-    failed = any(case.suppressed(span) for span in case.telemetry.silences[stream.sender])
+    failed = case.socket_failed(stream)
     return Row(
         *common,
         telemetry_output.SOCKET,

@@ -293,6 +293,10 @@ class Case:
         said = self.said(span[0] - SECOND, span[1] + SECOND, telemetry_output.NAME)
         return next((item for item in said if telemetry_output.SUPPRESSED.phrase in item.message), None)
 
+    def socket_failed(self, stream: Stream) -> bool:
+        """Tell whether Telemetry Output says that its socket failed, in a time in which it sent nothing."""
+        return any(self.suppressed(span) for span in self.telemetry.silences[stream.sender])
+
     def at(self, time_ns: int) -> str:
         """Return a time as people are told of it: seconds into the capture."""
         return f"{max(0, time_ns - self.zero_ns) / SECOND:.1f} s"

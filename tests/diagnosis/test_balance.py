@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pytest
 from places import ROOT
 
 from edoras_tools.decode import Options
 from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.diagnosis.missing import missing
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT_PORT
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.render.doctor.missing import missing_table
 
 FOLDER = ROOT / "tests/captures"
 OPTIONS = {"n10_uplink_loss": Options(ports=((CI, 5234),))}
@@ -79,6 +83,20 @@ def test_every_row_adds_up_and_the_sums_are_those_of_the_rows(name, diagnosis):
     for figure in ("lost", "superseded", "unaccounted"):
         assert told[figure] == sum(row[figure] for row in told["balance"])
     assert told["examined"] == found.datagrams > 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_lost_message_is_listed_once(name, diagnosis):
+    found = diagnosis(name)
+    listed = missing(found.case)
+    assert len(listed) == found.lost
+    lost = Counter((row.link, row.msg_id) for row in found.balance for _ in range(row.all_lost))
+    assert Counter((item.link, item.concerns[1]) for item in listed) == lost
+    table, *rest, end = missing_table(listed, found.zero_ns, 200).renderables
+    counts = [int(cell.plain.replace(",", "")) for cell in table.columns[4].cells]
+    more = int(rest[0].plain.split()[1].replace(",", "")) if rest else 0
+    assert sum(counts) + more == found.lost
+    assert end.plain.startswith(f"{found.lost:,} message")
 
 
 @pytest.mark.parametrize("name", TRUTH)

@@ -84,7 +84,7 @@ class BeforeCi:
                 if before.cause == "unknown":
                     fate.uncounted += share
                     continue
-                self.losses.append(loss_of(self._known, fate, before.cause, chosen, evidence))
+                self.losses.append(loss_of(self._known, fate, before.cause, chosen, evidence, among=inside))
         return sum(parts)
 
     def _more_before_ci(self, account: Ingest) -> int:

@@ -14,7 +14,7 @@ Rules:
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     LEAD_NS,
     PIPE_EVENTS,
     TAIL_NS,
+    Among,
     Loss,
     LossKind,
     PipeKind,
@@ -89,11 +90,13 @@ class Part:
         outside: how many may be missing before the first count or behind the last.
         closed: whether the way out was closed: nobody would have sent them.
         silenced: whether Telemetry Output as a whole was silent until it was enabled.
+        among: which they are.
     """
 
     stream: Stream
     span: Span
     owner: int
+    among: Among
     missing: int = 0
     kinds: tuple[PipeKind, ...] = ()
     taken: dict[PipeKind, int] = field(default_factory=dict)
@@ -112,6 +115,7 @@ class Telemetry:
         closed: id of a stream to messages that were published while the way out was closed, and that no
             counter has.
         silenced: id of a stream to those that Telemetry Output took and did not send until it was enabled.
+        silent: these again: how many, among which.
         away: id of a stream to those that are missing while the capturing interface was away.
         silences: sender of telemetry to the times in which that was so.
         proxied: id of a stream to messages that are missing because a proxy dropped them on purpose.
@@ -125,6 +129,7 @@ class Telemetry:
         self.proxied: dict[int, int] = {}
         self.untold: dict[int, int] = {}
         self.silenced: dict[int, int] = {}
+        self.silent: list[tuple[int, Among]] = []
         self.away: dict[int, int] = {}
         self.silences: dict[int, list[tuple[int, int]]] = {}
         self.losses: list[Loss] = []
@@ -171,15 +176,17 @@ class Telemetry:
         made = known.instances.made_ns[own] if stream.instance != NOBODY else known.rows.time_ns[own]
         if hop is not None:
             # What was lost further up is that link's loss: here counts what came in and did not go out.
-            due = known.rows.time_ns[hop.into.rows[hop.absent]]
+            absent = np.flatnonzero(hop.absent)
+            due = known.rows.time_ns[hop.into.rows[absent]]
             # What came just before the last that went out may have waited for the next round.
             until = known.rows.time_ns[own[-1]] - known.profile.sbn_wake_ns
-            due = due[(due >= known.rows.time_ns[own[0]]) & (due <= until)]
+            inside = (due >= known.rows.time_ns[own[0]]) & (due <= until)
+            absent, due = absent[inside], due[inside]
             at = np.maximum(np.searchsorted(known.rows.time_ns[own], due, "right") - 1, 0)
             number = np.ones(len(due), np.int64)
             from_ns, until_ns = due - LEAD_NS, due + LEAD_NS
         else:
-            at = np.flatnonzero(missing[:-1])
+            at = absent = np.flatnonzero(missing[:-1])
             number = missing[at]
             from_ns, until_ns = made[at] - _SLACK_NS, made[at + 1] + _SLACK_NS
         if not len(at):
@@ -194,12 +201,20 @@ class Telemetry:
         if away.any():
             self.away[id(stream)] = int(number[away].sum())
         at, number, from_ns, until_ns = at[~away], number[~away], from_ns[~away], until_ns[~away]
-        silenced = silenced[~away]
+        silenced, absent = silenced[~away], absent[~away]
+
+        def among(chosen: NDArray[Any]) -> Among:
+            if hop is not None:
+                return Among(hop.into, absent[chosen])
+            return Among(stream, absent[chosen], number[chosen])
+
         closed = closed_at(known, stream, at)
         silenced &= ~closed
         closed |= silenced
         for index in np.flatnonzero(closed).tolist():
-            part = self._closed_part(stream, int(at[index]), owner, int(number[index]))
+            part = self._closed_part(
+                stream, int(at[index]), owner, int(number[index]), among(np.array([index]))
+            )
             part.silenced = bool(silenced[index])
             if counts is not None and stream.link.only_from_cfs:
                 # A pipe that nobody empties fills up: what the software bus counts then is lost.
@@ -209,11 +224,12 @@ class Telemetry:
                 )
             parts.append(part)
         at, number, from_ns, until_ns = at[~closed], number[~closed], from_ns[~closed], until_ns[~closed]
+        absent = absent[~closed]
         cut = known.spans(stream)
         which = np.searchsorted([item.first for item in cut], at, "right") - 1
         for index in np.unique(which).tolist():
             rows = np.flatnonzero(which == index)
-            part = Part(stream, cut[index], owner, int(number[rows].sum()))
+            part = Part(stream, cut[index], owner, among(rows), int(number[rows].sum()))
             gaps = np.zeros(len(own), np.int64)
             np.add.at(gaps, at[rows], number[rows])
             part.kinds = self._kinds(part, gaps, via=hop is not None)
@@ -254,11 +270,12 @@ class Telemetry:
             self.proxied[id(stream)] = int(found.sum())
         return found
 
-    def _closed_part(self, stream: Stream, at: int, owner: int, number: int) -> Part:
+    def _closed_part(self, stream: Stream, at: int, owner: int, number: int, among: Among) -> Part:
         """Return what is missing from a gap in which a stream's way out was closed."""
         behind = min(at + 1, len(stream) - 1)
         start_ns, end_ns = self._known.rows.time_ns[stream.rows[[at, behind]]].tolist()
-        return Part(stream, Span(at, behind, start_ns, end_ns, 0, number), owner, number, closed=True)
+        span = Span(at, behind, start_ns, end_ns, 0, number)
+        return Part(stream, span, owner, among, number, closed=True)
 
     def _tell_closed(self, part: Part) -> None:
         """Make losses of what was counted while the way out was closed; the rest nobody counts."""
@@ -272,6 +289,8 @@ class Telemetry:
         rest = part.missing - sum(part.taken.values())
         where = self.silenced if part.silenced else self.closed
         where[id(part.stream)] = where.get(id(part.stream), 0) + rest
+        if part.silenced:
+            self.silent.append((rest, part.among))
 
     def _kinds(self, part: Part, gaps: NDArray[np.int64], *, via: bool) -> tuple[PipeKind, ...]:
         """Tell as what the missing of a span may have been counted (rule 2), and collect what says so."""
@@ -380,6 +399,7 @@ class Telemetry:
             evidence=list(part.evidence),
             comb=self._known.rounds(part.stream, part.span),
             closed=part.closed,
+            among=part.among,
         )
 
 

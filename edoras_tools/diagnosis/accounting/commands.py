@@ -23,7 +23,7 @@ from edoras_tools.cfs import names, sbn
 from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
 from edoras_tools.diagnosis.accounting.leftover import Leftover
-from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, Loss
+from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, Among, Loss
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
 from edoras_tools.diagnosis.accounting.stops import stopped
 from edoras_tools.links.robot import ROBOT
@@ -62,6 +62,7 @@ class Commands:
         fates: id of a stream to what became of its messages.
         losses: what was lost.
         unplaced: id of a refusal to how many of its messages no stream here has.
+        placed: id of a refusal to how many of its messages are of a stream, and of which of that.
         uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
             nothing that was captured.
     """
@@ -79,6 +80,7 @@ class Commands:
         self.losses: list[Loss] = []
         self.fates: dict[int, Fate] = {}
         self.unplaced: dict[int, int] = {}
+        self.placed: dict[int, tuple[int, Among]] = {}
         for stream in known.streams:
             if stream.link.only_to_cfs or (stream.link.peers and not stream.counted):
                 self.fates[id(stream)] = follow(known, stream)
@@ -109,11 +111,10 @@ class Commands:
             for fate in self.fates.values():
                 if left and (item.link, item.msg_id) == (fate.stream.link.label, fate.stream.msg_id):
                     times = self._known.captured(fate.stream)
-                    inside = np.flatnonzero((times >= item.start_ns) & (times <= item.end_ns) & fate.open)[
-                        :left
-                    ]
-                    if len(inside):
-                        fate.refused[item.rule] += fate.claim(inside)
+                    inside = np.flatnonzero((times >= item.start_ns) & (times <= item.end_ns) & fate.open)
+                    if number := fate.claim(inside[:left]):
+                        fate.refused[item.rule] += number
+                        self.placed[id(item)] = number, Among(fate.stream, inside)
                     left = 0  # what is not open arrived, or is told of by another verdict
             self.unplaced[id(item)] = left
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs import command_ingest
-from edoras_tools.diagnosis.accounting.losses import BEFORE_CI, CI_SOCKET, Loss
+from edoras_tools.diagnosis.accounting.losses import BEFORE_CI, CI_SOCKET, Among, Loss
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.units import SECOND
 
@@ -132,7 +132,13 @@ def follow(known: Known, stream: Stream) -> Fate:
 
 
 def loss_of(
-    known: Known, fate: Fate, kind: LossKind, rows: NDArray[np.intp], evidence: list[str], hop: str = ""
+    known: Known,
+    fate: Fate,
+    kind: LossKind,
+    rows: NDArray[np.intp],
+    evidence: list[str],
+    hop: str = "",
+    among: NDArray[np.intp] | None = None,
 ) -> Loss:
     """Return the loss of some messages of a stream.
 
@@ -143,6 +149,7 @@ def loss_of(
         rows: which, as indices into the stream's rows.
         evidence: what was seen.
         hop: where; by default where that kind of loss is.
+        among: which they may be as well; by default it is sure which they are.
     """
     own = known.captured(fate.stream)
     start_ns, end_ns = int(own[rows].min()), int(own[rows].max())
@@ -159,6 +166,7 @@ def loss_of(
         end_ns=end_ns,
         confidence="high" if fate.seen else "medium",
         evidence=evidence,
+        among=Among(fate.stream, rows if among is None else among),
     )
 
 

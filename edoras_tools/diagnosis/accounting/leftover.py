@@ -20,6 +20,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     LEAD_NS,
     PIPE_EVENTS,
     TAIL_NS,
+    Among,
     Loss,
 )
 from edoras_tools.links.table import carrying
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.losses import Known, PipeKind
     from edoras_tools.diagnosis.accounting.pipes import Pipes
     from edoras_tools.diagnosis.evidence.events import Culprit, Said
+    from edoras_tools.diagnosis.matching.spans import Span
     from edoras_tools.diagnosis.matching.streams import Stream
 
 
@@ -226,8 +228,9 @@ class Leftover:
 
     def _blame(self, item: Candidate, span: int, number: int, times: tuple[int, int], rivals: int) -> None:
         cut = item.spans[span] if item.spans else None
-        if cut is not None and item.stream is not None and item.said is not None:
-            self._pipes.lose(item.stream, cut, item.kind, number, item.instance)
+        among = self._among(item.stream, cut) if cut is not None and item.stream is not None else None
+        if cut is not None and among is not None and item.said is not None:
+            self._pipes.lose(among.stream, cut, item.kind, number, item.instance, among.rows)
             if rivals > 1:
                 self.losses[-1].evidence.append("events name others too: shared out by rates, or by events")
             return
@@ -256,8 +259,14 @@ class Leftover:
                 confidence="medium" if rivals == 1 else "low",
                 evidence=evidence,
                 sender=item.sender,
+                among=among,
             )
         )
+
+    def _among(self, stream: Stream, cut: Span) -> Among:
+        """Return the messages of a span of which nothing has told what became of them."""
+        rows, fate = np.arange(cut.first, cut.last + 1), self.fates.get(id(stream))
+        return Among(stream, rows if fate is None else rows[fate.open[rows]])
 
     def _unknown(
         self, instance: int, kind: PipeKind, number: int, counts: Counts, seconds: list[int]

@@ -61,6 +61,21 @@ SBN_SOCKET: Final = "SBN socket"
 BEHIND: Final = "between cFS and the capture"
 
 
+@dataclass(frozen=True, slots=True)
+class Among:
+    """The messages that a loss is some of, or all.
+
+    Attributes:
+        stream: where they are, or are missing.
+        rows: indices into its rows: the messages themselves, or what came before those that are missing.
+        missing: (rows,), how many behind each; None where the rows are the messages.
+    """
+
+    stream: Stream
+    rows: NDArray[np.intp]
+    missing: NDArray[np.int64] | None = None
+
+
 @dataclass(slots=True)
 class Loss:
     """Messages of one route that were lost in one span of time.
@@ -81,6 +96,7 @@ class Loss:
         comb: the rounds in which the stream arrives.
         sender: application that sent them, as an event names it.
         closed: Telemetry Output was not sending meanwhile: it would not have sent them either.
+        among: the messages that it is, or is some of; None where nothing tells.
     """
 
     kind: LossKind
@@ -98,6 +114,7 @@ class Loss:
     comb: Comb | None = None
     sender: str = ""
     closed: bool = False
+    among: Among | None = None
 
     @property
     def offered_hz(self) -> float:

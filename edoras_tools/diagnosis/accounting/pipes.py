@@ -15,6 +15,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     LEAD_NS,
     PIPE_EVENTS,
     TAIL_NS,
+    Among,
     Loss,
     PipeKind,
 )
@@ -129,16 +130,36 @@ class Pipes:
         rows = np.arange(cut.first, cut.last + 1)
         place = _ORDER[claim.key % _TURNS][1]
         for kind, number in claim.taken.items():
-            chosen = rows[_standing(fate)[place][rows]][:number]
+            among = rows[_standing(fate)[place][rows]]
+            chosen = among[:number]
             fate.open[chosen] = fate.waits[chosen] = False
             if len(chosen):
-                self.lose(fate.stream, cut, kind, len(chosen), instance)
+                self.lose(fate.stream, cut, kind, len(chosen), instance, among)
 
-    def lose(self, stream: Stream, cut: Span, kind: PipeKind, number: int, instance: int) -> None:
-        """Add to the loss at a pipe of a span of a stream."""
+    def lose(
+        self,
+        stream: Stream,
+        cut: Span,
+        kind: PipeKind,
+        number: int,
+        instance: int,
+        among: NDArray[np.intp],
+    ) -> None:
+        """Add to the loss at a pipe of a span of a stream.
+
+        Args:
+            stream: of which.
+            cut: the span.
+            kind: why.
+            number: how many.
+            instance: the cFS that counted them.
+            among: which they are, or are some of.
+        """
         for loss in self.losses:
             if (loss.stream, loss.kind, loss.instance) == (stream, kind, instance) and loss.span == cut:
                 loss.lost += number
+                before = loss.among.rows if loss.among else among[:0]
+                loss.among = Among(stream, np.union1d(before, among))
                 return
         culprit, said = self._named(stream, kind, instance)
         evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them"]
@@ -167,6 +188,7 @@ class Pipes:
                 confidence="high" if culprit else "medium",
                 evidence=evidence,
                 sender=culprit.sender if culprit else "",
+                among=Among(stream, among),
             )
         )
 

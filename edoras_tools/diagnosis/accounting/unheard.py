@@ -6,7 +6,7 @@ One that is silent when the capture ends may be there or not: what was sent sinc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,11 +23,13 @@ class Unheard:
         peer: who, as ``66:3``.
         lost: how many, to one that was given up.
         unaccounted: how many, to one that was silent when the capture ended.
+        rows: those that are lost, as indices into the stream's rows.
     """
 
     peer: str
     lost: int = 0
     unaccounted: int = 0
+    rows: list[int] = field(default_factory=list)
 
 
 def unheard(known: Known) -> dict[int, Unheard]:
@@ -43,9 +45,10 @@ def unheard(known: Known) -> dict[int, Unheard]:
             item = found.setdefault(id(stream), Unheard(connection.peer))
             times = known.captured(stream)
             for silence in silences:
-                number = int(np.sum((times > silence.start_ns) & (times < silence.until_ns)))
+                inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
                 if silence.given_up:
-                    item.lost += number
+                    item.lost += len(inside)
+                    item.rows += inside
                 else:
-                    item.unaccounted += number
+                    item.unaccounted += len(inside)
     return found

@@ -1,4 +1,4 @@
-"""The messages that did not arrive, with their values."""
+"""The messages that were lost, with their values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def list_missing(
     choice: Choice | None = None,
     progress: Progress | None = None,
 ) -> list[Missing]:
-    """Return the messages that did not arrive, with the values of those that the capture contains.
+    """Return the messages that were lost, with the values of those that the capture contains.
 
     Args:
         case: the judged capture.
@@ -34,7 +34,7 @@ def list_missing(
         choice: which messages; None for all.
         progress: updated while the source is read.
     """
-    found = [item for item in missing(case) if choice is None or choice.takes(item.link, item.msg_id)]
+    found = [item for item in missing(case) if choice is None or choice.takes(*item.concerns)]
     wanted = {item.number: place for place, item in enumerate(found) if item.number is not None}
     dissector = Dissector(bench.columns.context, detail=False)
     try:

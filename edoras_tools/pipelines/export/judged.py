@@ -52,6 +52,7 @@ _FIELDS: Final = {
         "until_ns": _COUNT,
         "number": _COUNT,
         "first": _COUNT,
+        "one_of": _COUNT,
         "what": _TEXT,
         "message": _TEXT,
     },

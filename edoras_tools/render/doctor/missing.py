@@ -1,8 +1,9 @@
-"""What did not arrive, one line each."""
+"""The messages that were lost; those that are told in the same words share a line."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Group
 from rich.text import Text
@@ -12,6 +13,7 @@ from edoras_tools.render import units
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build, plain
 from edoras_tools.render.values import value_text
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,21 +30,23 @@ def missing_table(found: Sequence[Missing], start_ns: int, width: int) -> Render
     """Return the table.
 
     Args:
-        found: what did not arrive.
+        found: what was lost.
         start_ns: the first datagram: times count from it.
         width: of the terminal.
     """
+    lines = [list(alike) for _, alike in groupby(found, key=_same)]
     rows = [
         {
-            "when": f"{(item.time_ns - start_ns) / 1e9:.3f} s",
-            "packet": units.count(item.number) if item.number is not None else "",
-            "msg_id": "" if item.msg_id == NO_MSG_ID else f"0x{item.msg_id:04x}",
-            "topic": item.topic or "",
-            "count": units.count(item.count),
-            "what": item.what if item.first is None else f"{item.what}, from count {item.first}",
-            "values": value_text(item.message) if item.message else "",
+            "when": f"{(first.time_ns - start_ns) / 1e9:.3f} s",
+            "packet": units.count(first.number) if first.number is not None else "",
+            "msg_id": "" if first.msg_id == NO_MSG_ID else f"0x{first.msg_id:04x}",
+            "topic": first.topic or "",
+            "count": units.count(len(alike)),
+            "what": _what(alike),
+            "values": value_text(first.message) if first.message else "",
         }
-        for item in found[:_MOST_LINES]
+        for alike in lines[:_MOST_LINES]
+        for first in alike[:1]
     ]
     columns = (
         Column("When", lambda row: plain(row["when"])),
@@ -54,6 +58,23 @@ def missing_table(found: Sequence[Missing], start_ns: int, width: int) -> Render
         Column("Values", lambda row: plain(row["values"]), justify="left", elastic=True, rank=1),
     )
     parts: list[RenderableType] = [build(columns, rows, width)]
-    if len(found) > _MOST_LINES:
-        parts.append(Text(f"and {len(found) - _MOST_LINES:,} more: --list-lost csv", palette.DIM))
+    if rest := sum(map(len, lines[_MOST_LINES:])):
+        parts.append(Text(f"and {rest:,} more: --list-lost csv", palette.DIM))
+    parts.append(Text(f"{plural(len(found), 'message')} lost."))
     return Group(*parts)
+
+
+def _same(item: Missing) -> tuple[Any, ...]:
+    """Return what messages on one line have in common; one that is a packet has a line of its own."""
+    counted = item.first is not None
+    return item.number, item.time_ns, item.until_ns, item.msg_id, item.link, item.what, item.one_of, counted
+
+
+def _what(alike: Sequence[Missing]) -> str:
+    first, last = alike[0], alike[-1]
+    if first.one_of is not None:
+        return f"{first.what}; which of {first.one_of:,} is not known"
+    if first.first is None or last.first is None:
+        return first.what if first.number is not None else f"{first.what}; which is not known"
+    counts = f"count {first.first}" if last is first else f"counts {first.first} to {last.first}"
+    return f"{first.what}, {counts}"
