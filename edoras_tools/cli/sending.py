@@ -259,7 +259,7 @@ def carry_out(
     if report.failure is not None:
         raise report.failure
     lost_outputs(report.losses)
-    if report.send_errors or report.responses.lost:
+    if report.lost:
         raise typer.Exit(LOST)
 
 

@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 from waiting import HOST, Ear, Program, free_ports, until
@@ -138,6 +139,7 @@ def test_into_the_emulated_cfs_and_what_comes_back(call, captures, missions, fli
     assert 0 < lost < 30
     assert done.code == 3
     assert report["sent"] == 30
+    assert report["ingest"] == {"state": "all", "sent": 30, "read": 30, "missing": 0}
     assert report["seen"]["counters"]["message_limit_error_counter"]["gained"] == lost
     told = {event["message"] for event in report["seen"]["events"]}
     assert "Msg Limit Err,MsgId 0x1827,pipe EDORAS_APP_PIPE,sender CI_LAB_APP" in told
@@ -160,6 +162,46 @@ def test_as_a_peer_of_the_emulated_cfs(call, missions, flight_side):
 
     until(lambda: told()[-1:] == ["5: Disconnected from peer 66:3."], told)
     assert "5: Peer 66:3 connected." in told()
+
+
+@pytest.fixture
+def as_peer(call, missions, tmp_path, flight_side):
+    """Arguments that inject a pose into an emulated cFS as one of its SBN peers; its telemetry is enabled."""
+    profile = flight_side("two-rovers").cfs.profile
+    ci, peer = f"{HOST}:{profile.ci_port}", f"{HOST}:{profile.sbn_peers[0].port}"
+    assert call("inject", "to-enable", "--target", ci, "--no-listen").code == 0
+    ground = Path(missions("two_rovers_ground")[1]).read_text()
+    (tmp_path / "ground.yaml").write_text(
+        ground.replace("bridge_port: 1235", f"bridge_port: {profile.to_port}")
+    )
+    return (
+        *("inject", "/robot_1/pose", *missions("two_rovers_flight"), "-c", tmp_path / "ground.yaml"),
+        *("--target", f"{HOST}:{profile.sbn_port}", "--listen", peer, "--linger", "1ms"),
+    )
+
+
+def test_an_identity_that_cfs_does_not_know_is_told_by_its_own_event(call, as_peer):
+    done = call(*as_peer, "--as", "66:9", "--timeout", "30s", "-q")
+    assert (done.code, len(done.err)) == (1, 1)
+    assert "cFS says 'SBN 259: ERROR: unknown peer 66:9': its SBN peer table has no such peer" in done.err[0]
+
+
+def test_a_peer_can_be_waited_for(call, as_peer):
+    done = call(*as_peer, "--wait-for", "peer", "--json")
+    assert (done.code, done.json()["sent"], done.json()["ingest"]) == (0, 1, None)
+    refused = call("inject", "noop", "ci", "--wait-for", "peer")
+    assert (refused.code, len(refused.err)) == (2, 1)
+    assert "--wait-for peer needs an SBN session: --to sbn" in refused.err[0]
+
+
+def test_before_telemetry_is_enabled_nothing_can_answer(call, flight_side):
+    profile = flight_side("rover").cfs.profile
+    reach = ("--target", f"{HOST}:{profile.ci_port}", "--listen", f"{HOST}:{profile.to_port}")
+    done = call("inject", "noop", "ci", *reach, "--linger", "100ms")
+    assert done.code == 0
+    said = " ".join(" ".join(done.err).split())
+    assert f"no telemetry came to {HOST}:{profile.to_port}, so nothing can answer" in said
+    assert "edoras inject to-enable" in said
 
 
 def test_a_dry_run_sends_nothing(call, captures, receiver):

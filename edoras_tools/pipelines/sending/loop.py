@@ -45,6 +45,8 @@ _ROUND_NS: Final = 20 * MILLISECOND
 """Period of the checks, however busy the loop is; it also limits how late Ctrl-C and keys are noticed."""
 _ABSENT_NS: Final = SECOND
 """If the target refuses within this time after the first datagram, it is absent."""
+_SILENT_NS: Final = 3500 * MILLISECOND
+"""CI reports once a second; after this time without a report none is expected."""
 _LEAD_NS: Final = 2 * MILLISECOND
 """Time from the start to the first deadline, so that the first datagram is not late."""
 
@@ -61,6 +63,7 @@ class SendSchedule:
         passes: how often; 0: until it is stopped.
         paused: start in single steps.
         linger_ns: how long to listen after the last datagram.
+        follow_ns: how long to listen at most while CI's count shows that it has more to read; 0: no longer.
     """
 
     target: str
@@ -70,6 +73,7 @@ class SendSchedule:
     passes: int = 1
     paused: bool = False
     linger_ns: int = 0
+    follow_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -91,6 +95,7 @@ class SendReport:
         failure: why it ended early.
         notes: for the user, one line each.
         losses: outputs of its recording that were removed while they were written.
+        to_ci: whether it went to Command Ingest, and answers could be received.
     """
 
     responses: Responses
@@ -107,6 +112,13 @@ class SendReport:
     failure: EdorasError | None = None
     notes: list[str] = field(default_factory=list)
     losses: list[OutputLoss] = field(default_factory=list)
+    to_ci: bool = False
+
+    @property
+    def lost(self) -> int:
+        """Datagrams and messages that were certainly lost: refused, never read by CI, or lost on the bus."""
+        unread = self.responses.ingest.missing if self.to_ci else 0
+        return self.send_errors + unread + self.responses.lost
 
     @property
     def achieved_hz(self) -> float | None:
@@ -125,6 +137,7 @@ class SendReport:
             "send_errors": self.send_errors,
             "errors": self.errors,
             "faults": self.faults,
+            "ingest": self.responses.ingest.summary() if self.to_ci else None,
             "interrupted": self.interrupted,
             "failure": str(self.failure) if self.failure else None,
             "notes": [*self.notes, *map(str, self.losses)],
@@ -188,8 +201,9 @@ class Sending:
             try:
                 self._wait_for(wait_for, timeout_ns)
                 if not self.stopped:
+                    report.responses.ingest.begin()
                     self._send_all()
-                    self._listen(self._schedule.linger_ns)
+                    self._listen()
             except CaptureError as error:
                 report.failure = error
             except KeyboardInterrupt:  # the second Ctrl-C
@@ -209,17 +223,17 @@ class Sending:
     def _wait_for(self, wait_for: Iterable[Condition], timeout_ns: int) -> None:
         began = self._wire.now()
         for condition in wait_for:
-            ask_ns = self._wire.now()
+            since = ask_ns = self._wire.now()
             while not self.stopped:
                 now = self._look_around()
-                if condition.met():
+                if condition.met() or now - since >= condition.patience_ns > 0:
                     break
-                if now - began >= timeout_ns:
+                if condition.hopeless() or (now - began >= timeout_ns and not condition.patience_ns):
                     raise CaptureError(condition.explain((now - began) / SECOND))
                 if now >= ask_ns:
                     condition.ask()
                     ask_ns = now + SECOND
-                self._wire.wait(min(now + _ROUND_NS, began + timeout_ns))
+                self._wire.wait(now + _ROUND_NS)
 
     def _send_all(self) -> None:
         out, changes, passes = self._schedule.out, self._schedule.changes, self._schedule.passes
@@ -294,9 +308,10 @@ class Sending:
     def _look_around(self) -> int:
         """Handle what arrived, keep the session alive, handle keys; return the time."""
         now = self._wire.now()
-        session = self._session
+        session, responses = self._session, self.report.responses
+        responses.ingest.sent = self._wire.statistics.sent
         for item in self._wire.receive():
-            self.report.responses.add(item.link, item.payload, now + self._epoch_ns)
+            responses.add(item.link, item.payload, now + self._epoch_ns)
             if session is not None and item.link.peers:
                 self._put(session.receive_datagram(item.payload, now=now).datagrams)
         if session is not None:
@@ -332,10 +347,24 @@ class Sending:
         elif key in "n\n":
             self._steps += self._paused
 
-    def _listen(self, linger_ns: int) -> None:
-        until = self._wire.now() + linger_ns
-        while (now := self._look_around()) < until and not self.stopped:
-            self._wire.wait(min(now + _ROUND_NS, until))
+    def _listen(self) -> None:
+        """Listen for the linger time, and longer while CI still reads what was sent."""
+        schedule, ingest = self._schedule, self.report.responses.ingest
+        began = reported = self._wire.now()
+        until, count = began + schedule.linger_ns, ingest.reports
+        while not self.stopped:
+            now = self._look_around()
+            if ingest.reports != count:
+                reported, count = now, ingest.reports
+            follows = (
+                now - began < schedule.follow_ns
+                and now - reported < _SILENT_NS
+                and bool(ingest.reports)
+                and not ingest.is_final
+            )
+            if now >= until and not follows:
+                break
+            self._wire.wait(now + _ROUND_NS if now >= until else min(now + _ROUND_NS, until))
 
     def _spoil(self, out: Outgoing, first: int, last: int, now: int) -> None:
         assert self._faults is not None

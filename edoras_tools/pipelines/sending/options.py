@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 CAP_HZ: Final = 1000.0
 """Maximum datagrams per second to another machine, unless the user sets a limit."""
 _LISTEN_NS: Final = 2 * SECOND
+_FOLLOW_NS: Final = 30 * SECOND
+"""A full socket drains for about 12 s: CI reads 11 datagrams each half second."""
 _NO_LISTEN_NS: Final = 100 * MILLISECOND
 _IDENTITY: Final = Peer(0x42, 3)
 
@@ -62,10 +64,13 @@ class SendOptions:
         role: SBN behaviour.
         listen: where answers are received; None: this machine's address towards the target, and the port
             that the mission names.
+        events: SBN: where cFS's events are received, if the port is free; from ``placed``.
         no_listen: receive nothing except answers of an SBN link.
         wait_for: conditions before the first datagram: ``peer``, ``to-enabled``, ``event:TEXT``; ``nothing``.
         timeout_ns: how long to wait for them.
-        linger_ns: how long to listen after the last datagram; None: two seconds, if answers can be received.
+        linger_ns: how long to listen after the last datagram; None: two seconds, if answers can be received,
+            and longer while CI has not read everything.
+        follow_ns: how long to listen at most while CI has not read everything; from ``placed``.
         allow: patterns of what may be sent, e.g. ``0x18*``; empty: everything.
         speed: as a multiple of the recorded speed.
         rates: messages per second: (pattern, Hz); the pattern ``*`` sends all messages at even intervals.
@@ -84,10 +89,12 @@ class SendOptions:
     sender: Peer | None = None
     role: Role = Role.STOCK
     listen: Endpoint | None = None
+    events: Endpoint | None = None
     no_listen: bool = False
     wait_for: Sequence[str] = ()
     timeout_ns: int = 10 * SECOND
     linger_ns: int | None = None
+    follow_ns: int = 0
     allow: Sequence[str] = ()
     speed: float = 1.0
     rates: Sequence[tuple[str, float]] = ()
@@ -100,8 +107,8 @@ class SendOptions:
     passes: int = 1
     step: bool = False
 
-    def __post_init__(self) -> None:
-        """Check the combination.
+    def _check(self) -> None:
+        """Check the combination, once the receiver is known.
 
         Raises:
             ConfigError: options contradict each other, or a condition is not known.
@@ -124,12 +131,22 @@ class SendOptions:
                 raise ConfigError(f"--wait-for {item} needs answers: leave --no-listen out")
 
     @property
+    def follows_ci(self) -> bool:
+        """Whether CI's own count can show how much of what is sent it has read."""
+        return self.to is Receiver.CI and self.listen is not None
+
+    @property
     def has_session(self) -> bool:
         """Whether an SBN session is held while sending."""
         return self.to is Receiver.SBN and self.role is not Role.CAPTURED
 
     def placed(self, mission: Mission) -> SendOptions:
-        """Return these options with the mission's values and the defaults filled in."""
+        """Return these options with the mission's values and the defaults filled in.
+
+        Raises:
+            ConfigError: options contradict each other, or a condition is not known.
+        """
+        self._check()
         ground, flight = next(iter(mission.ground), None), next(iter(mission.flight), None)
         to_port, listen_port = {
             Receiver.CI: (ground.fsw_port, ground.bridge_port) if ground else (1234, 1235),
@@ -143,14 +160,19 @@ class SendOptions:
             listen = Endpoint(LOOPBACK if near else own_address(target), listen_port)
         if self.no_listen and self.to is not Receiver.SBN:
             listen = None
+        events = None
+        if self.to is Receiver.SBN and not self.no_listen and listen is not None:
+            events = Endpoint(listen.address, ground.bridge_port if ground else 1235)
         linger = _NO_LISTEN_NS if listen is None or self.no_listen else _LISTEN_NS
         wait_for = self.wait_for or (("peer",) if self.has_session else ())
         return replace(
             self,
             target=target,
             listen=listen,
+            events=events,
             linger_ns=linger if self.linger_ns is None else self.linger_ns,
-            wait_for=() if "nothing" in wait_for else wait_for,
+            follow_ns=_FOLLOW_NS if self.linger_ns is None else 0,
+            wait_for=("nothing",) if "nothing" in wait_for else wait_for,
         )
 
     def identity(self, mission: Mission) -> Peer:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.cfs import command_ingest
 from edoras_tools.cfs.names import message_name
 from edoras_tools.errors import TruncatedError
+from edoras_tools.pipelines.sending.ingest import IngestCount
 from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.packet import msg_id_of
 
@@ -44,6 +46,7 @@ class Responses:
         counters: of the software bus, the first and the last received.
         counts: packets by link and MsgId.
         network: SBN messages by type, other than application messages.
+        ingest: what CI's own count shows of what was sent to it.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -51,6 +54,7 @@ class Responses:
         self.counters: tuple[dict[str, int], dict[str, int]] | None = None
         self.counts: dict[tuple[Link, int], int] = {}
         self.network: dict[str, int] = {}
+        self.ingest = IngestCount()
         self._mission = mission
 
     def add(self, link: Link, data: bytes, now: int) -> None:
@@ -79,6 +83,9 @@ class Responses:
                 self._event(data, now)
             elif msg_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID:
                 self._bus(data)
+            elif msg_id == command_ingest.HOUSEKEEPING_MSG_ID:
+                values = cfe.COMMAND_INGEST_HOUSEKEEPING.parse(data, cfe.TELEMETRY_HEADER_BYTES)
+                self.ingest.reported(values["ingest_packets"] + values["ingest_errors"])
         except TruncatedError:
             pass  # it is counted, and nothing more can be read from it
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedul
 from edoras_tools.pipelines.sending.options import Receiver, Role
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.pipelines.sending.safety import check_allowed
-from edoras_tools.pipelines.sending.wait_for import conditions
+from edoras_tools.pipelines.sending.wait_for import conditions, count_known
 from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.sessions.sbn.habits import CLIENT, PUBLIC_BRIDGE
 from edoras_tools.units import SECOND
@@ -138,7 +139,13 @@ class Transmission:
         """
         options = self.options
         assert options.target is not None
-        report = SendReport(Responses(self.mission), self.total, self.table.rate_hz, notes=list(self.notes))
+        report = SendReport(
+            Responses(self.mission),
+            self.total,
+            self.table.rate_hz,
+            notes=list(self.notes),
+            to_ci=options.follows_ci,
+        )
         with ExitStack() as stack:
             is_sbn = options.to is Receiver.SBN
             transmitter = stack.enter_context(Transmitter(options.target, options.listen if is_sbn else None))
@@ -147,6 +154,10 @@ class Transmission:
                 listener = stack.enter_context(Listener(options.listen))
                 listeners.append((carrying("ground", to_cfs=options.to is not Receiver.CI), listener))
             local = listeners[0][1].local if listeners else transmitter.local
+            if options.events is not None:
+                with suppress(CaptureError):  # a bridge that has the port is told of the events
+                    listener = stack.enter_context(Listener(options.events))
+                    listeners.append((carrying("ground", to_cfs=False), listener))
             wire: Wire = UdpWire(transmitter, options.to.link, listeners, [keys.fileno()] if keys else ())
             recorded = recording(wire) if recording else None
             wire = recorded or wire
@@ -172,7 +183,13 @@ class Transmission:
                 wire=wire,
                 local=local,
             )
+            wait_for = chain(wait_for, count_known(options, report.responses, wire))
             sending.run(wait_for, options.timeout_ns)
+        if report.to_ci and report.failure is None and not report.responses.telemetry:
+            report.notes.append(
+                f"no telemetry came to {local}, so nothing can answer, and nothing shows whether cFS read "
+                "what was sent; usually Telemetry Output is not enabled: edoras inject to-enable"
+            )
         if recorded is not None:
             try:
                 recorded.close()
@@ -191,6 +208,7 @@ class Transmission:
             options.passes,
             options.step,
             options.linger_ns or 0,
+            options.follow_ns,
         )
 
     def _session(self, now: int) -> SbnConnection | None:

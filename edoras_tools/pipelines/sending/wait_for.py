@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.io.net.address import ANY_ADDRESS, own_address
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.pipelines.sending.safety import called
+from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.sbn.connection import SbnConnection
 
 _MOST_NAMED: Final = 4
+_ONE_REPORT_NS: Final = 1300 * MILLISECOND
+"""CI reports its count once a second; what is not there by then does not come."""
+_AFTER_ASKING_NS: Final = 3300 * MILLISECOND
+"""The same, and a second report that repeats it: CI has read what asked for telemetry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +41,16 @@ class Condition:
         met: returns whether it is met.
         ask: called about once a second until it is met.
         explain: returns what was tried and what usually is the cause; its argument is the time waited in s.
+        patience_ns: how long to wait before going on without it; 0: it is required.
+        hopeless: returns whether it can no longer be met.
     """
 
     name: str
     met: Callable[[], bool]
     explain: Callable[[float], str]
     ask: Callable[[], None] = lambda: None
+    patience_ns: int = 0
+    hopeless: Callable[[], bool] = lambda: False
 
 
 def conditions(
@@ -67,7 +76,7 @@ def conditions(
     """
     for item in options.wait_for:
         if item == "peer" and session is not None:
-            yield _peer(out, options, mission, session, wire, local)
+            yield _peer(out, options, mission, responses, session=session, wire=wire, local=local)
         elif item == "to-enabled":
             yield _enabled(options, responses, wire, local)
         elif item.startswith("event:"):
@@ -75,11 +84,29 @@ def conditions(
 
 
 def _peer(
-    out: Outgoing, options: SendOptions, mission: Mission, session: SbnConnection, wire: Wire, local: Endpoint
+    out: Outgoing,
+    options: SendOptions,
+    mission: Mission,
+    responses: Responses,
+    *,
+    session: SbnConnection,
+    wire: Wire,
+    local: Endpoint,
 ) -> Condition:
     wanted = set(np.unique(out.msg_id[out.msg_id != NO_MSG_ID]).tolist())
 
+    event = sbn.UNKNOWN_PEER
+    told = f"{event.app} {event.event_id}: {event.text.format(**session.own._asdict())}"
+
+    def unknown() -> bool:
+        return session.answered is None and told in responses.events
+
     def explain(seconds: float) -> str:
+        if unknown():
+            return (
+                f"no SBN peer answered at {options.target} within {seconds:.1f} s: cFS says {told!r}: its "
+                "SBN peer table has no such peer; set --as SC:CPU as in the table"
+            )
         if session.answered is None:
             refusal = f"; {options.target} refuses: no program listens there"
             refused = refusal if wire.statistics.refused else ""
@@ -98,7 +125,9 @@ def _peer(
             "--route, or send it anyway with --wait-for nothing"
         )
 
-    return Condition("peer", lambda: session.connected and wanted <= session.subscribed, explain)
+    return Condition(
+        "peer", lambda: session.connected and wanted <= session.subscribed, explain, hopeless=unknown
+    )
 
 
 def _enabled(options: SendOptions, responses: Responses, wire: Wire, local: Endpoint) -> Condition:
@@ -117,6 +146,19 @@ def _enabled(options: SendOptions, responses: Responses, wire: Wire, local: Endp
         )
 
     return Condition("to-enabled", lambda: responses.telemetry > 0, explain, ask)
+
+
+def count_known(options: SendOptions, responses: Responses, wire: Wire) -> Iterator[Condition]:
+    """Yield the wish that CI's count is known before the first datagram leaves, where CI can be followed.
+
+    Args:
+        options: placed.
+        responses: what was received so far.
+        wire: what was sent so far; what asked for telemetry among it.
+    """
+    if options.follows_ci and "nothing" not in options.wait_for:
+        patience_ns = _AFTER_ASKING_NS if wire.statistics.sent else _ONE_REPORT_NS
+        yield Condition("count", lambda: responses.ingest.is_known, lambda _: "", patience_ns=patience_ns)
 
 
 def _event(text: str, responses: Responses, local: Endpoint) -> Condition:

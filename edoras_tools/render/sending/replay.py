@@ -128,6 +128,8 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
         facts.add_row("faults", plain(what, palette.STRONG))
     for note in summary["notes"]:
         facts.add_row("note", plain(note))
+    if told := _ingested(summary["ingest"]):
+        facts.add_row("read", told)
     seen = summary["seen"]
     for name, row in seen["counters"].items():
         style = Level.ERROR.style if row["gained"] else palette.DIM
@@ -141,6 +143,30 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
     if seen["sbn"]:
         facts.add_row("SBN", ", ".join(f"{name} {count:,}" for name, count in seen["sbn"].items()))
     return Group(facts, Text(), _routes(seen["telemetry"])) if seen["telemetry"] else facts
+
+
+def _ingested(ingest: Mapping[str, Any] | None) -> Text | None:
+    """Return how much of what was sent Command Ingest has read, where its count shows it."""
+    if ingest is None or ingest["state"] == "unknown":
+        return None
+    read, sent, missing = ingest["read"], ingest["sent"], ingest["missing"]
+    of = f"{units.count(read)} of {units.count(sent)}" if read is not None else ""
+    gone = f"{units.count(missing or 0)} never came to it: its socket was full, or they were lost on the way"
+    text, style = {
+        "all": (f"all {units.count(sent)} by Command Ingest", ""),
+        "missing": (f"{of} by Command Ingest; {gone}", Level.ERROR.style),
+        "waiting": (
+            f"{of} by Command Ingest when listening ended; the others may wait in its socket",
+            Level.WARNING.style,
+        ),
+        "partly": (
+            f"at least {of} by Command Ingest; the others were sent before its count was known",
+            palette.DIM,
+        ),
+        "others": ("Command Ingest also read what others sent: its count shows nothing", palette.DIM),
+        "restarted": ("Command Ingest's count began anew: it shows nothing", Level.WARNING.style),
+    }[ingest["state"]]
+    return Text(text, style)
 
 
 def _rate(hertz: float | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedul
 from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions
 from edoras_tools.pipelines.sending.replay import ReplaySelection, load_datagrams
 from edoras_tools.pipelines.sending.responses import Responses
-from edoras_tools.pipelines.sending.wait_for import Condition, conditions
+from edoras_tools.pipelines.sending.wait_for import Condition, conditions, count_known
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.outgoing import Changes, Outgoing, Packet, SequenceRule
 from edoras_tools.sessions.pacing import Pacing
@@ -346,6 +347,66 @@ def test_telemetry_is_enabled_before_the_first_command(wanted, rover):
     assert (first[:2], first[6], first[8:17]) == (b"\x18\x80", 6, b"127.0.0.1")
     assert wire.sent[-1][1] == out[0]
     assert seen.says("telemetry output enabled")
+
+
+def follow(simulation, out, **options):
+    """Send into an emulated CI, as fast as possible, and follow its count."""
+    wire = SimulatedWire(simulation, simulation.cfs.ci_endpoint, {1235: TO})
+    options = SendOptions(**options).placed(Mission())
+    table = Pacing(unpaced=True).timetable(out.time_ns)
+    report = SendReport(Responses(Mission()), len(out), None, to_ci=options.follows_ci)
+    opened = conditions(
+        out,
+        options,
+        Mission(),
+        responses=report.responses,
+        session=None,
+        wire=wire,
+        local=Endpoint("127.0.0.1", 1235),
+    )
+    schedule = SendSchedule("there", out, table, linger_ns=options.linger_ns, follow_ns=options.follow_ns)
+    return Sending(wire, schedule, report).run(chain(opened, count_known(options, report.responses, wire)))
+
+
+def test_listening_goes_on_until_ci_has_read_everything():
+    simulation = booted("rover")
+    report = follow(simulation, plain(100), wait_for=("to-enabled",))
+    assert simulation.apps.ci.socket.socket_drops == 0
+    assert len(simulation.apps.ci.socket) == 0
+    assert report.responses.ingest.summary() == {"state": "all", "sent": 100, "read": 100, "missing": 0}
+    assert 4 * SECOND < simulation.now - report.last_ns < 8 * SECOND  # 100 at 11 each half second
+
+
+def test_what_never_came_to_ci_is_counted():
+    simulation = booted("rover")
+    report = follow(simulation, plain(400), wait_for=("to-enabled",))
+    dropped = simulation.apps.ci.socket.socket_drops
+    assert dropped > 100
+    summary = report.responses.ingest.summary()
+    assert summary == {"state": "missing", "sent": 400, "read": 400 - dropped, "missing": dropped}
+    assert report.lost == dropped + report.responses.lost
+
+
+def test_a_time_to_listen_that_is_named_is_kept_and_what_is_unread_is_said():
+    simulation = booted("rover")
+    report = follow(simulation, plain(100), wait_for=("to-enabled",), linger_ns=2 * SECOND)
+    summary = report.responses.ingest.summary()
+    assert summary["state"] == "waiting"
+    assert 0 < summary["read"] < 100
+    assert summary["missing"] is None
+    assert simulation.now - report.last_ns < 2 * SECOND + 100 * MILLISECOND
+
+
+def test_without_telemetry_it_waits_for_one_report_and_says_nothing_of_ci():
+    simulation = booted("rover")
+    began = simulation.now
+    report = follow(simulation, plain(3))
+    assert SECOND < report.first_ns - began < 2 * SECOND
+    assert report.responses.ingest.summary()["state"] == "unknown"
+    assert simulation.now - report.last_ns < 2 * SECOND + 100 * MILLISECOND
+    simulation = booted("rover")
+    began = simulation.now
+    assert follow(simulation, plain(3), wait_for=("nothing",)).first_ns - began < 100 * MILLISECOND
 
 
 class Scripted:

@@ -12,6 +12,7 @@ from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
 from edoras_tools.io.net.address import own_address
 from edoras_tools.links.sbn import SBN
+from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions
@@ -260,7 +261,9 @@ def test_places_come_from_the_mission_and_stay_on_this_machine(two_rovers):
     peer = SendOptions(to=Receiver.SBN).placed(two_rovers.mission)
     assert (str(peer.target), str(peer.listen)) == ("127.0.0.1:2234", "127.0.0.1:2236")
     assert (peer.wait_for, peer.identity(two_rovers.mission)) == (("peer",), Peer(0x42, 3))
-    assert SendOptions(to=Receiver.SBN, wait_for=("nothing",)).placed(two_rovers.mission).wait_for == ()
+    assert SendOptions(to=Receiver.SBN, wait_for=("nothing",)).placed(two_rovers.mission).wait_for == (
+        "nothing",
+    )
     assert SendOptions(to=Receiver.SBN, role=Role.CAPTURED).placed(two_rovers.mission).wait_for == ()
     ground = SendOptions(to=Receiver.GROUND).placed(two_rovers.mission)
     assert (str(ground.target), ground.listen) == ("127.0.0.1:1235", None)
@@ -286,7 +289,7 @@ def test_places_come_from_the_mission_and_stay_on_this_machine(two_rovers):
 )
 def test_options_that_cannot_be_meant(given, words):
     with pytest.raises(ConfigError, match=words):
-        SendOptions(**given)
+        SendOptions(**given).placed(Mission())
 
 
 def test_the_plan_of_a_dry_run(two_rovers):

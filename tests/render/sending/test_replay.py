@@ -32,6 +32,7 @@ OUTCOME = {
     "faults": {"drop": 3, "delay": 1},
     "interrupted": False,
     "notes": [],
+    "ingest": {"state": "missing", "sent": 601, "read": 589, "missing": 12},
     "seen": {
         "events": [
             {
@@ -86,6 +87,8 @@ def test_what_came_of_it():
         "lateness  p50 1.0 µs  p99 34.6 µs  max 3.71 ms",
         "not sent  2: Connection refused",
         "faults    delay 1, drop 3",
+        "read      589 of 601 by Command Ingest; 12 never came to it: its socket was full, or they were lost",
+        "          on the way",
         "counter   message_limit_error_counter 0 → 96",
         "event     CFE_SB 17: Msg Limit Err [bold]\\x1b[31m  x16",
         "SBN       PROTO 1",
@@ -101,6 +104,7 @@ def test_nothing_came_back():
     summary = {
         **OUTCOME,
         "seen": empty,
+        "ingest": None,
         "lateness_us": late,
         "errors": {},
         "faults": {},
@@ -110,6 +114,31 @@ def test_nothing_came_back():
         "interrupted": True,
     }
     assert printed(replay.outcome(summary, "there")) == ["sent  1 datagram to there  (ended early)"]
+
+
+@pytest.mark.parametrize(
+    ("state", "read", "words"),
+    [
+        ("all", 601, ["all 601 by Command Ingest"]),
+        (
+            "waiting",
+            233,
+            ["233 of 601 by Command Ingest when listening ended; the others may wait in its socket"],
+        ),
+        (
+            "partly",
+            591,
+            ["at least 591 of 601 by Command Ingest; the others were sent before its count was known"],
+        ),
+        ("others", None, ["Command Ingest also read what others sent: its count shows nothing"]),
+        ("restarted", None, ["Command Ingest's count began anew: it shows nothing"]),
+        ("unknown", None, []),
+    ],
+)
+def test_what_command_ingest_has_read(state, read, words):
+    summary = {**OUTCOME, "ingest": {"state": state, "sent": 601, "read": read, "missing": None}}
+    lines = printed(replay.outcome(summary, "there"), width=120)
+    assert [line.removeprefix("read      ") for line in lines if line.startswith("read ")] == words
 
 
 def test_many_events_are_cut():
