@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -192,7 +192,7 @@ class Conversations:
         """Return what is to be said of them, a line each; ``shown``: nothing on a link's port is left out."""
         lines = foreign(self.judge())
         told = [line.removesuffix(", left out") for line in lines] if shown else lines
-        return [*unnamed(self.judge()), *told]
+        return [*map(str, unnamed(self.judge())), *told]
 
     def _flow(self, batch: PacketBatch, row: int, link: Link, *, make: bool) -> Flow | None:
         addresses = int(batch.source_address[row]), int(batch.destination_address[row])
@@ -216,16 +216,31 @@ def foreign(flows: Iterable[Flow]) -> list[str]:
     ]
 
 
-def unnamed(flows: Iterable[Flow]) -> list[str]:
-    """Return a line for each port whose traffic looks like a link's, and that no option names."""
+class Unnamed(NamedTuple):
+    """Traffic of a port that looks like a link's, and that no option names."""
+
+    datagrams: int
+    told: str
+    remedy: str
+
+    def __str__(self) -> str:
+        """Return it in one line."""
+        return f"{self.told}: {self.remedy}"
+
+
+def unnamed(flows: Iterable[Flow]) -> list[Unnamed]:
+    """Return an entry for each port whose traffic looks like a link's, and that no option names."""
     counts: dict[tuple[Link, int], int] = {}
     for flow in flows:
         if flow.kind is ConversationKind.UNNAMED:
             key = flow.looks_like, flow.destination.port
             counts[key] = counts.get(key, 0) + flow.datagrams
     return [
-        f"{count:,} datagrams on port {port} look like {link.name} traffic and were left out: "
-        f"name the port with --port {link.label}:{port}"
+        Unnamed(
+            count,
+            f"{count:,} datagrams on port {port} look like {link.name} traffic and were left out",
+            f"name the port with --port {link.label}:{port}",
+        )
         for (link, port), count in sorted(counts.items())
     ]
 

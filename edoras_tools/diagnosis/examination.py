@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.decode.conversations import unnamed
 from edoras_tools.diagnosis.accounting.commands import Refused
 from edoras_tools.diagnosis.accounts import accounts
 from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, summed
@@ -53,6 +54,7 @@ class Diagnosis:
         case: what it was judged by, for plots; of a long capture the last chapter.
         balance: what became of the messages of every route at every hop.
         left_out: datagrams that belong to no link, are another program's, or were left out for their time.
+        unnamed: of these, what looks like a link's, on ports that nobody named: how many, and a sentence.
         topics: index of a configured route to its topic.
         choice: what is shown of it; None for all.
         whole: the diagnosis of which this shows a part, or None.
@@ -69,6 +71,7 @@ class Diagnosis:
     case: Case | None = None
     balance: tuple[Row, ...] = ()
     left_out: int = 0
+    unnamed: tuple[tuple[int, str], ...] = ()
     topics: Mapping[int, str] = field(default_factory=dict)
     choice: Choice | None = None
     whole: Diagnosis | None = None
@@ -92,6 +95,11 @@ class Diagnosis:
     def unaccounted(self) -> int:
         """Messages that are missing without a cause that the capture shows."""
         return sum(row.unaccounted for row in self.balance)
+
+    @property
+    def estimated(self) -> int:
+        """Messages that are missing by an estimate: nothing counted them, and no other figure has them."""
+        return sum(item.estimated or 0 for item in self.verdicts)
 
     @property
     def headlines(self) -> list[Headline]:
@@ -156,6 +164,7 @@ class Diagnosis:
             "lost": self.lost,
             "superseded": self.superseded,
             "unaccounted": self.unaccounted,
+            "estimated": self.estimated,
             "verdicts": [verdict.as_json() for verdict in self.verdicts],
             "habits": [verdict.as_json() for verdict in self.habits],
             "balance": [row.as_json(self.topics.get(row.route)) for row in self.balance],
@@ -270,6 +279,7 @@ class Examination:
             capture=capture,
             case=case if keep else None,
             balance=tuple(balance(case)) if len(case.rows) else (),
+            unnamed=tuple((item.datagrams, item.told) for item in unnamed(case.prepared.flows)),
             left_out=self._recorder.left_out + case.prepared.foreign + capture.cut,
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
         )
@@ -326,6 +336,7 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
         case=last.case,
         balance=summed(row for part in parts for row in part.balance),
         left_out=sum(part.left_out for part in parts),
+        unnamed=last.unnamed,
         topics=last.topics,
     )
 

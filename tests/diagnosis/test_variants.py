@@ -17,6 +17,7 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import table
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.render.doctor.doctor import conclusion, limits
 
 TRUTH = {
     "a_rover": 92,
@@ -366,6 +367,9 @@ def test_a_port_that_is_not_named_is_said_first(tmp_path, link):
     found = diagnosed(write(tmp_path / "x.pcap", change(captured("a_rover"))), "a_rover")
     assert found.bad
     assert (found.verdicts[0].rule, found.verdicts[0].remedy) == ("not_examined", remedy)
+    assert limits(found)[0] == found.verdicts[0].reason
+    assert conclusion(found).startswith(f"Not all was examined: {found.verdicts[0].reason}.")
+    assert sum(number for number, _ in found.unnamed) <= found.left_out
 
 
 @pytest.mark.parametrize("payload", [rtp, dns, json, noise], ids=lambda item: item.__name__)

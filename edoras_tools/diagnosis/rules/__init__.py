@@ -140,7 +140,6 @@ SINGLE: Final[frozenset[str]] = frozenset(
     rule.ID
     for rule in (
         struct_overrun,
-        telemetry_vanished,
         ci_cut,
         ground_bridge_buffer,
         flight_bridge_length,

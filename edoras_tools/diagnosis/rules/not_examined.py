@@ -18,17 +18,16 @@ ID = "not_examined"
 
 def judge(case: Case) -> Iterator[Verdict]:
     """Say so first: what is below is not the whole link."""
-    for line in unnamed(case.prepared.flows):
-        what, _, remedy = line.partition(": ")
+    for item in unnamed(case.prepared.flows):
         yield Verdict(
             ID,
             Severity.ERROR,
-            what,
+            item.told,
             hop="capture",
             start_ns=case.start_ns,
             end_ns=case.end_ns,
             evidence=("lengths, types and MsgIds in it agree as only that link's do",),
-            remedy=remedy,
+            remedy=item.remedy,
         )
     missing = sum(case.telemetry.away.values()) if case.capture.outages and len(case.rows) else 0
     counted = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"

@@ -1,4 +1,7 @@
-"""A telemetry MsgId came steadily and then never again, while the rest goes on."""
+"""A telemetry MsgId came steadily and then never again, while the rest goes on.
+
+No counter has what would have come: it is estimated, and in no figure of the balance.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -53,7 +57,13 @@ def judge(case: Case) -> Iterator[Verdict]:
         if not signs:
             continue  # topic_silent tells of it
         signs += _longer(case, last_ns)
+        sure = len(signs) > 1
         missed = round((alive_ns - last_ns) / usual) if usual > 0 else None
+        if missed:
+            signs.append(
+                f"about {plural(missed, 'message')} would have come since then: an estimate, in no figure of "
+                "the balance"
+            )
         yield Verdict(
             ID,
             Severity.ERROR,
@@ -64,14 +74,13 @@ def judge(case: Case) -> Iterator[Verdict]:
             topic=case.topic(stream.msg_id),
             link="to",
             hop="flight application",
-            lost=missed,
-            of=missed + len(stream) if missed is not None else None,
+            estimated=missed,
             start_ns=last_ns,
             end_ns=alive_ns,
             evidence=tuple(signs),
             remedy="make the struct in front of it large enough (see struct_overrun), and restart the "
             "application: the MsgId does not come back by itself",
-            confidence="high" if len(signs) > 1 else "medium",
+            confidence="high" if sure else "medium",
         )
 
 

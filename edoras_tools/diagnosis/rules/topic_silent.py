@@ -53,7 +53,7 @@ class Rate(NamedTuple):
 
 def judge(case: Case) -> Iterator[Verdict]:
     """Look at each topic that cFS or an SBN peer publishes, not at what an operator sends."""
-    told = {item.msg_id for item in case.refused if item.rule == telemetry_vanished.ID}
+    told = {item.msg_id for item in case.verdicts if item.rule == telemetry_vanished.ID}
     for stream in case.streams:
         published = stream.link.from_cfs or stream.link.peers
         # Of packets without a time nothing tells whether their cFS ran on.

@@ -97,8 +97,8 @@ def _head(found: Diagnosis, name: str) -> Text:
 
 def limits(found: Diagnosis) -> list[str]:
     """Return what was outside the chosen time, and what is not shown, one line each."""
-    lines = []
-    if other := found.left_out - found.capture.cut:
+    lines = [told for _, told in found.unnamed]
+    if other := found.left_out - found.capture.cut - sum(number for number, _ in found.unnamed):
         lines.append(
             f"{plural(other, 'datagram')} not examined: states that a robot sends, or traffic of no link"
         )
@@ -268,15 +268,34 @@ def _conclusion(found: Diagnosis) -> Text:
 
 
 def conclusion(found: Diagnosis) -> str:
-    """Return the last line: what is lost, superseded and not accounted for, or that nothing is wrong."""
+    """Return the last line: what is lost, superseded and not accounted for, or that nothing is wrong.
+
+    What looks like a link's traffic and was not examined is said first: nothing is known of it.
+    """
+    if found.unnamed:
+        told = "; ".join(told for _, told in found.unnamed)
+        return f"Not all was examined: {told}. {_of_the_rest(found)}"
     if not found.datagrams:
         where = "in the chosen time" if found.capture.cut else "here"
         return f"No cFS {where}: nothing of CI, TO or SBN was examined."
+    return _found(found)
+
+
+def _of_the_rest(found: Diagnosis) -> str:
+    if not found.datagrams:
+        return "Nothing else of CI, TO or SBN is here."
+    told = _found(found)
+    return f"In the rest: {told[0].lower()}{told[1:]}"
+
+
+def _found(found: Diagnosis) -> str:
     rest = ""
     if found.superseded:
         rest += f", {found.superseded:,} superseded"
     if found.unaccounted:
         rest += f", {found.unaccounted:,} unaccounted for"
+    if found.estimated:
+        rest += f", about {found.estimated:,} more missing by an estimate"
     if found.lost:
         return f"Lost: {plural(found.lost, 'message')}{rest}."
     if found.worst >= Severity.SECURITY:
