@@ -44,7 +44,9 @@ _ENOUGH: Final = 512
 _MOST: Final = 4096
 """Packets of a batch that are looked at."""
 _FIRST: Final = 64
-"""First packets of each conversation that are looked at."""
+"""Sound packets of each conversation that are looked at, from its first on."""
+_UNSOUND: Final = 16
+"""So many packets that are not sound count as one that is: a conversation may have no other."""
 _SAMPLE: Final = 256
 """So many packets of a batch are looked at later, when at least so many have passed."""
 _NAMED: Final = 3
@@ -92,7 +94,7 @@ class Variants:
         none = np.zeros(0, np.int64)
         self._kept = _Kept(np.zeros((0, LOOKED_AT), np.uint8), none, none, none)
         self._told_at = 0
-        self._left = np.full(PLACES, _FIRST, np.int64)
+        self._left = np.full(PLACES, _FIRST * _UNSOUND, np.int64)
         self._passed = self._since = 0
         self._votes = np.zeros((_NOTHING + 1, PLACES), np.int64)
         self._names: dict[int, str] = {}
@@ -169,13 +171,15 @@ class Variants:
         if not len(fresh) and self._since < max(_SAMPLE, rare):
             return
         self._since = 0
-        sample = np.arange(0, len(rows), max(1, len(rows) // _SAMPLE))
-        kept = self._sound(batch, rows[np.union1d(fresh, sample)], link)
+        chosen = np.zeros(len(rows), bool)
+        chosen[fresh] = chosen[:: max(1, len(rows) // _SAMPLE)] = True
+        kept = self._sound(batch, rows[chosen], link)
         own = place[np.searchsorted(rows, kept.row)]
         first = self._first(kept, own)
         touched, members = np.unique(own, return_index=True)
         before = [self._found(value) for value in touched.tolist()]
-        np.subtract.at(self._left, own, 1)
+        np.subtract.at(self._left, place[chosen], 1)
+        np.subtract.at(self._left, own, _UNSOUND - 1)
         np.add.at(self._votes, (first, own), 1)
         changed = False
         for value, member, known in zip(touched.tolist(), members.tolist(), before, strict=True):

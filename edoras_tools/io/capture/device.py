@@ -7,6 +7,7 @@ where frames can be lost, and it has a counter.
 
 from __future__ import annotations
 
+import math
 import queue
 import select
 import socket
@@ -118,7 +119,7 @@ class DeviceSource:
         self.statistics = SourceStatistics(outages=device.outages)
         self.started = threading.Event()
         self.gather_s = _GATHER_S
-        self._handed = 0.0
+        self._handed = -math.inf  # not 0: a monotonic clock may begin there
         self._device = device
         self._ready = ready
         self._told = told

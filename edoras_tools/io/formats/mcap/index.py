@@ -146,7 +146,8 @@ def _edges(positions: NDArray[np.int64], base: NDArray[np.int64], size: int, lim
     last = np.searchsorted(positions, base + wanted, side="right") - 1
     # If a channel has no message that early, the one found is of another channel, or there is none.
     starts = np.where(last < 0, 0, np.maximum(positions[last] - base, 0)).max(axis=0)
-    return np.unique(np.concatenate([[0], starts, [size]]))
+    edges = np.concatenate([[0], starts, [size]])
+    return edges[np.diff(edges, prepend=-1) > 0]
 
 
 def _folded(
