@@ -287,7 +287,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
     if stream.link.only_to_cfs:
         before = {kind: lost[kind] for kind in _BEFORE_CI if lost[kind]}
         gone = sum(before.values()) + fate.queued + fate.uncounted
-        late = min(fate.late, at - gone)
+        late = min(fate.late + fate.unsure, at - gone)
         told = {"in": _SEEN, "out": "0x884" if counted else "not counted: no 0x884 of this CI is here"}
         at = add(
             CI_HOP,

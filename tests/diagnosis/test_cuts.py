@@ -9,8 +9,10 @@ import pytest
 from effort import every
 from places import ROOT
 
+from edoras_tools.decode import Options
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT_COMMAND, ROBOT_PORT
 from edoras_tools.pipelines.workbench import Settings
 
@@ -33,8 +35,8 @@ def batches():
     return read
 
 
-def examined(batches, start_ns, end_ns):
-    bench = Settings(configs=[]).workbench()
+def examined(batches, start_ns, end_ns, ports=()):
+    bench = Settings(configs=[], options=Options(ports=ports)).workbench()
     examination = Examination(bench.columns.context)
     for batch in batches:
         part = batch.take(np.flatnonzero((batch.time_ns >= start_ns) & (batch.time_ns <= end_ns)))
@@ -78,6 +80,25 @@ def test_the_sum_is_right_at_every_cut(batches, name, side):
             assert sum(row.all_lost + row.unaccounted for row in route) <= most
     # What was lost once stays lost, however long the capture goes on.
     assert lost == sorted(lost, reverse=side == "start")
+
+
+RELAY_DROPPED = [76, 78, 81, 84, 91, 98, 103, 111, 114, 117, 119, 123, 124, 126, 127, 133, 138]
+RELAY_DROPPED += [141, 145, 150, 155, 163, 170, 172, 174, 192, 198, 199, 205, 207, 208, 211, 222, 223]
+"""Which commands the relay of n10 dropped, as it noted."""
+
+
+@pytest.mark.parametrize("tenths_of_a_second", every(5, range(0, 450, 9)))
+def test_what_the_first_counts_do_not_tell_is_not_captured(tenths_of_a_second, batches):
+    """A capture that begins amid commands does not show whether CI read the ones before its first count."""
+    whole = batches("n10_uplink_loss")
+    sent = np.array([item.time_ns for one in whole for item in one if item.payload[:2] == b"\x18\x27"])
+    start_ns, end_ns = int(whole[0].time_ns[0]) + tenths_of_a_second * 10**8, int(whole[-1].time_ns[-1])
+    found = examined(whole, start_ns, end_ns, ports=((CI, 5234),))
+    (line,) = [item for item in found.headlines if item.topic == f"0x{TWIST:04x}"]
+    true = int((sent[RELAY_DROPPED] >= start_ns).sum())
+    assert line.lost <= true <= line.lost + line.not_captured
+    if start_ns < sent[0]:
+        assert (line.lost, line.not_captured) == (true, 0)
 
 
 BEGINS_IN_A_BACKLOG = (201.7, 204.0, 206.9, 208.9)

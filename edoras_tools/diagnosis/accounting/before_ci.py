@@ -38,10 +38,18 @@ class BeforeCi:
         """Share out all that was lost before a CI."""
         for before in account.losses:
             self._before_ci(account, before)
+        self._begins_amid(account)
 
     def wait(self, account: Ingest) -> None:
         """Share out what waits in a CI's socket at its last count, once all else is told."""
         self._queue(account, account.waiting - self._more_before_ci(account))
+
+    def _begins_amid(self, account: Ingest) -> None:
+        """Tell as not captured what may have been lost too, where the capture begins amid datagrams."""
+        fates = self._to(account)
+        most = [int(fate.open.sum()) for fate in fates]
+        for fate, share in zip(fates, shares(account.unsure, most, most), strict=True):
+            fate.unsure = fate.claim(np.flatnonzero(fate.open)[:share])
 
     def _to(self, account: Ingest) -> list[Fate]:
         """Return what became of the streams that went to a CI."""
@@ -138,4 +146,10 @@ class BeforeCi:
     def _before_evidence(self, account: Ingest, before: Before) -> list[str]:
         taken = account.taken
         text = f"0x884: CI took {taken:,} of {taken + account.lost + account.waiting:,} datagrams sent to it"
-        return [text, f"{before.lost:,} of them lost between two of its counts"]
+        evidence = [text, f"{before.lost:,} of them lost between two of its counts"]
+        if account.unsure:
+            evidence.append(
+                "the capture begins amid commands, of which its first counts may have some or not: up to "
+                f"{account.unsure:,} more may be lost, told as not captured"
+            )
+        return evidence

@@ -51,6 +51,7 @@ class Fate:
         reached: messages that came out by their number alone, where cut frames hide which; None elsewhere.
         uncounted: messages that CI's first count does not have, and nothing tells why.
         late: messages that were sent so late that no count of their CI is here after them.
+        unsure: messages of which the first counts of their CI do not tell whether it read them.
         doubled: messages that came out more than once.
     """
 
@@ -73,6 +74,7 @@ class Fate:
     reached: int | None = None
     uncounted: int = 0
     late: int = 0
+    unsure: int = 0
     doubled: int = 0
 
     @property

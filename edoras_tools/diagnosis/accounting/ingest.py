@@ -91,6 +91,8 @@ class Ingest:
         waiting: datagrams that were sent before ``last_ns`` and may be waiting in its socket then.
         more: of those, as many may have been lost with the last of ``losses``: counts alone cannot tell.
         not_captured: datagrams that it counted and the capture does not show.
+        unsure: datagrams that may have been lost beside ``losses``: the capture begins amid datagrams, and
+            its first count does not tell which of those just sent it has.
         older_until_ns: it read as fast as it can when the capture began: until then it may have read what was
             sent before.
     """
@@ -105,6 +107,7 @@ class Ingest:
     waiting: int = 0
     more: int = 0
     not_captured: int = 0
+    unsure: int = 0
     older_until_ns: int = 0
 
     def add(self, loss: Before) -> None:
@@ -249,9 +252,20 @@ def _account(
         high = high - before if first else np.minimum(high - before, sent[part])
         run = _Run(seen[part], low - before, high, drained, 2 * most, unread)
         lost = _follow(account, run, lost, begin)
+        if not first and before and unread is None and account.losses and not busy[1:2].any():
+            least = _sent_until(sources, sent_ns, int(emptied_ns[0])) - own[0].count
+            account.unsure = max(0, before - least)
         account.waiting = max(0, int(run.high[-1]) - lost)
     account.taken = int(sent[-1]) - lost - account.waiting
     return account
+
+
+def _sent_until(sources: Sources, sent_ns: NDArray[np.int64], time_ns: int) -> int:
+    """Return how many datagrams were sent until a time; before the capture as after its start, negative."""
+    start_ns = int(sources.rows.time_ns[0])
+    if time_ns >= start_ns:
+        return int(np.searchsorted(sent_ns, time_ns, "right"))
+    return -int(np.searchsorted(sent_ns, 2 * start_ns - time_ns, "right"))
 
 
 def _emptied(

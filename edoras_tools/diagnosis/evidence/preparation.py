@@ -5,6 +5,7 @@
 2. Datagrams of conversations that are not cFS's are left out; those of strangers that did reach a cFS
    stay, as datagrams that hold no packet.
 3. A datagram that was captured twice is counted once, in front of a proxy and behind it too.
+4. A time that the capture cut off on one link is taken from the same packet on another.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind
 from edoras_tools.diagnosis.evidence.copies import find_copies
+from edoras_tools.diagnosis.evidence.cut_times import with_cut_times
 from edoras_tools.diagnosis.evidence.relayed import before_proxy
 from edoras_tools.diagnosis.evidence.table import SCATTERED, followed
 from edoras_tools.links.table import among
@@ -95,7 +97,7 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
     if len(kept) < count or stranger.any():
         payloads = payloads.over(np.where(stranger, -1, kept), count)
     return Prepared(
-        rows=told,
+        rows=with_cut_times(told),
         payloads=payloads,
         flows=flows,
         foreign=int(foreign.sum()),

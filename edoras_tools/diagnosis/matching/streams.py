@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
+from edoras_tools.diagnosis.evidence.cut_times import handed_on
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links import table
 from edoras_tools.links.robot import ROBOT
@@ -153,11 +153,8 @@ def _handed_on(
     network = np.flatnonzero(
         among(rows.link, lambda link: link.peers) & np.isin(rows.msg_id, rows.msg_id[lost])
     )
-    from_ = latest_equal(
-        rows.packet_print[network], rows.time_ns[network], rows.packet_print[lost], rows.time_ns[lost]
-    )
+    from_ = handed_on(rows, network, lost)
     same = from_ >= 0
-    same[same] = rows.time_ns[lost[same]] - rows.time_ns[network[from_[same]]] < _PAUSE_NS
     out[lost[same]] = out[network[from_[same]]]
     left: NDArray[np.intp] = lost[~same & (instance[lost] == NOBODY)]
     return left
