@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.reading import Limits
-    from edoras_tools.pipelines.selection import Period, Selection
+    from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.sessions.faults.machine import FaultPlan
 
@@ -330,19 +330,6 @@ class SelectionOptions(NamedTuple):
         )
 
 
-def _period(start: int | None, end: int | None) -> Period:
-    """Return both in the form that pipelines take.
-
-    Raises:
-        typer.BadParameter: the end is not after the start.
-    """
-    from edoras_tools.pipelines.selection import Period
-
-    if end is not None and (start or 0) >= end:
-        raise typer.BadParameter("--end is not after --start; both count from the start of the capture")
-    return Period(start or 0, end or 0)
-
-
 class ScopeOptions(NamedTuple):
     """The part of a capture that is examined and shown."""
 
@@ -354,11 +341,12 @@ class ScopeOptions(NamedTuple):
         """Return these options in the form that pipelines take.
 
         Raises:
-            typer.BadParameter: the end is not after the start.
+            ConfigError: the end is not after the start.
         """
         from edoras_tools.pipelines.doctor.scope import Scope
+        from edoras_tools.pipelines.selection import Period
 
-        return Scope(self.chosen.selection(), _period(self.start, self.end))
+        return Scope(self.chosen.selection(), Period(self.start or 0, self.end or 0))
 
 
 class PartOptions(NamedTuple):
@@ -375,11 +363,12 @@ class PartOptions(NamedTuple):
         """Return these options in the form that pipelines take.
 
         Raises:
-            typer.BadParameter: the end is not after the start.
+            ConfigError: the end is not after the start.
         """
         from edoras_tools.pipelines.reading import Limits
+        from edoras_tools.pipelines.selection import Period
 
-        period = _period(self.start, self.end)
+        period = Period(self.start or 0, self.end or 0)
         return Limits(self.datagrams or 0, self.duration or 0, period=period)
 
 

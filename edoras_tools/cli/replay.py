@@ -88,15 +88,16 @@ class PartOptions(NamedTuple):
         """Return these options and the selection in the form that pipelines take.
 
         Raises:
-            ConfigError: both --end and --duration are given.
+            ConfigError: both --end and --duration are given, or the end is not after the start.
         """
+        from edoras_tools.pipelines.selection import Period
         from edoras_tools.pipelines.sending.replay import ReplaySelection
 
         if self.end and self.duration:
             raise ConfigError("--end and --duration both say when to stop; name one")
         start = self.start or 0
         end = self.end or (start + self.duration if self.duration else 0)
-        return ReplaySelection(selection, tuple(self.route or ()), start, end, self.first or 0)
+        return ReplaySelection(selection, tuple(self.route or ()), Period(start, end), self.first or 0)
 
 
 class ChangeOptions(NamedTuple):

@@ -30,6 +30,7 @@ from edoras_tools.model import (
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION, ROUNDED
 from edoras_tools.wire.envelope import DEFAULT, detect
+from edoras_tools.wire.packet import length_of, msg_id_of
 
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
@@ -92,9 +93,9 @@ class _Dissection(Reading):
         length = len(data) - start
         if length < ccsds.PRIMARY.size:
             self.truncated("ccsds", start, ccsds.PRIMARY.size)
-        word = int.from_bytes(data[start : start + 2], "big")
-        headers = self.headers = self.context.builds.of_packet(self.datagram, data[start:])
-        msg_id = word
+        packet = data[start:]
+        headers = self.headers = self.context.builds.of_packet(self.datagram, packet)
+        msg_id = msg_id_of(packet)
         name = self._name(msg_id)
         self.read(
             ccsds.PRIMARY,
@@ -110,8 +111,8 @@ class _Dissection(Reading):
                 ),
             ),
         )
-        total = int.from_bytes(data[start + 4 : start + 6], "big") + ccsds.LENGTH_BIAS
-        command = bool(word & cfe.COMMAND_BIT)
+        total = length_of(packet)
+        command = cfe.is_command(msg_id)
         if total != length:
             self.findings |= Finding.LENGTH_MISMATCH
         if data[start + 2 : start + 4] == b"\0\0":

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.errors import RouteError
+from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.structs.shapes import Key
 
 if TYPE_CHECKING:
@@ -30,10 +30,17 @@ class Period:
     Attributes:
         start_ns: earlier ones are left out; with 0 also those are in that are older than the first one.
         end_ns: those from this time on are left out; 0 for none.
+
+    Raises:
+        ConfigError: the end is not after the start.
     """
 
     start_ns: int = 0
     end_ns: int = 0
+
+    def __post_init__(self) -> None:
+        if self.end_ns and self.end_ns <= self.start_ns:
+            raise ConfigError("--end is not after --start; both count from the start of the capture")
 
     def __bool__(self) -> bool:
         return bool(self.start_ns or self.end_ns)

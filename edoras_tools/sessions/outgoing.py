@@ -21,6 +21,7 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link, Peer
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.order import by_value
+from edoras_tools.wire.packet import msg_id_of
 from edoras_tools.wire.window import copy_rows, put_rows, xor_bytes
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ class Outgoing:
         length = packet_length + np.int32(extra)
         offset = np.cumsum(length, dtype=np.int64) - length
         cdr = np.array([row.cdr_at for row in rows], np.int64)
-        msg_id = np.array([int.from_bytes(row.packet[:2], "big") for row in rows], np.int32)
+        msg_id = np.array([msg_id_of(row.packet) for row in rows], np.int32)
         command = (msg_id & cfe.COMMAND_BIT) != 0
         header = np.where(command, cfe.COMMAND_HEADER_BYTES, cfe.TELEMETRY_HEADER_BYTES)
         return cls(

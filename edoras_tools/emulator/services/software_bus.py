@@ -19,6 +19,7 @@ from edoras_tools.cfs.software_bus import (
 )
 from edoras_tools.emulator.services.events import Event
 from edoras_tools.errors import ConfigError
+from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.wire import cfe
 from edoras_tools.wire.packet import length_of, msg_id_of, with_sequence_count
 
@@ -200,7 +201,7 @@ class SoftwareBus:
         return Publication(packet, tuple(delivered), tuple(events))
 
     def _stamped(self, packet: bytes, wanted: int) -> bytes:
-        count = self._sequence[wanted] = (self._sequence[wanted] + 1) & 0x3FFF
+        count = self._sequence[wanted] = (self._sequence[wanted] + 1) % MODULUS
         return with_sequence_count(packet, count)
 
     def housekeeping(self) -> bytes:

@@ -1,4 +1,4 @@
-"""MCAP (https://mcap.dev/spec)."""
+"""Names in recordings, and constants of MCAP (https://mcap.dev/spec)."""
 
 from typing import Final
 
@@ -6,5 +6,6 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 """The first and last bytes of a file."""
 RECORD_PREFIX_BYTES: Final = 9
 """Bytes that a record's length does not include: its opcode, and the length itself."""
+DATAGRAMS_TOPIC: Final = "/edoras/datagrams"
 OUTAGE_METADATA_NAME: Final = "edoras_outage"
 """A metadata record when an interface went away, and another when it returned."""

@@ -11,6 +11,7 @@ from edoras_tools.io.topics.cfe import event_messages, outage_messages, software
 from edoras_tools.io.topics.clock import MissionClock
 from edoras_tools.io.topics.datagrams import DatagramWriter, ros_messages, without_trailing
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, FAULTS_TYPE
+from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.statistics import LinkStatistics
 from edoras_tools.io.topics.structs import struct_messages
 from edoras_tools.structs import Structs, shipped_structs
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
     from edoras_tools.structs.bound import Bound
 
-DATAGRAMS_TOPIC: Final = "/edoras/datagrams"
 EVENTS_TOPIC: Final = "/edoras/events"
 _SOFTWARE_BUS: Final = "/edoras/software_bus"
 STATISTICS_TOPIC: Final = "/edoras/link_statistics"

@@ -12,7 +12,8 @@ from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.columns import TableFile, TableHead
 from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, written_as
 from edoras_tools.io.outputs import check_links, in_the_way, refuse_existing, refuse_input
-from edoras_tools.io.topics.streams import DATAGRAMS_TOPIC, FAULTS, OWN_TOPICS
+from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
+from edoras_tools.io.topics.streams import FAULTS, OWN_TOPICS
 from edoras_tools.pipelines.export.judged import JUDGED
 from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen_topics
 from edoras_tools.units import SECOND

@@ -18,8 +18,9 @@ from edoras_tools.io.formats.merge import recorded_faults
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
 from edoras_tools.io.topics.faults import fault_messages
+from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.rows import RECORD_BYTES, lay_out
-from edoras_tools.io.topics.streams import DATAGRAMS_TOPIC, FAULTS, STATISTICS_TOPIC, Streams
+from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, Streams
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.block import TopicBlock
 from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_blocks

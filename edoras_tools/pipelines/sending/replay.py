@@ -9,7 +9,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError, WireError
 from edoras_tools.model import NO_MSG_ID, Finding
-from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.sending.options import Receiver
 from edoras_tools.pipelines.sending.safety import called, fits
 from edoras_tools.sessions.outgoing import Changes, Outgoing, join_datagrams
@@ -44,25 +44,14 @@ class ReplaySelection:
     Attributes:
         selection: by link, MsgId, topic and values.
         routes: patterns of MsgIds, topics and keys; empty: all.
-        start_ns: leave out datagrams before this time after the recording's first datagram.
-        end_ns: leave out datagrams after this time; 0 for no end.
+        period: which time of the recording.
         count: only the first so many of the rest; 0 for all.
     """
 
     selection: Selection = field(default_factory=Selection)
     routes: Sequence[str] = ()
-    start_ns: int = 0
-    end_ns: int = 0
+    period: Period = field(default_factory=Period)
     count: int = 0
-
-    def __post_init__(self) -> None:
-        """Check the range.
-
-        Raises:
-            ConfigError: the end is not after the start.
-        """
-        if self.end_ns and self.end_ns <= self.start_ns:
-            raise ConfigError("--end is not after --start: nothing is left between them")
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +82,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     notes: list[str] = []
     wanted: set[int] = set()
     links = np.zeros(256, np.int64)
-    first_ns, left, size, there = -1, choice.count, 0, 0
+    first_ns, left, size, there, period = -1, choice.count, 0, 0, choice.period
     try:
         selection = choice.selection.over(bench)
         for batch in source.batches():
@@ -108,9 +97,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
                 wanted |= _subscriptions(batch, columns, towards)
                 towards &= columns.sbn_msg_type == sbn.MsgType.APP
             elapsed = batch.time_ns - first_ns
-            towards &= elapsed >= choice.start_ns
-            if choice.end_ns:
-                towards &= elapsed < choice.end_ns
+            towards &= period.holds(elapsed)
             towards &= _routes(columns, choice.routes, bench.mission)
             rows = np.flatnonzero(towards)
             chosen, columns = selection.apply(batch.take(rows), columns.take(rows), bench.mission)
@@ -127,7 +114,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
                 raise CaptureError(
                     f"{source.info.name}: more than 4 GiB to send; select less with --start, --end"
                 )
-            if (choice.count and not left) or (choice.end_ns and int(elapsed[-1]) > choice.end_ns + 10**9):
+            if (choice.count and not left) or (period.end_ns and int(elapsed[-1]) > period.end_ns + 10**9):
                 break
     finally:
         source.close()

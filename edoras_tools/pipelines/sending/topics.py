@@ -123,8 +123,7 @@ def load_topics(
     first_ns = -1
     for message in bag.messages(encoders):
         first_ns = message.time_ns if first_ns < 0 else first_ns
-        elapsed = message.time_ns - first_ns
-        if elapsed < choice.start_ns or (choice.end_ns and elapsed >= choice.end_ns):
+        if not choice.period.holds(message.time_ns - first_ns):
             continue
         short += len(message.cdr) < 4
         packets.append(encoders[message.topic].packet(message.cdr, message.time_ns))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.sessions.faults.chance import draw
 from edoras_tools.wire import ccsds, cdr, cfe, envelope, sbn
+from edoras_tools.wire.packet import msg_id_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -87,7 +88,7 @@ def break_checksum(payload: bytes, link: Link, values: Mapping[str, Any], chance
     """Write a wrong checksum."""
     del values, chance
     at = packet_offset(payload, link)
-    if at < 0 or not cfe.is_command(int.from_bytes(payload[at : at + 2], "big")):
+    if at < 0 or not cfe.is_command(msg_id_of(payload[at : at + 2])):
         return Altered(payload, "")
     if len(payload) - at < cfe.COMMAND_HEADER_BYTES:
         return Altered(payload, "")
@@ -163,7 +164,7 @@ def _envelope(payload: bytes, link: Link) -> tuple[int, envelope.EnvelopeFormat]
     at = packet_offset(payload, link)
     if at < 0:
         return -1, envelope.DEFAULT
-    command = cfe.is_command(int.from_bytes(payload[at : at + 2], "big"))
+    command = cfe.is_command(msg_id_of(payload[at : at + 2]))
     at += cfe.COMMAND_HEADER_BYTES if command else cfe.TELEMETRY_HEADER_BYTES
     found = envelope.detect(payload, at)
     return (-1, envelope.DEFAULT) if found is None else (at, found)

@@ -10,6 +10,7 @@ import numpy as np
 from edoras_tools.model import NO_MSG_ID, Link
 from edoras_tools.sessions.faults.bytes import packet_offset
 from edoras_tools.wire import ccsds, sbn
+from edoras_tools.wire.packet import msg_id_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +29,7 @@ HEAD_BYTES: Final = sbn.HEADER.size + 2
 def datagram_msg_id(payload: bytes, link: Link) -> int:
     """Return a datagram's MsgId, ``NO_MSG_ID`` where it has none."""
     at = packet_offset(payload, link)
-    return int.from_bytes(payload[at : at + 2], "big") if at >= 0 else NO_MSG_ID
+    return msg_id_of(payload[at : at + 2]) if at >= 0 else NO_MSG_ID
 
 
 @dataclass(slots=True)

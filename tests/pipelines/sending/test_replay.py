@@ -14,7 +14,7 @@ from edoras_tools.io.net.address import own_address
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint, Peer
-from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions
 from edoras_tools.pipelines.sending.replay import ReplaySelection, changes_for, load_datagrams, remapped
 from edoras_tools.pipelines.sending.run import Transmission
@@ -115,7 +115,7 @@ def test_times_count_from_the_first_datagram_of_the_recording(start, end, rover,
     every = payloads("a_rover")[0][0]
     elapsed = [(time_ns - every) / 1e9 for time_ns, _ in payloads("a_rover", to=1234)]
     wanted = [item for item in elapsed if item >= start and (not end or item < end)]
-    choice = ReplaySelection(start_ns=start * 1000 * MS, end_ns=end * 1000 * MS)
+    choice = ReplaySelection(period=Period(start * 1000 * MS, end * 1000 * MS))
     assert 0 < len(loaded("a_rover", rover, choice=choice).out) == len(wanted) < 601
 
 
@@ -134,7 +134,7 @@ def test_times_count_from_the_first_datagram_of_the_recording(start, end, rover,
             ReplaySelection(routes=["0x9"]),
             "none of its 601 commands to Command Ingest was selected",
         ),
-        (Receiver.CI, "a_rover", ReplaySelection(start_ns=10**15), "none of its 601"),
+        (Receiver.CI, "a_rover", ReplaySelection(period=Period(10**15)), "none of its 601"),
     ],
 )
 def test_a_recording_with_nothing_to_send_says_what_it_has(to, name, choice, words, rover):
@@ -149,7 +149,7 @@ def test_a_topic_that_is_not_configured_is_named(rover):
 
 def test_an_end_before_the_start():
     with pytest.raises(ConfigError, match="--end is not after --start"):
-        ReplaySelection(start_ns=5, end_ns=5)
+        Period(5, 5)
 
 
 def test_remapping_by_msg_id_topic_and_key(two_rovers):
@@ -364,7 +364,7 @@ def test_onto_the_sbn_link_and_to_the_ground(bag, two_rovers):
 
 def test_a_part_of_the_messages(bag, rover):
     assert len(from_topics(bag(), rover, choice=ReplaySelection(count=2))) == 2
-    assert len(from_topics(bag(), rover, choice=ReplaySelection(start_ns=300 * MS, end_ns=700 * MS))) == 2
+    assert len(from_topics(bag(), rover, choice=ReplaySelection(period=Period(300 * MS, 700 * MS)))) == 2
 
 
 @pytest.mark.parametrize(
@@ -379,7 +379,7 @@ def test_a_part_of_the_messages(bag, rover):
         ({"kind": "std_msgs/msg/String"}, {}, ConfigError, "/cmd_vel is std_msgs/msg/String, but /cmd_vel"),
         (
             {},
-            {"choice": ReplaySelection(start_ns=10**15)},
+            {"choice": ReplaySelection(period=Period(10**15))},
             CaptureError,
             "contains no message on /cmd_vel in the selected time",
         ),

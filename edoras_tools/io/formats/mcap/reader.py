@@ -27,7 +27,7 @@ from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, chunk_head,
 from edoras_tools.io.frames.linklayer import Demux, FrameBatch, joined_frames
 from edoras_tools.io.topics.datagrams import DATAGRAM
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, fault_of
-from edoras_tools.io.topics.names import MAGIC, OUTAGE_METADATA_NAME
+from edoras_tools.io.topics.names import DATAGRAMS_TOPIC, MAGIC, OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.rows import CDR_LE_WORD
 from edoras_tools.model import InterfaceOutage, SourceInfo, SourceStatistics
 from edoras_tools.wire.window import read_at
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from edoras_tools.model import PacketBatch
     from edoras_tools.sessions.faults.machine import Fault
 
-_DATAGRAMS = "/edoras/datagrams"
 METADATA_NAMES = ("edoras_opening", "edoras")
 """The later one has more values; it is missing if a recording was cut off."""
 
@@ -140,7 +139,7 @@ class McapSource:
                 f"{self._name}: is cut off at byte {position} of {self._size}; everything before was read; "
                 f"`edoras recover {self._name}` repairs it"
             )
-        if _DATAGRAMS not in self._topics.values():
+        if DATAGRAMS_TOPIC not in self._topics.values():
             raise self._no_datagrams()
         self.statistics.position = self._size
 
@@ -220,7 +219,7 @@ class McapSource:
                 self._learn(opcode, bytes(view[start:end]))
             elif opcode == Opcode.MESSAGE and length >= 2:
                 channel_id = int.from_bytes(view[start : start + 2], "little")
-                if self._topics.get(channel_id) == _DATAGRAMS:
+                if self._topics.get(channel_id) == DATAGRAMS_TOPIC:
                     found.append(position)
             position = end
         return np.array(found, dtype=np.int64)
@@ -257,7 +256,7 @@ class McapSource:
                 seen = False
                 position = self._skip_index(end)
                 break
-            if self._topics[channel_id] == _DATAGRAMS:
+            if self._topics[channel_id] == DATAGRAMS_TOPIC:
                 entries = self._read(start + INDEX_HEAD.itemsize - RECORD_HEAD.size, end)
                 found.append(
                     np.frombuffer(entries, INDEX_ENTRY, len(entries) // INDEX_ENTRY.itemsize)[
@@ -277,7 +276,7 @@ class McapSource:
     def _check(self, *, whole: bool) -> None:
         if self._read(0, len(MAGIC)) != MAGIC:
             raise CaptureError(f"{self._name}: is not an MCAP file")
-        if whole and _DATAGRAMS not in self._topics.values():
+        if whole and DATAGRAMS_TOPIC not in self._topics.values():
             raise self._no_datagrams()
 
     def _read_front(self) -> bool:
@@ -362,7 +361,8 @@ class McapSource:
     def _no_datagrams(self) -> CaptureError:
         topics = ", ".join(sorted(set(self._topics.values()))) or "none"
         return CaptureError(
-            f"{self._name}: contains no {_DATAGRAMS}, so no datagrams can be read; its topics are {topics}"
+            f"{self._name}: contains no {DATAGRAMS_TOPIC}, so no datagrams can be read; "
+            f"its topics are {topics}"
         )
 
 
