@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from edoras_tools.cli import options
-from edoras_tools.cli.endings import LOST, lost_outputs
+from edoras_tools.cli.endings import finish_relay, tell
 from edoras_tools.cli.listening import tell_reach
 from edoras_tools.cli.live import RelayOutputOptions
 from edoras_tools.cli.output import print_json
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from edoras_tools.errors import EdorasError
     from edoras_tools.pipelines.bridge.plan import BridgePlan
     from edoras_tools.pipelines.bridge.run import Bridges
     from edoras_tools.pipelines.recorder import RelayRecorder
@@ -126,8 +125,7 @@ def bridge(
     from edoras_tools.middleware.opening import usual, usual_domain
     from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
     from edoras_tools.render.bridge import bridge as view
-    from edoras_tools.render.bridge.foxglove import served
-    from edoras_tools.render.terminal.console import error_console, output_console
+    from edoras_tools.render.terminal.console import output_console
 
     (json, quiet), output = printing, outputs.output
     way = graph.ros.value if graph.ros else usual()
@@ -165,26 +163,9 @@ def bridge(
         say=None if shows else _say,
     )
     failure = _run(bridges, output, running.duration or 0, shows=shows)
-    summary = bridges.summary()
-    shown = bridges.recorder.shown.summary() if bridges.recorder and bridges.recorder.shown else None
-    if json:
-        print_json({**summary, "foxglove": shown})
-    elif not quiet:
-        if shows:
-            for note in bridges.notes:
-                _say(note)
-        console = error_console()
-        console.print(view.outcome(summary, console.width, output))
-        for line in served(shown) if shown else ():
-            sys.stderr.write(f"{line}\n")
-    if json or quiet:
-        for line in view.losses(summary):
-            _say(line)
-    if failure is not None:
-        raise failure
-    lost_outputs(bridges.recorder.losses if bridges.recorder else ())
-    if summary["lost"]:
-        raise typer.Exit(LOST)
+    for note in bridges.notes if shows else ():
+        _say(note)
+    finish_relay(bridges, view.outcome, view.losses, output, printing, failure)
 
 
 def _options(way: str, given: list[str] | None, outputs: RelayOutputOptions) -> dict[str, str]:
@@ -215,7 +196,6 @@ def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool
     from edoras_tools.render.bridge.bridge import live_table
     from edoras_tools.render.terminal.console import error_console
 
-    failure: EdorasError | None = None
     with ExitStack() as stack:
         stack.enter_context(on_interrupt(bridges.stop))  # before the user reads that Ctrl-C ends it
         for station in bridges.stations:
@@ -236,14 +216,13 @@ def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool
         try:
             bridges.run(duration_ns=duration_ns, watcher=table)
         except EdorasError as error:
-            failure = error
+            return error
         finally:
             bridges.close()
-    return failure or (bridges.recorder.failure if bridges.recorder else None)
+    return None
 
 
 def _say(text: str) -> None:
     from edoras_tools.render.terminal.text import clean
 
-    sys.stderr.write(f"edoras: {clean(text)}\n")  # it may contain text that a peer sent
-    sys.stderr.flush()
+    tell(clean(text))  # it may contain text that a peer sent

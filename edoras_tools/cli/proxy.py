@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options
-from edoras_tools.cli.endings import LOST, lost_outputs, tell
+from edoras_tools.cli.endings import finish_relay
 from edoras_tools.cli.listening import tell_reach
 from edoras_tools.cli.live import RelayOutputOptions, Show
 from edoras_tools.cli.output import print_json
@@ -20,7 +20,6 @@ from edoras_tools.errors import EdorasError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from edoras_tools.errors import EdorasError
     from edoras_tools.pipelines.capture.record import Target
     from edoras_tools.pipelines.proxy.plan import ProxyPlan
     from edoras_tools.pipelines.proxy.run import Proxy
@@ -113,9 +112,8 @@ def proxy(
     """
     from edoras_tools.links.table import named
     from edoras_tools.pipelines.proxy.plan import ProxyPlan, as_relayed, limit_rule
-    from edoras_tools.render.bridge.foxglove import served
     from edoras_tools.render.sending import proxy as view
-    from edoras_tools.render.terminal.console import error_console, output_console
+    from edoras_tools.render.terminal.console import output_console
 
     settings, injected = decoding.settings(), faults.plan()
     (json, quiet), output = printing, outputs.output
@@ -143,23 +141,7 @@ def proxy(
     if relayed.bind:
         tell_reach(relayed.bind, "answer as the target")
     failure = _run(relay, output, times.duration or 0, keyboard=asks, quiet=quiet or json)
-    summary = relay.summary()
-    shown = relay.recorder.shown.summary() if relay.recorder and relay.recorder.shown else None
-    if json:
-        print_json({**summary, "foxglove": shown})
-    elif not quiet:
-        console = error_console()
-        console.print(view.outcome(summary, console.width, output))
-        for line in served(shown) if shown else ():
-            sys.stderr.write(f"{line}\n")
-    if quiet or json:
-        for line in view.notes(summary):
-            tell(line)
-    if failure is not None:
-        raise failure
-    lost_outputs(relay.recorder.losses if relay.recorder else ())
-    if summary["lost"]:
-        raise typer.Exit(LOST)
+    finish_relay(relay, view.outcome, view.notes, output, printing, failure)
 
 
 def _opened(plan: ProxyPlan, bench: Workbench, goal: Target | None, show: Show | None) -> Proxy:
@@ -185,7 +167,6 @@ def _run(
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.terminal import look
 
-    failure: EdorasError | None = None
     with ExitStack() as stack:
         stack.enter_context(on_interrupt(relay.stop))  # from the moment that it is told
         sys.stderr.write(f"relaying {relay.title}; Ctrl-C ends\n")
@@ -197,7 +178,7 @@ def _run(
         try:
             relay.run(duration_ns=duration_ns, watcher=table, keys=keys)
         except EdorasError as error:
-            failure = error
+            return error
         finally:
             relay.close()
-    return failure or (relay.recorder.failure if relay.recorder else None)
+    return None
