@@ -7,7 +7,7 @@ import subprocess
 import threading
 
 CLONE_NEWNET = 0x40000000
-ETHERNET = bytes.fromhex("020000000001 020000000002 0800")
+ADDRESSES, IPV4 = bytes.fromhex("020000000001 020000000002"), b"\x08\x00"
 
 
 def inside(work):
@@ -59,10 +59,10 @@ class Cable:
         """Set an end up or down."""
         ip("link", "set", end or self.name, how)
 
-    def send(self, payload, port=1234):
-        """Put a UDP datagram in at the far end."""
+    def send(self, payload, port=1234, tags=b""):
+        """Put a UDP datagram in at the far end, after VLAN tags."""
         udp = struct.pack(">HHHH", 9, port, 8 + len(payload), 0) + payload
         head = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(udp), 1, 0, 64, 17, 0)
         with socket.socket(socket.AF_PACKET, socket.SOCK_RAW) as raw:
             raw.bind((self.far, 0))
-            raw.send(ETHERNET + head + bytes([10, 0, 0, 2, 10, 0, 0, 1]) + udp)
+            raw.send(ADDRESSES + tags + IPV4 + head + bytes([10, 0, 0, 2, 10, 0, 0, 1]) + udp)

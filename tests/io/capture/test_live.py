@@ -7,6 +7,7 @@ import sys
 import threading
 
 import pytest
+from namespace import Cable, inside
 from waiting import PATIENCE_S, until
 
 from edoras_tools.errors import CaptureError
@@ -36,7 +37,11 @@ def live():
 
 
 def payloads(batches):
-    return [batch[row].payload for batch in batches for row in range(len(batch))]
+    return [one.payload for batch in batches for one, _ in of_each(batch)]
+
+
+def of_each(batch):
+    return [(batch[row], batch.frame_offset[row]) for row in range(len(batch))]
 
 
 @pytest.mark.parametrize("interface", ["lo", "any"])
@@ -60,6 +65,31 @@ def test_everything_from_construction_to_stop(live, pair, interface):
     assert statistics.kernel_drops == 0
     assert statistics.bytes == 3000 * ({"lo": 14, "any": 20}[interface] + 28 + 8)
     assert (source.info.name, source.info.kind) == (interface, "live")
+
+
+TAGS = {b"none": "", b"802.1Q": "81002007", b"priority": "81006000", b"802.1ad": "88a80064 81000008"}
+
+
+@pytest.mark.parametrize(("interface", "ends"), [("cable", 1), ("any", 2)])
+def test_vlan_tags_as_the_kernel_gives_them(live, interface, ends):
+    """Of what comes in it removes a tag, of what goes out it does not; ``any`` sees both ends of the cable."""
+
+    def work():
+        cable, found = Cable("cable"), []
+        cable.lay()
+        source = live(interface, [1234])
+        for payload, tags in TAGS.items():
+            cable.send(payload, tags=bytes.fromhex(tags))
+        for batch in source.batches():
+            found += [(one.payload, batch.data[at + 12 : at + 22]) for one, at in of_each(batch)]
+            if source.statistics.frames == ends * len(TAGS):
+                source.stop()
+        return found
+
+    found = inside(work)
+    assert sorted(payload for payload, _ in found) == sorted([*TAGS] * ends)
+    if interface == "cable":  # a cooked header has no place for a tag
+        assert all(bytes(after).startswith(bytes.fromhex(TAGS[payload] + "0800")) for payload, after in found)
 
 
 def test_ready_is_said_when_nothing_can_be_missed(live, pair):
