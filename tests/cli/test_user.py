@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from namespace import Cable, inside
 from places import ROOT
 from waiting import HOST, Program, free_ports
 
@@ -67,6 +69,36 @@ def test_root_is_given_up_and_the_capture_goes_on(program, place, live):
             sender.sendto(b"hello", (HOST, port))
         running.end(how=None)
     assert path.stat().st_uid == 65534
+
+
+@pytest.mark.parametrize("deleted", [False, True], ids=["down", "deleted"])
+def test_the_socket_that_is_kept_follows_the_interface(program, place, datagrams, deleted):
+    """Nobody may open another one: it is bound again when the interface is back, or is made anew."""
+    path, cable = place / "x.pcap", Cable("cable")
+
+    def work():
+        cable.lay()
+        with Program(*program, "record", "-i", "cable", "--user", "nobody", "-o", path) as running:
+
+            def said(word):
+                while word not in (line := running.line(running.err)):
+                    pass
+                return line
+
+            said("capturing")
+            assert identity(running)["CapEff"] == ["0" * 16]
+            cable.send(b"before")
+            cable.remove() if deleted else cable.switch("down")
+            assert said("waiting").endswith(
+                f"cable is {'not there' if deleted else 'down'}; waiting for it\n"
+            )
+            cable.lay() if deleted else cable.switch("up")
+            said("back")
+            cable.send(b"after")
+            running.end(signal.SIGINT)
+
+    inside(work)
+    assert [item.payload for item in datagrams(path)] == [b"before", b"after"]
 
 
 def test_a_folder_that_the_user_cannot_write_is_refused_at_the_start(program, place):

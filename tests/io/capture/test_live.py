@@ -72,7 +72,7 @@ TAGS = {b"none": "", b"802.1Q": "81002007", b"priority": "81006000", b"802.1ad":
 
 @pytest.mark.parametrize(("interface", "ends"), [("cable", 1), ("any", 2)])
 def test_vlan_tags_as_the_kernel_gives_them(live, interface, ends):
-    """Of what comes in it removes a tag, of what goes out it does not; ``any`` sees both ends of the cable."""
+    """Of what comes in it removes a tag, of what goes out it does not; ``any`` sees both ends."""
 
     def work():
         cable, found = Cable("cable"), []
