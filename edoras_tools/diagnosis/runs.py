@@ -4,16 +4,18 @@ Runs last differently long and start at different times, so counts are compared 
 times from each run's own start. The rules:
 
 1. A route that the good run has and the bad run has not is worse, if it is a configured topic or had at
-   least ``FEWEST`` messages; one that only the bad run has is told.
+   least ``FEWEST`` messages, and is no event; one that only the bad run has is told.
 2. A rate is worse when it is lower by more than the tolerance and the good run had at least ``FEWEST``
    messages; events have no rate.
 3. Loss is worse when the good run lost nothing and the bad run lost something, or when its share grew by
-   more than ``LOSS_SHARE``.
+   more than ``LOSS_SHARE``; so is what was superseded, and what is not accounted for. All of it is the
+   balance's, also what is of no route.
 4. A latency is worse when its 99th percentile grew by more than the tolerance and by more than
    ``LATENCY_MS``.
 5. Sizes that differ, and findings that only one run has, are told; a finding that came is worse if it is an
    error or a warning.
-6. A verdict that came is worse if it is an error or a warning; one that went is told.
+6. A verdict that came is worse if it is an error or a warning; one that went is told. It is the same one if
+   it is of the same rule and MsgId, wherever it was.
 """
 
 from __future__ import annotations
@@ -35,6 +37,8 @@ LOSS_SHARE: Final = 0.01
 LATENCY_MS: Final = 10.0
 _EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
 _SERIOUS: Final = frozenset({"error", "warning"})
+_GONE: Final = {"lost": "lost", "superseded": "superseded", "unaccounted": "not accounted for"}
+"""Figures of the balance that say what did not arrive, and how people are told of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +64,8 @@ class RunDifference:
     """One thing that differs.
 
     Attributes:
-        what: ``route``, ``rate_hz``, ``lost``, ``latency_ms``, ``bytes``, ``finding`` or ``verdict``.
+        what: ``route``, ``rate_hz``, ``lost``, ``superseded``, ``unaccounted``, ``latency_ms``, ``bytes``,
+            ``finding`` or ``verdict``.
         route: topic, name or MsgId; None where it is about the whole run.
         link: the link, or None.
         msg_id: as ``0x0827``, or None.
@@ -99,32 +104,47 @@ def run_differences(
         if one is None or other is None:
             text = f"{name} on {key[0]} {'is missing' if other is None else 'is new'}"
             counts = (one or {}).get("count"), (other or {}).get("count")
-            worse = one is not None and (one["topic"] or one["count"] >= FEWEST)
+            worse = one is not None and (one["topic"] or one["count"] >= FEWEST) and not _is_event(key)
             changes.append(RunDifference("route", name, *key, *counts, bool(worse), text))
             continue
         changes += _rates(key, name, one, other, tolerance)
+        changes += _gone(key, name, one, other)
         changes += _findings(key, name, one["findings"], other["findings"], serious)
+    elsewhere = [_elsewhere(run, {*ours, *theirs}) for run in (good, bad)]
+    changes += _gone(None, "of no known route", *elsewhere)
     changes += _verdicts(good, bad)
     return sorted(changes, key=lambda item: not item.worse)
+
+
+def _is_event(key: Key) -> bool:
+    return int(key[1], 16) in _EVENTS
+
+
+def _gone(
+    key: Key | None, name: str, one: Mapping[str, Any], other: Mapping[str, Any]
+) -> Iterator[RunDifference]:
+    """Compare what did not arrive, of one route or of none."""
+    for what, told in _GONE.items():
+        was, now = (item[what] / item["sent"] if item["sent"] else 0.0 for item in (one, other))
+        worse = now - was > LOSS_SHARE or (not one[what] and bool(other[what]))
+        if worse or was - now > LOSS_SHARE:
+            text = (
+                f"{name}: {other[what]:,} of {other['sent']:,} {told} ({now:.1%}) instead of "
+                f"{one[what]:,} of {one['sent']:,} ({was:.1%})"
+            )
+            link, msg_id = key or (None, None)
+            route = name if key else None
+            yield RunDifference(what, route, link, msg_id, one[what], other[what], worse, text)
 
 
 def _rates(
     key: Key, name: str, one: Mapping[str, Any], other: Mapping[str, Any], tolerance: float
 ) -> Iterator[RunDifference]:
-    """Compare rate, loss, latency and sizes of one route."""
+    """Compare rate, latency and sizes of one route."""
     was, now = one["rate_hz"], other["rate_hz"]
-    if one["count"] >= FEWEST and int(key[1], 16) not in _EVENTS and abs(now - was) > tolerance * was:
+    if one["count"] >= FEWEST and not _is_event(key) and abs(now - was) > tolerance * was:
         text = f"{name}: {now:.2f} Hz instead of {was:.2f}"
         yield RunDifference("rate_hz", name, *key, was, now, now < was, text)
-    was, now = (item["lost"] / item["sent"] if item["sent"] else 0.0 for item in (one, other))
-    if one["lost"] != other["lost"] and (now or was):
-        worse = now - was > LOSS_SHARE or (not one["lost"] and bool(other["lost"]))
-        text = (
-            f"{name}: {other['lost']:,} of {other['sent']:,} lost ({now:.1%}) instead of "
-            f"{one['lost']:,} of {one['sent']:,} ({was:.1%})"
-        )
-        if worse or was - now > LOSS_SHARE:
-            yield RunDifference("lost", name, *key, one["lost"], other["lost"], worse, text)
     was, now = one["latency_ms"], other["latency_ms"]
     if was is not None and now is not None and abs(now - was) > max(tolerance * was, LATENCY_MS):
         text = f"{name}: 99 % within {now:.1f} ms instead of {was:.1f} ms"
@@ -154,7 +174,8 @@ def _findings(
 def _verdicts(good: Run, bad: Run) -> Iterator[RunDifference]:
     def keyed(run: Run) -> dict[tuple[Any, ...], Mapping[str, Any]]:
         return {
-            (item["rule"], item["link"], item["msg_id"], item["hop"]): item for item in run.doctor["verdicts"]
+            (item["rule"], item["link"], item["msg_id"], None if item["msg_id"] else item["hop"]): item
+            for item in run.doctor["verdicts"]
         }
 
     ours, theirs = keyed(good), keyed(bad)
@@ -185,7 +206,7 @@ def _routes(run: Run) -> dict[Key, dict[str, Any]]:
                 "bytes": (row["bytes_min"], row["bytes_max"]),
                 "findings": defaultdict(int),
                 "sent": 0,
-                "lost": 0,
+                **dict.fromkeys(_GONE, 0),
                 "latency_ms": None,
             },
         )
@@ -198,10 +219,20 @@ def _routes(run: Run) -> dict[Key, dict[str, Any]]:
         known = rows.get((row["link"], row["msg_id"]), {})
         if known:
             known["sent"] += row["sent"]
-            known["lost"] += row["lost"]
             latencies = [item["latency"] for item in row["crossings"]] + [row["delay"]]
             worst = [item["p99_ms"] for item in latencies if item]
             known["latency_ms"] = max([*worst, known["latency_ms"] or 0.0]) if worst else known["latency_ms"]
+    for row in run.doctor["balance"]:
+        known = rows.get((row["link"], row["msg_id"]), {})
+        if known:
+            for what in _GONE:
+                known[what] += row[what]
     for known in rows.values():
         known["rate_hz"] = known["count"] / run.seconds if run.seconds > 0 else 0.0
     return rows
+
+
+def _elsewhere(run: Run, routes: Collection[Key]) -> dict[str, int]:
+    """Return what did not arrive and is of no route, beside all datagrams."""
+    rows = [row for row in run.doctor["balance"] if (row["link"], row["msg_id"]) not in routes]
+    return {"sent": run.info["datagrams"], **{what: sum(row[what] for row in rows) for what in _GONE}}

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from itertools import count
 
 import pytest
 from places import CAPTURES, MISSIONS, ROOT
+from rewriting import datagrams, write
 from schema import check, published
 from typer.testing import CliRunner
 
 from edoras_tools.cli.main import program
+from edoras_tools.units import SECOND
 
 ROVER = CAPTURES / "a_rover.pcap"
 MISSION = MISSIONS / "rover_ground.yaml"
@@ -39,6 +43,84 @@ def test_a_worse_run(compare):
         (item["worse"] for item in told["changes"]), reverse=True
     )
     assert {"verdict", "lost"} <= {item["what"] for item in told["changes"] if item["worse"]}
+
+
+@pytest.mark.parametrize("name", ["a_rover", "f_sbn_disconnect", "n1_to_remove_all", "n12_two_hosts_ground"])
+def test_a_capture_beside_itself_has_no_difference(compare, name):
+    path = ROOT / f"tests/captures/{name}.pcap.zst"
+    done = compare(path, path, "--json")
+    assert (done.exit_code, json.loads(done.stdout)["changes"]) == (0, [])
+
+
+def msg_id(item):
+    return int.from_bytes(item.payload[:2])
+
+
+def later(items):
+    return [item.at(86_400 * SECOND) for item in items]
+
+
+def moved(items):
+    other = {"127.0.0.1": "10.0.0.1"}
+    return [
+        replace(
+            item,
+            source=(other.get(item.source[0], "10.0.0.2"), item.source[1]),
+            destination=(other.get(item.destination[0], "10.0.0.2"), item.destination[1]),
+        )
+        for item in items
+    ]
+
+
+def twice(items):
+    return [copy for item in items for copy in (item, item.at(1000))]
+
+
+def without(number, every):
+    def change(items):
+        left = count()
+        return [item for item in items if msg_id(item) != number or next(left) % every]
+
+    return change
+
+
+def stopped(items):
+    until_ns = items[0].time_ns + 40 * SECOND
+    return [item for item in items if msg_id(item) != 0x827 or item.time_ns < until_ns]
+
+
+def slow(items):
+    turn = count()
+    late = [item.at(SECOND // 10 * (next(turn) % 2)) if msg_id(item) == 0x827 else item for item in items]
+    return sorted(late, key=lambda item: item.time_ns)
+
+
+CHANGES = {
+    # What is done to the second capture, and what of it is worse: kind of the change, MsgId.
+    later: set(),
+    moved: set(),
+    twice: set(),
+    without(0x827, 1): {("route", "0x0827")},
+    without(0x827, 9): {("rate_hz", "0x0827"), ("lost", "0x0827"), ("verdict", "0x0827")},
+    # The counters of the software bus go on: which commands they mean is no longer there.
+    without(0x1827, 2): {("rate_hz", "0x1827"), ("lost", None), ("verdict", None)},
+    stopped: {("rate_hz", "0x0827"), ("verdict", "0x0827")},
+    slow: {("latency_ms", "0x0827")},
+}
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda item: item.__name__)
+def test_a_doctored_capture_is_worse_where_it_was_changed(compare, tmp_path, change):
+    items = datagrams(ROOT / "tests/captures/a_rover.pcap.zst")
+    good, bad = write(tmp_path / "good.pcap", items), write(tmp_path / "bad.pcap", change(items))
+    worse = CHANGES[change]
+    done, back = compare(good, bad, "--json"), compare(bad, good, "--json")
+    told = json.loads(done.stdout)["changes"]
+    assert {(item["what"], item["msg_id"]) for item in told if item["worse"]} == worse
+    assert done.exit_code == (3 if worse else 0)
+    if ("lost", None) not in worse:
+        assert back.exit_code == 0
+    assert bool(json.loads(back.stdout)["changes"]) == bool(told)
 
 
 def test_a_file_that_is_not_there(compare, tmp_path):

@@ -25,10 +25,10 @@ ACCOUNT = {
     "link": "to",
     "msg_id": "0x0827",
     "sent": 100,
-    "lost": 0,
     "crossings": [],
     "delay": {"p50_ms": 5.0, "p99_ms": 20.0, "max_ms": 21.0},
 }
+BALANCE = {"link": "to", "msg_id": "0x0827", "lost": 0, "superseded": 0, "unaccounted": 0}
 VERDICT = {
     "rule": "no_subscriber",
     "severity": "error",
@@ -40,10 +40,11 @@ VERDICT = {
 }
 
 
-def run(route=(), account=(), verdicts=(), seconds=10.0):
+def run(route=(), account=(), verdicts=(), seconds=10.0, balance=()):
     info = {"source": "x.pcap", "datagrams": 100, "routes": [{**copy.deepcopy(ROUTE), **dict(route)}]}
     doctor = {"start_ns": 0, "end_ns": int(seconds * 1e9), "routes": [{**ACCOUNT, **dict(account)}]}
-    return Run(info, {**doctor, "verdicts": list(verdicts), "lost": 0})
+    rows = [{**BALANCE, **dict(balance)}]
+    return Run(info, {**doctor, "verdicts": list(verdicts), "balance": rows, "lost": 0})
 
 
 def changes(good, bad):
@@ -63,7 +64,10 @@ CASES = [
     ({"route": {"count": 80}}, [("rate_hz", True)]),
     ({"route": {"count": 120}}, [("rate_hz", False)]),
     ({"route": {"count": 95}}, []),
-    ({"account": {"lost": 1}}, [("lost", True)]),
+    ({"balance": {"lost": 1}}, [("lost", True)]),
+    ({"balance": {"superseded": 40}}, [("superseded", True)]),
+    ({"balance": {"unaccounted": 1}}, [("unaccounted", True)]),
+    ({"balance": {"link": None, "msg_id": None, "lost": 3}}, [("lost", True)]),
     ({"account": {"delay": {"p99_ms": 31.0}}}, [("latency_ms", True)]),
     ({"account": {"delay": {"p99_ms": 29.0}}}, []),
     ({"account": {"delay": None}}, []),
@@ -88,10 +92,16 @@ def test_what_went_is_only_told(bad, expected):
 
 
 def test_loss_that_grew_a_little_is_no_news():
-    lossy = run(account={"lost": 500, "sent": 1000})
-    assert changes(lossy, run(account={"lost": 505, "sent": 1000})) == []
-    assert changes(lossy, run(account={"lost": 530, "sent": 1000})) == [("lost", True)]
-    assert changes(lossy, run(account={"lost": 300, "sent": 1000})) == [("lost", False)]
+    def lossy(lost):
+        return run(account={"sent": 1000}, balance={"lost": lost})
+
+    assert changes(lossy(500), lossy(505)) == []
+    assert changes(lossy(500), lossy(530)) == [("lost", True)]
+    assert changes(lossy(500), lossy(300)) == [("lost", False)]
+
+
+def test_a_verdict_at_another_place_is_the_same_one():
+    assert changes(run(verdicts=[VERDICT]), run(verdicts=[{**VERDICT, "hop": "elsewhere"}])) == []
 
 
 def test_events_have_no_rate():
