@@ -1,6 +1,12 @@
-"""Figures in sentences."""
+"""Numbers, lists and suggestions in sentences."""
 
 from __future__ import annotations
+
+from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 
 def plural(number: int, noun: str) -> str:
@@ -11,3 +17,14 @@ def plural(number: int, noun: str) -> str:
 def listed(items: list[str], most: int = 8) -> str:
     """Return the first of some items, and that there are more."""
     return ", ".join(items[:most]) + (", ..." if len(items) > most else "")
+
+
+def did_you_mean(word: str, names: Iterable[str], most: int = 3, cutoff: float = 0.6) -> str:
+    """Return ``did you mean a or b?`` with the nearest names, in either case; nothing if none is near.
+
+    >>> did_you_mean("linaer.x", ["linear.x", "angular.z"])
+    'did you mean linear.x?'
+    """
+    lower = {item.lower(): item for item in names}
+    near = [lower[item] for item in get_close_matches(word.lower(), lower, most, cutoff)]
+    return f"did you mean {' or '.join(near)}?" if near else ""

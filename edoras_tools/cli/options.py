@@ -57,15 +57,13 @@ def msg_id(text: str) -> int:
 
 
 def _named_msg_id(text: str) -> int:
-    from difflib import get_close_matches
-
     from edoras_tools.cfs.names import MSG_ID_NAMES
+    from edoras_tools.words import did_you_mean
 
     ids = {name: value for value, name in MSG_ID_NAMES.items()}
     name = text.upper()
     if name not in ids:
-        near = get_close_matches(name, ids, 1)
-        hint = f"did you mean {near[0]}?" if near else "write 0x827, or a name, e.g. TO_CMD"
+        hint = did_you_mean(name, ids, 1) or "write 0x827, or a name, e.g. TO_CMD"
         raise typer.BadParameter(f"no MsgId is named {text!r}; {hint}")
     return ids[name]
 

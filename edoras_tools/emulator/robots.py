@@ -47,9 +47,8 @@ class Rover:
     command_type = messages.TWIST
     state_type = messages.POSE_STAMPED
 
-    def __init__(self, *, now: int, frame_id: str = "world", y: float = 0.0) -> None:
+    def __init__(self, *, now: int, y: float = 0.0) -> None:
         self.x, self.y, self.heading = 0.0, y, 0.0
-        self._frame_id = frame_id
         self._speed = self._turn = 0.0
         self._moved_ns = self._told_ns = now
 
@@ -62,7 +61,7 @@ class Rover:
     def state(self, *, now: int) -> bytes:
         """Return a PoseStamped."""
         self._move(now)
-        return messages.pose_stamped(now, self._frame_id, self.x, self.y, self.heading)
+        return messages.pose_stamped(now, "world", self.x, self.y, self.heading)
 
     def _move(self, now: int) -> None:
         until = min(now, self._told_ns + int(COMMAND_AGE_S * SECOND))

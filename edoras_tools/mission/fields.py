@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import ipaddress
 import math
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.mission.report import printable
 from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.mission.tree import ScalarNode
+from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 def suggestion(word: str, choices: Iterable[str]) -> str:
     """Return ``did you mean ...? `` for the nearest choice, or nothing."""
-    near = difflib.get_close_matches(word, list(choices), n=1)
-    return f"did you mean {near[0]}? " if near else ""
+    near = did_you_mean(word, choices, 1)
+    return f"{near} " if near else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,11 +98,6 @@ class GroundLink:
         """Where commands are sent."""
         return Endpoint(self.fsw_ip, self.fsw_port)
 
-    @property
-    def telemetry_output(self) -> Endpoint:
-        """Where telemetry arrives; address ``0.0.0.0`` is any."""
-        return Endpoint(self.bridge_ip or self.telemetry_ip, self.bridge_port)
-
 
 @dataclass(frozen=True, slots=True)
 class FlightLink:

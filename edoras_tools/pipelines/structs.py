@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
@@ -15,6 +14,7 @@ from edoras_tools.structs.debug_info.dwarf import DebugInfo, Listed
 from edoras_tools.structs.files import LAYOUT_FILE, load_layout
 from edoras_tools.structs.shapes import StructLayout
 from edoras_tools.structs.writing import dumps
+from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -83,10 +83,8 @@ class LayoutFile:
         for known in (name, f"{name}_t", name.removesuffix("_t")):
             if known in self._layout.structs:
                 return known
-        near = get_close_matches(name, self._layout.structs, 3)
-        hint = (
-            f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(self._layout.structs)}"
-        )
+        there = self._layout.structs
+        hint = did_you_mean(name, there) or f"there are {', '.join(there)}"
         raise ConfigError(f"{self._layout.origin}: no struct {name!r}; {hint}")
 
 

@@ -74,6 +74,10 @@ class Chart:
         )
 
 
+_LINES: Final = 12
+"""Lines of the field in a terminal."""
+
+
 def ticks(end: float, most: int = _MOST_TICKS) -> list[float]:
     """Return round numbers from 0 up to ``end``, at most ``most``."""
     if end <= 0:
@@ -84,14 +88,14 @@ def ticks(end: float, most: int = _MOST_TICKS) -> list[float]:
     return [step * index for index in range(int(end / step + 1e-9) + 1)]
 
 
-def terminal(chart: Chart, width: int, height: int = 12) -> list[Text]:
+def terminal(chart: Chart, width: int) -> list[Text]:
     """Draw a chart in terminal cells.
 
     Args:
         chart: what to draw.
         width: of all, at least 40 cells.
-        height: of the field, in lines.
     """
+    height = _LINES
     end_x, end_y = chart.ends
     labels = {round(value / end_y * (height - 1)): _figure(value) for value in ticks(end_y)}
     margin = max(len(text) for text in labels.values())

@@ -100,7 +100,7 @@ def test_samples_hold_the_routes_of_the_demos(names):
     assert list(mission.files) == [f"{name}.yaml" for name in names]
     (ground,) = mission.ground
     assert ground.command_ingest == Endpoint("127.0.0.1", 1234)
-    assert ground.telemetry_output == Endpoint("127.0.0.1", 1235)
+    assert (ground.telemetry_ip, ground.bridge_port) == ("127.0.0.1", 1235)
     for flight in mission.flight:
         assert flight.peer == Endpoint("127.0.0.1", 2234)
         assert flight.bridge == Endpoint("127.0.0.1", 2236)

@@ -30,8 +30,6 @@ class LiveSource(DeviceSource):
         ports: UDP ports to capture, source or destination; if empty, every UDP datagram.
         ready: called once when ``batches`` starts; nothing that arrives after construction is missed.
         told: see ``DeviceSource``.
-        snap_length: bytes of a frame to keep.
-        promiscuous: also receive frames for other hosts, as on a mirror port.
         wait: if the interface does not exist or is down, treat it as one that is away now.
 
     Raises:
@@ -45,12 +43,9 @@ class LiveSource(DeviceSource):
         *,
         ready: Callable[[], None] | None = None,
         told: Callable[[InterfaceOutage], None] | None = None,
-        snap_length: int = 262144,
-        promiscuous: bool = True,
         wait: bool = False,
     ) -> None:
-        ring = Ring(interface, ports, snap_length=snap_length, promiscuous=promiscuous, wait=wait)
-        super().__init__(ring, ready=ready, told=told)
+        super().__init__(Ring(interface, ports, wait=wait), ready=ready, told=told)
 
 
 def open_live(

@@ -43,7 +43,6 @@ class Bridges:
         options: of the middleware.
         recorder: called once the ports are bound; returns the recorder of the bridged datagrams.
         say: called with each note for the user.
-        join: opens a graph for a node's name, instead of the middleware.
 
     Attributes:
         plan: as given.
@@ -68,7 +67,6 @@ class Bridges:
         options: Mapping[str, str] | None = None,
         recorder: Callable[[], RelayRecorder] | None = None,
         say: Callable[[str], None] | None = None,
-        join: Callable[[str], Graph] | None = None,
     ) -> None:
         self.plan, self.ros = plan, ros
         self.recorder: RelayRecorder | None = None
@@ -93,9 +91,7 @@ class Bridges:
                 server.append(graph)
             return graph
 
-        shared = Surroundings(
-            plan, request or BridgeRequest(), join or node, self._inbox, make_buffer(), self._say
-        )
+        shared = Surroundings(plan, request or BridgeRequest(), node, self._inbox, make_buffer(), self._say)
         try:
             for item in plan.stations:
                 try:

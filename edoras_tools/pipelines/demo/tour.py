@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.model import Columns, Decoded, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.run import Watcher
 
 SAMPLES: Final = files("edoras_tools.samples")
 _COMMAND_RATE_HZ: Final = 10.0
@@ -73,7 +72,6 @@ def tour(
     *,
     show: Callable[[Decoded], None],
     notice: Callable[[str], None],
-    watcher: Watcher[CaptureReport] | None = None,
 ) -> Tour:
     """Run the tour.
 
@@ -82,7 +80,6 @@ def tour(
         seconds: how long to capture.
         show: called with every packet of the live link.
         notice: called with a line on what happens.
-        watcher: updated with the report of the live link.
 
     Raises:
         CaptureError: a port is in use, or the folder cannot be written.
@@ -106,7 +103,7 @@ def tour(
     live = folder / "two_rovers.mcap"
     with Served(simulation) if captured else nullcontext():
         limits = Limits(duration_ns=duration_ns)
-        report = record(source, bench, Target(live), limits=limits, watcher=watcher, tap=tap)
+        report = record(source, bench, Target(live), limits=limits, tap=tap)
     rover = Settings((missions / "rover_ground.yaml",)).workbench()
     real = record(open_files([capture]), rover, Target(folder / "a_rover.mcap"))
     return Tour(report, real, folder, captured)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from edoras_tools.io.formats.merge import recorded_faults
 from edoras_tools.pipelines.doctor.clocks import OneByOne
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -162,8 +162,7 @@ def profile_with(constants: Sequence[str]) -> SimProfile:
     for text in constants:
         name, _, value = text.partition("=")
         if name not in known:
-            near = get_close_matches(name, sorted(known), 1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(known))}"
+            hint = did_you_mean(name, sorted(known), 1) or f"there are {', '.join(sorted(known))}"
             raise ConfigError(f"constant {name!r} is not known; {hint}")
         try:
             changes[name] = int(value, 0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +13,7 @@ from edoras_tools.io.formats.columns import TableColumn
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.selection import fits_topic
 from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -89,8 +89,8 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
         return [topic for topic in source.topics if topic in usual]
     for pattern in patterns:
         if not any(fits_topic(topic, pattern) for topic in source.topics):
-            near = get_close_matches(f"/{pattern.removeprefix('/')}", source.topics, 3, 0.6)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(source.topics)}"
+            near = did_you_mean(f"/{pattern.removeprefix('/')}", source.topics)
+            hint = near or f"there are {', '.join(source.topics)}"
             raise RouteError(f"no topic of {source.name} matches {pattern!r}; {hint}")
     return [topic for topic in source.topics if any(fits_topic(topic, item) for item in patterns)]
 
@@ -108,8 +108,7 @@ def check_fields(patterns: Sequence[str], there: Mapping[str, Sequence[str]]) ->
     names = sorted({name for columns in there.values() for name in columns})
     for pattern in patterns:
         if not any(_fits(name, pattern) for name in names):
-            near = get_close_matches(pattern, names, 3, 0.5)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(names[:12])}"
+            hint = did_you_mean(pattern, names, cutoff=0.5) or f"there are {', '.join(names[:12])}"
             raise ConfigError(f"--fields: {pattern!r} is no field of {', '.join(sorted(there))}; {hint}")
     return [
         topic

@@ -105,7 +105,7 @@ def msg_id_text(route: Mapping[str, Any]) -> Text:
     return plain(route.get("msg_id") or units.NONE, link.colour if link else "")
 
 
-def departures(found: Mapping[str, int], *, least: Level = Level.WARNING) -> Text:
+def departures(found: Mapping[str, int]) -> Text:
     """Return how many errors and warnings there are, as ``✗ 3 ! 12``."""
     totals: dict[Level, int] = {}
     for label, count in found.items():
@@ -113,7 +113,7 @@ def departures(found: Mapping[str, int], *, least: Level = Level.WARNING) -> Tex
         totals[severity] = totals.get(severity, 0) + count
     out = Text()
     for severity in sorted(totals, reverse=True):
-        if severity >= least:
+        if severity >= Level.WARNING:
             out.append(" " if out else "").append(f"{severity.mark} {totals[severity]:,}", severity.style)
     return out
 

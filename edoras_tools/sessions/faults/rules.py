@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
@@ -12,6 +11,7 @@ from edoras_tools.links import table
 from edoras_tools.sessions.faults import values as read
 from edoras_tools.sessions.faults.kinds import FAULT_KINDS, PROFILES, REQUIRED, Option
 from edoras_tools.wire.sbn import MsgType
+from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -246,5 +246,4 @@ def _contradictions(values: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _choices(word: str, choices: Iterable[str]) -> str:
     names = list(choices)
-    near = difflib.get_close_matches(word, names, n=1)
-    return (f"did you mean {near[0]}? " if near else "") + f"there are {', '.join(names)}"
+    return f"{did_you_mean(word, names, 1)} there are {', '.join(names)}".lstrip()

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import zlib
 from contextlib import contextmanager
-from difflib import get_close_matches
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -29,6 +28,7 @@ from edoras_tools.structs.debug_info.entries import (
 from edoras_tools.structs.debug_info.relocation import relocated
 from edoras_tools.structs.debug_info.types import Maker
 from edoras_tools.structs.shapes import ByteOrder, Key, StructLayout
+from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     import os
@@ -235,9 +235,7 @@ class DebugInfo:
             if known in self._found:
                 return self._found[known]
 
-        lower = {item.lower(): item for item in self._found}
-        near = [lower[item] for item in get_close_matches(name.lower(), lower, 3)]
-        hint = f"did you mean {' or '.join(near)}?" if near else f"'edoras structs {self.path}' lists all"
+        hint = did_you_mean(name, self._found) or f"'edoras structs {self.path}' lists all"
         raise ConfigError(f"{self.path}: no struct {name!r}; {hint}")
 
     def called(self, die: Die) -> str:
