@@ -104,4 +104,5 @@ def _march(
         landings[lanes] = track[steps, np.arange(len(lanes))]
         lanes = lanes[steps == _BLOCK]
     # No part reaches into the next one, so sorting by position gives the order of the parts.
-    return np.sort(np.concatenate(blocks)), counts, landings
+    # Blocks are runs, which a stable sort merges.
+    return np.sort(np.concatenate(blocks), kind="stable"), counts, landings
