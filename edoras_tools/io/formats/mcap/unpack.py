@@ -102,7 +102,9 @@ def _decompress(head: ChunkHead, packed: bytes | memoryview) -> tuple[bytes | me
     checked = lz4.frame.get_frame_info(packed)["content_checksum"]
     decompressor = lz4.frame.LZ4FrameDecompressor()
     raw = decompressor.decompress(packed, max_length=min(head.size, MAX_CHUNK_BYTES) + 1)
-    return raw, checked and decompressor.eof
+    if not decompressor.eof:  # other readers refuse such a frame, even if all records are there
+        raise EOFError
+    return raw, checked
 
 
 def inflate(head: ChunkHead, packed: bytes) -> bytes:
