@@ -27,7 +27,7 @@ LICENCES = {
         "click colorama contourpy cycler grimp import-linter kiwisolver lz4 numpy pandas pygments "
         "python-dateutil websockets zstandard"
     ),
-    "Apache-2.0": "pyarrow rosbags sortedcontainers tzdata",
+    "Apache-2.0": "junitparser pyarrow rosbags sortedcontainers tzdata",
     "Apache-2.0 or BSD": "packaging",
     "EPL-2.0, or Apache-2.0, or BSD": "cyclonedds eclipse-zenoh",
     "MPL-2.0": "hypothesis pathspec",

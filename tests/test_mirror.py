@@ -57,6 +57,7 @@ ELSEWHERE = {
     "pipelines/*": "pipelines/capture/test_record.py",
     "pipelines/bridge/*": "pipelines/bridge/test_run.py",
     "pipelines/capture/*": "pipelines/capture/test_record.py",
+    "pipelines/check/*": "pipelines/check/test_run.py",
     "pipelines/demo/*": "pipelines/demo/test_parts.py",
     "pipelines/doctor/*": "cli/test_doctor.py",
     "pipelines/export/*": "pipelines/export/test_run.py",

@@ -18,6 +18,7 @@ from edoras_tools.errors import CaptureError, ConfigError
 
 if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.workbench import Settings
 
@@ -52,6 +53,15 @@ class TaskOptions(NamedTuple):
             "--set", metavar="NAME=VALUE", help="A constant of your cFS, e.g. app_msg_limit=8; repeatable."
         ),
     ] = None
+    max_loss: Annotated[
+        float | None,
+        typer.Option(
+            "--max-loss",
+            metavar="SHARE",
+            parser=options.share,
+            help="Exit code 0 if no more than this is lost or unaccounted for of any route, e.g. 1%.",
+        ),
+    ] = None
     list_lost: Annotated[
         Listing | None,
         typer.Option(
@@ -79,6 +89,8 @@ def doctor(
     from edoras_tools.pipelines.doctor.doctor import profile_with
 
     settings, scope, profile = decoding.settings(), part.scope(), profile_with(task.constant or ())
+    if task.max_loss is not None and (task.predict or task.list_lost or task.against):
+        raise ConfigError("--max-loss belongs to a diagnosis: not with --predict, --list-lost or --against")
     if task.predict:
         _predict(settings, profile, scope, json=printing.json)
     elif task.list_lost is not None:
@@ -86,7 +98,12 @@ def doctor(
     elif task.against is not None:
         _compare(settings, scope, given.paths, task.against, printing)
     else:
-        _examine(settings, profile, scope, given, duration or 0, printing)
+        found = _examine(settings, profile, scope, given, duration or 0, printing)
+        reasons = [] if task.max_loss is None else found.beyond(task.max_loss)
+        for reason in reasons:
+            tell(reason)
+        if reasons or (task.max_loss is None and found.bad):
+            raise typer.Exit(LOST)
 
 
 def _examine(
@@ -96,7 +113,7 @@ def _examine(
     given: InputOptions,
     duration_ns: int,
     printing: options.PrintOptions,
-) -> None:
+) -> Diagnosis:
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
     from edoras_tools.render.doctor.live import LiveVerdicts
     from edoras_tools.render.terminal.console import error_console
@@ -128,8 +145,7 @@ def _examine(
         raise findings.failure
     if not live:
         no_datagrams(source)
-    if findings.diagnosis.bad:
-        raise typer.Exit(LOST)
+    return findings.diagnosis
 
 
 def _list_lost(

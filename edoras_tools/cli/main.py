@@ -43,6 +43,7 @@ COMMANDS: Final = (
         "bridge",
         "doctor",
         "compare",
+        "check",
         "report",
         "sim",
         "wireshark",
@@ -132,12 +133,13 @@ def run(made: typer.Typer) -> NoReturn:
         sys.stdout.flush()
     except EdorasError as error:
         code = error.exit_code
-        _say(str(error))
+        branch = next(item for item in type(error).__mro__ if item.__base__ in {EdorasError, Exception})
+        _say(str(error), branch.__name__.removesuffix("Error").lower())
     except _USAGE as error:
         code = error.exit_code
         told = error.format_message().replace("Value error, ", "")  # the prefix of typer's own checks
         command = error.ctx.command_path if error.ctx else made.info.name
-        _say(f"{told.removesuffix('.')}; see {command} -h" if told else "")
+        _say(f"{told.removesuffix('.')}; see {command} -h" if told else "", "usage")
     except SystemExit as error:
         # click ends this way at a broken pipe: the reader of the output, such as `head`, has closed it.
         code = 0 if isinstance(error.__context__, BrokenPipeError) else error.code
@@ -154,7 +156,8 @@ def run(made: typer.Typer) -> NoReturn:
         if not limit and not isinstance(error, OSError):
             raise
         # Files and sockets raise EdorasError: this is standard output.
-        _say(limit or f"standard output cannot be written: {getattr(error, 'strerror', None) or error}")
+        kind = "limit" if limit else "output"
+        _say(limit or f"standard output cannot be written: {getattr(error, 'strerror', None) or error}", kind)
         _abandon_output()
     sys.exit(code)
 
@@ -178,8 +181,16 @@ def _open_streams() -> None:
             setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  never closed
 
 
-def _say(message: str) -> None:
+def _say(message: str, kind: str) -> None:
+    """Print why a command failed; with ``--json`` as JSON."""
     with suppress(OSError):
+        if message and "--json" in sys.argv:
+            import json
+
+            what, _, hint = message.rpartition("; ") if "\n" not in message else ("", "", "")
+            error = {"code": kind, "message": what or message, "hint": hint if what else None}
+            sys.stderr.write(json.dumps({"schema": 1, "error": error}, ensure_ascii=True) + "\n")
+            return
         for line in message.splitlines():
             sys.stderr.write(f"edoras: {_harmless(line)}\n")
 

@@ -94,6 +94,16 @@ def duration(text: str) -> int:
     return int(value)
 
 
+def share(text: str) -> float:
+    """Read a share: ``1%`` or ``0.01``."""
+    from edoras_tools.sessions.faults.values import probability
+
+    try:
+        return probability(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not a share; write 1% or 0.01") from None
+
+
 def link(text: str) -> Link:
     """Read a link's name."""
     from edoras_tools.links.table import named

@@ -13,6 +13,7 @@ from edoras_tools.diagnosis.accounting.losses import PIPE_EVENTS
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.crossing import latency_of
 from edoras_tools.diagnosis.matching.spans import comb
+from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 
@@ -70,6 +71,9 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "bytes_max": int(rows.length[own].max()),
         "comb_ms": round(rounds.period_ns / 1e6, 1) if _named(case, rounds.period_ns) else None,
         "delay": _json(_delay(case, stream)),
+        "to_robot": next(
+            (_json(hop.latency) for hop in case.hops if hop.into is stream and hop.out.link == ROBOT), None
+        ),
         "crossings": [
             {
                 "from": f"0x{hop.into.msg_id:04x}",

@@ -165,6 +165,15 @@ class Headline:
         return ", ".join((f"{self.sent:,} {what} sent", *(rest or ("none known to be lost",))))
 
 
+def sent(rows: Iterable[Row]) -> int:
+    """Return how many messages were sent or published: what went into the first hop of each route."""
+    first: dict[tuple[Any, ...], str] = {}
+    # A cFS that was started again has rows of its own for the same hops.
+    return sum(
+        row.came for row in rows if row.hop == first.setdefault((row.route, row.link, row.msg_id), row.hop)
+    )
+
+
 def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
     """Return a line for each configured route, and for each other one of which something is missing.
 
@@ -197,8 +206,7 @@ def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:
     msg_id = f"0x{first.msg_id:04x}"
     return Headline(
         topic=topics.get(first.route, msg_id),
-        # A cFS that was started again has rows of its own for the same hops.
-        sent=sum(row.came for row in members if row.hop == first.hop),
+        sent=sent(members),
         arrived=None
         if last.hop in {PROXY_HOP, CI_HOP, BUS}
         else sum(row.out for row in members if row.hop == last.hop)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode.conversations import unnamed
 from edoras_tools.diagnosis.accounting.commands import Refused
 from edoras_tools.diagnosis.accounts import accounts
-from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, summed
+from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, sent, summed
 from edoras_tools.diagnosis.case import Capture, Case
 from edoras_tools.diagnosis.evidence.proxied import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
@@ -23,6 +24,7 @@ from edoras_tools.diagnosis.rules import (
     topic_never_seen,
 )
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, Severity, Verdict
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -116,6 +118,29 @@ class Diagnosis:
         """Whether exit code 3 is due: loss, something not accounted for, an error, or nothing examined."""
         found = self.lost or self.unaccounted or self.capture.drops or not self.datagrams
         return bool(found) or self.worst is Severity.ERROR
+
+    def beyond(self, share: float) -> list[str]:
+        """Return why exit code 3 is due, a line each, if so much of any route, and of all, may be missing.
+
+        Args:
+            share: from 0 to 1.
+        """
+        rows = [row for row in self.balance if row.hop != "capture"]
+        groups: dict[tuple[int, int | None], list[Row]] = {}
+        for row in rows:
+            groups.setdefault((row.route, row.msg_id), []).append(row)
+        told = []
+        for (route, msg_id), own in {**groups, (NO_ROUTE, NO_MSG_ID): rows}.items():
+            missing = sum(row.all_lost + row.unaccounted for row in own)
+            if missing > share * sent(own):
+                unnamed = "messages of unknown MsgId" if msg_id is None else f"0x{msg_id:04x}"
+                name = "messages in all" if msg_id == NO_MSG_ID else self.topics.get(route, unnamed)
+                counted = f"{missing:,} of {sent(own):,} {name} lost or unaccounted for"
+                told.append(f"{counted}: more than {share * 100:g} %")
+        told += [item.reason for item in self.verdicts if item.severity is Severity.ERROR and not item.lost]
+        if self.capture.drops:
+            told.append("the capture itself lost packets")
+        return told if self.datagrams else ["nothing was examined"]
 
     def limited(self, choice: Choice) -> Diagnosis:
         """Return what is chosen of it; what qualifies all the rest stays."""
@@ -319,10 +344,13 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
     routes: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in (row for part in parts for row in part.routes):
         key = row["link"], row["msg_id"], row["sender"], row["receiver"], row["instance"]
-        known = routes.setdefault(key, {**row, **dict.fromkeys(_SUMS, 0), "bytes_max": 0})
+        known = routes.setdefault(key, {**row, **dict.fromkeys(_SUMS, 0), "bytes_max": 0, "crossings": []})
         for name in _SUMS:
             known[name] += row[name]
         known["bytes_max"] = max(known["bytes_max"], row["bytes_max"])
+        for name in ("delay", "to_robot"):
+            known[name] = _slower(known[name], row[name])
+        known["crossings"] = _crossings([*known["crossings"], *row["crossings"]])
     habits = {(item.rule, item.msg_id, item.hop): item for part in parts for item in part.habits}
     return Diagnosis(
         verdicts=_sorted(kept),
@@ -341,4 +369,27 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
     )
 
 
+def _crossings(items: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for item in items:
+        key = item["from"], item["from_link"]
+        known = found.get(key)
+        found[key] = (
+            item
+            if known is None
+            else {
+                **item,
+                **{name: known[name] + item[name] for name in _CROSSED},
+                "latency": _slower(known["latency"], item["latency"]),
+            }
+        )
+    return list(found.values())
+
+
+def _slower(one: dict[str, Any] | None, other: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return the greater of two latencies: those of two chapters cannot be put together."""
+    return max((item for item in (one, other) if item), key=itemgetter("p99_ms"), default=None)
+
+
+_CROSSED: Final = ("of", "matched", "superseded", "missing")
 _SUMS: Final = ("sent", "seen", "lost", "gaps", "duplicates", "reordered", "restarts")

@@ -387,3 +387,27 @@ def test_live_rings_once_for_each_new_verdict(capsys):
     assert said.count("\a") == 2
     assert "lost more" not in said
     assert "older" not in said
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "code", "told"),
+    [
+        ("a_rover", "1%", 3, "92 of 600 /cmd_vel lost or unaccounted for: more than 1 %"),
+        ("a_rover", "0.16", 0, ""),
+        ("b_arm_single", "0", 0, ""),
+        ("e_ci_errors", "100%", 0, ""),
+    ],
+)
+def test_a_share_may_be_lost(name, share, code, told, call, captures, missions):
+    done = call("doctor", captures(name), *missions(*CAPTURES[name][0]), "--max-loss", share)
+    assert done.code == code
+    assert told in "\n".join(done.err)
+
+
+@pytest.mark.parametrize("option", ["--predict", "--list-lost=csv", "--against=x.pcap"])
+def test_max_loss_belongs_to_a_diagnosis(option, call, captures):
+    done = call("doctor", captures("a_rover"), "--max-loss", "1%", option)
+    assert (done.code, done.err) == (
+        2,
+        ["edoras: --max-loss belongs to a diagnosis: not with --predict, --list-lost or --against"],
+    )

@@ -180,3 +180,38 @@ def test_losses_are_told_and_are_exit_code_3(command, call, captures, monkeypatc
     assert done.err == ["edoras: the capture itself lost 42 packets; it was too slow for them"]
     if "--json" in command:
         assert json.loads(done.out)["capture_drops"] == 42
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "error"),
+    [
+        (
+            ["info", "none.pcap", "--json"],
+            1,
+            {"code": "capture", "message": "none.pcap: there is no such file", "hint": "check the name"},
+        ),
+        (["info", "--json"], 2, {"code": "config", "hint": "FILE"}),
+        (["info", "--json", "--nope"], 2, {"code": "usage", "hint": "see edoras info -h"}),
+    ],
+)
+def test_an_error_is_json_too(arguments, code, error, call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = call(*arguments)
+    assert (done.code, done.out, len(done.err)) == (code, "", 1)
+    told = json.loads(done.err[0])
+    assert told["schema"] == 1
+    assert told["error"].keys() == {"code", "message", "hint"}
+    if "message" in error:
+        assert told["error"] == error
+    assert told["error"]["code"] == error["code"]
+
+
+def test_many_mistakes_are_one_error(call, tmp_path):
+    path = tmp_path / "m.yaml"
+    path.write_text(
+        "b:\n  ros__parameters:\n    communication: {nope: 1}\n    command: [a]\n    telemetry: [b]\n"
+    )
+    done = call("info", "x.pcap", "-c", path, "--json")
+    assert len(done.err) == 1
+    told = json.loads(done.err[0])["error"]
+    assert told["message"]

@@ -219,6 +219,18 @@ def test_chapters_add_up(lab, monkeypatch):
     assert sum(item.rule == "older_losses" for item in diagnosis.verdicts) == 0
 
 
+def test_crossings_of_chapters_add_up():
+    from edoras_tools.diagnosis.examination import _crossings
+
+    counts = {"of": 5, "matched": 4, "superseded": 1, "missing": 0}
+    slow, fast = {"count": 4, "p99_ms": 9.0}, {"count": 4, "p99_ms": 2.0}
+    one = {"from": "0x1827", "from_link": "ci", **counts, "latency": slow}
+    other = {**one, "from": "0x1828", "latency": None}
+    (first, second) = _crossings([one, other, {**one, "latency": fast}, {**other, "latency": fast}])
+    assert first == {**one, **{name: 2 * value for name, value in counts.items()}}
+    assert (second["latency"], second["of"]) == (fast, 10)
+
+
 @pytest.mark.parametrize(("chapter", "sorted_"), [(700, True), (100, False)])
 def test_a_long_capture_that_is_shuffled_as_a_whole_is_sorted_or_said_first(
     tmp_path, monkeypatch, chapter, sorted_

@@ -75,7 +75,11 @@ class Where:
         if self._begin_ns is None and len(batch):
             self._begin_ns = int(batch.time_ns[0])
         rows = slice(None) if chosen is None else chosen
-        return self._node.mask(ColumnRows(self.context, self._begin_ns or 0, batch, columns, rows))
+        return self.passing(ColumnRows(self.context, self._begin_ns or 0, batch, columns, rows))
+
+    def passing(self, rows: ColumnRows) -> NDArray[np.bool_]:
+        """Return which of some rows pass; what was read of them for another filter is not read again."""
+        return self._node.mask(rows)
 
     def judge(self, packets: Sequence[Decoded]) -> NDArray[np.bool_]:
         """Return which single packets pass: the same answer as :meth:`mask`, without columns."""

@@ -35,11 +35,13 @@ class Counting:
         self.report = CaptureReport(Ledger(bench.mission), source, notes=bench.columns.context.notes)
         self._once = Once()
 
-    def add(self, rows: ColumnRows, loop: ReadLoop) -> None:
-        """Add the chosen rows of a batch; the loop must follow conversations."""
+    def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
+        """Add the chosen rows of a batch, and return those that count; the loop must follow conversations."""
         keep = self._once.keep(rows.batch, rows.columns)
         keep[loop.conversations.left_out()] = False
-        self.report.ledger.add(*rows.take(np.flatnonzero(keep[rows.chosen])).alone())
+        kept = rows.take(np.flatnonzero(keep[rows.chosen]))
+        self.report.ledger.add(*kept.alone())
+        return kept
 
     def end(self, loop: ReadLoop) -> CaptureReport:
         """Return the counts, and how the loop ended."""

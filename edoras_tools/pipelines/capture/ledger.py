@@ -40,6 +40,7 @@ class Account:
 
     Times are ns. ``interval_squares`` is in seconds squared, so that a day of traffic keeps its precision.
     ``kind`` is the link's own message type, -1 for none.
+    ``longest_ns`` is the longest time between two messages.
     ``sequences`` has the sequence counts of each sender.
     """
 
@@ -52,6 +53,7 @@ class Account:
     first_ns: int = 0
     last_ns: int = 0
     interval_squares: float = 0.0
+    longest_ns: int = 0
     sequences: list[SequenceStream] = field(default_factory=list)
     bytes_min: int = 1 << 31
     bytes_max: int = 0
@@ -190,15 +192,18 @@ class Ledger:
         times, lengths, findings = batch.time_ns[order], batch.length[order], columns.findings[order]
         counts = np.diff(np.append(starts, len(order))).tolist()
         first, last = (each.reduceat(times, starts).tolist() for each in (np.minimum, np.maximum))
-        intervals = np.diff(times, prepend=times[0]) / 1e9
-        intervals[starts] = 0
+        times_apart = np.diff(times, prepend=times[0])
+        times_apart[starts] = 0
+        longest = np.maximum.reduceat(times_apart, starts).tolist()
+        intervals = times_apart / 1e9
         squares = np.add.reduceat(intervals * intervals, starts).tolist()
         total = np.add.reduceat(lengths, starts, dtype=np.int64).tolist()
         smallest = np.minimum.reduceat(lengths, starts).tolist()
         largest = np.maximum.reduceat(lengths, starts).tolist()
         for index, account in enumerate(accounts):
-            gap = (first[index] - account.last_ns) / 1e9 if account.count else 0.0
-            account.interval_squares += squares[index] + gap * gap
+            apart_ns = first[index] - account.last_ns if account.count else 0
+            account.interval_squares += squares[index] + (apart_ns / 1e9) ** 2
+            account.longest_ns = max(account.longest_ns, longest[index], apart_ns)
             account.first_ns = min(account.first_ns, first[index]) if account.count else first[index]
             account.last_ns = max(account.last_ns, last[index])
             account.count += counts[index]

@@ -1,0 +1,173 @@
+"""``edoras check``: is a capture as it should be?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import monotonic_ns
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from edoras_tools.cli import options, recordings
+from edoras_tools.cli.endings import LOST, no_datagrams, tell
+from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
+from edoras_tools.cli.output import print_json
+from edoras_tools.errors import CaptureError, ConfigError
+
+if TYPE_CHECKING:
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.doctor.doctor import Findings
+    from edoras_tools.pipelines.doctor.scope import Scope
+
+
+class CheckOptions(NamedTuple):
+    """What is done with the expectations."""
+
+    init: Annotated[
+        bool, typer.Option("--init", help="Draft expectations from a good recording; EXPECT is not given.")
+    ] = False
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="With --init: write the draft here.")
+    ] = None
+    force: recordings.Force = False
+    junit: Annotated[
+        Path | None, typer.Option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")
+    ] = None
+    constant: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="A constant of your cFS, e.g. app_msg_limit=8."),
+    ] = None
+
+
+@options.grouped
+def check(
+    *,
+    given: InputOptions,
+    task: CheckOptions,
+    duration: options.Duration = None,
+    start: options.Start = None,
+    end: options.End = None,
+    printing: options.PrintOptions,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Check a capture against expectations: edoras check FILE... EXPECT.yaml; --init FILE... drafts them.
+
+    Expectations are bounds of rates, counts, sizes, losses and latencies, what must hold of fields, and which
+    events, findings and verdicts may appear. Exit code 3: one of them is not met.
+    """
+    from edoras_tools.pipelines.check.expectations import load_expectations
+    from edoras_tools.pipelines.check.junit import write_junit
+    from edoras_tools.pipelines.check.run import check as run
+    from edoras_tools.pipelines.doctor.doctor import Pace, profile_with
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+
+    scope, profile = (
+        options.ScopeOptions(options.SelectionOptions(), start, end).scope(),
+        profile_with(task.constant or ()),
+    )
+    if task.init:
+        _draft(given, task, scope, printing, decoding)
+        return
+    if task.output or task.force:
+        raise ConfigError("--output and --force are options of --init; --junit writes results to a file")
+    given, path = _expectations(given)
+    live = not given.paths
+    if live and (start or end):
+        raise ConfigError("--start and --end select part of a file; for live traffic use --duration")
+    if duration and not live:
+        raise ConfigError("--duration ends live traffic; of a file --end selects a part")
+    _check_apart(task.junit, [*given.paths, path])
+    expected, (json, quiet) = load_expectations(path), printing
+    with FileProgress(
+        ", ".join(map(str, given.paths)), console=error_console(), quiet=quiet or json or live
+    ) as bar:
+        source, bench = open_input(given, decoding.settings(), aligned=True, progress=bar)
+        pace = Pace(monotonic_ns, 0, duration or 0)
+        report = run(source, bench, expected, profile=profile, scope=scope, pace=pace, progress=bar)
+    _check_whole(report.findings, live=live)
+    if task.junit is not None:
+        write_junit(report, task.junit)
+    if json:
+        print_json(report.as_json())
+    elif not quiet or report.failed:
+        from edoras_tools.render.doctor.check import check_view
+        from edoras_tools.render.terminal.console import output_console
+
+        output_console().print(check_view(report.as_json()))
+    _end(source, report.findings, live=live)
+    if report.failed:
+        raise typer.Exit(LOST)
+
+
+def _expectations(given: InputOptions) -> tuple[InputOptions, Path]:
+    """Return the inputs, and the file of expectations, which is named last."""
+    files, read = given.files
+    form = "edoras check FILE... EXPECT.yaml; --init FILE drafts the expectations from a good recording"
+    if not files:
+        raise ConfigError(f"name the expectations last: {form}")
+    if len(files) == 1 and not read and not any(given.live):
+        raise ConfigError(f"{files[0]}: name both, the recording and the expectations: {form}")
+    return given._replace(files=FileOptions(files[:-1], read)), files[-1]
+
+
+def _check_apart(output: Path | None, inputs: list[Path]) -> None:
+    if (
+        output is not None
+        and output.exists()
+        and any(item.exists() and item.samefile(output) for item in inputs)
+    ):
+        raise ConfigError(f"{output}: would overwrite its own input; name another output")
+
+
+def _draft(
+    given: InputOptions,
+    task: CheckOptions,
+    scope: Scope,
+    printing: options.PrintOptions,
+    decoding: options.DecodingOptions,
+) -> None:
+    from edoras_tools.io.outputs import in_the_way, write_bytes
+    from edoras_tools.pipelines.check.draft import draft
+    from edoras_tools.pipelines.doctor.doctor import profile_with
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+
+    if task.junit or printing.json:
+        raise ConfigError("--init only drafts expectations: --junit and --json cannot be used with it")
+    if any(given.live) or not given.paths:
+        raise ConfigError("--init drafts from a recording: edoras check --init FILE...")
+    path = task.output
+    _check_apart(path, given.paths)
+    if path is not None and not task.force and in_the_way(path):
+        raise ConfigError(f"{path} exists; name another output, or replace it with --force")
+    with FileProgress(", ".join(map(str, given.paths)), console=error_console(), quiet=printing.quiet) as bar:
+        source, bench = open_input(given, decoding.settings(), aligned=True, progress=bar)
+        profile = profile_with(task.constant or ())
+        made = draft(source, bench, profile=profile, scope=scope, progress=bar)
+    _check_whole(made.findings, live=False)
+    _end(source, made.findings, live=False)
+    if path is None:
+        typer.echo(made.text, nl=False)
+    else:
+        try:
+            write_bytes(path, made.text.encode(), folders=True)
+        except OSError as error:
+            raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
+    for note in made.notes if not printing.quiet else ():
+        tell(note)
+
+
+def _check_whole(findings: Findings, *, live: bool) -> None:
+    """Refuse to judge a part of a file."""
+    if findings.interrupted and not live:
+        raise KeyboardInterrupt
+
+
+def _end(source: Source, findings: Findings, *, live: bool) -> None:
+    for warning in findings.diagnosis.capture.warnings:
+        tell(warning)
+    if findings.failure is not None:
+        raise findings.failure
+    if not live:
+        no_datagrams(source)

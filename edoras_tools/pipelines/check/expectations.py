@@ -1,0 +1,345 @@
+"""Expectations, from a YAML file.
+
+::
+
+    topics:
+      /cmd_vel:                    # a topic, the name of a packet (SB_HK), or a MsgId (0x0827)
+        count: at least 500
+        rate: 9..11
+        silence: at most 2s
+        size: 76
+        lost: at most 1%
+        superseded: 0
+        unaccounted: 0
+        latency: at most 300ms
+        fields:
+          - always: linear.x in -1..1
+          - never: angular.z > 2
+          - at least once: linear.x > 0.4
+          - after: linear.x > 0.4
+            within: 2s
+            then: pose.position.x > 1
+    events:
+      must: ["TO_LAB_APP 3"]
+      never: [Pipe Overflow]
+    findings: [stale_tail]         # allowed; all others of severity warning or error fail
+    verdicts: [app_pipe_limit]     # likewise
+    lost: at most 1%               # of all messages
+    duration: at least 60s
+
+All errors of a file are reported at once, with file, line and key.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from operator import itemgetter
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+
+from edoras_tools.decode.filters.syntax import WhereError, parse_filter
+from edoras_tools.diagnosis.rules import RULES
+from edoras_tools.errors import ConfigError
+from edoras_tools.mission.fields import suggestion
+from edoras_tools.mission.report import Mistakes
+from edoras_tools.mission.tree import (
+    LARGEST_FILE,
+    MappingNode,
+    ScalarNode,
+    SequenceNode,
+    Tree,
+    parse_yaml,
+    yaml_text,
+)
+from edoras_tools.model import Finding
+from edoras_tools.pipelines.check.bounds import Tolerance, Unit, parse_bound
+from edoras_tools.sessions.faults.values import time_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping
+    from pathlib import Path
+
+Sort: TypeAlias = Literal["always", "never", "at least once", "after"]
+
+LOSS_KEYS: Final = ("lost", "superseded", "unaccounted")
+TOPIC_BOUNDS: Final[Mapping[str, Unit]] = {
+    "count": Unit.MESSAGES,
+    "rate": Unit.RATE,
+    "silence": Unit.TIME,
+    "size": Unit.BYTES,
+    **dict.fromkeys(LOSS_KEYS, Unit.LOSS),
+    "latency": Unit.TIME,
+}
+WHOLE_BOUNDS: Final[Mapping[str, Unit]] = {**dict.fromkeys(LOSS_KEYS, Unit.LOSS), "duration": Unit.TIME}
+_KEYS: Final = ("schema", "topics", "events", "findings", "verdicts", *WHOLE_BOUNDS)
+_SORTS: Final[tuple[Sort, ...]] = ("always", "never", "at least once", "after")
+_FORM: Final = (
+    "expectations are topics: with a topic and what is expected of it, events:, findings:, verdicts:"
+)
+_EVENT: Final = re.compile(r"(\w+) (\d+)(?::\s*(.*))?", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class FieldExpectation:
+    """What must be so of the messages of a topic.
+
+    Attributes:
+        sort: when ``where`` must pass; ``after``: a packet must follow each message that passes it.
+        where: a filter.
+        line: of the file.
+        then: the filter that must pass after it, on any packet.
+        within_ns: how long after it.
+    """
+
+    sort: Sort
+    where: str
+    line: int
+    then: str = ""
+    within_ns: int = 0
+
+    def __str__(self) -> str:
+        rest = f", within {self.within_ns / 1e9:g}s: {self.then}" if self.then else ""
+        return f"{self.sort} {self.where}{rest}"
+
+
+@dataclass(frozen=True, slots=True)
+class EventExpectation:
+    """An event of cFE that must be there, or must not.
+
+    Attributes:
+        must: whether it must be there.
+        text: part of its text, or ``APP ID: TEXT`` as the doctor quotes events.
+        line: of the file.
+    """
+
+    must: bool
+    text: str
+    line: int
+
+    @property
+    def where(self) -> str:
+        """The filter that such an event passes."""
+        found = _EVENT.fullmatch(self.text)
+        app, number, text = found.groups() if found else ("", "", self.text)
+        tests = [f"cfe_event.app_name == {_quoted(app)}", f"cfe_event.event_id == {number}"] if found else []
+        tests += [f"cfe_event.message contains {_quoted(text)}"] if text else []
+        return " and ".join(tests)
+
+
+@dataclass(frozen=True, slots=True)
+class TopicExpectation:
+    """What is expected of one topic.
+
+    Attributes:
+        name: as written: a topic, the name of a packet, or a MsgId.
+        line: of the file.
+        bounds: by key, in the file's order.
+        fields: about its messages.
+    """
+
+    name: str
+    line: int
+    bounds: Mapping[str, Tolerance]
+    fields: tuple[FieldExpectation, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Expectations:
+    """What is expected of a capture.
+
+    Attributes:
+        file: where it was read.
+        topics: of single topics.
+        events: of cFE's events.
+        findings: labels of the findings that are allowed; None: all.
+        verdicts: rules whose verdicts are allowed; None: all but those about the capture itself.
+        bounds: of the whole capture, by key.
+    """
+
+    file: str
+    topics: tuple[TopicExpectation, ...] = ()
+    events: tuple[EventExpectation, ...] = ()
+    findings: frozenset[str] | None = None
+    verdicts: frozenset[str] | None = None
+    bounds: Mapping[str, Tolerance] = field(default_factory=dict)
+
+
+def load_expectations(path: Path) -> Expectations:
+    """Read a file of expectations.
+
+    Raises:
+        ConfigError: all errors at once, each with file, line and key.
+    """
+    report = Mistakes(str(path))
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror or error}); name a file of expectations"
+        ) from error
+    text = yaml_text(content, report, _FORM)
+    documents = parse_yaml(text, report, _FORM) if text is not None else []
+    if not documents and not report.mistakes:
+        report.mistake(1, "", f"the file is empty; {_FORM}")
+    for document in documents[1:]:
+        report.mistake(document.line, "", "a second document; expectations are one document")
+    made = _Reader(report).expectations(documents[0]) if documents else Expectations(str(path))
+    raise_mistakes(report)
+    return made
+
+
+def raise_mistakes(report: Mistakes) -> None:
+    """Raise what is wrong with a file, in the order of its lines.
+
+    Raises:
+        ConfigError: if anything is.
+    """
+    if report.mistakes:
+        raise ConfigError(*(line for _, line in sorted(report.mistakes, key=itemgetter(0))))
+
+
+class _Reader:
+    """Reads a tree; mistakes go to the report."""
+
+    def __init__(self, report: Mistakes) -> None:
+        self.report = report
+
+    def expectations(self, tree: Tree) -> Expectations:
+        topics: list[TopicExpectation] = []
+        events: list[EventExpectation] = []
+        allowed: dict[str, frozenset[str]] = {}
+        bounds: dict[str, Tolerance] = {}
+        for key, line, value in self._entries(tree, "", _KEYS):
+            if key == "topics":
+                topics = [self._topic(name, at, node) for name, at, node in self._entries(value, key)]
+            elif key == "events":
+                for word, _, node in self._entries(value, key, ("must", "never")):
+                    texts = self._texts(node, f"events.{word}")
+                    events += [EventExpectation(word == "must", text, at) for text, at in texts]
+            elif key in {"findings", "verdicts"}:
+                allowed[key] = self._allowed(key, value)
+            elif key == "schema":
+                if not (isinstance(value, ScalarNode) and value.value == 1):
+                    self.report.mistake(line, key, "this version reads schema 1")
+            else:
+                self._bound(bounds, key, key, WHOLE_BOUNDS[key], value)
+        made = Expectations(
+            self.report.file,
+            tuple(topics),
+            tuple(events),
+            allowed.get("findings"),
+            allowed.get("verdicts"),
+            bounds,
+        )
+        if made == Expectations(self.report.file) and not self.report.mistakes:
+            self.report.mistake(tree.line, "", f"nothing is expected; {_FORM}")
+        return made
+
+    def _topic(self, name: str, line: int, tree: Tree) -> TopicExpectation:
+        bounds: dict[str, Tolerance] = {}
+        fields: list[FieldExpectation] = []
+        for key, _, value in self._entries(tree, name, (*TOPIC_BOUNDS, "fields")):
+            place = f"{name}.{key}"
+            if key != "fields":
+                self._bound(bounds, key, place, TOPIC_BOUNDS[key], value)
+            elif not isinstance(value, SequenceNode):
+                self.report.mistake(value.line, place, "a list is needed, e.g. - always: linear.x < 1")
+            else:
+                made = [self._field(f"{place}[{at}]", item) for at, item in enumerate(value.items)]
+                fields += [item for item in made if item is not None]
+        return TopicExpectation(name, line, bounds, tuple(fields))
+
+    def _field(self, place: str, tree: Tree) -> FieldExpectation | None:
+        found = {
+            key: (line, node) for key, line, node in self._entries(tree, place, (*_SORTS, "within", "then"))
+        }
+        sorts = [item for item in _SORTS if item in found]
+        if len(sorts) != 1:
+            self.report.mistake(tree.line, place, f"one of {', '.join(_SORTS)} is needed, with a filter")
+            return None
+        sort, rest = sorts[0], found.keys() - set(sorts)
+        if rest != ({"within", "then"} if sort == "after" else set()):
+            what = (
+                "after: needs within: and then:, e.g. within: 2s"
+                if sort == "after"
+                else (f"{', '.join(sorted(rest))} can only be used with after:")
+            )
+            self.report.mistake(tree.line, place, what)
+            return None
+        texts = {key: self._text(node, f"{place}.{key}") for key, (_, node) in found.items()}
+        for key in (sort, "then"):
+            if texts.get(key):
+                self._filter(texts[key], found[key][0], f"{place}.{key}")
+        within_ns = 0
+        if sort == "after":
+            try:
+                within_ns = time_ns(texts["within"])
+            except ValueError as error:
+                self.report.mistake(found["within"][0], f"{place}.within", str(error))
+        return FieldExpectation(sort, texts[sort], found[sort][0], texts.get("then", ""), within_ns)
+
+    def _filter(self, text: str, line: int, place: str) -> None:
+        try:
+            parse_filter(text)
+        except WhereError as error:
+            self.report.mistake(line, place, f"character {error.at + 1}: {error.why}")
+
+    def _bound(self, bounds: dict[str, Tolerance], key: str, place: str, unit: Unit, value: Tree) -> None:
+        text = self._text(value, place)
+        try:
+            if text:
+                bounds[key] = parse_bound(text, unit)
+        except ValueError as error:
+            self.report.mistake(value.line, place, str(error))
+
+    def _allowed(self, key: str, value: Tree) -> frozenset[str]:
+        known = [rule.ID for rule in RULES] if key == "verdicts" else [item.label for item in Finding]
+        names = self._texts(value, key)
+        for name, line in names:
+            if name not in known:
+                what = "verdict" if key == "verdicts" else "finding"
+                self.report.mistake(
+                    line,
+                    key,
+                    f"{name!r} is no {what}; {suggestion(name, known) or 'see edoras doctor, info'}",
+                )
+        return frozenset(name for name, _ in names)
+
+    def _entries(
+        self, tree: Tree, place: str, known: Collection[str] = ()
+    ) -> Iterator[tuple[str, int, Tree]]:
+        """Yield the keys of a mapping, with line and value; unknown and repeated ones are mistakes."""
+        if not isinstance(tree, MappingNode):
+            what = (
+                f"keys are needed: {', '.join(known)}" if known else "a name is needed, then what is expected"
+            )
+            self.report.mistake(tree.line, place, what if place else _FORM)
+            return
+        seen: set[str] = set()
+        for key, value in tree.entries:
+            name = key.text if isinstance(key, ScalarNode) else ""
+            where = f"{place}.{name}" if place else name
+            if known and name not in known:
+                what = f"no such key; {suggestion(name, known)}there are {', '.join(known)}"
+                self.report.mistake(key.line, where, what)
+            elif name in seen:
+                self.report.mistake(key.line, where, "given twice; once is enough")
+            else:
+                seen.add(name)
+                yield name, key.line, value
+
+    def _texts(self, value: Tree, place: str) -> list[tuple[str, int]]:
+        items = value.items if isinstance(value, SequenceNode) else (value,)
+        return [(text, item.line) for item in items if (text := self._text(item, place))]
+
+    def _text(self, value: Tree, place: str) -> str:
+        if isinstance(value, ScalarNode) and not value.missing:
+            return value.text
+        self.report.mistake(value.line, place, "a value is needed")
+        return ""
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

@@ -1,0 +1,309 @@
+"""Checks a capture against expectations: one result for each, with what was found."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.diagnosis.balance import sent
+from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
+from edoras_tools.pipelines.check.expectations import LOSS_KEYS
+from edoras_tools.pipelines.check.observation import Observation
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.render.severity import NOTABLE
+from edoras_tools.units import SECOND
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.diagnosis.balance import Row
+    from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.capture.ledger import Ledger
+    from edoras_tools.pipelines.check.bounds import Tolerance
+    from edoras_tools.pipelines.check.expectations import EventExpectation, Expectations, FieldExpectation
+    from edoras_tools.pipelines.check.observation import FilterCount, Subject
+    from edoras_tools.pipelines.doctor.doctor import Findings, Pace
+    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.run import Progress
+
+NOTABLE_FINDINGS: Final = frozenset(item.label for item in NOTABLE)
+"""Labels of the findings that are warnings or errors."""
+_CAPTURE: Final = "capture"
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """One expectation, and what was found.
+
+    Attributes:
+        about: a topic, ``events``, ``findings``, ``verdicts`` or ``capture``.
+        expectation: the key, or the field or event.
+        expected: the bound, or what is allowed; None where ``expectation`` says all.
+        found: what was found instead, or as expected.
+        passed: whether it is as expected.
+    """
+
+    about: str
+    expectation: str
+    expected: str | None
+    found: str
+    passed: bool
+
+    @property
+    def name(self) -> str:
+        """The expectation in one line."""
+        return self.expectation if self.expected is None else f"{self.expectation}: {self.expected}"
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """All expectations of a file, and what was found.
+
+    Attributes:
+        source: the capture.
+        file: the expectations.
+        results: one for each.
+        seconds: how long the capture lasts.
+        findings: of the doctor.
+    """
+
+    source: str
+    file: str
+    results: tuple[CheckResult, ...]
+    seconds: float
+    findings: Findings
+
+    @property
+    def failed(self) -> int:
+        """How many expectations are not met."""
+        return sum(not item.passed for item in self.results)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the form of ``check --json``."""
+        return {
+            "schema": 1,
+            "source": self.source,
+            "expectations": self.file,
+            "seconds": self.seconds,
+            "passed": not self.failed,
+            "failed": self.failed,
+            "results": [asdict(item) for item in self.results],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What was counted of some messages.
+
+    Attributes:
+        count: messages in the capture.
+        rate: messages per second between the first and the last, of all senders; None below two.
+        silence: longest time in s without a message, from the capture's start to its end.
+        size: smallest and largest datagram in bytes; None without messages.
+        latency: in s, 99 percent took no longer; None where the capture does not show it.
+        sent: messages sent, as far as the balance knows.
+        lost: of the balance.
+        superseded: of the balance.
+        unaccounted: of the balance.
+    """
+
+    count: int
+    rate: float | None
+    silence: float
+    size: tuple[int, int] | None
+    latency: float | None
+    sent: int
+    lost: int
+    superseded: int
+    unaccounted: int
+
+    @classmethod
+    def of(cls, subject: Subject, ledger: Ledger, diagnosis: Diagnosis) -> Figures:
+        """Return the figures of a subject."""
+        own = [item for item in ledger.accounts.values() if subject.takes(item.route, item.msg_id)]
+        rates = [item.rate_hz for item in own if item.count > 1]
+        silences = [
+            max(item.longest_ns, item.first_ns - ledger.start_ns, ledger.end_ns - item.last_ns)
+            for item in own
+        ]
+        routes = [row for row in diagnosis.routes if _is_about(row, subject, diagnosis)]
+        waits = [item["latency"] for row in routes for item in row["crossings"]]
+        waits += [row[name] for row in routes for name in ("to_robot", "delay")]
+        worst = [item["p99_ms"] for item in waits if item]
+        rows = [row for row in diagnosis.balance if subject.takes(row.route, row.msg_id)]
+        return cls(
+            count=sum(item.count for item in own),
+            rate=sum(rates) if rates else None,
+            silence=max(silences, default=ledger.end_ns - ledger.start_ns) / SECOND,
+            size=(min(item.bytes_min for item in own), max(item.bytes_max for item in own)) if own else None,
+            latency=max(worst) / 1e3 if worst else None,
+            sent=sent(rows),
+            **_losses(rows),
+        )
+
+    @classmethod
+    def whole(cls, ledger: Ledger, diagnosis: Diagnosis) -> Figures:
+        """Return the figures of all messages; ``silence`` is how long the capture lasts."""
+        rows = [row for row in diagnosis.balance if row.hop != _CAPTURE]
+        seconds = (ledger.end_ns - ledger.start_ns) / SECOND
+        return cls(ledger.datagrams, None, seconds, None, None, sent(rows), **_losses(rows))
+
+
+def check(
+    source: Source,
+    bench: Workbench,
+    expected: Expectations,
+    *,
+    profile: SimProfile | None = None,
+    scope: Scope | None = None,
+    pace: Pace | None = None,
+    progress: Progress | None = None,
+) -> CheckReport:
+    """Read a source to its end and hold it against expectations; the source is closed.
+
+    Args:
+        source: where datagrams come from.
+        bench: mission, types and decoders.
+        expected: the expectations.
+        profile: the constants of the cFS on the link.
+        scope: which time of it is examined.
+        pace: for a live source.
+        progress: updated while reading and judging.
+
+    Raises:
+        ConfigError: an expectation names no topic, or a filter no field.
+    """
+    try:
+        observed = Observation(source, bench, expected)
+    except BaseException:
+        source.close()
+        raise
+    findings = examine(
+        source, bench, profile=profile, scope=scope, pace=pace, progress=progress, counting=observed
+    )
+    results = tuple(_results(expected, observed, findings))
+    ledger = observed.report.ledger
+    seconds = (ledger.end_ns - ledger.start_ns) / SECOND
+    return CheckReport(source.info.name, expected.file, results, seconds, findings)
+
+
+def _results(expected: Expectations, observed: Observation, findings: Findings) -> Iterator[CheckResult]:
+    ledger, diagnosis = observed.report.ledger, findings.diagnosis
+    if findings.failure is not None:
+        yield CheckResult(_CAPTURE, "input", "read to its end", str(findings.failure), passed=False)
+    if not ledger.datagrams:
+        yield CheckResult(_CAPTURE, "input", "datagrams of a link", "none", passed=False)
+    for topic, subject, watches in zip(expected.topics, observed.subjects, observed.fields, strict=True):
+        figures = Figures.of(subject, ledger, diagnosis)
+        for key, bound in topic.bounds.items():
+            yield _bounded(subject.name, key, bound, figures)
+        for item, watch in zip(topic.fields, watches, strict=True):
+            yield _field(subject.name, item, watch, ledger, diagnosis.zero_ns)
+    for event, watch in zip(expected.events, observed.events, strict=True):
+        yield _event(event, watch, diagnosis.zero_ns)
+    if expected.findings is not None:
+        counts = {name: number for name, number in ledger.findings.items() if name in NOTABLE_FINDINGS}
+        yield from _allowed("findings", expected.findings, counts)
+    # What is wrong with the capture itself goes for all the rest: it has to be allowed by name.
+    grave = [item for item in diagnosis.verdicts if item.severity >= Severity.WARNING]
+    if expected.verdicts is None:
+        grave = [item for item in grave if item.rule in CAPTURE_RULES]
+    if grave or expected.verdicts is not None:
+        found = {members[0].rule: members[0].reason for members in group_verdicts(grave)}
+        yield from _allowed("verdicts", expected.verdicts or frozenset(), found)
+    whole = Figures.whole(ledger, diagnosis)
+    for key, bound in expected.bounds.items():
+        yield _bounded(_CAPTURE, key, bound, whole)
+
+
+def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckResult:
+    shown, unit = "", bound.unit
+    if key in LOSS_KEYS:
+        number = getattr(figures, key)
+        share = number / figures.sent if figures.sent else 0.0
+        shown = f"{number:,} of {figures.sent:,} ({share:.2%})"
+        passed = bound.holds(share if bound.share else number) and (figures.sent > 0 or not figures.count)
+    elif key == "size":
+        passed = figures.size is not None and all(map(bound.holds, figures.size))
+        low, high = figures.size or (0, 0)
+        shown = unit.shown(high) if low == high else f"{low:,} to {unit.shown(high)}"
+    else:
+        value = figures.silence if key == "duration" else getattr(figures, key)
+        passed = value is not None and bound.holds(value)
+        shown = unit.shown(value)
+        if value is None:
+            shown = (
+                "not seen: at least two messages are needed"
+                if key == "rate"
+                else "the capture does not show it"
+            )
+    if about != _CAPTURE and not figures.count:
+        shown = "no message"
+        passed = passed and key == "count"
+    return CheckResult(about, key, bound.text, shown, passed)
+
+
+def _field(
+    about: str, item: FieldExpectation, watch: FilterCount, ledger: Ledger, zero_ns: int
+) -> CheckResult:
+    def told(place: tuple[int, int] | None) -> str:
+        return f"first is packet {place[0]:,} at {(place[1] - zero_ns) / SECOND:.3f} s" if place else ""
+
+    of, passed = plural(watch.seen, "message"), watch.seen > 0
+    found = f"{watch.hits:,} of {of}"
+    if not watch.seen:
+        found = "no message"
+    elif item.sort == "always":
+        passed = watch.hits == watch.seen
+        found += "" if passed else f" pass; of those that do not, the {told(watch.first_miss)}"
+    elif item.sort == "never":
+        passed = not watch.hits
+        found += "" if passed else f"; the {told(watch.first_hit)}"
+    elif item.sort == "at least once":
+        passed = watch.hits > 0
+        found += f"; the {told(watch.first_hit)}" if passed else ""
+    else:
+        missed, undecided = watch.unanswered(item.within_ns, ledger.end_ns)
+        passed = watch.hits > undecided and not len(missed)
+        found = f"{watch.hits - len(missed) - undecided:,} of {watch.hits:,} were followed"
+        if undecided:
+            found += f"; after {undecided:,} the capture ends too early"
+        if len(missed):
+            found += f"; the first that was not is at {(int(missed[0]) - zero_ns) / SECOND:.3f} s"
+    return CheckResult(about, str(item), None, found, passed)
+
+
+def _event(item: EventExpectation, watch: FilterCount, zero_ns: int) -> CheckResult:
+    found = f"{watch.hits:,} of {plural(watch.seen, 'event')}"
+    if watch.first_hit is not None:
+        number, time_ns = watch.first_hit
+        found += f"; the first is packet {number:,} at {(time_ns - zero_ns) / SECOND:.3f} s"
+    expected = "must appear" if item.must else "must not appear"
+    return CheckResult("events", item.text, expected, found, bool(watch.hits) == item.must)
+
+
+def _allowed(about: str, allowed: frozenset[str], found: dict[str, Any]) -> Iterator[CheckResult]:
+    """Compare what was found, a name to a count or a reason, with what is allowed: each other one fails."""
+    expected = f"only {', '.join(sorted(allowed))}" if allowed else "none"
+    others = [name for name in found if name not in allowed]
+    for name in others:
+        yield CheckResult(about, name, "is not allowed", str(found[name]), passed=False)
+    if not others:
+        yield CheckResult(about, "allowed", expected, ", ".join(found) or "none", passed=True)
+
+
+def _losses(rows: Sequence[Row]) -> dict[str, int]:
+    return {
+        "lost": sum(row.all_lost for row in rows),
+        "superseded": sum(row.superseded for row in rows),
+        "unaccounted": sum(row.unaccounted for row in rows),
+    }
+
+
+def _is_about(row: dict[str, Any], subject: Subject, diagnosis: Diagnosis) -> bool:
+    topics = {diagnosis.topics[index] for index in subject.routes}
+    return row["topic"] in topics or int(row["msg_id"], 0) in subject.msg_ids

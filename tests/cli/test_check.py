@@ -1,0 +1,131 @@
+"""``edoras check`` as a shell sees it."""
+
+import json
+import re
+
+import pytest
+from schema import check, published
+
+
+@pytest.fixture
+def rover(captures, missions):
+    return captures("a_rover"), missions("rover_ground")
+
+
+@pytest.fixture
+def expect(tmp_path):
+    def write(text):
+        path = tmp_path / "expect.yaml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_exit_codes_and_lines(call, rover, expect):
+    path, mission = rover
+    done = call("check", path, expect("topics: {/cmd_vel: {count: 600}}\n"), *mission)
+    assert (done.code, done.err) == (0, [])
+    assert done.out.splitlines()[2:] == ["✓ /cmd_vel  count 600  600 messages", "", "1 expectation met."]
+    done = call("check", "-r", path, expect("lost: 0\nduration: at least 60s\n"), *mission)
+    assert done.code == 3
+    assert "✗ capture  lost 0  92 of 1,183 (7.78%)" in done.out.splitlines()
+    assert done.out.splitlines()[-1] == "1 of 2 expectations not met."
+
+
+def test_quiet_says_only_what_is_not_met(call, rover, expect):
+    path, mission = rover
+    assert call("check", path, expect("lost: at most 8%\n"), *mission, "-q").out == ""
+    assert "✗ capture" in call("check", path, expect("lost: 0\n"), *mission, "-q").out
+
+
+@pytest.mark.parametrize("name", ["a_rover", "e_ci_errors"])
+def test_json_holds_to_its_schema(name, call, captures, missions, expect):
+    path = expect(
+        "topics:\n  /cmd_vel:\n    lost: 0\n    fields: [{always: linear.x < 9}]\n"
+        "events: {never: Pipe Overflow}\nfindings: []\nverdicts: []\n"
+    )
+    done = call("check", captures(name), path, *missions("rover_ground"), "--json")
+    told = done.json()
+    check(told, published("check"))
+    assert (done.code, told["passed"]) == (3, False)
+    assert told["failed"] == sum(not item["passed"] for item in told["results"])
+
+
+def test_a_draft_and_what_it_says(call, rover, tmp_path, monkeypatch):
+    path, mission = rover
+    done = call("check", "--init", path, *mission)
+    assert done.code == 0
+    assert "edoras: /cmd_vel: 92 of 600 lost; the draft accepts up to 15.4%" in done.err
+    monkeypatch.chdir(tmp_path)
+    assert call("check", "--init", path, *mission, "-o", "new/expect.yaml", "-q").err == []
+    written = (tmp_path / "new/expect.yaml").read_text()
+    assert written == done.out
+    assert call("check", path, "new/expect.yaml", *mission).code == 0
+    done = call("check", "--init", path, *mission, "-o", "new/expect.yaml")
+    assert (done.code, (tmp_path / "new/expect.yaml").read_text()) == (2, written)
+    assert "exists; name another output, or replace it with --force" in done.err[0]
+    assert call("check", "--init", path, *mission, "-o", "new/expect.yaml", "--force").code == 0
+
+
+def test_junit_beside_the_lines(call, rover, expect, tmp_path):
+    junitparser = pytest.importorskip("junitparser")
+    path, mission = rover
+    done = call(
+        "check", path, expect("lost: 0\nduration: at least 1s\n"), *mission, "--junit", tmp_path / "r.xml"
+    )
+    assert done.code == 3
+    (suite,) = junitparser.JUnitXml.fromfile(str(tmp_path / "r.xml"))
+    assert (suite.tests, suite.failures) == (2, 1)
+
+
+def test_live_traffic_is_judged_at_the_end(edoras, expect):
+    """Nothing comes in the meantime, which is no success."""
+    done = edoras("check", "--listen", "0", "--duration", "200ms", expect("duration: at least 1s\n"))
+    assert done.returncode == 3
+    assert "✗ capture  input datagrams of a link  none" in done.stdout.decode()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["check"], "name the expectations last"),
+        (["check", "expect.yaml"], "name both, the recording and the expectations"),
+        (["check", "a.pcap", "none.yaml"], "none.yaml: cannot be read"),
+        (["check", "a.pcap", "bad.yaml"], "did you mean /cmd_vel?"),
+        (["check", "a.pcap", "expect.yaml", "-o", "x"], "--output and --force are options of --init"),
+        (["check", "a.pcap", "expect.yaml", "--duration", "1"], "--duration ends live traffic"),
+        (
+            ["check", "--listen", "0", "expect.yaml", "--start", "1"],
+            "--start and --end select part of a file",
+        ),
+        (["check", "a.pcap", "expect.yaml", "--junit", "a.pcap"], "would overwrite its own input"),
+        (["check", "a.pcap", "expect.yaml", "--junit", "expect.yaml"], "would overwrite its own input"),
+        (["check", "--init"], "--init drafts from a recording"),
+        (["check", "--init", "-i", "lo"], "--init drafts from a recording"),
+        (["check", "--init", "a.pcap", "--json"], "--init only drafts"),
+        (["check", "--init", "a.pcap", "-o", "a.pcap", "--force"], "would overwrite its own input"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, words, call, rover, tmp_path, monkeypatch):
+    path, mission = rover
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.pcap").write_bytes(path.read_bytes())
+    (tmp_path / "expect.yaml").write_text("lost: 0\n")
+    (tmp_path / "bad.yaml").write_text("topics: {/cmd_vle: {count: 1}}\n")
+    before = {item.name: item.read_bytes() for item in tmp_path.iterdir()}
+    done = call(*arguments, *mission)
+    assert (done.code, done.out, len(done.err)) == (2, "", 1)
+    text = json.loads(done.err[0])["error"] if "--json" in arguments else done.err[0]
+    assert words in (f"{text['message']}; {text['hint']}" if isinstance(text, dict) else text)
+    assert {item.name: item.read_bytes() for item in tmp_path.iterdir()} == before
+
+
+def test_half_a_file_fails_after_its_results(call, rover, expect, tmp_path):
+    path, mission = rover
+    half = tmp_path / "half.pcap"
+    half.write_bytes(path.read_bytes()[:100_000])
+    done = call("check", half, expect("duration: at least 1s\n"), *mission)
+    assert done.code == 1
+    assert "✗ capture  input read to its end" in done.out
+    assert re.search(r"half\.pcap.*cut", done.err[-1])
