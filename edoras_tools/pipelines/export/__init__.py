@@ -1,1 +1,1 @@
-"""Topics into tables: files of other programs' formats, and arrays for Python."""
+"""Exports topics as tables: to files for other programs, or to arrays in Python."""

@@ -192,16 +192,16 @@ def read(
     Args:
         paths: one file, or several.
         config: mission files; a recording carries its own.
-        where: only datagrams that pass this filter, as ``--where``.
+        where: only datagrams that pass this filter, like ``--where``.
         start: datagrams before this many seconds after the first one are left out.
         end: datagrams from this many seconds after the first one on are left out; 0 for none.
         time: ``utc`` timestamps, ``ns`` since 1970, or ``seconds`` since the start.
         explode: see ``edoras export --explode``.
-        settings: message definitions and decoding options; ``config`` comes on top.
+        settings: message definitions and decoding options; ``config`` replaces its mission files.
 
     Raises:
         CaptureError: a file cannot be opened.
-        ConfigError: a mission file or the filter has mistakes, or there is no such form of times.
+        ConfigError: a mission file or the filter has mistakes, or ``time`` is unknown.
     """
     if time not in list(TimeForm):
         raise ConfigError(f"time={time!r} is not a time format; use {', '.join(TimeForm)}")

@@ -50,12 +50,12 @@ class ExportTarget:
     def of(
         cls, path: Path, *, name: str | None = None, folder: bool = False, force: bool = False
     ) -> ExportTarget:
-        """Return the target that a path names: a suffix of a table's is a file, all else a folder.
+        """Return the target that a path names: a file if it has the suffix of a table format, else a folder.
 
         Args:
             path: the output.
-            name: of the format, as ``csv``; None for that of the suffix, of a folder Parquet.
-            folder: the path was written as a folder.
+            name: of the format, e.g. ``csv``; None for the format of the suffix; Parquet for a folder.
+            folder: the path was given as a folder.
             force: replace existing files.
 
         Raises:
@@ -76,7 +76,7 @@ class ExportTarget:
         """Refuse to overwrite files without permission.
 
         Raises:
-            ConfigError: something is there, and it may not be replaced; or it is an input.
+            ConfigError: the output exists and may not be replaced, or it is an input.
         """
         refuse_input(self.path, inputs)
         full = self.path.is_dir() and any(self.path.iterdir())
@@ -96,7 +96,7 @@ class ExportTarget:
             )
 
     def place(self, topic: str) -> Path:
-        """Return the file of a topic: in a folder it is named after the topic, its slashes as dots."""
+        """Return the file of a topic; in a folder its name is the topic's, with dots for slashes."""
         if not self.folder:
             return self.path
         name = ".".join(quote(part, safe=" ~").replace(".", "%2E") for part in topic.strip("/").split("/"))
@@ -138,15 +138,15 @@ def export(
 ) -> ExportReport:
     """Write the messages of an input as tables; the input is closed.
 
-    A table appears under its name when the input is read. Where one cannot be written, none appears.
+    The tables get their names when the whole input has been read. If one cannot be written, none is kept.
 
     Args:
         source: the input.
         target: where tables go.
-        patterns: of the topics; by default all but the datagrams and what takes an examination, of a file
-            all but this package's own.
-        form: what columns there are.
-        progress: told while the input is read.
+        patterns: of the topics. By default, a folder gets all topics except the datagrams and those that need
+            an examination; a file also leaves out this package's own.
+        form: the columns.
+        progress: updated while the input is read.
 
     Raises:
         CaptureError: a table cannot be written, or there is nothing to write.

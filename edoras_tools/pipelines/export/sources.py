@@ -1,7 +1,7 @@
-"""What inputs hold by topic, many messages in columns at a time: captures, and recordings of other tools.
+"""Reads captures, and recordings of other tools, by topic: blocks of messages in columns.
 
-A capture has the topics that a recording of it would have (``io.topics.streams``). A recording of another
-tool has those that were recorded; it holds no datagrams, so nothing can be chosen by link, MsgId or filter.
+A capture has the same topics as a recording of it (``io.topics.streams``). A recording of another tool has
+the topics that were recorded. It contains no datagrams, so nothing can be selected by link, MsgId or filter.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ class TopicSource(ABC):
 
     Attributes:
         name: of the input.
-        topics: every topic that it may hold, with its type.
-        source: where its datagrams come from; None where there are none.
+        topics: every topic that it can contain, with its type.
+        source: where its datagrams come from; None if it has none.
         zero_ns: the time that its times count from; -1 until it is known.
-        last_ns: time of the last that was read; -1 before.
-        left_out: messages on wanted topics that are not whole, or are not what their type says.
+        last_ns: latest time that was read; -1 before.
+        left_out: messages on wanted topics that are incomplete or do not fit their type.
         failure: why it ended early, if it did.
         interrupted: Ctrl-C ended it.
     """
@@ -71,14 +71,14 @@ class TopicSource(ABC):
     @property
     @abstractmethod
     def notes(self) -> list[str]:
-        """What is to be told about the input, a line each."""
+        """Notes on the input for the user, a line each."""
 
     @abstractmethod
     def types(self, topic: str) -> TypeStore:
-        """Return what knows the type of a topic."""
+        """Return the types that include a topic's."""
 
     def empty(self, topic: str) -> TopicBlock:
-        """Return no messages of a topic, which tell what columns there will be."""
+        """Return a block of a topic without messages; it has the columns of all its blocks."""
         if topic in JUDGED and not self.topics[topic]:
             return judged_block(topic)
         none = np.zeros(0, np.int64)
@@ -90,7 +90,7 @@ class TopicSource(ABC):
         return TopicBlock(topic, none, columns, none, none.astype(np.uint32))
 
     def definition(self, topic: str) -> str:
-        """Return the definition of a topic's type; empty where it has none."""
+        """Return the definition of a topic's type; empty if it has none."""
         kind = self.topics[topic]
         return self.types(topic).definition(kind) if kind else ""
 
@@ -116,7 +116,7 @@ class CaptureTopics(TopicSource):
         source: where datagrams come from; it is closed.
         bench: mission, types and decoders.
         scope: which datagrams.
-        judge: makes the topics of ``JUDGED``; None where the source cannot be read again.
+        judge: makes the topics of ``JUDGED``; None if the source cannot be read again.
     """
 
     def __init__(
@@ -135,11 +135,11 @@ class CaptureTopics(TopicSource):
 
     @property
     def notes(self) -> list[str]:
-        """What is to be told about the input."""
+        """Notes on the input for the user."""
         return [*self._bench.mission.warnings, *self._bench.columns.context.notes]
 
     def types(self, topic: str) -> TypeStore:
-        """Return what knows the type of a topic."""
+        """Return the types that include a topic's."""
         structs = self._structs
         return structs.types if self.topics[topic] in structs.definitions else self._bench.types
 
@@ -222,12 +222,12 @@ class BagTopics(TopicSource):
 
     Args:
         bags: the recordings, one read after the other.
-        settings: where message definitions come from that the recordings do not hold.
-        scope: which part of the time.
+        settings: where message definitions come from that the recordings do not contain.
+        scope: which time.
 
     Raises:
         CaptureError: one cannot be read.
-        ConfigError: what is chosen cannot be told without datagrams.
+        ConfigError: the selection needs datagrams.
     """
 
     def __init__(self, bags: Sequence[Rosbag], settings: Settings, scope: Scope | None = None) -> None:
@@ -236,8 +236,8 @@ class BagTopics(TopicSource):
         selection = self._scope.selection
         if selection.links or selection.msg_ids or selection.where:
             raise ConfigError(
-                f"{self.name}: is read by topic: --link, --msg-id and --where choose datagrams; "
-                "--topic, --start and --end can be used"
+                f"{self.name}: contains topics but no datagrams, so --link, --msg-id and --where cannot be "
+                "used; use --topic, --start and --end"
             )
         definitions: dict[str, str] = {}
         there: dict[str, str] = {}
@@ -252,11 +252,11 @@ class BagTopics(TopicSource):
 
     @property
     def notes(self) -> list[str]:
-        """What is to be told about the input."""
+        """Notes on the input for the user."""
         return self._notes
 
     def types(self, _: str) -> TypeStore:
-        """Return what knows the type of a topic."""
+        """Return the types that include a topic's."""
         return self._types
 
     def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:  # noqa: ARG002  what is read of a bag is not counted
@@ -287,15 +287,15 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
 
     Raises:
         CaptureError: one cannot be opened.
-        ConfigError: the mission has mistakes, or some hold datagrams and others only topics.
+        ConfigError: the mission has mistakes, or some contain datagrams and others only topics.
     """
     bags = [_is_bag(path) for path in paths]
     if all(bags):
         return BagTopics([open_rosbag(path) for path in paths], settings, scope)
     if any(bags):
         raise ConfigError(
-            f"{paths[bags.index(True)]} holds topics and {paths[bags.index(False)]} datagrams: "
-            "export them one after the other"
+            f"{paths[bags.index(True)]} contains topics and {paths[bags.index(False)]} datagrams; "
+            "export them separately"
         )
     source = open_files(paths)
 

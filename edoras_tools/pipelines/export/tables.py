@@ -1,4 +1,4 @@
-"""Blocks of messages as columns of tables: which fields, how times are written, lists as lists or as rows."""
+"""Makes the columns of tables from blocks of messages: selected fields, times, lists as lists or as rows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.export.sources import TopicSource
 
 ELEMENT: Final = "element"
-"""The column of a list's indices, where every element has a row."""
+"""The column with the index of an element, if every element of a list has a row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class TableForm:
     time: TimeForm = TimeForm.UTC
 
     def columns(self, block: TopicBlock, zero_ns: int) -> list[TableColumn]:
-        """Return the columns of a block: its time, then what is chosen.
+        """Return the columns of a block: its time, then the selected fields.
 
         Args:
             block: the messages.
@@ -120,9 +120,9 @@ def check_fields(patterns: Sequence[str], there: Mapping[str, Sequence[str]]) ->
 def exploded(columns: Sequence[TableColumn]) -> list[TableColumn]:
     """Return columns without lists.
 
-    A fixed array becomes a column for each element, ``covariance[0]`` and so on. The lists of a row become
-    rows, side by side; the other columns are repeated, ``element`` counts from 0, and where a list is shorter
-    than another one nothing is there. A row whose lists are all empty stays, without an element.
+    A fixed array becomes a column for each element, ``covariance[0]`` and so on. A row with lists becomes one row
+    for each element of the longest. ``element`` counts them from 0, the other columns are repeated, and a shorter
+    list has no value at its end. A row whose lists are all empty stays, without an element.
     """
     flat: list[TableColumn] = []
     for column in columns:
@@ -161,7 +161,7 @@ def exploded(columns: Sequence[TableColumn]) -> list[TableColumn]:
 
 
 def _free(name: str, taken: Mapping[str, object]) -> str:
-    """Return a name for a column of ours that no field of the message has."""
+    """Return a name for a column of this package that no field of the message has."""
     while name in taken:
         name = f"_{name}"
     return name
