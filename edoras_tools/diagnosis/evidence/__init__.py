@@ -1,1 +1,1 @@
-"""What a capture holds that the diagnosis concludes from: counters' packets, events, clocks, peers."""
+"""What a diagnosis reads from a capture: counters, events, clocks and peers."""

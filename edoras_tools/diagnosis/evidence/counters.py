@@ -1,4 +1,4 @@
-"""The software bus's loss counters over time: wraps and resets taken out, one track a cFS instance."""
+"""The loss counters of the software bus over time, without wraps and resets: a track for each instance."""
 
 from __future__ import annotations
 

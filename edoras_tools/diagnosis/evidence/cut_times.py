@@ -1,8 +1,8 @@
-"""When packets were made, where the capture cut that off on one link and not on another.
+"""Packet times that are cut off on one link, taken from the same packet on another link.
 
-In front of a packet SBN has 11 bytes of its own: of frames that are cut it shows less of it than Telemetry
-Output, which hands on what comes over SBN. A packet that both carry has one MsgId, one sequence count and
-one time. Without it two cFS, or two boots of one, cannot be told apart.
+SBN puts 11 bytes in front of a packet, so that a cut frame shows less of it than one of Telemetry Output,
+which forwards what arrives over SBN. A packet on both links has one MsgId, one sequence count and one time.
+Without the time, two cFS, or two boots of one cFS, cannot be distinguished.
 """
 
 from __future__ import annotations

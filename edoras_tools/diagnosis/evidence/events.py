@@ -1,4 +1,4 @@
-"""What cFS says about loss in its events, word for word, as values."""
+"""Events in which cFS reports a loss, parsed from their texts."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _KINDS: Final[dict[int, LossEventKind]] = {
 
 @dataclass(frozen=True, slots=True)
 class Culprit:
-    """Whom an event about loss names.
+    """What an event about a loss names.
 
     Attributes:
         kind: what happened.
         instance: on which cFS.
         msg_id: which message.
-        pipe: where it did not fit; empty where the event names none.
+        pipe: where it did not fit; empty if the event names none.
         sender: who sent it.
     """
 
@@ -91,7 +91,7 @@ class Said:
 
 
 def parse_loss_event(record: EventRecord, instance: int = NOBODY) -> Culprit | None:
-    """Return whom an event names, or None where it is not about loss."""
+    """Return what an event names; None if it is not about a loss."""
     kind = _KINDS.get(record.event_id) if record.app == software_bus.NAME else None
     found = software_bus.EVENTS[record.event_id].pattern.match(record.message) if kind else None
     if kind is None or found is None:
@@ -101,7 +101,7 @@ def parse_loss_event(record: EventRecord, instance: int = NOBODY) -> Culprit | N
 
 
 def culprits(events: Iterable[EventRecord], instances: Instances) -> dict[Culprit, Said]:
-    """Return everyone that events name, with the events."""
+    """Return everything that events name, with the events."""
     found: dict[Culprit, Said] = {}
     for record in events:
         culprit = parse_loss_event(record, instances.saying(record))

@@ -1,7 +1,7 @@
-"""Fingerprints of messages, for finding the same one again on another link.
+"""Fingerprints of messages, to find the same message on another link.
 
-A message's fingerprint is made of its decoded values, so that another encoding, padding and another time
-stamp do not change it. Fingerprints are u64; 0 means that there is none.
+A fingerprint is made from the decoded values, so that another encoding, padding or time stamp does not change
+it. Fingerprints are u64; 0 means that there is none.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Which cFS instance made a telemetry packet: instances on one host share addresses, never a boot time.
+"""Which cFS instance made a telemetry packet: instances on one host share addresses, but never a boot time.
 
-Capture time minus mission time is the same for all packets of one boot, but for the delay on the way (a
-second or so). Offsets further apart than that are different boots, or a clock that was set.
+Capture time minus mission time is the same for all packets of one boot, except for their delays (about a
+second). If two offsets differ by more, they are from different boots, or a clock was set.
 
-Two cFS may have one processor number, and may have been started together: what leaves from two addresses is
-two cFS, whatever they call themselves, and boots are of one cFS where address and name are the same.
+Two cFS may have the same processor number and may have started together. What is sent from two addresses is
+from two cFS, whatever names they use. Two boots are of one cFS if address and name are the same.
 """
 
 from __future__ import annotations
@@ -123,13 +123,13 @@ class Instances:
         return found
 
     def label(self, instance: int) -> str:
-        """Return how people are told of an instance, with its address where another cFS has its name."""
+        """Return an instance's name for the user, with its address if another cFS has the same name."""
         item = self.items[instance]
         there = f" at {self._addresses[item.host]}" if self.others_named(instance) else ""
         return (f"cFS {item.name}" if item.name else "cFS") + there
 
     def others_named(self, instance: int) -> bool:
-        """Tell whether another cFS has the name of an instance."""
+        """Return whether another cFS has the name of an instance."""
         return any(
             item.name == self.items[instance].name and system != self.systems[instance]
             for item, system in zip(self.items, self.systems, strict=True)
@@ -137,7 +137,7 @@ class Instances:
 
     @staticmethod
     def _name(rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> str:
-        """Return who an instance says that it is: in its events, else as SBN sender."""
+        """Return an instance's own name: from its events, else as SBN sender."""
         events = members[rows.msg_id[members] == cfe.EVENT_MSG_ID]
         told = Counter(says[row] for row in events.tolist() if row in says)
         if told:
@@ -164,7 +164,7 @@ class Instances:
         return made
 
     def _find_owners(self, rows: Rows) -> dict[int, list[tuple[int, int]]]:
-        """Find whose socket telemetry leaves by: events never come from another instance."""
+        """Find the instance that owns each telemetry socket: events never come from another instance."""
         owners: dict[int, list[tuple[int, int]]] = {}
         telemetry = among(rows.link, lambda link: link.only_from_cfs) & (self.of_row != NOBODY)
         for source in np.unique(rows.source[telemetry]).tolist():
@@ -186,7 +186,7 @@ class Instances:
         return same[0] if len(mine) == 1 and NOBODY not in mine and len(same) > 1 else source
 
     def owner(self, source: int, time_ns: int) -> int:
-        """Return whose Telemetry Output sends from an endpoint at a time; ``NOBODY`` where unknown."""
+        """Return the instance whose Telemetry Output sends from an endpoint at a time, or ``NOBODY``."""
         known = self._owners.get(source, [])
         before = [index for since, index in known if since <= time_ns]
         return before[-1] if before else known[0][1] if known else NOBODY
@@ -221,7 +221,7 @@ class Instances:
 def _publishers(
     rows: Rows, members: NDArray[np.intp], says: dict[int, str], hosts: NDArray[np.int32]
 ) -> list[NDArray[np.intp]]:
-    """Divide the rows of one boot time by who made them, where it is the boot time of two."""
+    """Divide the rows of one boot time by instance, if two instances have this boot time."""
     members = np.sort(members)
     output = members[among(rows.link[members], lambda link: link.only_from_cfs)]
     places = np.unique(hosts[rows.source[output]])

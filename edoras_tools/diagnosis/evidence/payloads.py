@@ -1,4 +1,4 @@
-"""What a diagnosis reads of payloads: counters and subscriptions in columns, events and commands singly."""
+"""Contents of payloads that a diagnosis needs: counters and subscriptions in columns, events, commands."""
 
 from __future__ import annotations
 

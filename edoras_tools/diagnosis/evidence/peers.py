@@ -1,6 +1,6 @@
-"""The Software Bus Network's connections over time, as each cFS must see them.
+"""The connections of the Software Bus Network over time, as each cFS sees them.
 
-A peer is connected from its first datagram on, until it says DISCONNECT or nothing for eleven seconds.
+A peer is connected from its first datagram until it sends DISCONNECT, or nothing for eleven seconds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ ObservedState = Literal["connected", "silent", "timed_out", "disconnected"]
 _LEAST_ROWS: Final = 3
 _ALREADY_NS: Final = SECOND
 _STILL_NS: Final = 3 * SECOND
-"""So long after a time-out nobody sends to a peer any more."""
+"""After a time-out, nobody sends to a peer for longer than this."""
 _ANSWERS_NS: Final = 500 * MILLISECOND
 SAID_GOODBYE: Final = "the observer sent it DISCONNECT"
 UNSEEN: Final = "nothing of it is seen here since, yet the observer goes on sending to it"
@@ -115,10 +115,10 @@ class Connection:
 
 
 class Network:
-    """Everyone on the Software Bus Network.
+    """All peers of the Software Bus Network.
 
     Attributes:
-        identity_of: endpoint to who speaks from there.
+        identity_of: endpoint to the identity that sends from it.
         connections: by (peer, observer), each an identity and the number of its address.
         datagrams: identity to datagrams sent.
     """
@@ -176,7 +176,7 @@ class Network:
             self.datagrams[name] += int(counts.max())
 
     def party(self, endpoint: int) -> SbnParty:
-        """Return who speaks from an endpoint: two of one identity are told apart by their addresses."""
+        """Return the party at an endpoint; two with one identity are distinguished by their addresses."""
         return self.identity_of.get(endpoint, ""), int(self._hosts[endpoint])
 
     def _connect(self, rows: Rows, network: NDArray[np.intp], flight_software: set[str]) -> None:

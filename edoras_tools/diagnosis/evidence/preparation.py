@@ -1,11 +1,11 @@
-"""What a diagnosis rests on: the recorded rows in order of time, each datagram once, and only what is cFS's.
+"""Prepares the rows of a diagnosis: in order of time, each datagram once, and only the traffic of cFS.
 
-1. A file whose records are out of order is sorted before anything is made of it; a capture's clock that was
-   set back is not a disorder: the times that cFS's packets carry then go on.
-2. Datagrams of conversations that are not cFS's are left out; those of strangers that did reach a cFS
-   stay, as datagrams that hold no packet.
-3. A datagram that was captured twice is counted once, in front of a proxy and behind it too.
-4. A time that the capture cut off on one link is taken from the same packet on another.
+1. If the records of a file are out of order, they are sorted first. A capture clock that was set back is not
+   disorder: the times in cFS's packets still increase.
+2. Conversations of other programs are left out. Datagrams of strangers that reached a cFS stay, as datagrams
+   without a packet.
+3. A datagram that was captured twice is counted once, also if that was in front of a proxy and behind it.
+4. If frames are cut, a missing packet time is taken from the same packet on another link.
 """
 
 from __future__ import annotations

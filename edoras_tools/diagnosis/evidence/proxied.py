@@ -1,8 +1,8 @@
-"""What a proxy, or a replay, did to datagrams on purpose: evidence in a recording, and nobody's fault.
+"""What a proxy or a replay did to datagrams on purpose, as the recording says; nobody is blamed for it.
 
-1. What it dropped is lost there: it is not in the recording, and no hop behind it misses it.
-2. What it sent more than once is there so often: the further ones are duplicates of that hop.
-3. A datagram that it held back, changed or cut is counted, and goes on.
+1. What it dropped is lost at the proxy: it is not in the recording, and no later hop misses it.
+2. If it sent a datagram several times, all but the first are duplicates of that hop.
+3. A datagram that it delayed, changed or cut is counted, and continues.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Proxied:
     """What was done to the datagrams of one MsgId on one link, one way.
 
     Attributes:
-        dropped: the datagrams that it let nobody have, as they came, with when.
+        dropped: the datagrams that it dropped, as they came, with their times.
         doubled: how many it sent besides the first.
         others: kind of any other fault to how many datagrams it struck.
         start_ns: when the first was struck.

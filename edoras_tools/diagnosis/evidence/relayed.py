@@ -1,14 +1,14 @@
-"""Datagrams that were captured in front of a proxy, beside its own recording: the same messages once more.
+"""Datagrams that were captured in front of a proxy that also recorded them: the same messages again.
 
-A proxy's recording has what it sent on, and in ``/edoras/faults`` what it dropped. A capture of the way in
-front of it has both. So:
+A proxy's recording contains what it sent on, and in ``/edoras/faults`` what it dropped. A capture in front
+of the proxy contains both. Therefore:
 
-1. A datagram that is there though the proxy dropped it was captured in front of the proxy.
-2. Where most of what was dropped on a way is there, all of the conversations in which it is lie in front of
-   the proxy: they are left out, and what was dropped is counted once, at the proxy.
-3. Where the conversation has the same ends behind the proxy, only what was dropped is left out: the rest are
-   copies, which are counted once anyway.
-4. Bytes that are sent again and again tell nothing.
+1. If the proxy dropped a datagram and the capture has it, it was captured in front of the proxy.
+2. If most of what was dropped in one direction is in the capture, the conversations that contain it are in
+   front of the proxy. They are left out, and what was dropped is counted once, at the proxy.
+3. If the conversation has the same endpoints behind the proxy, only what was dropped is left out: the others
+   are copies, which are counted once anyway.
+4. Bytes that are sent again and again prove nothing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a flight application sends to its robot, bare numbers without a header: which commands arrived."""
+"""Commands that a flight application sends to its robot: bare numbers without a header."""
 
 from __future__ import annotations
 

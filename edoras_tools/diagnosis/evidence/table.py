@@ -1,4 +1,4 @@
-"""All that a diagnosis keeps of each datagram: 110 bytes in columns, whatever the datagram's size."""
+"""The columns that a diagnosis keeps of each datagram: 110 bytes, however large the datagram is."""
 
 from __future__ import annotations
 

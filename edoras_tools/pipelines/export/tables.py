@@ -120,9 +120,9 @@ def check_fields(patterns: Sequence[str], there: Mapping[str, Sequence[str]]) ->
 def exploded(columns: Sequence[TableColumn]) -> list[TableColumn]:
     """Return columns without lists.
 
-    A fixed array becomes a column for each element, ``covariance[0]`` and so on. A row with lists becomes one row
-    for each element of the longest. ``element`` counts them from 0, the other columns are repeated, and a shorter
-    list has no value at its end. A row whose lists are all empty stays, without an element.
+    A fixed array becomes a column for each element, ``covariance[0]`` and so on. A row with lists becomes one
+    row for each element of the longest. ``element`` counts them from 0, the other columns are repeated, and a
+    shorter list has no value at its end. A row whose lists are all empty stays, without an element.
     """
     flat: list[TableColumn] = []
     for column in columns:

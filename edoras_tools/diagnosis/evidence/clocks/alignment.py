@@ -1,19 +1,18 @@
-"""The clocks of two captures of one system held against each other: how far one is ahead, how it drifts.
+"""Aligns the clocks of two captures of one system: how far one is ahead, and how it drifts.
 
-The second clock minus the first is a line (``clock_lines``). Its offset at the start and its drift are told
-as intervals that hold them:
+The second clock minus the first is a line (``clock_lines``). Its offset at the start and its drift are given
+as intervals. They come from one of these, in this order:
 
-1. Datagrams that both captured, told by IP identification and bytes: one that travels from the first host
-   to the second is captured there later by the offset and its delay, one that travels back by the offset
-   less its delay. So the least step one way is an upper bound, the greatest step back a lower one.
-2. Streams of which each capture holds a part: a packet with the next sequence count is captured later.
+1. Datagrams in both captures, recognised by IP identification and bytes. A datagram from the first host to
+   the second is captured there later by the offset plus its delay; one in the other direction by the offset
+   minus its delay. So the smallest step one way is an upper bound, and the largest step back a lower bound.
+2. Streams of which each capture has a part: a packet with the next sequence count is captured later.
 3. The mission time in the headers of one boot of one cFS, seen in both: capture time minus mission time is
-   the same but for the shortest delay on the way, which is less than the wake-ups of those that hand it on.
-4. What came before what (``causality``): messages and answers of which each capture holds one end.
+   the same except for the shortest delay, which is below the wake-up period of the tasks that forward it.
+4. Cause and effect (``causality``): messages and answers of which each capture has one end.
 
-The first that is there is taken, and the last narrows it down. Where the bounds are too wide to show a
-drift, none is assumed. All hangs on differences of times alone, so that captures that are shifted by any time
-give the same picture.
+The first that exists is used, and the last narrows it. If the bounds are too wide to show a drift, none is
+assumed. Only differences of times are used, so that a capture shifted by any time gives the same result.
 """
 
 from __future__ import annotations

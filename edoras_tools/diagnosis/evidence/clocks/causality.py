@@ -1,10 +1,11 @@
-"""What happened first on two captures of one system, whose clocks that bounds (``clock_lines``).
+"""Causes and effects in two captures of one system, which limit how their clocks differ (``clock_lines``).
 
-1. A peer's PROTO answers the first datagram of the other after a silence, mostly at once.
-2. What comes out of cFS went in before: the same values, or the same packet handed on from SBN.
-3. A packet that a cFS sends on two links was made once: it leaves each within a wake-up.
+1. A peer's PROTO answers the first datagram of the other after a silence, usually at once.
+2. What leaves cFS entered it before: the same values, or the same packet forwarded from SBN.
+3. A packet that a cFS sends on two links was made once: it leaves on each within one wake-up.
 
-No answer comes before its question, and of many that went one way the quickest waited less than a wake-up.
+No answer comes before its question. Of many packets in one direction, the quickest waited less than a wake-
+up.
 """
 
 from __future__ import annotations

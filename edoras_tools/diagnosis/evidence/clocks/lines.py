@@ -1,12 +1,12 @@
-"""How one clock may stand to another: every offset and drift that agrees with what was captured.
+"""All offsets and drifts between two clocks that agree with the captures.
 
 1. The second clock minus the first is a straight line over the time of the first: an offset and a drift.
-2. No effect is captured before its cause. Where the cause is in the first capture and the effect in the
-   second, the line is at most what lies between the two; the other way round it is at least that.
-3. What waits for a task that wakes up again and again waits one cycle at most: the other bound.
-4. Each bound cuts a half-plane off the lines there are. What is left is a polygon, whose corners give the
-   intervals of offset and drift. A line stands in it as its values at two times, in ns less a base.
-5. The clocks of two hosts part by less than 500 ppm, the most by which NTP slews a clock.
+2. No effect is captured before its cause. If the cause is in the first capture and the effect in the second,
+   the line is at most their difference; in the other direction it is at least that.
+3. What waits for a task that wakes up periodically waits at most one cycle: this is the other bound.
+4. Each bound cuts off a half-plane of lines. The rest is a polygon, whose corners give the intervals of
+   offset and drift. A line is stored as its values at two times, in ns relative to a base.
+5. The clocks of two hosts drift apart by less than 500 ppm, the most by which NTP slews a clock.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Clocks that were set while the capture ran, found and taken out before anything is measured.
+"""Finds clocks that were set during a capture, and corrects the times before anything is measured.
 
-Time that runs back is the capture's own doing. When a cFS's mission time and the capture's part ways while
-its sequence counts go on, one of the two clocks was set: the capture's where the traffic shows a hole of that
-length, else the cFS's.
+If capture times run back, the clock of the capture was set. If mission time and capture time separate while
+the sequence counts continue, one of the two clocks was set: the capture's, if the traffic has a gap of that
+length, else that of the cFS.
 """
 
 from __future__ import annotations
