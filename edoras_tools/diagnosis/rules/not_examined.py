@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
 
 ID = "not_examined"
+AWAY = "is away: what has been sent since"
 
 
 def judge(case: Case) -> Iterator[Verdict]:
@@ -33,11 +34,11 @@ def judge(case: Case) -> Iterator[Verdict]:
     counted = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"
     for outage in case.capture.outages:
         end_ns = outage.end_ns or max(case.end_ns, outage.start_ns)
+        lasted = f"was away {(end_ns - outage.start_ns) / 1e9:.1f} s: what was sent then"
         yield Verdict(
             ID,
             Severity.WARNING,
-            f"{outage.interface} was away {(end_ns - outage.start_ns) / 1e9:.1f} s: what was sent then "
-            "is not examined",
+            f"{outage.interface} {lasted if outage.end_ns else AWAY} is not examined",
             hop="capture",
             start_ns=outage.start_ns,
             end_ns=end_ns,

@@ -80,3 +80,18 @@ def test_a_peer_that_was_out_of_sight_meanwhile_did_not_time_out(lab, away_s):
     assert found.lost == 0
     assert [item["state"] for item in found.peers[0]["states"]] == ["connected"]
     assert "sbn_timeout" not in {item.rule for item in found.verdicts}
+
+
+@pytest.mark.parametrize(
+    ("end_s", "said"),
+    [
+        (40, "eth0 was away 10.0 s: what was sent then is not examined"),
+        (None, "eth0 is away: what has been sent since is not examined"),
+    ],
+)
+def test_a_verdict_says_how_long_only_when_it_is_over(lab, end_s, said):
+    sent, _ = lab.simulate("rover", seconds=50)
+    start_ns, end_ns = lab.start_ns + 30 * SECOND, lab.start_ns + end_s * SECOND if end_s else 0
+    kept = without(sent, start_ns, end_ns or lab.start_ns + 60 * SECOND)
+    found = lab.examine(kept, lab.mission("rover_ground"), outages=[outage(start_ns, end_ns)])
+    assert [item.reason for item in found.verdicts if item.rule == "not_examined"] == [said]
