@@ -350,6 +350,38 @@ def test_two_cfs_of_one_name_lose_each_its_own(tmp_path, one, other, late_ms):
     assert lost == Counter({"10.0.0.1": TRUTH[one]}) + Counter({"10.0.0.2": TRUTH[other]})
 
 
+AT_ONE_PLACE = {
+    # What is lost before CI is counted by two CIs at one port: nothing tells which of them was meant.
+    ("a_rover", "p6b_extended_header"): (115, 0),
+    ("a_rover", "n1_to_remove_all"): (92, 0),
+    ("a_rover", "n3_cfs_restart"): (92, 38),
+    ("p6b_extended_header", "n3_cfs_restart"): (23, 38),
+}
+"""Lost, and unaccounted for."""
+
+
+@pytest.mark.parametrize("late_ms", [0, 2300, 20_000])
+@pytest.mark.parametrize(("one", "other"), AT_ONE_PLACE)
+def test_two_cfs_of_one_name_at_one_address_are_told_apart_by_their_clocks(tmp_path, one, other, late_ms):
+    first, second = captured(one), captured(other)
+    shift_ns = first[0].time_ns - second[0].time_ns + late_ms * MS
+    items = merged(first, [item.at(shift_ns) for item in second])
+    found = diagnosed(write(tmp_path / "x.pcap", items), one)
+    assert [row for row in found.balance if not row.adds_up] == []
+    assert (found.lost, found.unaccounted) == AT_ONE_PLACE[one, other]
+    # Each publishes what is seen of it: the counts of the other are no gaps.
+    whole = [diagnosed(write(tmp_path / "y.pcap", part), one) for part in (first, second)]
+    assert published(found) == sum(map(published, whole), Counter())
+    assert len({row.instance for row in found.balance if row.link == "to"}) == 2
+
+
+def published(found):
+    came = Counter()
+    for row in found.balance:
+        came[row.msg_id, row.hop] += row.came * (row.link == "to")
+    return came
+
+
 @pytest.mark.parametrize(
     ("one", "other"), [("a_rover", "p6b_extended_header"), ("p6b_extended_header", "n3_cfs_restart")]
 )

@@ -42,6 +42,30 @@ class Counts:
             {kind: _steps(track.totals[name]) for kind, name in COUNTERS.items()},
         )
 
+    @classmethod
+    def together(cls, parts: Sequence[Counts]) -> Counts:
+        """Lay out the counts of several instances on one line of time, each at the sample that told of it."""
+        times = np.unique(np.concatenate([part.times for part in parts]))
+        found = cls(times, {kind: np.zeros(len(times) - 1, np.int64) for kind in COUNTERS})
+        for part in parts:
+            at = found.seconds(part.times[1:])
+            for kind, left in found.left.items():
+                np.add.at(left, at, part.left[kind])
+        return found
+
+    def divided(self, parts: Sequence[Counts]) -> dict[PipeKind, list[int]]:
+        """Take from the parts what was taken of them together; return how much that is of each."""
+        taken: dict[PipeKind, list[int]] = {}
+        for kind, left in self.left.items():
+            rest = left.copy()
+            for part in parts:
+                at = self.seconds(part.times[1:])
+                kept = np.minimum(part.left[kind], rest[at])
+                np.subtract.at(rest, at, kept)
+                taken.setdefault(kind, []).append(int((part.left[kind] - kept).sum()))
+                part.left[kind] = kept
+        return taken
+
     def seconds(self, times: NDArray[np.int64]) -> NDArray[np.intp]:
         """Return which of the seconds each time is in: -1 before the first sample, n behind the last."""
         return np.asarray(np.searchsorted(self.times, times) - 1)

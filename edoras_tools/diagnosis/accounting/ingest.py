@@ -16,6 +16,7 @@ Rules:
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, Literal
@@ -144,7 +145,7 @@ def ingests(sources: Sources) -> list[Ingest]:
     rows = sources.rows
     samples = _samples(sources)
     to_ci = np.flatnonzero(among(rows.link, lambda link: link.only_to_cfs) & (rows.length > 0))
-    found = []
+    places: dict[int, int | None] = {}
     for system, own in samples.items():
         host = sources.instances.items[own[0].instance].host
         there = {
@@ -152,8 +153,13 @@ def ingests(sources: Sources) -> list[Ingest]:
             for at, item in enumerate(sources.instances.items)
             if item.host == host
         }
-        endpoint = _endpoint(sources, to_ci, own, alone=len(samples) == 1, shared=len(there) > 1)
-        if endpoint is not None and len(own) > 1:
+        places[system] = _endpoint(sources, to_ci, own, alone=len(samples) == 1, shared=len(there) > 1)
+    taken = Counter(places.values())
+    found = []
+    for system, own in samples.items():
+        endpoint = places[system]
+        # Of two CIs at one address and port nothing tells which was meant.
+        if endpoint is not None and taken[endpoint] == 1 and len(own) > 1:
             mine = to_ci[rows.destination[to_ci] == endpoint]
             mine = mine[np.argsort(rows.time_ns[mine], kind="stable")]
             found.append(_account(sources, endpoint, system, mine, own))

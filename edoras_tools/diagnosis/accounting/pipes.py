@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.cfs.software_bus import STOPS_AFTER
-from edoras_tools.diagnosis.accounting.claims import Claim, grouped, settle
+from edoras_tools.diagnosis.accounting.claims import Claim, Counts, settle, shares
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
     COUNTER_NAMES,
@@ -22,13 +23,13 @@ from edoras_tools.diagnosis.accounting.losses import (
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.units import SECOND
+from edoras_tools.wire.order import by_value, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.claims import Counts
     from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.losses import Known
     from edoras_tools.diagnosis.evidence.events import Culprit, Said
@@ -53,6 +54,26 @@ def _standing(fate: Fate) -> tuple[NDArray[np.bool_], ...]:
     return fate.open & ~fate.newer, fate.open & fate.newer, fate.waits
 
 
+@dataclass(slots=True)
+class _Own:
+    """Messages of one span of a stream that can have been counted in the same seconds."""
+
+    fate: Fate
+    span: int
+    rows: NDArray[np.intp]
+
+
+def _joined(sets: Iterable[Sequence[int]]) -> list[list[int]]:
+    """Return sets with those put together that have something in common, each in order."""
+    found: list[set[int]] = []
+    for item in sets:
+        alike = [known for known in found if known & set(item)]
+        found = [known for known in found if known not in alike]
+        if item:
+            found.append(set(item).union(*alike))
+    return [sorted(known) for known in found]
+
+
 class Pipes:
     """Tells what was lost at pipes, of messages whose way out can be seen.
 
@@ -66,20 +87,33 @@ class Pipes:
         self._known, self._counts, self.losses = known, counts, losses
 
     def settle(self, fates: Sequence[Fate]) -> None:
-        """Give messages that did not come out what the software bus counted."""
-        for instance, counts in self._counts.items():
+        """Give messages that did not come out what the software bus counted.
+
+        Where nothing tells to which of several cFS a message went, their counts are given out together.
+        """
+        into = {
+            id(fate): [
+                instance
+                for instance in self._counts
+                if fate.seen and self._known.goes_to(fate.stream, instance) and self._leaves(fate, instance)
+            ]
+            for fate in fates
+        }
+        for group in _joined(into.values()):
             claims: list[Claim] = []
-            whose: list[tuple[Fate, int]] = []
+            whose: list[_Own] = []
+            parts = [self._counts[instance] for instance in group]
+            counts = Counts.together(parts)
             for fate in fates:
-                if fate.seen and self._known.goes_to(fate.stream, instance) and self._leaves(fate, instance):
-                    self._claims(fate, instance, counts, claims, whose)
+                if set(into[id(fate)]) & set(group):
+                    self._claims(fate, group, counts, claims, whose)
             # What events name comes first, and what no newer one can have superseded.
             for turn in range(_TURNS):
                 settle(counts, [claim for claim in claims if claim.key % _TURNS == turn])
+            of_each = counts.divided(parts)
             for claim in claims:
-                fate, span = whose[claim.key // _TURNS]
-                if claim.taken:
-                    self._take(fate, span, claim, instance)
+                for kind, number in claim.taken.items():
+                    self._take(whose[claim.key // _TURNS], claim, kind, number, group, of_each[kind])
 
     def _leaves(self, fate: Fate, instance: int) -> bool:
         """Tell whether an instance is the one that a stream into cFS goes to, where several are there."""
@@ -89,12 +123,16 @@ class Pipes:
     def _claims(
         self,
         fate: Fate,
-        instance: int,
+        group: Sequence[int],
         counts: Counts,
         claims: list[Claim],
-        whose: list[tuple[Fate, int]],
+        whose: list[_Own],
     ) -> None:
-        kinds = [kind for kind in COUNTERS if self._named(fate.stream, kind, instance)[0]]
+        kinds = [
+            kind
+            for kind in COUNTERS
+            if any(self._named(fate.stream, kind, instance)[0] for instance in group)
+        ]
         named = bool(kinds)
         kinds += [kind for kind in COUNTERS if kind not in kinds]
         times = self._known.captured(fate.stream)
@@ -110,9 +148,12 @@ class Pipes:
             if place == _MAY_WAIT:
                 sure = counts.often(first, last)
                 rows, first, last = rows[sure], first[sure], last[sure]
-            for span, low, high, number in grouped(which[rows], first, last, np.ones(len(rows), np.int64)):
-                claims.append(Claim(_TURNS * len(whose) + turn, low, high, number, kinds))
-                whose.append((fate, span))
+            _, alike = numbered(which[rows], first, last)
+            for _, members in by_value(alike):
+                own, one = rows[members], int(members[0])
+                key = _TURNS * len(whose) + turn
+                claims.append(Claim(key, int(first[one]), int(last[one]), len(own), kinds))
+                whose.append(_Own(fate, int(which[own[0]]), own))
 
     def _taken_since(self, fate: Fate, times: NDArray[np.int64]) -> int:
         """Return from when on a stream was taken: CI first takes what waits from before the capture."""
@@ -124,17 +165,20 @@ class Pipes:
         wakes = 1 + int(np.searchsorted(times, went_ns)) // profile.ci_datagrams_per_wake
         return out_ns - wakes * profile.ci_wake_ns - LEAD_NS
 
-    def _take(self, fate: Fate, span: int, claim: Claim, instance: int) -> None:
-        """Make a loss of what a claim was given."""
-        cut = fate.spans[span]
+    def _take(
+        self, own: _Own, claim: Claim, kind: PipeKind, number: int, group: Sequence[int], left: list[int]
+    ) -> None:
+        """Make losses of what a claim was given: of each cFS of a group as many as it counted."""
+        fate, cut = own.fate, own.fate.spans[own.span]
         rows = np.arange(cut.first, cut.last + 1)
-        place = _ORDER[claim.key % _TURNS][1]
-        for kind, number in claim.taken.items():
-            among = rows[_standing(fate)[place][rows]]
-            chosen = among[:number]
-            fate.open[chosen] = fate.waits[chosen] = False
-            if len(chosen):
-                self.lose(fate.stream, cut, kind, len(chosen), instance, among)
+        among = rows[_standing(fate)[_ORDER[claim.key % _TURNS][1]][rows]]
+        chosen = own.rows[:number]
+        for at, share in enumerate(shares(len(chosen), left, left)):
+            left[at] -= share
+            if share:
+                self.lose(fate.stream, cut, kind, share, group[at], among)
+        own.rows = own.rows[number:]
+        fate.open[chosen] = fate.waits[chosen] = False
 
     def lose(
         self,

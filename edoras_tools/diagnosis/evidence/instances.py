@@ -4,7 +4,9 @@ Capture time minus mission time is the same for all packets of one boot, except 
 second). If two offsets differ by more, they are from different boots, or a clock was set.
 
 Two cFS may have the same processor number and may have started together. What is sent from two addresses is
-from two cFS, whatever names they use. Two boots are of one cFS if address and name are the same.
+from two cFS, whatever names they use. Two boots are of one cFS if address and name are the same, and one
+follows the other; so do the ports of a Telemetry Output that restarts. Two that send at the same time are two
+cFS.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
+from edoras_tools.diagnosis.evidence.cut_times import handed_on
 from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import BOOT_APART_NS
 from edoras_tools.units import SECOND
@@ -23,7 +25,7 @@ from edoras_tools.wire import cfe
 from edoras_tools.wire.order import numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Hashable, Sequence
 
     from numpy.typing import NDArray
 
@@ -77,6 +79,7 @@ class Instances:
         hosts = [numbers.setdefault(item.address, len(numbers)) for item in endpoints]
         self.hosts = np.array(hosts, np.int32)
         self._addresses = list(numbers)
+        self._ports = [item.port for item in endpoints]
         self.of_row = np.full(len(rows), NOBODY, np.int32)
         self.items: list[Instance] = []
         self._source = rows.source
@@ -114,18 +117,29 @@ class Instances:
         names: dict[int, set[str]] = {}
         for item in self.items:
             names.setdefault(item.host, set()).add(item.name)
-        known: dict[tuple[int, str], int] = {}
-        found = []
+        whose = []
         for item in self.items:
             named = names[item.host] - {""}
-            name = item.name or (next(iter(named)) if len(named) == 1 else "")
-            found.append(known.setdefault((item.host, name), len(known)))
-        return found
+            whose.append((item.host, item.name or (next(iter(named)) if len(named) == 1 else "")))
+        followed = _in_turn(whose, [(item.first_ns, item.last_ns) for item in self.items])
+        known: dict[tuple[int, str, int], int] = {}
+        return [known.setdefault((*who, turn), len(known)) for who, turn in zip(whose, followed, strict=True)]
 
     def label(self, instance: int) -> str:
-        """Return an instance's name for the user, with its address if another cFS has the same name."""
-        item = self.items[instance]
-        there = f" at {self._addresses[item.host]}" if self.others_named(instance) else ""
+        """Return an instance's name for the user, with address and port if another cFS has the same ones."""
+        item, there = self.items[instance], ""
+        if self.others_named(instance):
+            there = f" at {self._addresses[item.host]}"
+            if any(
+                (other.name, other.host) == (item.name, item.host) and system != self.systems[instance]
+                for other, system in zip(self.items, self.systems, strict=True)
+            ):
+                ports = {
+                    self._ports[source]
+                    for source, known in self._owners.items()
+                    if any(self.systems[one] == self.systems[instance] for _, one in known if one != NOBODY)
+                }
+                there += f", which sends from {' and '.join(map(str, sorted(ports)))}" if ports else ""
         return (f"cFS {item.name}" if item.name else "cFS") + there
 
     def others_named(self, instance: int) -> bool:
@@ -218,6 +232,23 @@ class Instances:
         return self.named(event.sender, event.time_ns, int(self._source[event.row]))
 
 
+def _in_turn(whose: Sequence[Hashable], spans: Sequence[tuple[int, int]]) -> list[int]:
+    """Number those that speak for one at the same time: of those that do so in turn each has 0.
+
+    Args:
+        whose: for whom each speaks.
+        spans: from when to when.
+    """
+    ends: dict[Hashable, list[int]] = {}
+    found = [0] * len(spans)
+    for at in sorted(range(len(spans)), key=lambda item: spans[item]):
+        before = ends.setdefault(whose[at], [])
+        free = [turn for turn, end_ns in enumerate(before) if spans[at][0] > end_ns - BOOT_APART_NS]
+        found[at] = free[0] if free else len(before)
+        before[found[at] : found[at] + 1] = [spans[at][1]]
+    return found
+
+
 def _publishers(
     rows: Rows, members: NDArray[np.intp], says: dict[int, str], hosts: NDArray[np.int32]
 ) -> list[NDArray[np.intp]]:
@@ -237,17 +268,21 @@ def _publishers(
         )
     ]
     # What a Telemetry Output sends is its own, or was handed on and crossed SBN before.
-    from_ = latest_equal(
-        rows.packet_print[network], rows.time_ns[network], rows.packet_print[output], rows.time_ns[output]
-    )
+    from_ = handed_on(rows, network, output)
     events = output[rows.msg_id[output] == cfe.EVENT_MSG_ID]
     owner = {int(rows.source[row]): says[row] for row in events.tolist() if row in says}
     first, port = numbered(rows.source[output])
     peers = tuple(names)
+    told = []
     for source in rows.source[output[first]].tolist():
         here = {name for host, name in peers if host == hosts[source]}
         name = owner.get(source) or (here.pop() if len(here) == 1 else f"from {source}")
-        names.append((int(hosts[source]), name))
+        told.append((int(hosts[source]), name))
+    times = [rows.time_ns[output[port == at]] for at in range(len(first))]
+    turns = _in_turn(told, [(int(item.min()), int(item.max())) for item in times])
+    names += [
+        (host, f"{name} {turn}" if turn else name) for (host, name), turn in zip(told, turns, strict=True)
+    ]
     label = np.concatenate((who, len(peers) + port))
     label[len(who) :][from_ >= 0] = who[from_[from_ >= 0]]
     rows_of = np.concatenate((network, output))
@@ -256,8 +291,12 @@ def _publishers(
 
 
 def _conflict(rows: Rows, members: NDArray[np.intp]) -> bool:
-    """Tell whether 0x803 comes with one count and different contents: two instances make it."""
+    """Tell whether 0x803 comes with one count and different contents: two instances make it.
+
+    Where frames are cut, less is left of it on one link than on another, and that is no other content.
+    """
     counters = members[rows.msg_id[members] == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID]
-    different, _ = numbered(rows.sequence_count[counters], rows.packet_print[counters])
-    counts = np.bincount(rows.sequence_count[counters[different]])
+    _, given = numbered(rows.sequence_count[counters], rows.packet_length[counters])
+    different, _ = numbered(given, rows.packet_print[counters])
+    counts = np.bincount(given[different])
     return int((counts > 1).sum()) > int((counts > 0).sum()) // 4
