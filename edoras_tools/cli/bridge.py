@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -43,14 +43,6 @@ class Ros(StrEnum):
     LOCAL = "local"
 
 
-def ros_option(text: str) -> str:
-    """Check ``NAME=VALUE``."""
-    name, equals, _ = text.partition("=")
-    if not name or not equals:
-        raise typer.BadParameter(f"{text!r} is not NAME=VALUE")
-    return text
-
-
 class RosOptions(NamedTuple):
     """How to connect to the ROS 2 graph."""
 
@@ -61,19 +53,8 @@ class RosOptions(NamedTuple):
             show_default=False,
         ),
     ] = None
-    domain: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=0, max=232, help="ROS 2 domain; default: ROS_DOMAIN_ID, or 0."),
-    ] = None
-    ros_options: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--ros-option",
-            metavar="NAME=VALUE",
-            parser=ros_option,
-            help="Option of the middleware; repeatable.",
-        ),
-    ] = None
+    domain: Annotated[int | None, options.ros_domain()] = None
+    ros_options: Annotated[list[Any] | None, options.ros_option()] = None
 
 
 class PacketOptions(NamedTuple):
@@ -168,9 +149,9 @@ def bridge(
     finish_relay(bridges, view.outcome, view.losses, output, printing, failure)
 
 
-def _options(way: str, given: list[str] | None, outputs: RelayOutputOptions) -> dict[str, str]:
+def _options(way: str, given: list[Any] | None, outputs: RelayOutputOptions) -> dict[str, str]:
     """Return the middleware's options; for Foxglove also the allowed origins and the token."""
-    pairs = dict(item.split("=", 1) for item in given or ())
+    pairs: dict[str, str] = dict(given or ())
     if way == Ros.FOXGLOVE:
         more = {"origins": ",".join(outputs.allow_origin or ()), "token": outputs.token or ""}
         pairs |= {name: text for name, text in more.items() if text}

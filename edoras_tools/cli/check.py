@@ -33,10 +33,7 @@ class CheckOptions(NamedTuple):
     junit: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")
     ] = None
-    constant: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="A constant of your cFS, e.g. app_msg_limit=8."),
-    ] = None
+    constant: options.Constants = None
 
 
 @options.grouped

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import typer
 
@@ -15,7 +15,7 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import LOST, tell
 from edoras_tools.cli.output import print_json
 from edoras_tools.cli.sim import Scenario
-from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.errors import EdorasError
 from edoras_tools.io.outputs import in_the_way, path_beside
 
 if TYPE_CHECKING:
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 _TOUR_S: Final = 6.0
 _DEMO_S: Final = 20.0
-_demos = partial(typer.Option, rich_help_panel="The paper's demos")
+_PANEL: Final = "The paper's demos"
+_demos = partial(typer.Option, rich_help_panel=_PANEL)
 
 
 class Ros(StrEnum):
@@ -89,26 +90,14 @@ class DemoOptions(NamedTuple):
             help="ROS 2 distribution; Zenoh connects only nodes of the same one.",
         ),
     ] = options.DISTRO
-    domain: Annotated[
-        int | None, _demos(metavar="N", min=0, max=232, help="ROS 2 domain; default: ROS_DOMAIN_ID, or 0.")
-    ] = None
-    ros_options: Annotated[
-        list[str] | None,
-        _demos("--ros-option", metavar="NAME=VALUE", help="Option of the middleware; repeatable."),
-    ] = None
+    domain: Annotated[int | None, options.ros_domain(rich_help_panel=_PANEL)] = None
+    ros_options: Annotated[list[Any] | None, options.ros_option(rich_help_panel=_PANEL)] = None
 
     def plan(self, scenario: ScenarioName, output: Path, *, replace: bool) -> DemoPlan:
-        """Return these options in the form that pipelines take.
-
-        Raises:
-            ConfigError: an option of the middleware is not NAME=VALUE.
-        """
+        """Return these options in the form that pipelines take."""
         from edoras_tools.middleware.opening import usual_domain
         from edoras_tools.pipelines.demo.run import DemoPlan
 
-        pairs = [item.partition("=") for item in self.ros_options or ()]
-        if wrong := [name for name, equals, _ in pairs if not name or not equals]:
-            raise ConfigError(f"--ros-option {wrong[0]!r} is not NAME=VALUE")
         return DemoPlan(
             scenario,
             output,
@@ -117,7 +106,7 @@ class DemoOptions(NamedTuple):
             max_rate=self.max_rate,
             ros=self.ros.value,
             domain=usual_domain() if self.domain is None else self.domain,
-            options={name: value for name, _, value in pairs},
+            options=dict(self.ros_options or ()),
             distro=self.distro,
             live=_where(self.ws_port) if self.live else None,
             replace=replace,

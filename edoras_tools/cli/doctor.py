@@ -47,12 +47,7 @@ class TaskOptions(NamedTuple):
     predict: Annotated[
         bool, typer.Option("--predict", help="Only report how much each route of the mission can carry.")
     ] = False
-    constant: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="NAME=VALUE", help="A constant of your cFS, e.g. app_msg_limit=8; repeatable."
-        ),
-    ] = None
+    constant: options.Constants = None
     max_loss: Annotated[
         float | None,
         typer.Option(

@@ -200,9 +200,7 @@ class StopOptions(NamedTuple):
     """How much live traffic is read, and how long a source is shown."""
 
     limits: options.PartOptions
-    every: Annotated[bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")] = (
-        False
-    )
+    every: options.EveryPort = False
 
 
 @options.grouped

@@ -10,7 +10,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping
 from enum import StrEnum
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, get_type_hints
 
@@ -130,6 +130,14 @@ def link_port(text: str) -> tuple[Link, int]:
     return link(name), int(port)
 
 
+def name_value(text: str) -> tuple[str, str]:
+    """Read ``NAME=VALUE``."""
+    name, equals, value = text.partition("=")
+    if not name or not equals:
+        raise typer.BadParameter(f"{text!r} is not NAME=VALUE")
+    return name, value
+
+
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Let a command take options in groups: a parameter whose type is a ``NamedTuple`` stands for its fields.
 
@@ -204,6 +212,23 @@ Unproved = Annotated[
     bool,
     typer.Option("--unproved", help="Also keep readable messages of damaged chunks that no checksum covers."),
 ]
+EveryPort = Annotated[bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")]
+Constants = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="NAME=VALUE", help="A constant of your cFS, e.g. app_msg_limit=8; repeatable."
+    ),
+]
+ros_domain = partial(
+    typer.Option, metavar="N", min=0, max=232, help="ROS 2 domain; default: ROS_DOMAIN_ID, or 0."
+)
+ros_option = partial(
+    typer.Option,
+    "--ros-option",
+    metavar="NAME=VALUE",
+    parser=name_value,
+    help="Option of the middleware; repeatable.",
+)
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no summary.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more on stderr.")]

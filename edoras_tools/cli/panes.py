@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.reading import Limits
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings, Workbench
+    from edoras_tools.render.units import TimeFormat
 
 
 def check_terminal() -> None:
@@ -36,7 +37,7 @@ def show(
     bench: Workbench,
     settings: Settings,
     selection: Selection,
-    time: str,
+    time: TimeFormat,
     limits: Limits,
     *,
     verbose: bool,
@@ -47,7 +48,6 @@ def show(
         EdorasError: the filter or a topic is wrong, the source ended early, or contained no UDP at all.
         typer.Exit: with code 3, if the capture lost packets.
     """
-    from edoras_tools.render.capture.packet_list import TimeFormat
     from edoras_tools.tui.viewer import Viewer, ViewOptions
 
     live = hasattr(source, "stop")
@@ -57,7 +57,7 @@ def show(
         choice = ViewOptions(
             selection,
             settings,
-            time_format=TimeFormat(time),
+            time_format=time,
             follow=live,
             count=limits.count,
             duration_ns=limits.duration_ns,

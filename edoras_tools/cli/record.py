@@ -47,9 +47,7 @@ def record(
     given: InputOptions,
     files: TargetOptions,
     stop: options.PartOptions,
-    every: Annotated[
-        bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")
-    ] = False,
+    every: options.EveryPort = False,
     printing: options.PrintOptions,
     chosen: options.SelectionOptions,
     decoding: options.DecodingOptions,

@@ -26,10 +26,7 @@ def report(
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="Output file; default FILE.html."),
     ] = None,
-    constant: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="A constant of your cFS, e.g. app_msg_limit=8."),
-    ] = None,
+    constant: options.Constants = None,
     printing: options.PrintOptions,
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,

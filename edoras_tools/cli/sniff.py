@@ -34,7 +34,7 @@ def sniff(
     from edoras_tools.pipelines.capture.sniff import sniff as packets
     from edoras_tools.render.capture import packet
     from edoras_tools.render.capture import tree as tree_view
-    from edoras_tools.render.capture.packet_list import PacketList, TimeFormat
+    from edoras_tools.render.capture.packet_list import PacketList
     from edoras_tools.render.severity import NOTABLE
     from edoras_tools.render.terminal.palette import Paint
     from edoras_tools.render.terminal.terminal import look
@@ -53,7 +53,7 @@ def sniff(
         check_terminal()
     source, bench = open_input(given, settings, every_port=every)
     if view.tui:
-        show(source, bench, settings, selection, view.time.value, limits, verbose=verbose)
+        show(source, bench, settings, selection, view.time, limits, verbose=verbose)
         return
     waits = live or "-" in map(str, given.paths)
     if view.fields or view.sequence or view.stat:
@@ -73,7 +73,7 @@ def sniff(
     packet_list = PacketList(
         terminal.width,
         colour=terminal.colour,
-        time_format=TimeFormat(view.time.value),
+        time_format=view.time,
         names=MSG_ID_NAMES,
         verbose=verbose,
     )

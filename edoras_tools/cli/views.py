@@ -10,21 +10,13 @@ import typer
 
 from edoras_tools.cli.output import print_json
 from edoras_tools.errors import ConfigError
+from edoras_tools.render.units import TimeFormat
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.pipelines.workbench import Workbench
-
-
-class Time(StrEnum):
-    """Formats of the time column."""
-
-    RELATIVE = "relative"
-    DELTA = "delta"
-    UTC = "utc"
-    EPOCH = "epoch"
 
 
 class FieldFormat(StrEnum):
@@ -60,7 +52,9 @@ class ViewOptions(NamedTuple):
     tui: Annotated[
         bool, typer.Option("--tui", help="Packet list, layers and bytes in three panes; ? shows the keys.")
     ] = False
-    time: Annotated[Time, typer.Option("--time", "-t", help="Format of the time.")] = Time.RELATIVE
+    time: Annotated[TimeFormat, typer.Option("--time", "-t", help="Format of the time.")] = (
+        TimeFormat.RELATIVE
+    )
     findings: Annotated[bool, typer.Option("--findings", help="Only packets with a warning or an error.")] = (
         False
     )

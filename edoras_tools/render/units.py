@@ -1,12 +1,26 @@
-"""Numbers with units, as text."""
+"""Numbers with units, and times, as text."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
+from enum import StrEnum
 from typing import Final
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 NONE: Final = "-"
+
+
+class TimeFormat(StrEnum):
+    """Formats of the time column."""
+
+    RELATIVE = "relative"
+    """Seconds since the first packet."""
+    DELTA = "delta"
+    """Seconds since the previous packet."""
+    UTC = "utc"
+    """Date, where there is room, and time of day."""
+    EPOCH = "epoch"
+    """Seconds since 1970-01-01 UTC, as in flight logs."""
 
 
 def count(value: int | None) -> str:

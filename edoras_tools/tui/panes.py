@@ -15,9 +15,9 @@ from textual.widgets import ContentSwitcher, Footer, Static
 
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.render.capture.facts import facts
-from edoras_tools.render.capture.packet_list import TimeFormat
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean
+from edoras_tools.render.units import TimeFormat
 from edoras_tools.tui import theme as themes
 from edoras_tools.tui.data import messages
 from edoras_tools.tui.data.store import Store

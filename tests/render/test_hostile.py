@@ -16,9 +16,10 @@ from edoras_tools.links import table
 from edoras_tools.model import OTHER, Datagram, Decoded, Endpoint, Finding, Layer, LayerField, RosMessage
 from edoras_tools.render.capture import packet, tree
 from edoras_tools.render.capture.info import capture_summary
-from edoras_tools.render.capture.packet_list import PacketList, TimeFormat
+from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.terminal.palette import Paint
 from edoras_tools.render.terminal.text import cells
+from edoras_tools.render.units import TimeFormat
 
 anything = st.text(st.characters(exclude_categories=()), max_size=30) | st.sampled_from(
     [

@@ -8,7 +8,7 @@ from textual.events import MouseScrollDown
 
 from edoras_tools.links.sbn import SBN
 from edoras_tools.pipelines.selection import Selection
-from edoras_tools.render.capture.packet_list import TimeFormat
+from edoras_tools.render.units import TimeFormat
 from edoras_tools.tui.help import Help
 
 

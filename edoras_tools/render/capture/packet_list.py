@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -13,24 +12,12 @@ from edoras_tools.render.capture.facts import facts
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean, clip, clip_left, clip_middle, fit, fit_right
+from edoras_tools.render.units import TimeFormat
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from edoras_tools.model import Decoded, Endpoint
-
-
-class TimeFormat(StrEnum):
-    """Formats of the time column."""
-
-    RELATIVE = "relative"
-    """Seconds since the first packet."""
-    DELTA = "delta"
-    """Seconds since the previous packet."""
-    UTC = "utc"
-    """Date, where there is room, and time of day."""
-    EPOCH = "epoch"
-    """Seconds since 1970-01-01 UTC, as in flight logs."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,9 @@ from textual.strip import Strip
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode import Dissector
 from edoras_tools.model import NO_FINDINGS, Finding
-from edoras_tools.render.capture.packet_list import PacketList, TimeFormat
+from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.severity import EXPLANATIONS, NOTABLE, Level
+from edoras_tools.render.units import TimeFormat
 from edoras_tools.tui.lists.lines import Lines, strip_of
 
 if TYPE_CHECKING:

@@ -6,8 +6,9 @@ from dataclasses import replace
 import pytest
 
 from edoras_tools.model import Finding
-from edoras_tools.render.capture.packet_list import PacketList, TimeFormat
+from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.terminal.text import cells, plain_cells
+from edoras_tools.render.units import TimeFormat
 
 WIDTHS = [80, 120, 160, 200]
 
