@@ -17,7 +17,6 @@ PORT: Final = 1234
 INITIALIZED: Final = EventText(NAME, 3, "CI Lab Initialized. {version}")
 NOOP: Final = EventText(NAME, 5, "CI: NOOP command")
 RESET: Final = EventText(NAME, 6, "CI: RESET command")
-BAD_FUNCTION_CODE: Final = EventText(NAME, 7, "Invalid Ground Command CC = {code:d}", EventType.ERROR)
 TOO_SHORT: Final = EventText(
     NAME, 8, "CI: L{line:d}, cmd {msg_id:04x} {second:02x} dropped, bad length={length:d}\n", EventType.ERROR
 )

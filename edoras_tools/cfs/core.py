@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.cfs import event_services, software_bus
+from edoras_tools.cfs import event_services, executive_services, software_bus
 from edoras_tools.cfs.event_services import EventText, EventType
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-RESET_ALL_FILTERS: Final = 14
-"""Function code of Event Services: the filters of one application begin to count anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +26,8 @@ class CoreApp:
         no_op_id: number of the no-op event.
         no_op_text: how that event begins; the version follows.
         bad_length_id: number of the event for a no-op that is too long; None where none was seen.
+        bad_code_id: number of the event for a function code that it does not have.
+        bad_code_text: text of that event.
         packets: function code to a packet that the command asks for: MsgId and payload bytes.
     """
 
@@ -38,6 +37,8 @@ class CoreApp:
     request: int
     telemetry: int
     no_op_id: int
+    bad_code_id: int
+    bad_code_text: str = "Invalid command code -- ID = 0x{msg_id:X}, CC = {code:d}"
     others: tuple[int, ...] = ()
     no_op_text: str = "No-op Cmd Rcvd:  "
     bad_length_id: int | None = None
@@ -55,6 +56,11 @@ class CoreApp:
         return EventText(self.name, self.no_op_id, self.no_op_text + "{version}")
 
     @property
+    def bad_code(self) -> EventText:
+        """Return the event of a function code that it does not have."""
+        return EventText(self.name, self.bad_code_id, self.bad_code_text, EventType.ERROR)
+
+    @property
     def bad_length(self) -> EventText | None:
         """Return the event of a no-op that is too long."""
         if self.bad_length_id is None:
@@ -64,16 +70,27 @@ class CoreApp:
 
 
 CORE: Final = (
-    CoreApp(event_services.NAME, "EVS_CMD_PIPE", 0x1801, 0x1809, 0x0801, 0),
     CoreApp(
-        software_bus.NAME, "SB_CMD_PIPE", 0x1803, 0x180B, 0x0803, 28, (0x180E,), packets={2: (0x080A, 828)}
+        *(event_services.NAME, "EVS_CMD_PIPE", 0x1801, 0x1809, 0x0801, 0, 15),
+        bad_code_text="Invalid command code -- ID = 0x{msg_id:08x}, CC = {code:d}",
     ),
     CoreApp(
-        "CFE_ES", "ES_CMD_PIPE", 0x1806, 0x1808, 0x0800, 3, no_op_text="No-op command:\n ", bad_length_id=23
+        *(software_bus.NAME, "SB_CMD_PIPE", 0x1803, 0x180B, 0x0803, 28, 42),
+        bad_code_text="Invalid Cmd, Unexpected Command Code {code:d}",
+        others=(0x180E,),
+        packets={2: (0x080A, 828)},
     ),
     CoreApp(
-        "CFE_TIME", "TIME_CMD_PIPE", 0x1805, 0x180D, 0x0805, 4, (0x1811, 0x1862), packets={2: (0x0806, 200)}
+        *(executive_services.NAME, "ES_CMD_PIPE", 0x1806, 0x1808, 0x0800, 3, 22),
+        bad_code_text="Invalid ground command code: ID = 0x{msg_id:X}, CC = {code:d}",
+        no_op_text="No-op command:\n ",
+        bad_length_id=23,
     ),
-    CoreApp("CFE_TBL", "TBL_CMD_PIPE", 0x1804, 0x180C, 0x0804, 10),
+    CoreApp(
+        *("CFE_TIME", "TIME_CMD_PIPE", 0x1805, 0x180D, 0x0805, 4, 27),
+        others=(0x1811, 0x1862),
+        packets={2: (0x0806, 200)},
+    ),
+    CoreApp("CFE_TBL", "TBL_CMD_PIPE", 0x1804, 0x180C, 0x0804, 10, 51),
 )
 """In the order in which they start."""

@@ -21,3 +21,5 @@ BAD_LENGTH: Final = EventText(
 )
 UNREADABLE: Final = "edoras_core: Failed to apply rmw_deserialize"
 """On the console only."""
+PORT_TAKEN: Final = "Error in binding  socket to talk to robot: Address already in use"
+"""Printed, not an event: the application was stopped and started, and its old socket is still open."""

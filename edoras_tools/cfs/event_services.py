@@ -65,3 +65,40 @@ def _group(value: str) -> str:
 
 
 SQUELCHED: Final = EventText(NAME, 44, "Events squelched, AppName = {app}", EventType.ERROR)
+
+USUAL_TYPES: Final = 0b1110
+"""Events that an application may send, a bit for each severity from the lowest: all but debug."""
+ALL_TYPES: Final = 0b1111
+ENABLE_TYPE, DISABLE_TYPE = 2, 3
+ENABLE_APP_TYPE, DISABLE_APP_TYPE, ENABLE_APP, DISABLE_APP, RESET_APP_COUNTER = 5, 6, 7, 8, 9
+RESET_ALL_FILTERS: Final = 14
+APP_NAME_BYTES: Final = 20
+
+DONE: Final = {
+    code: EventText(NAME, event_id, f"{what} Command Received with {with_what}", EventType.DEBUG)
+    for code, event_id, what, with_what in (
+        (ENABLE_TYPE, 20, "Enable Event Type", "Event Type Bit Mask = 0x{mask:02x}"),
+        (DISABLE_TYPE, 21, "Disable Event Type", "Event Type Bit Mask = 0x{mask:02x}"),
+        (ENABLE_APP_TYPE, 23, "Enable App Event Type", "AppName = {app}, EventType Bit Mask = 0x{mask:02x}"),
+        (
+            DISABLE_APP_TYPE,
+            24,
+            "Disable App Event Type",
+            "AppName = {app}, EventType Bit Mask = 0x{mask:02x}",
+        ),
+        (ENABLE_APP, 25, "Enable App Events", "AppName = {app}"),
+        (DISABLE_APP, 26, "Disable App Events", "AppName = {app}"),
+        (RESET_APP_COUNTER, 27, "Reset Event Counter", "AppName = {app}"),
+        (RESET_ALL_FILTERS, 29, "Reset All Filters", "AppName = {app}"),
+    )
+}
+"""Function code to the event of a command that was obeyed; debug events, so usually unseen."""
+BAD_MASK: Final = EventText(NAME, 40, "Bit Mask = 0x{mask:08x} out of range: CC = {code:d}", EventType.ERROR)
+UNKNOWN_APP: Final = EventText(
+    NAME, 9, "{prefix}Unable to retrieve application ID for {app}: CC = {code:d}", EventType.ERROR
+)
+UNKNOWN_APP_PREFIX: Final = {
+    DISABLE_APP: "Disable App Events Command: ",
+    RESET_APP_COUNTER: "Reset Event Counter Command: ",
+}
+"""Function code to how its event about an unknown application begins."""

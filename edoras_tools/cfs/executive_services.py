@@ -2,13 +2,76 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
+
+from edoras_tools.cfs.event_services import EventText, EventType
 
 NAME: Final = "CFE_ES"
 COMMAND_MSG_ID: Final = 0x1806
 RESTART, START_APP, STOP_APP, RESTART_APP, RELOAD_APP = 2, 4, 5, 6, 7
 ENDS_APP: Final = frozenset({STOP_APP, RESTART_APP, RELOAD_APP})
 """Function codes after which an application does not read on."""
-STARTED, STOPPED, RESTARTED = 6, 8, 10
+STARTED, STOPPED, RESTARTED, RELOADED = 6, 8, 10, 12
 """Events: ``Started NAME from FILE``, ``Stop Application NAME Completed.``, ``Restart Application NAME``."""
 APP_NAME_BYTES: Final = 20
+FILE_NAME_BYTES: Final = 64
+RESTART_TYPES: Final = frozenset({1, 2})
+"""Of the processor: a processor reset, a power-on reset."""
+
+NOT_VALID: Final = 0xC4000001
+"""``CFE_ES_ERR_RESOURCEID_NOT_VALID``: a core application, or one that does not run."""
+NAME_NOT_FOUND: Final = 0xC4000002
+NOT_LOADED: Final = 0xC4000009
+"""``CFE_ES_ERR_LOAD_LIB``."""
+DUPLICATE_NAME: Final = 0xC400002E
+
+STOP: Final = "Stop"
+RESTART_VERB: Final = "Restart"
+RELOAD_VERB: Final = "Reload"
+
+BUILD: Final = EventText(NAME, 92, "Build {date} by {user}@{host}, config {config}")
+"""It comes before the event of a no-op."""
+BAD_RESTART_TYPE: Final = EventText(NAME, 24, "Invalid cFE restart type: {kind:d}", EventType.ERROR)
+STARTED_APP: Final = EventText(NAME, STARTED, "Started {name} from {file}, AppID = {number:d}")
+NOT_STARTED: Final = EventText(
+    NAME, 26, "Failed to start {name} from {file}, RC = 0x{status:08X}", EventType.ERROR
+)
+STOPPED_APP: Final = EventText(NAME, STOPPED, "Stop Application {name} Completed.")
+RESTARTED_APP: Final = EventText(NAME, RESTARTED, "Restart Application {name} Completed, AppID={number:d}")
+RELOADED_APP: Final = EventText(NAME, RELOADED, "Reload Application {name} Completed, AppID={number:d}")
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """A command that ends an application.
+
+    Attributes:
+        verb: what is done, as events say it.
+        refused_id: number of the event for an application that does not run, or is part of the core.
+        unknown_id: number of the event for a name that no application has.
+    """
+
+    verb: str
+    refused_id: int
+    unknown_id: int
+
+    @property
+    def refused(self) -> EventText:
+        """Return the event for an application that does not run, or is part of the core."""
+        text = f"{self.verb} Application {{name}} Failed, RC = 0x{{status:08X}}"
+        return EventText(NAME, self.refused_id, text, EventType.ERROR)
+
+    @property
+    def unknown(self) -> EventText:
+        """Return the event for a name that no application has."""
+        text = f"{self.verb} Application {{name}}, GetAppIDByName failed. RC = 0x{{status:08X}}."
+        return EventText(NAME, self.unknown_id, text, EventType.ERROR)
+
+
+ENDING_COMMANDS: Final = {
+    STOP_APP: Ending(STOP, 35, 36),
+    RESTART_APP: Ending(RESTART_VERB, 38, 39),
+    RELOAD_APP: Ending(RELOAD_VERB, 42, 43),
+}
+"""Function code to what it does."""

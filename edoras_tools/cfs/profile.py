@@ -71,13 +71,16 @@ class SimProfile:
         ci_buffer: bytes of a datagram that Command Ingest keeps.
         ci_wake_ns: Command Ingest's time-out on its pipe; every wake-up also reads the socket.
         ci_datagrams_per_wake: the most it reads at once.
-        socket_queue: datagrams that the operating system keeps for a socket that nobody reads.
+        ci_read_ns: processor time of reading one datagram and putting it on the bus.
+        socket_queue: datagrams that the operating system keeps for a socket that nobody reads: Linux allows
+            212,992 bytes and charges 1,024 for a short one.
         to_port: UDP port at which the ground receives.
         to_source_port: UDP port that telemetry comes from; 0 lets the operating system choose.
         to_wake_ns: Telemetry Output's delay between two rounds.
         to_pipe_depth: of its telemetry pipe.
         to_limits: its table: MsgId to the messages of it that may wait; the application's are added.
         to_default_limit: limit of a MsgId that the table or an add-packet command leaves open.
+        msg_max: the host's ``fs.mqueue.msg_max``, which cuts every pipe to so many packets; 0 for no cut.
         app_pipe_depth: of an application's pipe.
         app_msg_limit: messages of one MsgId that may wait in it.
         sbn_port: UDP port of the Software Bus Network.
@@ -96,11 +99,16 @@ class SimProfile:
         event_rate: events per second that it may send in the long run.
         housekeeping_ns: period of the housekeeping requests.
         wakeup_ns: period of the wake-up that the two-robot application sends its commands on.
+        boot_ns: from the start of the processor until all applications run.
+        app_start_ns: from the start of an application until it runs.
+        app_kill_ns: how long an application may take to end that is told to.
         boot_met_s: mission elapsed time at start, s.
         epoch_offset_s: correction from mission elapsed time to mission time, s.
         cores: processors that the tasks share.
         latency_ns: shortest and longest time from "may run" to "runs" of a task.
         work_ns: processor time of handling one message.
+        housekeeping_work_ns: processor time of a core application's housekeeping packet.
+        obey_work_ns: processor time of a command that goes on to a robot: decoded, printed, sent.
         work_jitter: how much of ``work_ns`` a piece of work may take more or less, 0 to 1.
         seed: of the latencies: a seed, a run.
     """
@@ -113,7 +121,8 @@ class SimProfile:
     ci_buffer: int = 768
     ci_wake_ns: int = 500 * MILLISECOND
     ci_datagrams_per_wake: int = 11
-    socket_queue: int = 256
+    ci_read_ns: int = 3 * MICROSECOND
+    socket_queue: int = 208
 
     to_port: int = 1235
     to_source_port: int = 0
@@ -122,6 +131,7 @@ class SimProfile:
     to_limits: Mapping[int, int] = field(default_factory=lambda: dict(TO_TABLE))
     to_default_limit: int = 4
 
+    msg_max: int = 0
     app_pipe_depth: int = 32
     app_msg_limit: int = 4
 
@@ -146,12 +156,17 @@ class SimProfile:
 
     housekeeping_ns: int = SECOND
     wakeup_ns: int = 100 * MILLISECOND
+    boot_ns: int = 1600 * MILLISECOND
+    app_start_ns: int = 50 * MILLISECOND
+    app_kill_ns: int = 5900 * MILLISECOND
     boot_met_s: int = 1000
     epoch_offset_s: int = 1_000_000
 
     cores: int = 2
     latency_ns: tuple[int, int] = (40 * MICROSECOND, 160 * MICROSECOND)
     work_ns: int = 8 * MICROSECOND
+    housekeeping_work_ns: int = 90 * MICROSECOND
+    obey_work_ns: int = 90 * MICROSECOND
     work_jitter: float = 0.5
     seed: int = 1
 

@@ -43,5 +43,11 @@ _TEXTS: Final = (
         NAME, PIPE_OVERFLOW, "Pipe Overflow,MsgId 0x{msg_id:x},pipe {pipe},sender {sender}", EventType.ERROR
     ),
 )
+DUPLICATE_SUBSCRIPTION: Final = EventText(
+    NAME, 7, "Duplicate Subscription,MsgId 0x{msg_id:x} on {pipe} pipe,app {app}"
+)
+NOTHING_TO_UNSUBSCRIBE: Final = EventText(
+    NAME, 12, "Unsubscribe Err:No subs for Msg 0x{msg_id:x} on {pipe},app {app}"
+)
 EVENTS: Final = {item.event_id: item for item in _TEXTS}
 """Event number to the event; each has ``msg_id`` and ``sender``, and ``pipe`` where one is full."""

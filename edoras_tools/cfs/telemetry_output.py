@@ -20,21 +20,22 @@ STOPS: Final = frozenset({REMOVE_PACKET, REMOVE_ALL})
 """Function codes after which it does not send a MsgId, or any."""
 
 INITIALIZED: Final = EventText(NAME, 1, "TO Lab Initialized. {version}, Awaiting enable command.")
-NOTHING_DONE: Final = EventText(NAME, 2, "No-op command")
+NOTHING_DONE: Final = EventText(NAME, 18, "No-op command")
 ENABLED: Final = EventText(NAME, 3, "TO telemetry output enabled for IP {address}")
-COUNTERS_RESET: Final = EventText(NAME, 6, "Reset counters command")
-NOT_ADDED: Final = EventText(NAME, 7, "L{line:d} TO Can't subscribe to stream 0x{msg_id:x}", EventType.ERROR)
+NOT_ADDED: Final = EventText(
+    NAME, 10, "L{line:d} TO Can't subscribe 0x{msg_id:x} status {status}", EventType.ERROR
+)
 BAD_FUNCTION_CODE: Final = EventText(
     NAME, 9, "L{line:d} TO: Invalid Function Code Rcvd In Ground Command 0x{code:x}", EventType.ERROR
 )
 NOT_REMOVED: Final = EventText(
-    NAME, 11, "L{line:d} TO Can't Unsubscribe to Stream 0x{msg_id:x}", EventType.ERROR
+    NAME, 11, "L{line:d} TO Can't Unsubscribe to Stream 0x{msg_id:x}, status {status}", EventType.ERROR
 )
 ADDED: Final = EventText(
     NAME, 15, "L{line:d} TO AddPkt 0x{msg_id:x}, QoS {priority:d}.{reliability:d}, limit {limit:d}"
 )
 REMOVED: Final = EventText(NAME, 16, "L{line:d} TO RemovePkt 0x{msg_id:x}")
-ALL_REMOVED: Final = EventText(NAME, 18, "L{line:d} TO Removed all packets")
+ALL_REMOVED: Final = EventText(NAME, 17, "L{line:d} TO Unsubscribed to all Commands and Telemetry")
 SUPPRESSED: Final = EventText(
     NAME, 7, "L{line:d} TO sendto error {error}. Tlm output suppressed", EventType.ERROR
 )

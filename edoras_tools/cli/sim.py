@@ -37,6 +37,14 @@ def sim(
             metavar="N", min=1, max=255, help="Telemetry Output: messages of one MsgId that may wait."
         ),
     ] = 4,
+    msg_max: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            min=0,
+            help="The host's fs.mqueue.msg_max, which cuts every pipe; 10 where nobody raised it, 0: no cut.",
+        ),
+    ] = 0,
     host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address to bind.")] = "127.0.0.1",
     duration: options.Duration = None,
     quiet: options.Quiet = False,
@@ -59,7 +67,14 @@ def sim(
     limits = {
         msg_id: limit if room == profile.to_default_limit else room for msg_id, room in TO_TABLE.items()
     }
-    profile = replace(profile, to_default_limit=limit, to_limits=limits, address=address, sbn_peers=peers)
+    profile = replace(
+        profile,
+        to_default_limit=limit,
+        to_limits=limits,
+        msg_max=msg_max,
+        address=address,
+        sbn_peers=peers,
+    )
     simulation = Simulation(
         profile, scenario.value, start_ns=time_ns(), bridges=bridges, command_rate_hz=rate, state_rate_hz=rate
     )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from edoras_tools.cfs import command_ingest, edoras_app, sbn, telemetry_output
+from edoras_tools.emulator.apps import generator, lab
 from edoras_tools.emulator.apps.core import start_core
 from edoras_tools.emulator.apps.generator import Generator
 from edoras_tools.emulator.apps.lab import CiLab, SchLab, ToLab
@@ -15,9 +16,8 @@ if TYPE_CHECKING:
     from edoras_tools.emulator.cfs import Cfs
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Apps:
-    """The applications of one emulated cFS whose state can be looked at.
+    """The applications of one emulated cFS whose state can be looked at: those that run now, or ran last.
 
     Attributes:
         sbn: the Software Bus Network.
@@ -25,18 +25,29 @@ class Apps:
         edoras: the EDORAS application.
     """
 
-    sbn: SbnApp
-    ci: CiLab
-    edoras: EdorasApp
+    def __init__(self, cfs: Cfs, edoras: EdorasApp) -> None:
+        self.sbn: SbnApp
+        self.ci: CiLab
+        self.edoras = edoras
+        self._cfs = cfs
+        cfs.begin = self._start
+        cfs.boot()
 
+    def _start(self) -> None:
+        cfs = self._cfs
+        start_core(cfs)
+        for name, file, begin in (
+            (sbn.NAME, "sbn", self._sbn),
+            (command_ingest.NAME, "ci_lab", self._ci),
+            (telemetry_output.NAME, "to_lab", lambda: ToLab(cfs, self.edoras.telemetry)),
+            (edoras_app.NAME, "edoras_app", lambda: self.edoras.start(cfs)),
+            (generator.NAME, "edoras_gen", lambda: Generator(cfs)),
+            (lab.SCHEDULER, "sch_lab", lambda: SchLab(cfs, self.edoras)),
+        ):
+            cfs.executive.load(name, f"/cf/{file}.so", begin)
 
-def boot(cfs: Cfs, edoras: EdorasApp) -> Apps:
-    """Start the core applications, the lab applications and the EDORAS application, now."""
-    start_core(cfs)
-    sbn = SbnApp(cfs)
-    ci = CiLab(cfs)
-    ToLab(cfs, edoras.telemetry)
-    edoras.start(cfs)
-    Generator(cfs)
-    SchLab(cfs, edoras)
-    return Apps(sbn, ci, edoras)
+    def _sbn(self) -> None:
+        self.sbn = SbnApp(self._cfs)
+
+    def _ci(self) -> None:
+        self.ci = CiLab(self._cfs)

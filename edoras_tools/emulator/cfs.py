@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.emulator.services.clock import Clock
 from edoras_tools.emulator.services.events import Event, EventServices
+from edoras_tools.emulator.services.executive_services import ExecutiveServices
 from edoras_tools.emulator.services.software_bus import Pipe, Publication, SoftwareBus
 from edoras_tools.model import Endpoint
 from edoras_tools.units import SECOND
@@ -20,9 +22,11 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.event_services import EventText
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.emulator.scheduler import Scheduler, Task
+    from edoras_tools.emulator.scheduler import Running, Scheduler, Task
+    from edoras_tools.emulator.services.executive_services import LoadedApp
 
 EMULATOR_VERSION: Final = "edoras-tools emulated cFS, not flight software"
+_MANY: Final = 100
 ANY_PORT: Final = 49152
 """Source port of telemetry in simulated time, where no operating system chooses one."""
 
@@ -33,8 +37,12 @@ class Cfs:
     Attributes:
         profile: its constants.
         scheduler: its clock and its tasks; several instances may share one.
+        begin: starts all applications at each boot.
+        boots: how often it has booted.
         bus: its software bus.
         events: its event services.
+        executive: its executive services: the applications that run.
+        clock: its time services.
         console: its last lines, ``(time_ns, text)``, events as ``EVS Port1 66/1/APP ID: text``.
         listener: called with every line.
     """
@@ -45,7 +53,7 @@ class Cfs:
         scheduler: Scheduler,
         send: Callable[[Endpoint, Endpoint, bytes], None],
     ) -> None:
-        """Start, now, without any application: :func:`edoras_tools.emulator.boot.boot` starts those.
+        """Make it, without any application: :class:`edoras_tools.emulator.boot.Apps` starts those.
 
         Args:
             profile: its constants.
@@ -55,16 +63,60 @@ class Cfs:
         self.profile = profile
         self.scheduler = scheduler
         self.send = send
-        self.bus = SoftwareBus(profile)
-        self.events = EventServices(profile)
+        self.boots = 0
         self.console: deque[tuple[int, str]] = deque(maxlen=10_000)
         self.listener: Callable[[int, str], None] | None = None
-        self._boot_ns = scheduler.now
+        self.begin: Callable[[], object] = lambda: None
         self._reporting: set[int] = set()
         self.ci_endpoint = Endpoint(profile.address, profile.ci_port)
         self.sbn_endpoint = Endpoint(profile.address, profile.sbn_port)
+        self._to_sockets = -1
         self.to_endpoint = Endpoint(profile.address, profile.to_source_port or ANY_PORT)
         self._listening: dict[int, Callable[[bytes], object]] = {}
+        self._tasks: list[Running] = []
+        self._reset()
+
+    def _reset(self) -> None:
+        self.bus = SoftwareBus(self.profile)
+        self.events = EventServices(self.profile)
+        self.executive = ExecutiveServices(self)
+        self.clock = Clock(self.profile, self.scheduler.now)
+
+    def boot(self) -> None:
+        """Start all applications anew, now; after ``halt``."""
+        self.boots += 1
+        self._reset()
+        self.begin()
+
+    def halt(self) -> None:
+        """Stop everything, now: what waits anywhere is lost, and nothing listens."""
+        for task in self._tasks:
+            self.scheduler.end(task)
+        for application in self.executive.applications.values():
+            application.runs = False
+        self._tasks.clear()
+        self._listening.clear()
+
+    def restart(self) -> None:
+        """Restart the processor: halt, and boot again after the time that it takes."""
+        self.halt()
+        self.scheduler.call_at(self.scheduler.now + self.profile.boot_ns, self.boot)
+
+    def clean_up(self, application: LoadedApp) -> None:
+        """End the tasks of an application, and close its pipes and sockets with what is in them."""
+        for task in application.tasks:
+            self.scheduler.end(task)
+        for name in (*application.pipes, *application.more_pipes()):
+            self.bus.delete_pipe(self.bus.pipes[name])
+        for port in application.ports:
+            self._listening.pop(port, None)
+        self.events.unregister(application.name)
+
+    def open_telemetry_socket(self) -> None:
+        """Choose the port that telemetry leaves by: another one each time, unless the profile names it."""
+        if not self.profile.to_source_port:
+            self._to_sockets += 1
+            self.to_endpoint = Endpoint(self.profile.address, ANY_PORT + self._to_sockets)
 
     @property
     def endpoints(self) -> tuple[Endpoint, ...]:
@@ -80,20 +132,17 @@ class Cfs:
     def listen(self, port: int, receive: Callable[[bytes], object]) -> None:
         """Have the datagrams of a port handed to an application."""
         self._listening[port] = receive
+        self.executive.owns(port=port)
 
     def mission_time(self) -> tuple[int, int]:
         """Return mission time as telemetry headers hold it: seconds, and subseconds of 1/65536 s."""
-        elapsed = self.scheduler.now - self._boot_ns
-        seconds, rest = divmod(elapsed, SECOND)
-        return self.profile.epoch_offset_s + self.profile.boot_met_s + seconds, (rest << 16) // SECOND
-
-    def met_ns(self) -> int:
-        """Return mission elapsed time in ns."""
-        return self.profile.boot_met_s * SECOND + self.scheduler.now - self._boot_ns
+        seconds, rest = divmod(self.clock.time_ns(self.scheduler.now), SECOND)
+        return seconds & 0xFFFFFFFF, (rest << 16) // SECOND
 
     def create_pipe(self, name: str, *msg_ids: int, limit: int | None = None) -> Pipe:
         """Make an application's pipe and subscribe it."""
         pipe = self.bus.create_pipe(name, self.profile.app_pipe_depth)
+        self.executive.owns(pipe=name)
         for item in msg_ids:
             self.bus.subscribe(pipe, item, limit)
         return pipe
@@ -136,5 +185,9 @@ class Cfs:
             self.listener(*line)
 
     def spawn(self, steps: Task) -> None:
-        """Start a task."""
-        self.scheduler.spawn(steps)
+        """Start a task; it ends with its application."""
+        task = self.scheduler.spawn(steps)
+        if len(self._tasks) > _MANY:
+            self._tasks = [item for item in self._tasks if not item.is_done]
+        self._tasks.append(task)
+        self.executive.owns(task=task)

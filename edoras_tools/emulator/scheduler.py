@@ -72,16 +72,21 @@ if TYPE_CHECKING:
     Task = Generator[Receive | Sleep | SleepUntil | Work, Any, None]
 
 
-class _Running:
+class Running:
     """A task and what it waits for. A time-out whose ``ticket`` is old is ignored."""
 
-    __slots__ = ("steps", "ticket", "value", "waits_on")
+    __slots__ = ("is_done", "steps", "ticket", "value", "waits_on")
 
     def __init__(self, steps: Task) -> None:
         self.steps = steps
         self.waits_on: Queue | None = None
         self.ticket = 0
         self.value: Any = None
+        self.is_done = False
+
+
+def _nothing() -> Task:
+    yield from ()
 
 
 class Scheduler:
@@ -97,14 +102,25 @@ class Scheduler:
         self._latency = profile.latency_ns
         self._jitter = profile.work_jitter
         self._free = profile.cores
-        self._ready: deque[_Running] = deque()
-        self._waiting: dict[int, _Running] = {}
+        self._ready: deque[Running] = deque()
+        self._waiting: dict[int, Running] = {}
         self._agenda: list[tuple[int, int, Callable[..., None], tuple[Any, ...]]] = []
         self._count = 0
 
-    def spawn(self, steps: Task) -> None:
-        """Start a task, now."""
-        self.call_at(self.now, self._enqueue, _Running(steps))
+    def spawn(self, steps: Task) -> Running:
+        """Start a task, now; return it, so that it can be ended."""
+        task = Running(steps)
+        self.call_at(self.now, self._enqueue, task)
+        return task
+
+    def end(self, task: Running) -> None:
+        """End a task wherever it stands, now."""
+        task.steps = _nothing()
+        if task.waits_on is not None:
+            self._waiting.pop(id(task.waits_on), None)
+            task.waits_on = None
+        task.ticket += 1
+        task.value = None
 
     def call_at(self, time_ns: int, call: Callable[..., None], *arguments: Any) -> None:
         """Call something that takes no processor time: the outside world, an interrupt."""
@@ -133,10 +149,10 @@ class Scheduler:
             call(*arguments)
         self.now = max(self.now, until_ns)
 
-    def _wake(self, task: _Running, at_ns: int) -> None:
+    def _wake(self, task: Running, at_ns: int) -> None:
         self.call_at(at_ns + self._random.randint(*self._latency), self._enqueue, task)
 
-    def _enqueue(self, task: _Running) -> None:
+    def _enqueue(self, task: Running) -> None:
         self._ready.append(task)
         self._dispatch()
 
@@ -145,19 +161,19 @@ class Scheduler:
             self._free -= 1
             self._step(self._ready.popleft())
 
-    def _timeout(self, task: _Running, ticket: int) -> None:
+    def _timeout(self, task: Running, ticket: int) -> None:
         if task.ticket == ticket and task.waits_on is not None:
             self._waiting.pop(id(task.waits_on), None)
             task.waits_on = None
             task.ticket += 1
             self._wake(task, self.now)
 
-    def _work_done(self, task: _Running) -> None:
+    def _work_done(self, task: Running) -> None:
         self._free += 1
         self._ready.append(task)
         self._dispatch()
 
-    def _step(self, task: _Running) -> None:
+    def _step(self, task: Running) -> None:
         """Run a task on the processor it was given, up to what it waits for next."""
         value, task.value = task.value, None
         if value is not None:
@@ -166,6 +182,7 @@ class Scheduler:
             try:
                 wish = task.steps.send(value)
             except StopIteration:
+                task.is_done = True
                 break
             value = None
             if isinstance(wish, Work):

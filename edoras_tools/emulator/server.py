@@ -62,12 +62,16 @@ def serve(
     simulation.routed = False
     with ExitStack() as stack:
         selector = stack.enter_context(selectors.DefaultSelector())
-        sockets = {}
-        for endpoint in simulation.endpoints:
+        sockets: dict[Endpoint, socket.socket] = {}
+
+        def open_socket(endpoint: Endpoint) -> None:
             wanted = Endpoint(host, endpoint.port if _is_chosen(simulation, endpoint) else 0)
             opened = stack.enter_context(open_bound(wanted, f"UDP {wanted}", "choose other ports"))
             sockets[endpoint] = opened
             selector.register(opened, selectors.EVENT_READ, endpoint)
+
+        for endpoint in simulation.endpoints:
+            open_socket(endpoint)
         if ready:
             ready()
         # The simulation's clock counts from its start; the host's from now.
@@ -81,6 +85,8 @@ def serve(
             for item in simulation.run(now):
                 if watch:
                     watch.sent(item)
+                if item.source not in sockets:  # Telemetry Output began anew, with another socket
+                    open_socket(item.source)
                 sent += _send(sockets[item.source], item)
             for key, _ in selector.select(_wait_s(simulation, time.monotonic_ns() + offset)):
                 for data in _waiting(sockets[key.data]):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Self
 
 from edoras_tools.cfs.profile import FLIGHT_BRIDGE, SimProfile
 from edoras_tools.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
-from edoras_tools.emulator.boot import boot
+from edoras_tools.emulator.boot import Apps
 from edoras_tools.emulator.bridges import FlightBridge, GroundBridge, GroundOperator
 from edoras_tools.emulator.cfs import Cfs
 from edoras_tools.emulator.robots import Arm, Rover
@@ -92,7 +92,7 @@ class Simulation:
         self._outbox: deque[WireDatagram] = deque()
         self._scheduler = Scheduler(profile, start_ns=start_ns)
         self.cfs = Cfs(profile, self._scheduler, self._send)
-        self.apps = boot(self.cfs, _application(scenario, start_ns))
+        self.apps = Apps(self.cfs, _application(scenario, start_ns))
         self.ground: GroundBridge | None = None
         self.flight: FlightBridge | None = None
         if bridges:

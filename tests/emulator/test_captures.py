@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 
 import pytest
+from beside_real import Beside
+from places import ROOT
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.emulator import Simulation
 from edoras_tools.units import SECOND
 
+SEEDS = (1, 2, 3, 4, 5)
 LOST = "EVS Port1 66/1/CFE_SB 17: Msg Limit Err,MsgId 0x1827,pipe EDORAS_APP_PIPE,sender CI_LAB_APP"
 
 
@@ -33,7 +37,7 @@ def to_ground(sent):
 def test_a_rover_loses_one_in_five_or_so_at_10_hz(captured, seed):
     simulation, sent = replay(captured("a_rover"), "rover", 1795241636.599, seed)
     lost = 600 - simulation.apps.edoras.robot_commands
-    assert 70 <= lost <= 120  # 92 in flight
+    assert lost == pytest.approx(92, abs=0.03 * 600)  # 92 in flight
     assert simulation.cfs.bus.counters.msg_limits == lost
     housekeeping = [item.payload for item in sent if item.payload[:2] == b"\x08\x03"][-1]
     assert int.from_bytes(housekeeping[30:32], "little") == lost
@@ -75,12 +79,15 @@ def test_e_every_bad_command_has_its_event_and_its_count(captured):
     simulation, sent = replay(rows, "rover", 1795241796.469)
     told = [text.partition("66/1/")[2].strip() for _, text in simulation.cfs.console][14:]
     version = "edoras-tools emulated cFS, not flight software"
+    build = "CFE_ES 92: Build 000000000000 by edoras-tools@emulator, config emulated"
     enabled = "TO_LAB_APP 3: TO telemetry output enabled for IP 127."
     dropped = "CI_LAB_APP 8: CI: L369, cmd 1827 00 dropped, bad length="
     failed = "CI_LAB_APP 10: CI: L359, CFE_SB_TransmitBuffer() failed, status=-9059696"
     assert told == [
         f"{enabled}0.0.1",
+        build,
         f"CFE_ES 3: No-op command:\n {version}",
+        build,
         f"CFE_ES 3: No-op command:\n {version}",
         "EDORAS_APP 2: Invalid ground command code: CC = 9",
         "EDORAS_APP 6: Invalid Msg length: ID = 0x1827,  CC = 0, Len = 76, Expected = 8",
@@ -176,3 +183,79 @@ def test_f_peer_up_killed_back_and_malformed(captured):
     assert abs(to_bridge.pop(heartbeats) - real.pop(heartbeats)) <= 1
     assert to_bridge == real
     assert to_ground(sent)["0828", 136] == 106
+
+
+@pytest.fixture(scope="module")
+def command_rates():
+    """c4_cmd_rate: rate to its commands, how many were lost in flight, and for each seed."""
+    lost = {}
+    for seed in SEEDS:
+        beside = Beside("c4_cmd_rate", seed)
+        for rate, sent, reached, ours in beside.steps():
+            lost.setdefault(rate, (sent, sent - reached, []))[2].append(sent - ours)
+        real, events = beside.events()
+        assert set(events) == set(real)
+    return lost
+
+
+def test_c4_at_every_rate_as_many_commands_are_lost_within_three_points(command_rates):
+    assert list(command_rates) == [2, 4, 6, 7, 8, 9, 10, 15, 20, 22, 25, 30, 50, 100]
+    for rate, (sent, flight, emulated) in command_rates.items():
+        assert sum(emulated) / len(emulated) == pytest.approx(flight, abs=0.03 * sent), rate
+        assert emulated == pytest.approx([flight] * len(emulated), abs=0.06 * sent), rate
+        assert flight == max(emulated) == 0 or rate > 8
+
+
+def test_the_guide_has_these_figures(command_rates):
+    guide = (ROOT / "docs/sim.md").read_text()
+    for rate, (sent, flight, emulated) in command_rates.items():
+        both = rf"{flight} \| {min(emulated)} to {max(emulated)}"
+        row = rf"\| of {sent:,} (?:Twist )?at {rate} Hz[^|]*\| {both} \|"
+        assert rate <= 8 or re.search(row, guide), row
+
+
+def test_n1_remove_all_ends_telemetry_and_two_are_added_again():
+    beside = Beside("n1_to_remove_all").run()
+    assert beside.reached == (210, 210)
+    real, ours = beside.events()
+    assert ours == real
+    assert ("TO_LAB_APP", 17) in ours
+    real = Counter(row.payload[:2] for row in beside.rows if row.destination_port == 1235)
+    ours = Counter(item.payload[:2] for item in beside.sent if item.destination.port == 1235)
+    assert ours == real
+
+
+def test_n3_a_cfs_that_is_killed_and_begins_again():
+    beside = Beside("n3_cfs_restart").killed(1795306335.69)
+    assert beside.commands == 245
+    assert beside.reached == (207, pytest.approx(207, abs=2))
+    real, ours = beside.events()
+    assert ours == real
+    assert len({item.source for item in beside.sent if item.destination.port == 1235}) == 2
+
+
+@pytest.mark.parametrize("seed", SEEDS[:3])
+def test_n5_applications_restart_stop_and_start(seed):
+    beside = Beside("n5_app_restarts", seed).run()
+    assert beside.reached == (174, pytest.approx(174, abs=0.03 * beside.commands))
+    real, ours = beside.events()
+    assert set(ours) == set(real)
+    for event in set(real) - {("CFE_SB", 17)}:  # how many depends on when housekeeping falls
+        assert ours[event] == real[event], event
+    told = [text.partition("66/1/")[2] for _, text in beside.simulation.cfs.console]
+    assert "CFE_ES 10: Restart Application CI_LAB_APP Completed, AppID=1114124" in told
+    assert "CFE_ES 10: Restart Application TO_LAB_APP Completed, AppID=1114125" in told
+    assert "CFE_ES 8: Stop Application EDORAS_APP Completed." in told
+    assert "CFE_ES 6: Started EDORAS_APP from /cf/edoras_app.so, AppID = 1114126" in told
+    assert len({item.source for item in beside.sent if item.destination.port == 1235}) == 2
+
+
+@pytest.mark.parametrize("seed", SEEDS[:3])
+def test_c3_every_pipe_is_cut_where_the_host_allows_ten(seed):
+    beside = Beside("c3_mqueue10", seed, msg_max=10).run()
+    counters = beside.simulation.cfs.bus.counters
+    assert (counters.pipe_overflows, counters.msg_limits) == (67, 111)
+    real, ours = beside.events()
+    assert ours == real
+    uncut = Beside("c3_mqueue10", seed).run().simulation.cfs.bus.counters
+    assert uncut.pipe_overflows == 0

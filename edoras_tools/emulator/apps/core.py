@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.cfs import event_services, software_bus
-from edoras_tools.cfs.core import CORE, RESET_ALL_FILTERS
+from edoras_tools.cfs import event_services, executive_services, software_bus, time_services
+from edoras_tools.cfs.core import CORE
+from edoras_tools.cfs.event_services import EventType
+from edoras_tools.cfs.executive_services import ENDING_COMMANDS
+from edoras_tools.cfs.names import COMMANDS
 from edoras_tools.emulator.cfs import EMULATOR_VERSION
 from edoras_tools.emulator.scheduler import Receive, Work
 from edoras_tools.units import SECOND
@@ -20,8 +23,8 @@ if TYPE_CHECKING:
     from edoras_tools.emulator.scheduler import Task
     from edoras_tools.emulator.services.software_bus import Pipe
 
-LEAP_SECONDS: Final = 37
-_HOUSEKEEPING_WORK: Final = 5
+_APPLICATIONS: Final = frozenset({executive_services.RESTART, executive_services.START_APP, *ENDING_COMMANDS})
+_BUILD: Final = {"date": "000000000000", "user": "edoras-tools", "host": "emulator", "config": "emulated"}
 
 
 def start_core(cfs: Cfs) -> None:
@@ -49,7 +52,7 @@ def _run(cfs: Cfs, core: CoreApp, pipe: Pipe) -> Task:
         packet = yield Receive(pipe)
         wanted = msg_id_of(packet)
         if wanted == core.request:
-            yield Work(_HOUSEKEEPING_WORK * cfs.profile.work_ns)
+            yield Work(cfs.profile.housekeeping_work_ns)
             cfs.telemetry(core.telemetry, body(cfs, counters[0] & 0xFF, counters[1] & 0xFF), core.name)
         elif wanted == core.command:
             accepted = _command(cfs, core, packet)
@@ -61,20 +64,34 @@ def _run(cfs: Cfs, core: CoreApp, pipe: Pipe) -> Task:
 
 def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
     function_code, size = function_code_of(packet), length_of(packet)
+    payload = whole_packet(packet)[cfe.COMMAND_HEADER_BYTES :]
+    if function_code not in COMMANDS[core.command]:
+        cfs.say(core.bad_code, msg_id=core.command, code=function_code)
+        return False
     if function_code == 0:
         if size != cfe.COMMAND_HEADER_BYTES:
             if core.bad_length is not None:
                 cfs.say(core.bad_length, msg_id=core.command, code=0, length=size)
             return False
+        if core.name == executive_services.NAME:
+            cfs.say(executive_services.BUILD, **_BUILD)
         cfs.say(core.no_op, version=EMULATOR_VERSION)
         return True
-    if core.name == event_services.NAME and function_code == RESET_ALL_FILTERS:
-        name = whole_packet(packet)[8:28].split(b"\0")[0].decode("ascii", "replace")
-        return cfs.events.reset_filters(name)
+    if core.name == executive_services.NAME and function_code in _APPLICATIONS:
+        return cfs.executive.command(function_code, payload)
+    if core.name == event_services.NAME and (answers := cfs.events.command(function_code, payload)):
+        for event in answers:
+            cfs.report(event)
+        return all(event.event_type is not EventType.ERROR for event in answers)
+    if core.name == time_services.NAME and function_code in time_services.SETS:
+        event = cfs.clock.command(function_code, payload, cfs.scheduler.now)
+        cfs.report(event)
+        return event.event_type is not EventType.ERROR
     if function_code in core.packets:
         telemetry, size = core.packets[function_code]
         cfs.telemetry(telemetry, bytes(size), core.name)
         return True
+    cfs.print(f"{core.name}: command {function_code} is not emulated")
     return False
 
 
@@ -98,9 +115,11 @@ def _bus(cfs: Cfs, _commands: int, _errors: int) -> bytes:
 
 
 def _time(cfs: Cfs, commands: int, errors: int) -> bytes:
-    seconds, rest = divmod(cfs.met_ns(), SECOND)
-    words = (seconds, (rest << 32) // SECOND, cfs.profile.epoch_offset_s, 0)
-    flags = bytes(2) + b"\xff\xff" + LEAP_SECONDS.to_bytes(2, "little")
+    clock, now = cfs.clock, cfs.scheduler.now
+    clock.time_ns(now)
+    parts = (divmod(value % (SECOND << 32), SECOND) for value in (clock.met_ns(now), clock.stcf_ns))
+    words = [word for seconds, rest in parts for word in (seconds, (rest << 32) // SECOND)]
+    flags = bytes(2) + b"\xff\xff" + clock.leap_seconds.to_bytes(2, "little", signed=True)
     body = b"".join((word & 0xFFFFFFFF).to_bytes(4, "little") for word in words)
     return (bytes([commands, errors]) + flags + body).ljust(32, b"\0")
 

@@ -64,6 +64,9 @@ def _accepted(cfs: Cfs, packet: bytes) -> bool:
 class SingleRobotApp:
     """Demos 1 and 2: the robot is connected to the application; its state goes to the ground once a second.
 
+    As in flight, an application that is stopped leaves its socket to the robot open: started again it cannot
+    bind it, and nothing reaches the robot until cFS begins anew.
+
     Attributes:
         robot: takes commands and reports its state.
         robot_commands: commands that reached the robot.
@@ -80,15 +83,20 @@ class SingleRobotApp:
     def __init__(self, robot: Robot, struct_bytes: int) -> None:
         self.robot, self.robot_commands = robot, 0
         self._struct = FixedStruct(struct_bytes)
-        self._requests = 0
+        self._requests = self._boot = 0
+        self._has_robot = False
 
     def start(self, cfs: Cfs) -> None:
         """Make its pipe and start its task."""
+        self._has_robot = self._boot != cfs.boots
+        self._boot = cfs.boots
+        if not self._has_robot:
+            cfs.print(facts.PORT_TAKEN)
         # 0x0828 too: the flight app subscribes to it, although nothing here publishes it.
         cfs.spawn(self._run(cfs, _start(cfs, self.request, self.command, 0x0828)))
 
     def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
-        while True:
+        while cfs.executive.run_loop(facts.NAME):
             packet = yield Receive(pipe)
             wanted = msg_id_of(packet)
             if wanted == self.request:
@@ -101,12 +109,12 @@ class SingleRobotApp:
                 self._requests += 1
             elif wanted == self.command and _accepted(cfs, packet):
                 values = messages.decode_envelope(self.robot.command_type, packet[cfe.COMMAND_HEADER_BYTES :])
-                self.robot_commands += 1
+                self.robot_commands += self._has_robot
                 if values is None:
                     cfs.print(facts.UNREADABLE)
-                else:
+                elif self._has_robot:
                     self.robot.obey(values, now=cfs.scheduler.now)
-                yield Work(cfs.profile.work_ns)
+                yield Work(cfs.profile.obey_work_ns)
 
 
 @dataclass(slots=True)
@@ -147,7 +155,7 @@ class TwoRobotApp:
         cfs.spawn(self._run(cfs, _start(cfs, *self.commands, *self.states, *self.wakeups)))
 
     def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
-        while True:
+        while cfs.executive.run_loop(facts.NAME):
             packet = yield Receive(pipe)
             wanted = msg_id_of(packet)
             if wanted in self.wakeups:

@@ -50,7 +50,7 @@ class Generator:
         cfs.spawn(self._run())
 
     def _run(self) -> Task:
-        while True:
+        while self._cfs.executive.run_loop(NAME):
             packet = yield Receive(self._pipe)
             payload = whole_packet(packet)[8:]
             if function_code_of(packet) == SET and len(payload) >= _COMMAND.size:
@@ -66,7 +66,7 @@ class Generator:
         struct_ = FixedStruct(length)
         first, count = cfs.scheduler.now + _FIRST_NS, 0
         yield SleepUntil(first)
-        while self._round[slot] == turn:
+        while self._round[slot] == turn and cfs.executive.run_loop(NAME):
             if kind == POSE_STAMPED_KIND:
                 try:
                     struct_.put(pose_stamped(cfs.scheduler.now, "world", float(count), 0.0, 0.0))

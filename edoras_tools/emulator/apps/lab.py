@@ -42,7 +42,7 @@ class CiLab:
 
     def _run(self) -> Task:
         cfs, profile = self._cfs, self._cfs.profile
-        while True:
+        while cfs.executive.run_loop(command_ingest.NAME):
             packet = yield Receive(self._pipe, profile.ci_wake_ns)
             if packet is not None:
                 yield Work(profile.work_ns)
@@ -57,7 +57,7 @@ class CiLab:
                     status = cfs.publish(ingested.packet, command_ingest.NAME, stamp=False).status
                     if status != software_bus.SUCCESS:
                         cfs.report(self.socket.refused(status))
-                yield Work(profile.work_ns)
+                yield Work(profile.ci_read_ns)
 
     def _message(self, packet: bytes) -> None:
         if msg_id_of(packet) == command_ingest.REQUEST_MSG_ID:
@@ -74,6 +74,8 @@ class ToLab:
     def __init__(self, cfs: Cfs, telemetry: Sequence[int]) -> None:
         self.output = TelemetryOutput(cfs.profile, cfs.bus)
         self._cfs = cfs
+        cfs.executive.owns(pipe=telemetry_output.PIPE)
+        cfs.open_telemetry_socket()
         name = telemetry_output.NAME
         cfs.events.register(name, now=cfs.scheduler.now)
         self._commands = cfs.create_pipe(
@@ -85,7 +87,7 @@ class ToLab:
 
     def _run(self) -> Task:
         cfs, profile, output = self._cfs, self._cfs.profile, self.output
-        while True:
+        while cfs.executive.run_loop(telemetry_output.NAME):
             yield Sleep(profile.to_wake_ns)
             more, data = output.forward()
             while more:
@@ -103,8 +105,8 @@ class ToLab:
             cfs.telemetry(telemetry_output.HOUSEKEEPING_MSG_ID, self.output.housekeeping(), name)
             return
         answer = self.output.command(packet)
-        if answer.event:
-            cfs.report(answer.event)
+        for event in answer.events:
+            cfs.report(event)
         if answer.publish:
             cfs.telemetry(*answer.publish, name)
 
@@ -124,7 +126,7 @@ class SchLab:
         cfs = self._cfs
         due = cfs.scheduler.now + cfs.profile.housekeeping_ns
         due -= min(SCHEDULE_LEAD_NS, cfs.profile.housekeeping_ns // 2)
-        while True:
+        while cfs.executive.run_loop(SCHEDULER):
             yield SleepUntil(due)
             for item in msg_ids:
                 cfs.publish(cfe.emit_command(item, 0), SCHEDULER)

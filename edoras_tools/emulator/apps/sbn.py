@@ -61,6 +61,7 @@ class SbnApp:
         self._commands = cfs.create_pipe(facts.PIPE, facts.COMMAND_MSG_ID)
         cfs.say(facts.SUBSCRIBED_TO_COMMANDS, msg_id=facts.COMMAND_MSG_ID)
         cfs.listen(cfs.profile.sbn_port, self.receive_datagram)
+        cfs.executive.owns(more_pipes=self.node.pipe_names)
         cfs.spawn(self._main())
         if not cfs.profile.sbn_polls:
             cfs.spawn(self._receive())
@@ -72,7 +73,7 @@ class SbnApp:
 
     def _main(self) -> Task:
         cfs, profile = self._cfs, self._cfs.profile
-        while True:
+        while cfs.executive.run_loop(facts.NAME):
             packet = yield Receive(self._commands, profile.sbn_wake_ns)
             if packet is not None:
                 self._command(packet)

@@ -6,12 +6,13 @@ from collections.abc import Mapping  # noqa: TC003  Application's annotations ar
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Self
 
-from edoras_tools.cfs.event_services import NAME, SQUELCHED, EventType
+from edoras_tools.cfs import event_services as facts
+from edoras_tools.cfs.event_services import NAME, SQUELCHED, USUAL_TYPES
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from edoras_tools.cfs.event_services import EventText
+    from edoras_tools.cfs.event_services import EventText, EventType
     from edoras_tools.cfs.profile import SimProfile
 
 _COST: Final = 1000
@@ -55,6 +56,8 @@ class Application:
         seen: event number to how many came since the filter was reset.
         sent: events that were sent.
         squelched: events that were not sent because there were no tokens.
+        enabled: whether it may send events at all.
+        types: which it may send, a bit for each: debug 1, information 2, error 4, critical 8.
     """
 
     name: str
@@ -64,6 +67,8 @@ class Application:
     seen: dict[int, int] = field(default_factory=dict)
     sent: int = 0
     squelched: int = 0
+    enabled: bool = True
+    types: int = USUAL_TYPES
 
 
 class EventServices:
@@ -95,17 +100,49 @@ class EventServices:
             name, stop_after or {}, self.profile.event_burst * _COST, credited_ns=now
         )
 
-    def reset_filters(self, name: str) -> bool:
-        """Reset the filters of an application; return whether it is registered."""
-        application = self.applications.get(name)
-        if application:
+    def unregister(self, name: str) -> None:
+        """Forget an application."""
+        self.applications.pop(name, None)
+
+    def command(self, function_code: int, payload: bytes) -> list[Event]:
+        """Take a command about events; return what is said: nothing where it is none of those."""
+        done = facts.DONE.get(function_code)
+        if done is None:
+            return []
+        chosen, app, name_bytes = list(self.applications.values()), "", 0
+        if function_code not in {facts.ENABLE_TYPE, facts.DISABLE_TYPE}:
+            name_bytes = facts.APP_NAME_BYTES
+            app = payload[:name_bytes].split(b"\0")[0].decode("ascii", "replace")
+            if app not in self.applications:
+                prefix = facts.UNKNOWN_APP_PREFIX.get(function_code, "")
+                return [Event.of(facts.UNKNOWN_APP, prefix=prefix, app=app, code=function_code)]
+            chosen = [self.applications[app]]
+        mask = int.from_bytes(payload[name_bytes : name_bytes + 1], "little")
+        by_type = {facts.ENABLE_TYPE, facts.DISABLE_TYPE, facts.ENABLE_APP_TYPE, facts.DISABLE_APP_TYPE}
+        if function_code in by_type and not 0 < mask <= facts.ALL_TYPES:
+            return [Event.of(facts.BAD_MASK, mask=mask, code=function_code)]
+        for item in chosen:
+            self._obey(function_code, item, mask)
+        return [Event.of(done, app=app, mask=mask)]
+
+    def _obey(self, function_code: int, application: Application, mask: int) -> None:
+        if function_code in {facts.ENABLE_TYPE, facts.ENABLE_APP_TYPE}:
+            application.types |= mask
+        elif function_code in {facts.DISABLE_TYPE, facts.DISABLE_APP_TYPE}:
+            application.types &= ~mask
+        elif function_code == facts.RESET_APP_COUNTER:
+            application.sent = 0
+        elif function_code == facts.RESET_ALL_FILTERS:
             application.seen.clear()
-        return application is not None
+        else:
+            application.enabled = function_code == facts.ENABLE_APP
 
     def report(self, event: Event, *, now: int) -> list[Event]:
         """Process an event; return what is sent: nothing, the event, or an event about the squelch."""
         application = self.applications.get(event.app)
-        if application is None or event.event_type is EventType.DEBUG:
+        if application is None or not application.enabled:
+            return []
+        if not application.types >> (event.event_type - 1) & 1:
             return []
         seen = application.seen[event.event_id] = application.seen.get(event.event_id, 0) + 1
         if seen > application.stop_after.get(event.event_id, seen):

@@ -122,6 +122,10 @@ class SbnNode:
         self._reported = 0
         self._buffer = bytearray(_BUFFER_BYTES)
 
+    def pipe_names(self) -> list[str]:
+        """Return the names of the pipes to its peers."""
+        return [state.pipe.name for state in self.peers.values() if state.pipe is not None]
+
     def receive_datagram(self, data: bytes, *, now: int) -> Actions:
         """Take one datagram, any bytes."""
         actions = Actions()

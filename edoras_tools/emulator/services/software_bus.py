@@ -116,6 +116,7 @@ class SoftwareBus:
         """
         if name in self.pipes or depth < 1:
             raise ConfigError(f"pipe {name}: depth {depth}; a pipe is made once and holds 1 packet or more")
+        depth = min(depth, self.profile.msg_max or depth)
         pipe = self.pipes[name] = Pipe(name, depth, ignores)
         return pipe
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from ipaddress import AddressValueError, IPv4Address
 from typing import TYPE_CHECKING
 
+from edoras_tools.cfs import software_bus
 from edoras_tools.cfs import telemetry_output as facts
 from edoras_tools.emulator.services.events import Event
 from edoras_tools.wire import cfe
@@ -24,11 +25,11 @@ class Answer:
     """What a command led to.
 
     Attributes:
-        event: what TO says, or None.
+        events: what TO says, and the software bus before it.
         publish: MsgId and payload of a packet that the command asks for, or None.
     """
 
-    event: Event | None = None
+    events: tuple[Event, ...] = ()
     publish: tuple[int, bytes] | None = None
 
 
@@ -77,7 +78,7 @@ class TelemetryOutput:
         self.commands += 1
         if function_code == facts.RESET:
             self.commands = self.command_errors = 0
-            return _says(facts.COUNTERS_RESET)
+            return Answer()
         if function_code == facts.ADD_PACKET:
             return self._add(payload)
         if function_code == facts.REMOVE_PACKET:
@@ -85,7 +86,7 @@ class TelemetryOutput:
         if function_code == facts.REMOVE_ALL:
             for wanted in list(self.pipe.limits):
                 self.bus.unsubscribe(self.pipe, wanted)
-            return _says(facts.ALL_REMOVED, line=514)
+            return _says(facts.ALL_REMOVED, line=527)
         if function_code == facts.SEND_DATA_TYPES:
             return Answer(publish=(facts.DATA_TYPES_MSG_ID, bytes(64)))
         if function_code == facts.ENABLE:
@@ -103,17 +104,28 @@ class TelemetryOutput:
     def _add(self, payload: bytes) -> Answer:
         wanted, limit = int.from_bytes(payload[:4], "little"), payload[6] or self.profile.to_default_limit
         if not 0 < wanted <= cfe.HIGHEST_MSG_ID:
-            return _says(facts.NOT_ADDED, line=459, msg_id=wanted)
+            return _says(facts.NOT_ADDED, line=470, msg_id=wanted, status=software_bus.BAD_ARGUMENT)
+        known = wanted in self.pipe.limits
         self.bus.subscribe(self.pipe, wanted, limit)
         priority, reliability = payload[4], payload[5]
-        return _says(
+        added = Event.of(
             facts.ADDED, line=473, msg_id=wanted, priority=priority, reliability=reliability, limit=limit
+        )
+        return Answer(
+            (self._bus_says(software_bus.DUPLICATE_SUBSCRIPTION, wanted), added) if known else (added,)
         )
 
     def _remove(self, wanted: int) -> Answer:
-        if not self.bus.unsubscribe(self.pipe, wanted):
-            return _says(facts.NOT_REMOVED, line=489, msg_id=wanted)
-        return _says(facts.REMOVED, line=497, msg_id=wanted)
+        if not 0 < wanted <= cfe.HIGHEST_MSG_ID:
+            return _says(facts.NOT_REMOVED, line=494, msg_id=wanted, status=software_bus.BAD_ARGUMENT)
+        removed = Event.of(facts.REMOVED, line=497, msg_id=wanted)
+        if self.bus.unsubscribe(self.pipe, wanted):
+            return Answer((removed,))
+        # cFE calls it a success, and TO believes it.
+        return Answer((self._bus_says(software_bus.NOTHING_TO_UNSUBSCRIBE, wanted), removed))
+
+    def _bus_says(self, event: EventText, wanted: int) -> Event:
+        return Event.of(event, msg_id=wanted, pipe=self.pipe.name, app=facts.NAME)
 
     def housekeeping(self) -> bytes:
         """Return the payload of housekeeping packet 0x880, 4 bytes."""
@@ -121,4 +133,4 @@ class TelemetryOutput:
 
 
 def _says(event: EventText, **values: object) -> Answer:
-    return Answer(Event.of(event, **values))
+    return Answer((Event.of(event, **values),))

@@ -29,8 +29,49 @@ def test_a_filter_stops_an_event_after_so_many_and_a_reset_begins_anew(services,
     for _ in range(2):
         sent = [services.report(loss(event_id=event_id), now=index * SECOND) for index in range(50)]
         assert [bool(item) for item in sent] == [True] * passes + [False] * (50 - passes)
-        assert services.reset_filters("CFE_SB")
-    assert not services.reset_filters("NOBODY")
+        assert said(services, 14, "CFE_SB") == [
+            "CFE_EVS 29: Reset All Filters Command Received with AppName = CFE_SB"
+        ]
+
+
+def said(services, function_code, app="", mask=None):
+    payload = app.encode().ljust(20, b"\0") if app else b""
+    return [
+        str(item)
+        for item in services.command(function_code, payload + bytes([mask] if mask is not None else []))
+    ]
+
+
+def test_an_app_may_be_silenced_as_a_whole_and_by_severity(services):
+    debug, note = (Event("SBN", 1, kind, "x") for kind in (EventType.DEBUG, EventType.INFORMATION))
+
+    def passes(*events):
+        return [bool(services.report(event, now=0)) for event in events]
+
+    assert passes(debug, note) == [False, True]
+    assert said(services, 8, "SBN") == ["CFE_EVS 26: Disable App Events Command Received with AppName = SBN"]
+    assert passes(debug, note) == [False, False]
+    assert said(services, 7, "SBN") == ["CFE_EVS 25: Enable App Events Command Received with AppName = SBN"]
+    said(services, 5, "SBN", 1)
+    assert passes(debug, note) == [True, True]
+    said(services, 6, "SBN", 3)
+    assert passes(debug, note, loss()) == [False, False, True]
+    said(services, 2, mask=3)
+    assert passes(debug, note) == [True, True]
+    said(services, 3, mask=0b1111)
+    assert passes(debug, note, loss()) == [False, False, False]
+
+
+def test_a_command_that_cannot_be_obeyed_says_why(services):
+    assert said(services, 8, "NOBODY") == [
+        "CFE_EVS 9: Disable App Events Command: Unable to retrieve application ID for NOBODY: CC = 8"
+    ]
+    assert said(services, 14, "NOBODY") == [
+        "CFE_EVS 9: Unable to retrieve application ID for NOBODY: CC = 14"
+    ]
+    assert said(services, 2, mask=0) == ["CFE_EVS 40: Bit Mask = 0x00000000 out of range: CC = 2"]
+    assert said(services, 5, "SBN", 16) == ["CFE_EVS 40: Bit Mask = 0x00000010 out of range: CC = 5"]
+    assert said(services, 0) == []
 
 
 def test_an_app_is_squelched_after_its_burst_and_gets_15_a_second_back(services):

@@ -19,7 +19,7 @@ def output() -> TelemetryOutput:
 
 
 def tell(output: TelemetryOutput, function_code: int, payload: bytes = b"") -> str:
-    return str(output.command(cfe.emit_command(0x1880, function_code, payload)).event)
+    return "; ".join(map(str, output.command(cfe.emit_command(0x1880, function_code, payload)).events))
 
 
 @pytest.mark.parametrize(
@@ -31,12 +31,32 @@ def tell(output: TelemetryOutput, function_code: int, payload: bytes = b"") -> s
         (77, b"", "9: L344 TO: Invalid Function Code Rcvd In Ground Command 0x4d", None),
         (2, bytes.fromhex("f108000000000800"), "15: L473 TO AddPkt 0x8f1, QoS 0.0, limit 8", None),
         (4, bytes.fromhex("27080000"), "16: L497 TO RemovePkt 0x827", None),
-        (4, bytes.fromhex("f1080000"), "11: L489 TO Can't Unsubscribe to Stream 0x8f1", None),
+        (0, b"", "18: No-op command", None),
+        (1, b"", "", None),
+        (5, b"", "17: L527 TO Unsubscribed to all Commands and Telemetry", None),
+        (2, bytes.fromhex("f1280000"), "10: L470 TO Can't subscribe 0x28f1 status -905969661", None),
+        (
+            4,
+            bytes.fromhex("f1280000"),
+            "11: L494 TO Can't Unsubscribe to Stream 0x28f1, status -905969661",
+            None,
+        ),
     ],
 )
 def test_commands(output, function_code, payload, says, destination):
-    assert tell(output, function_code, payload) == f"TO_LAB_APP {says}"
+    assert tell(output, function_code, payload) == (f"TO_LAB_APP {says}" if says else "")
     assert output.destination == destination
+
+
+def test_what_is_added_twice_and_what_is_not_there_is_the_bus_s_to_say(output):
+    assert tell(output, 2, bytes.fromhex("2708000000000400")) == (
+        "CFE_SB 7: Duplicate Subscription,MsgId 0x827 on TO_LAB_TLM_PIPE pipe,app TO_LAB_APP; "
+        "TO_LAB_APP 15: L473 TO AddPkt 0x827, QoS 0.0, limit 4"
+    )
+    assert tell(output, 4, bytes.fromhex("f1080000")) == (
+        "CFE_SB 12: Unsubscribe Err:No subs for Msg 0x8f1 on TO_LAB_TLM_PIPE,app TO_LAB_APP; "
+        "TO_LAB_APP 16: L497 TO RemovePkt 0x8f1"
+    )
 
 
 def test_add_and_remove_change_what_is_forwarded(output):
