@@ -89,7 +89,7 @@ def doctor(
     if task.predict:
         _predict(settings, profile, scope, json=printing.json)
     elif task.list_lost is not None:
-        _list_lost(settings, profile, scope, given.paths, task.list_lost, printing)
+        _list_lost(settings, profile, scope, given, task.list_lost, printing)
     elif task.against is not None:
         _compare(settings, scope, given.paths, task.against, printing)
     else:
@@ -147,24 +147,23 @@ def _list_lost(
     settings: Settings,
     profile: SimProfile,
     scope: Scope,
-    files: list[Path],
+    given: InputOptions,
     listing: Listing,
     printing: options.PrintOptions,
 ) -> None:
     from edoras_tools.pipelines.doctor.doctor import examine
     from edoras_tools.pipelines.doctor.missing import list_missing
-    from edoras_tools.pipelines.workbench import open_files
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
 
+    files = given.paths
     if not files or any(str(item) == "-" for item in files):
         raise ConfigError("--list-lost reads the capture twice, so it needs files, not stdin: name files")
-    source = open_files(files)
-    bench = settings.workbench(source.info)
-    with FileProgress(source.info.name, console=error_console(), quiet=printing.quiet) as bar:
-        findings = examine(source, bench, profile=profile, scope=scope, progress=bar)
-        case, choice = findings.diagnosis.case, findings.diagnosis.choice
-        found = list_missing(case, open_files(files), bench, choice, bar) if case else []
+    with FileProgress(", ".join(map(str, files)), console=error_console(), quiet=printing.quiet) as bar:
+        source, bench = open_input(given, settings, aligned=True, progress=bar)
+        findings = examine(source, bench, profile=profile, scope=scope, progress=bar, listing=True)
+        again, _ = open_input(given, settings, aligned=True, progress=bar)
+        found = list_missing(findings.diagnosis, again, bench, bar)
     if listing is Listing.TABLE:
         from edoras_tools.render.doctor.missing import missing_table
         from edoras_tools.render.terminal.console import output_console
@@ -175,6 +174,8 @@ def _list_lost(
         print_json({"schema": 1, "lost": len(found), "missing": [item.as_json() for item in found]})
     else:
         print_csv([item.as_json() for item in found])
+    for warning in findings.diagnosis.capture.warnings:
+        tell(warning)
     if findings.failure is not None:
         raise findings.failure
     if findings.diagnosis.bad:

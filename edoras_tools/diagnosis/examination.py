@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from operator import itemgetter
+from itertools import chain
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.profile import SimProfile
@@ -14,6 +15,7 @@ from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, se
 from edoras_tools.diagnosis.case import Capture, Case
 from edoras_tools.diagnosis.evidence.proxied import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
+from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import (
     RULES,
     SINGLE,
@@ -60,6 +62,7 @@ class Diagnosis:
         topics: index of a configured route to its topic.
         choice: what is shown of it; None for all.
         whole: the diagnosis of which this shows a part, or None.
+        missing: every message that was lost, in order of time, if they were asked for; else empty.
     """
 
     verdicts: tuple[Verdict, ...]
@@ -77,6 +80,7 @@ class Diagnosis:
     topics: Mapping[int, str] = field(default_factory=dict)
     choice: Choice | None = None
     whole: Diagnosis | None = None
+    missing: tuple[Missing, ...] = ()
 
     @property
     def zero_ns(self) -> int:
@@ -238,12 +242,14 @@ class Examination:
         zero_ns: what times that people are told count from; None for the first datagram that is added.
         progress: see ``judge``.
         faults: what a proxy or a replay did on purpose, as the recording says.
+        listing: whether to list every message that was lost.
     """
 
     def __init__(self, context: Context, profile: SimProfile | None = None) -> None:
         self.zero_ns: int | None = None
         self.progress: Callable[[int, int], None] = lambda _done, _of: None
         self.faults: Sequence[Fault] = ()
+        self.listing = False
         self.context = context
         self.profile = profile or SimProfile()
         self._recorder = Recorder(context)
@@ -307,6 +313,7 @@ class Examination:
             unnamed=tuple((item.datagrams, item.told) for item in unnamed(case.prepared.flows)),
             left_out=self._recorder.left_out + case.prepared.foreign + capture.cut,
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
+            missing=tuple(missing(case)) if self.listing and len(case.rows) else (),
         )
 
 
@@ -366,6 +373,7 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
         left_out=sum(part.left_out for part in parts),
         unnamed=last.unnamed,
         topics=last.topics,
+        missing=tuple(sorted(chain(*(part.missing for part in parts)), key=attrgetter("time_ns"))),
     )
 
 

@@ -5,11 +5,13 @@ import json
 import re
 import shutil
 import subprocess
+from collections import Counter
 from html.parser import HTMLParser
 
 import pytest
 from effort import long_but
 from places import ROOT
+from rewriting import datagrams, write
 from schema import check, published
 
 SCHEMA = published("doctor")
@@ -116,6 +118,41 @@ def test_every_listing_has_as_many_as_are_lost(name, call, captures):
     assert (told.code, len(list(csv.DictReader(told.out.splitlines())))) == (code, lost)
     table = call("doctor", captures(name), "--list-lost", "table").out
     assert table.splitlines()[-1].startswith(f"{lost:,} message")
+
+
+@pytest.mark.parametrize("together", [True, False], ids=["aligned", "judged one by one"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_listing_of_several_files_has_as_many_as_are_lost(order, together, call, captures, tmp_path):
+    traffic = datagrams(captures("d3_cpu1_cpu2"))
+    ports = {1235} if together else {1234}
+    parts = [
+        write(tmp_path / "a.pcap", [item for item in traffic if item.destination[1] not in ports]),
+        write(tmp_path / "b.pcap", [item.at(10**9) for item in traffic if item.destination[1] in ports]),
+    ][::order]
+    found = call("doctor", *parts, "--json").json()
+    (note,) = found["warnings"]
+    assert ("is ahead of that of" in note) == together
+    listed = call("doctor", *parts, "--list-lost", "json")
+    assert (listed.code, listed.err) == (3, [f"edoras: {note}"])
+    assert listed.json()["lost"] == len(listed.json()["missing"]) == found["lost"] > 6000
+    rows = [row for row in found["balance"] if row["lost"]]
+    by_msg_id = Counter(item["msg_id"] for item in listed.json()["missing"])
+    assert by_msg_id == sum((Counter({row["msg_id"]: row["lost"]}) for row in rows), Counter())
+
+
+def test_a_listing_of_files_judged_one_by_one_has_the_values_of_each(call, captures, missions, tmp_path):
+    """Packets of both are numbered from 1 in their own file."""
+    rover, others = datagrams(captures("a_rover")), datagrams(captures("d3_cpu1_cpu2"))
+    shift_ns = rover[0].time_ns - others[0].time_ns
+    commands = [item.at(shift_ns) for item in others if item.destination[1] == 1234]
+    parts = write(tmp_path / "a.pcap", rover), write(tmp_path / "b.pcap", commands)
+    values = []
+    for order in (1, -1):
+        found = call("doctor", *parts[::order], *missions("rover_ground"), "--list-lost", "json").json()
+        values.append([item["message"] for item in found["missing"]])
+    assert len(values[0]) == 92
+    assert None not in values[0]
+    assert values[0] == values[1]
 
 
 def test_what_was_refused_is_listed_by_its_rule(call, captures):

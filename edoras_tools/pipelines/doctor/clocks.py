@@ -109,10 +109,13 @@ class OneByOne:
         return recorded_faults(self._together)
 
     def batches(self) -> Iterator[PacketBatch]:
-        """Yield all datagrams of the first, then those of the second, and so on."""
+        """Yield all datagrams of the first, then those of the second, and so on, numbered from 1."""
+        number = 1
         for part, source in enumerate(self._sources):
             self.part = part
-            yield from source.batches()
+            for batch in source.batches():
+                yield replace(batch, number=np.arange(number, number + len(batch)))
+                number += len(batch)
 
     def close(self) -> None:
         """Close all of them."""

@@ -76,6 +76,7 @@ def examine(
     pace: Pace | None = None,
     progress: Progress | None = None,
     counting: Counting | None = None,
+    listing: bool = False,
 ) -> Findings:
     """Read a source to its end and judge it.
 
@@ -87,12 +88,14 @@ def examine(
         pace: for a live source.
         progress: updated after every batch, and while judging.
         counting: counts the same datagrams while they are read.
+        listing: also list every message that was lost.
 
     Raises:
         RouteError: the scope names a topic that is not configured.
         ConfigError: its filter has an error.
     """
     examination = Examination(bench.columns.context, profile)
+    examination.listing = listing
     if progress is not None:
         examination.progress = partial(progress.step, "judging")
     scope = scope or Scope()

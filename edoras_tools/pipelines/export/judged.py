@@ -85,11 +85,12 @@ def judged_blocks(
 
     source = opened()
     bench = settings.workbench(source.info)
-    diagnosis = examine(source, bench, scope=scope, progress=progress).diagnosis
+    listing = LOST_TOPIC in wanted
+    diagnosis = examine(source, bench, scope=scope, progress=progress, listing=listing).diagnosis
     if VERDICTS_TOPIC in wanted:
         yield judged_block(VERDICTS_TOPIC, [item.as_json() for item in diagnosis.verdicts])
-    if LOST_TOPIC in wanted and diagnosis.case is not None:
-        found = list_missing(diagnosis.case, opened(), bench, diagnosis.choice, progress)
+    if listing:
+        found = list_missing(diagnosis, opened(), bench, progress)
         yield judged_block(LOST_TOPIC, [item.as_json() for item in found])
 
 

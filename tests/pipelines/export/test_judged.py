@@ -24,7 +24,7 @@ def tables():
 @pytest.fixture(scope="module")
 def diagnosis():
     source = open_files(PATHS)
-    return examine(source, SETTINGS.workbench(source.info)).diagnosis
+    return examine(source, SETTINGS.workbench(source.info), listing=True).diagnosis
 
 
 def rows_of(table):
@@ -48,7 +48,7 @@ def test_verdicts(tables, diagnosis):
 
 def test_lost(tables, diagnosis):
     source = open_files(PATHS)
-    found = list_missing(diagnosis.case, source, SETTINGS.workbench(source.info))
+    found = list_missing(diagnosis, source, SETTINGS.workbench(source.info))
     rows = list(rows_of(tables.lost))
     assert len(rows) == len(found) > 0
     for row, item in zip(rows, found, strict=True):
