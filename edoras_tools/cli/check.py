@@ -72,8 +72,7 @@ def check(
     live = not given.paths
     if live and (start or end):
         raise ConfigError("--start and --end select part of a file; for live traffic use --duration")
-    if duration and not live:
-        raise ConfigError("--duration ends live traffic; of a file --end selects a part")
+    options.check_duration(duration, given.paths)
     _check_apart(task.junit, [*given.paths, path])
     expected, (json, quiet) = load_expectations(path), printing
     with FileProgress(

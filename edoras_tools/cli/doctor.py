@@ -84,8 +84,7 @@ def doctor(
     from edoras_tools.pipelines.doctor.doctor import profile_with
 
     settings, scope, profile = decoding.settings(), part.scope(), profile_with(task.constant or ())
-    if task.max_loss is not None and (task.predict or task.list_lost or task.against):
-        raise ConfigError("--max-loss belongs to a diagnosis: not with --predict, --list-lost or --against")
+    _check_task(task, given, duration)
     if task.predict:
         _predict(settings, profile, scope, json=printing.json)
     elif task.list_lost is not None:
@@ -99,6 +98,29 @@ def doctor(
             tell(reason)
         if reasons or (task.max_loss is None and found.bad):
             raise typer.Exit(LOST)
+
+
+def _check_task(task: TaskOptions, given: InputOptions, duration: int | None) -> None:
+    """Refuse options that have no effect with each other.
+
+    Raises:
+        ConfigError: there are such.
+    """
+    options.check_duration(duration, given.paths)
+    tasks = {"--predict": task.predict, "--list-lost": task.list_lost, "--against": task.against}
+    asked = [name for name, wanted in tasks.items() if wanted]
+    if len(asked) > 1:
+        raise ConfigError(f"{' and '.join(asked)} exclude each other; choose one")
+    if asked and task.max_loss is not None:
+        raise ConfigError(
+            f"--max-loss belongs to a diagnosis and has no effect with {asked[0]}: leave one out"
+        )
+    if asked and (duration or any(given.live)):
+        raise ConfigError(f"{asked[0]} has no effect on live traffic: name files")
+    if task.predict and given.paths:
+        raise ConfigError("--predict does not read a capture: leave the files out")
+    if task.against and task.constant:
+        raise ConfigError("--set has no effect with --against: leave one out")
 
 
 def _examine(

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Group
 
     from edoras_tools.cli.options import PrintOptions
+    from edoras_tools.decode import Context
     from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.io.formats.watched import OutputLoss
@@ -41,19 +42,29 @@ def no_datagrams(source: Source) -> None:
         raise CaptureError(f"{source.info.name}: no UDP datagram in it ({what}); nothing to decode")
 
 
-def nothing_shown(source: Source, shown: int, *, live: bool, notes: Sequence[str] = ()) -> None:
+def nothing_shown(source: Source, shown: int, context: Context, *, live: bool, every: bool) -> None:
     """Print why a list is empty, what was recognised from the bytes, and what the capture lost.
+
+    Args:
+        source: what was read.
+        shown: how many packets were shown.
+        context: knows what was recognised.
+        live: the source has no end.
+        every: datagrams of no link were shown too.
 
     Raises:
         CaptureError: a file contained no UDP at all.
+        typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out.
     """
     if not shown and not live:
         no_datagrams(source)
-    for note in notes:
+    for note in context.notes:
         tell(note)
     if not shown:
         _none_chosen(source, "; -a shows every link")
     lost(source)
+    if context.unnamed and not every:
+        raise typer.Exit(LOST)
 
 
 def _none_chosen(source: Source, hint: str = "") -> None:
@@ -144,7 +155,7 @@ def finish(report: CaptureReport, *, live: bool) -> None:
 
     Raises:
         EdorasError: the source ended early, or contained no UDP at all.
-        typer.Exit: with code 3, if the capture lost packets.
+        typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out.
     """
     for warning in (*report.ledger.mission.warnings, *report.notes):
         tell(warning)
@@ -161,3 +172,5 @@ def finish(report: CaptureReport, *, live: bool) -> None:
             lost(report.source)
         lost_outputs(report.losses)
     lost(report.source)
+    if report.unnamed:
+        raise typer.Exit(LOST)

@@ -13,6 +13,7 @@ from edoras_tools.cli import options
 from edoras_tools.cli.endings import LOST, finish
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import print_json
+from edoras_tools.errors import ConfigError
 
 
 @options.grouped
@@ -28,8 +29,13 @@ def info(
     decoding: options.DecodingOptions,
 ) -> None:
     """Show what a capture contains: routes, counts, rates, jitter, gaps, sizes and findings."""
-    paths, limits = files.named(), part.limits()
+    paths = files.named()
+    limits = part.limits(paths)
     if verify:
+        if part != options.PartOptions() or chosen.selection():
+            raise ConfigError(
+                "--verify checks whole files: options that select a part have no effect with it"
+            )
         _verify(paths, json=printing.json)
         return
     from edoras_tools.pipelines.capture.info import inspect

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from functools import cache, partial, wraps
 from pathlib import Path
@@ -363,6 +363,16 @@ class SelectionOptions(NamedTuple):
         )
 
 
+def check_duration(duration_ns: int | None, files: Sequence[Path]) -> None:
+    """Refuse to read files for a duration: how much of them that is depends on the machine.
+
+    Raises:
+        ConfigError: a duration is given, and files.
+    """
+    if duration_ns and files and "-" not in map(str, files):
+        raise ConfigError("--duration ends live traffic; of a file, --end selects a part")
+
+
 class ScopeOptions(NamedTuple):
     """The part of a capture that is examined and shown."""
 
@@ -392,15 +402,19 @@ class PartOptions(NamedTuple):
     start: Start = None
     end: End = None
 
-    def limits(self) -> Limits:
+    def limits(self, files: Sequence[Path] = ()) -> Limits:
         """Return these options in the form that pipelines take.
 
+        Args:
+            files: what is read, if it is not live.
+
         Raises:
-            ConfigError: the end is not after the start.
+            ConfigError: the end is not after the start, or files are to be read for a duration.
         """
         from edoras_tools.pipelines.reading import Limits
         from edoras_tools.pipelines.selection import Period
 
+        check_duration(self.duration, files)
         period = Period(self.start or 0, self.end or 0)
         return Limits(self.datagrams or 0, self.duration or 0, period=period)
 

@@ -73,7 +73,8 @@ def show(
     if viewer.failure:
         raise CaptureError(viewer.failure)
     # Only a file that was read to its end is known to be empty.
-    nothing_shown(source, viewer.ledger.datagrams, live=live or viewer.reading)
+    shown, context = viewer.ledger.datagrams, bench.columns.context
+    nothing_shown(source, shown, context, live=live or viewer.reading, every=True)
 
 
 def _take_keyboard() -> None:

@@ -13,6 +13,7 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import finish, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import print_json
+from edoras_tools.errors import ConfigError
 
 
 class TargetOptions(NamedTuple):
@@ -60,7 +61,9 @@ def record(
     from edoras_tools.pipelines.capture.record import record as run
     from edoras_tools.render.capture.watch import watcher
 
-    live, limits = not given.paths, stop.limits()
+    live, limits = not given.paths, stop.limits(given.paths)
+    if every and not given.live.interface:
+        raise ConfigError("--all chooses what -i IFACE captures; files and --listen are recorded whole")
     path = files.output or Path(strftime("edoras_%Y%m%d_%H%M%S") + ("" if files.rosbag2 else ".mcap"))
     target = Target(
         path,

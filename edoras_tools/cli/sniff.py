@@ -39,8 +39,8 @@ def sniff(
     from edoras_tools.render.terminal.palette import Paint
     from edoras_tools.render.terminal.terminal import look
 
-    view.check_one()
-    limits = stop.limits()
+    view.check(verbose=verbose)
+    limits = stop.limits(given.paths)
     settings, selection, live = decoding.settings(), chosen.selection(), not given.paths
     selection = replace(
         selection,
@@ -53,7 +53,7 @@ def sniff(
         check_terminal()
     source, bench = open_input(given, settings, every_port=every)
     if view.tui:
-        show(source, bench, settings, selection, view.time, limits, verbose=verbose)
+        show(source, bench, settings, selection, view.time_format, limits, verbose=verbose)
         return
     waits = live or "-" in map(str, given.paths)
     if view.fields or view.sequence or view.stat:
@@ -61,19 +61,21 @@ def sniff(
 
         blocks = chosen_rows(source, bench, selection=selection, limits=limits)
         if view.fields:
-            shown = views.print_fields(blocks, bench, view.fields, view.layout, flush=waits)
+            shown = views.print_fields(
+                blocks, bench, view.fields, view.layout or views.FieldFormat.TABLE, flush=waits
+            )
         elif view.sequence:
             shown = views.print_sequence(blocks, bench, view.sequence)
         else:
             shown = views.print_statistics(blocks, bench, view.stat or (), json=view.json)
-        nothing_shown(source, shown, live=live, notes=bench.columns.context.notes)
+        nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)
         return
     bench.dissector.detail = view.tree or view.hexdump
     terminal = look(sys.stdout)
     packet_list = PacketList(
         terminal.width,
         colour=terminal.colour,
-        time_format=view.time,
+        time_format=view.time_format,
         names=MSG_ID_NAMES,
         verbose=verbose,
     )
@@ -99,4 +101,4 @@ def sniff(
         shown += 1
         if waits or shown == 1:
             out.flush()
-    nothing_shown(source, shown, live=live, notes=bench.columns.context.notes)
+    nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)

@@ -52,9 +52,9 @@ class ViewOptions(NamedTuple):
     tui: Annotated[
         bool, typer.Option("--tui", help="Packet list, layers and bytes in three panes; ? shows the keys.")
     ] = False
-    time: Annotated[TimeFormat, typer.Option("--time", "-t", help="Format of the time.")] = (
-        TimeFormat.RELATIVE
-    )
+    time: Annotated[
+        TimeFormat | None, typer.Option("--time", "-t", help="Format of the list's time; default relative.")
+    ] = None
     findings: Annotated[bool, typer.Option("--findings", help="Only packets with a warning or an error.")] = (
         False
     )
@@ -65,9 +65,9 @@ class ViewOptions(NamedTuple):
         ),
     ] = None
     layout: Annotated[
-        FieldFormat,
-        typer.Option("--format", metavar="FORMAT", help="Format of --fields: table, csv or tsv."),
-    ] = FieldFormat.TABLE
+        FieldFormat | None,
+        typer.Option("--format", metavar="FORMAT", help="Format of --fields: table (default), csv or tsv."),
+    ] = None
     sequence: Annotated[
         Diagram | None,
         typer.Option(
@@ -81,11 +81,19 @@ class ViewOptions(NamedTuple):
         typer.Option(metavar="KIND", help="Only a table: routes, sbn, sizes or findings; repeatable."),
     ] = None
 
-    def check_one(self) -> None:
-        """Refuse several views at the same time.
+    @property
+    def time_format(self) -> TimeFormat:
+        """The format of the list's time."""
+        return self.time or TimeFormat.RELATIVE
+
+    def check(self, *, verbose: bool) -> None:
+        """Refuse several views at the same time, and options that the view does not have.
+
+        Args:
+            verbose: whether ``-v`` is given.
 
         Raises:
-            ConfigError: more than one is given.
+            ConfigError: more than one view is given, or an option without an effect.
         """
         wanted = {
             "--fields": self.fields,
@@ -99,6 +107,12 @@ class ViewOptions(NamedTuple):
         asked = [name for name, value in wanted.items() if value]
         if len(asked) > 1:
             raise ConfigError(f"{' and '.join(asked)} exclude each other; choose one")
+        if self.layout and not self.fields:
+            raise ConfigError("--format is the format of --fields; name fields, or leave it out")
+        view = asked[0] if asked else "--stat" if self.stat else ""
+        for name, given in {"--time": self.time, "-v": verbose}.items():
+            if given and view not in {"", "--tui"}:
+                raise ConfigError(f"{name} has no effect with {view}; leave one of them out")
 
 
 def print_fields(

@@ -126,6 +126,7 @@ class Context:
         envelopes: the envelope format of each route, None where each packet has its own.
         unrouted: the envelope format of telemetry and of commands that no route claims.
         notes: what was detected from the bytes, a line each, for users.
+        unnamed: datagrams that look like a link's and were left out, because no option names their port.
         described: how packets are read, as text for the metadata of a recording.
         command_table: the commands of the apps, for columns.
     """
@@ -183,6 +184,7 @@ class Context:
         usual = "" if self.options.envelope == "auto" else self.options.envelope
         self.unrouted = [EnvelopeFormat.named(usual) if usual else DEFAULT] * 2
         self.notes: list[str] = []
+        self.unnamed = 0
         self.described = self.options.described()
         chosen = [route.envelope or self.options.envelope or str(DEFAULT) for route in self.mission.routes]
         self.envelopes = [None if text == "auto" else EnvelopeFormat.named(text) for text in chosen]

@@ -194,6 +194,11 @@ class Conversations:
         told = [line.removesuffix(", left out") for line in lines] if shown else lines
         return [*map(str, unnamed(self.judge())), *told]
 
+    @property
+    def unnamed(self) -> int:
+        """Datagrams that look like a link's, on ports that no option names."""
+        return sum(item.datagrams for item in unnamed(self.judge()))
+
     def _flow(self, batch: PacketBatch, row: int, link: Link, *, make: bool) -> Flow | None:
         addresses = int(batch.source_address[row]), int(batch.destination_address[row])
         texts = tuple(batch.address(item, row) for item in addresses)

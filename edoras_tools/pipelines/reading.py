@@ -32,7 +32,7 @@ class Limits:
 
     Attributes:
         count: maximum number of selected datagrams; 0 for all.
-        duration_ns: how long to read; 0: to the end.
+        duration_ns: how long to read; 0: to the end. Of a live source all that arrives in this time is read.
         clock: monotonic time in ns.
         period: which datagrams are yielded; all are decoded.
     """
@@ -81,6 +81,12 @@ class ReadLoop:
         """Whether Ctrl-C, SIGTERM or SIGHUP has come."""
         return self._asked.is_set()
 
+    def note(self) -> None:
+        """Add to the context's notes what conversations say of datagrams that are shown."""
+        context = self.bench.columns.context
+        context.notes += self.conversations.notes(shown=True)
+        context.unnamed = self.conversations.unnamed
+
     def __iter__(self) -> Iterator[ColumnRows]:
         """Yield the selected rows of every batch, even if there are none: live sources give empty batches.
 
@@ -111,7 +117,9 @@ class ReadLoop:
             if limits.count and not left:
                 return
             if limits.duration_ns and limits.clock() - began >= limits.duration_ns:
-                return
+                if not hasattr(self.source, "stop"):
+                    return
+                self.source.stop()  # what arrived until now is still read
 
     def _until_failure(self) -> Iterator[PacketBatch]:
         try:
@@ -182,5 +190,8 @@ def chosen(
         RouteError: the selection names a topic that is not configured.
         ConfigError: its filter has an error.
     """
-    with reading(source, bench, selection, limits) as loop:
-        yield from filter(len, loop)
+    with reading(source, bench, selection, limits, conversing=True) as loop:
+        try:
+            yield from filter(len, loop)
+        finally:
+            loop.note()

@@ -75,6 +75,7 @@ class Chart:
 
 
 _LINES: Final = 12
+_WIDEST: Final = 200
 """Lines of the field in a terminal."""
 
 
@@ -99,6 +100,7 @@ def terminal(chart: Chart, width: int) -> list[Text]:
     end_x, end_y = chart.ends
     labels = {round(value / end_y * (height - 1)): _figure(value) for value in ticks(end_y)}
     margin = max(len(text) for text in labels.values())
+    width = min(width, _WIDEST)
     room = width - margin - 2
 
     def place(x: float, y: float) -> tuple[int, int]:

@@ -1,5 +1,6 @@
 """Whatever is wrong, it ends in one clear line that says what and where, with 1 or 2, and no traceback."""
 
+import json
 import socket
 import struct
 
@@ -96,8 +97,13 @@ def test_inputs(command, name, code, words, call, place):
     assert len(done.err) == 1
     if command == "decode" and "no UDP datagram" in words:
         words = f"{name}: packet 1 does not exist"
-    assert words in done.err[0]
-    assert done.err[0].startswith("edoras: ")
+    if "--json" in command:
+        error = json.loads(done.err[0])["error"]
+        assert error["code"] == "capture"
+        assert words in "; ".join(filter(None, (error["message"], error["hint"])))
+    else:
+        assert words in done.err[0]
+        assert done.err[0].startswith("edoras: ")
 
 
 def test_one_bad_input_of_several_does_not_lose_the_others(call, place, recording):
@@ -194,6 +200,15 @@ USAGE = [
     ("sniff -r ok.pcap -n 0", 2, "0 is less than 1"),
     ("sniff -r ok.pcap -n -3", 2, "-3 is less than 1"),
     ("sniff -r ok.pcap -n many", 2, "'many' is not a whole number"),
+    ("sniff -r ok.pcap --duration 5", 2, "--duration ends live traffic; of a file, --end selects a part"),
+    ("info ok.pcap --duration 5", 2, "--duration ends live traffic; of a file, --end selects a part"),
+    ("record -r ok.pcap -o x.mcap --duration 5", 2, "--duration ends live traffic; of a file, --end selects"),
+    ("record -r ok.pcap -o x.mcap -a", 2, "--all chooses what -i IFACE captures"),
+    ("sniff -r ok.pcap --format csv", 2, "--format is the format of --fields"),
+    ("sniff -r ok.pcap --fields number --time utc", 2, "--time has no effect with --fields"),
+    ("sniff -r ok.pcap --stat sbn -v", 2, "-v has no effect with --stat"),
+    ("info --verify ok.pcap --topic /x", 2, "--verify checks whole files"),
+    ("info --verify ok.pcap -n 3", 2, "--verify checks whole files"),
     ("sniff -r ok.pcap --duration soon", 2, "'soon' is not a duration"),
     ("sniff -r ok.pcap --duration -1", 2, "'-1' is not a duration"),
     ("sniff -r ok.pcap --duration nan", 2, "'nan' is not a duration"),

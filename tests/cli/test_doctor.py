@@ -441,10 +441,20 @@ def test_a_share_may_be_lost(name, share, code, told, call, captures, missions):
     assert told in "\n".join(done.err)
 
 
-@pytest.mark.parametrize("option", ["--predict", "--list-lost=csv", "--against=x.pcap"])
-def test_max_loss_belongs_to_a_diagnosis(option, call, captures):
-    done = call("doctor", captures("a_rover"), "--max-loss", "1%", option)
-    assert (done.code, done.err) == (
-        2,
-        ["edoras: --max-loss belongs to a diagnosis: not with --predict, --list-lost or --against"],
-    )
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["{}", "--max-loss", "1%", "--list-lost", "csv"], "has no effect with --list-lost: leave one out"),
+        (["{}", "--max-loss", "1%", "--against", "x.pcap"], "has no effect with --against: leave one out"),
+        (["{}", "--list-lost", "csv", "--against", "x.pcap"], "--list-lost and --against exclude each other"),
+        (["{}", "--set", "app_msg_limit=8", "--against", "x.pcap"], "--set has no effect with --against"),
+        (["--predict", "{}"], "--predict does not read a capture"),
+        (["--predict", "-i", "lo"], "--predict has no effect on live traffic"),
+        (["{}", "--duration", "5"], "--duration ends live traffic; of a file, --end selects a part"),
+    ],
+)
+def test_options_without_effect_are_refused(arguments, told, call, captures, missions):
+    words = [item.replace("{}", str(captures("a_rover"))) for item in arguments]
+    done = call("doctor", *words, *missions("rover_ground"))
+    assert (done.code, done.out, len(done.err)) == (2, "", 1)
+    assert told in done.err[0]

@@ -2,6 +2,7 @@
 
 import json
 import random
+import re
 import struct
 
 import pytest
@@ -221,3 +222,36 @@ def test_statistics_of_records_out_of_order_say_so(call, tmp_path):
     shuffled = write(tmp_path / "b.pcap", random.Random(1).sample(traffic, len(traffic)))
     (line,) = [item for item in call("sniff", "-r", shuffled, "--stat", "routes").err if "times" in item]
     assert "counted in the file's order" in line
+
+
+VIEWS = ["", "-V", "--json", "--fields number", "--stat routes", "--sequence mermaid"]
+
+
+@pytest.mark.parametrize("command", [*(f"sniff {view}" for view in VIEWS), "info", "info --json"])
+def test_a_port_that_looks_like_a_link_is_told_as_in_the_doctor(command, call):
+    path = ROOT / "tests/captures/n10_uplink_loss.pcap.zst"
+    told = (
+        "226 datagrams on port 5234 look like CI traffic and were left out: name the port with --port ci:5234"
+    )
+    done = call(*command.split(), path)
+    assert (done.code, done.err) == (3, [f"edoras: {told}"])
+    done = call(*command.split(), path, "--port", "ci:5234")
+    assert (done.code, done.err) == (0, [])
+
+
+def test_what_is_shown_is_not_left_out(call):
+    assert call("sniff", "-a", ROOT / "tests/captures/n10_uplink_loss.pcap.zst").code == 0
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["sniff {}", "sniff -V -n 300 {}", "sniff --fields number,summary {}", "decode {} 105", "info {}"],
+)
+def test_nothing_is_cut_in_a_pipe(command, call, captures, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    whole = call(*command.format(captures("a_rover")).split()).out
+    assert all(re.search(r" \u2026 \(\d+ bytes\)", line) for line in whole.splitlines() if "\u2026" in line)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert max(map(len, whole.splitlines())) > 80
+    if "fields" not in command:
+        assert max(map(len, call(*command.format(captures("a_rover")).split()).out.splitlines())) <= 80

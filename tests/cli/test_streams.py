@@ -2,6 +2,7 @@
 
 import fcntl
 import gzip
+import json
 import os
 import pty
 import re
@@ -127,7 +128,11 @@ def test_a_full_disk_is_one_line(options, command, captures):
             [command, *options, captures("a_rover"), *after], stdout=full, stderr=subprocess.PIPE, check=False
         )
     assert done.returncode == 1
-    assert done.stderr == b"edoras: standard output cannot be written: No space left on device\n"
+    told = "standard output cannot be written: No space left on device"
+    if "--json" in options:
+        assert json.loads(done.stderr)["error"] == {"code": "output", "message": told, "hint": None}
+    else:
+        assert done.stderr.decode() == f"edoras: {told}\n"
 
 
 def test_closed_streams(command, captures):

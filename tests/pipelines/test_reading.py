@@ -41,6 +41,26 @@ def test_duration(bench, batches, made_up):
     assert counts(made_up(itertools.repeat(batches[0])), bench, None, limits)[0] == [100] * 3
 
 
+def test_a_duration_of_a_live_source_ends_after_what_has_arrived(bench, batches, made_up):
+    """A consumer that is too slow is behind when the time is over: it gets the rest."""
+
+    class Live(made_up):
+        stops = 0
+
+        def stop(self):
+            self.stops += 1
+
+        def batches(self):
+            yield from batches[:5]
+            assert self.stops  # else it would go on without end
+
+    times = itertools.count()
+    source = Live([])
+    limits = Limits(duration_ns=2, clock=lambda: next(times))
+    assert counts(source, bench, None, limits)[0] == [len(item) for item in batches[:5]]
+    assert source.closed
+
+
 def test_what_is_not_read_is_not_decoded_either(bench, batches, made_up):
     times = batches[0].time_ns
     with reading(made_up(batches[:1]), bench, examined=Period(0, int(times[7] - times[0]))) as loop:

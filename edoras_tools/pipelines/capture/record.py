@@ -74,6 +74,7 @@ class CaptureReport:
         outputs: the files that were written, or the rosbag2 directory.
         failure: why the source ended early, if it did; everything before is written.
         notes: what was recognised from the bytes, one line each.
+        unnamed: see ``Context``.
         losses: outputs that were removed while they were written.
     """
 
@@ -83,6 +84,7 @@ class CaptureReport:
     outputs: list[Path] = field(default_factory=list)
     failure: EdorasError | None = None
     notes: list[str] = field(default_factory=list)
+    unnamed: int = 0
     losses: list[OutputLoss] = field(default_factory=list)
 
     @property

@@ -49,7 +49,7 @@ def sniff(
                         return
                     yield bench.dissector.dissect(rows.batch[row])
         finally:
-            bench.columns.context.notes += loop.conversations.notes(shown=True)
+            loop.note()
 
 
 def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.render.capture import hexdump, tree
 from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.terminal import FILE_WIDTH
 from edoras_tools.render.terminal.text import plain_cells
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ def packet_lines(
         return [*tree.tree_lines(decoded, width, paint), "", *_bytes(decoded, width, paint, chosen, base)]
     room = width - hexdump.DUMP_WIDTH - _GAP
     left = tree.tree_lines(decoded, room, paint)
+    if width >= FILE_WIDTH:
+        room = max(map(plain_cells, left))
     right = _bytes(decoded, hexdump.DUMP_WIDTH, paint, chosen, base)
     return [
         f"{a}{' ' * (room + _GAP - plain_cells(a))}{b}" if b else a

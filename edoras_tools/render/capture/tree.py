@@ -11,6 +11,7 @@ from edoras_tools.render import units
 from edoras_tools.render.capture.facts import facts
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.terminal import FILE_WIDTH
 from edoras_tools.render.terminal.text import ELLIPSIS, cells, clean, clip, fit, fit_right, wrap
 from edoras_tools.render.values import field_text
 from edoras_tools.words import plural
@@ -183,9 +184,8 @@ def _field(row: TreeRow, width: int, paint: palette.Paint) -> list[str]:
     room = width - GUTTER
     indent = _indent(row, room)
     # However deep a message nests and however long a name, some of the line is left for the value.
-    label = clip(
-        fit(f"{clip(row.label, row.align)}:", row.align + 1), max(4, room - len(indent) - 2 - _LEAST_VALUE)
-    )
+    align = max(row.align, cells(row.label)) if width >= FILE_WIDTH else row.align
+    label = clip(fit(f"{clip(row.label, align)}:", align + 1), max(4, room - len(indent) - 2 - _LEAST_VALUE))
     used = GUTTER + len(indent) + cells(label) + 2
     out = _hang(f"{_gutter(row, paint)}{indent}{paint(label, palette.DIM)}  ", used, row.value, used, width)
     at = max(_DOC_AT, used + cells(row.value) + 3)

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import TextIO
 
-FILE_WIDTH: Final = 200
-"""Columns for a pipe or a file: every column of every view, and lines that grep and less take well."""
+FILE_WIDTH: Final = 1_000_000
+"""Columns for a pipe or a file: nothing is cut."""
 _DEFAULT_WIDTH: Final = 80
 
 
