@@ -175,7 +175,7 @@ def sent(rows: Iterable[Row]) -> int:
 
 
 def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
-    """Return a line for each configured route, and for each other one of which something is missing.
+    """Return a line for each configured route, and for each other of which something is missing: worst first.
 
     Where none is configured there is a line for each; housekeeping of cFS has none.
     """
@@ -194,10 +194,11 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
     chosen = [members for members in {**named, **(missing if named else unnamed)}.values() if members[0].came]
     found = [_headline(members, topics) for members in chosen]
     same = Counter(item.topic for item in found)
-    return [
+    told = [
         replace(item, instance=members[0].instance if same[item.topic] > 1 else None)
         for item, members in zip(found, chosen, strict=True)
     ]
+    return sorted(told, key=lambda item: (-item.lost, -item.unaccounted, -item.superseded))
 
 
 def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:

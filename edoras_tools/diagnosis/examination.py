@@ -27,6 +27,7 @@ from edoras_tools.diagnosis.rules import (
 )
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, Severity, Verdict
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -217,18 +218,27 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
     for rule in (rule for rule in RULES if rule.ID in SINGLE):
         progress(len(found), len(RULES))
         found[rule.ID] = list(rule.judge(case))
-    case.refused = [
-        Refused(item.rule, item.link, item.msg_id, item.hop, item.start_ns, item.end_ns, item.lost, item.of)
-        for members in found.values()
-        for item in members
-        if item.lost
-    ]
+    for item in (item for members in found.values() for item in members if item.lost):
+        figures = item.start_ns, item.end_ns, item.lost or 0, item.of
+        case.refused.append(Refused(item.rule, item.link, item.msg_id, item.hop, *figures))
+    left = iter(map(case.commands.refusals, case.refused))
+    for members in found.values():
+        members[:] = [_lost_here(item, next(left)) if item.lost else item for item in members]
     for rule in RULES:
         if rule.ID not in found:
             found[rule.ID] = list(rule.judge(case))
             progress(len(found), len(RULES))
         case.verdicts += found[rule.ID]
     return case.verdicts
+
+
+def _lost_here(verdict: Verdict, number: int) -> Verdict:
+    """Return a verdict on messages of which so many were lost there: others never came to it, or arrived."""
+    other = (verdict.lost or 0) - number
+    if not other:
+        return verdict
+    line = f"{plural(other, 'message')} of these arrived, or are told to be lost elsewhere"
+    return replace(verdict, lost=number or None, evidence=(*verdict.evidence, line))
 
 
 class Examination:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -9,11 +10,14 @@ import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounts import clean_rate
+from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.accounting.fates import Fate
@@ -72,9 +76,11 @@ def plots(case: Case, choice: Choice | None = None) -> Plots:
         begin=(case.start_ns - case.zero_ns) / SECOND,
         seconds=seconds,
         bin_s=bin_s,
-        rates=[_rate(case, item, bin_s, seconds) for item in shown],
-        delays=[_delay(case, item) for item in case.hops if _shows(item, choice)],
-        sizes=[_size(case, item) for item in shown],
+        rates=_told_apart([(_rate(case, item, bin_s, seconds), _whose(case, item)) for item in shown]),
+        delays=_told_apart(
+            [(_delay(case, item), _whose(case, item.out)) for item in case.hops if _shows(item, choice)]
+        ),
+        sizes=_told_apart([(_size(case, item), _whose(case, item)) for item in shown]),
         counters=_counters(case),
         events=[
             {"time": _at(case, item.time_ns), "type": item.event_type, "text": str(item), "who": item.sender}
@@ -92,15 +98,40 @@ def _label(case: Case, stream: Stream) -> str:
     return "the robot" if stream.link == ROBOT else case.name(stream.msg_id)
 
 
+def _whose(case: Case, stream: Stream) -> str:
+    """Return whose a stream is: the cFS that makes it and since when, else an endpoint."""
+    if stream.instance != NOBODY:
+        return (
+            f"{case.label(stream.instance)}, from {_at(case, int(case.rows.time_ns[stream.rows[0]])):.1f} s"
+        )
+    end = stream.receiver if stream.sender < 0 else stream.sender
+    return str(case.endpoints[end])
+
+
+def _told_apart(rows: Sequence[tuple[dict[str, Any], str]]) -> list[dict[str, Any]]:
+    """Return rows; the labels of those that would have the same say whose they are."""
+    same = Counter((row["label"], row.get("link")) for row, _ in rows)
+    return [
+        {**row, "label": f"{row['label']} ({whose})"} if same[row["label"], row.get("link")] > 1 else row
+        for row, whose in rows
+    ]
+
+
 def _rate(case: Case, stream: Stream, bin_s: float, seconds: float) -> dict[str, Any]:
     times = (case.rows.time_ns[stream.rows] - case.start_ns) / SECOND
     count = int(seconds / bin_s) + 1
     index = np.clip((times / bin_s).astype(np.int64), 0, count - 1)
     seen = np.bincount(index, minlength=count) / bin_s
     fate = case.commands.fates.get(id(stream))
-    missing = _never_came(case, stream) if fate is None else _not_arrived(case, fate)
-    gone = np.bincount(index, weights=missing, minlength=count) / bin_s
-    if fate is not None:  # what is lost behind the capture was seen in it
+    if fate is None:
+        missing = _never_came(case, stream)
+        # They were due one after the other, until the next that came.
+        place = np.arange(int(missing.sum())) - np.repeat(np.cumsum(missing) - missing, missing)
+        steps = np.append(np.diff(times), 0.0) / (missing + 1)
+        due = np.repeat(times, missing) + np.repeat(steps, missing) * (place + 1)
+        gone = np.bincount(np.clip((due / bin_s).astype(np.int64), 0, count - 1), minlength=count) / bin_s
+    else:  # what is lost behind the capture was seen in it
+        gone = np.bincount(index, weights=_not_arrived(case, fate), minlength=count) / bin_s
         seen -= gone
     clean_hz, told_by = clean_rate(case, stream)
     return {
@@ -120,8 +151,13 @@ def _never_came(case: Case, stream: Stream) -> NDArray[np.int64]:
     """
     times = case.rows.time_ns[stream.rows]
     found = np.where(stream.pauses, 0, stream.missing).astype(np.int64)
-    for loss in case.losses:
-        if loss.stream is stream:
+    own = [loss for loss in case.losses if loss.stream is stream]
+    closed = [int(np.searchsorted(times, loss.start_ns)) for loss in own if loss.closed]
+    found[closed] = 0
+    for loss in own:
+        if loss.closed:
+            found[np.searchsorted(times, loss.start_ns)] += loss.lost
+        else:
             rows = np.flatnonzero((times >= loss.start_ns) & (times <= loss.end_ns))
             found[rows] = stream.missing[rows]
             if len(rows):

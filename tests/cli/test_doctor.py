@@ -332,6 +332,26 @@ def test_the_picture_of_the_links_holds_all_that_was_lost(name, report, call, ca
         assert "600 in, 508 out" in picture
 
 
+def test_many_verdicts_alike_are_one_table_of_a_report(report, call, captures):
+    told = call("doctor", captures("e_ci_errors"), "--json").json()["verdicts"]
+    text = report(captures("e_ci_errors")).read_text()
+    tables = [part.partition("</table>")[0] for part in text.split('<table class="alike">')[1:]]
+    rows = [table.count("<tr><td>") for table in tables]
+    alike = [
+        [item for item in told if item["rule"] == "bad_command" and item["severity"] == grade]
+        for grade in ("error", "warning")
+    ]
+    assert {len(members) for members in alike} <= set(rows)
+    assert text.count("<article") == len(told) - sum(rows) + len(rows)
+
+
+def test_charts_of_a_report_are_told_apart(report, captures):
+    text = report(captures("d3_cpu1_cpu2")).read_text()
+    part = text.partition('id="rates-against-limits"')[2].partition("</section>")[0]
+    titles = re.findall(r"<h3>(.*?)</h3>", part)
+    assert len(set(titles)) == len(titles) > 8
+
+
 def test_a_part_of_a_capture_keeps_its_times(call, captures, missions, tmp_path):
     path = tmp_path / "part.html"
     call("report", captures("a_rover"), "-o", path, *missions("rover_ground"), "--start", "30", "--end", "50")

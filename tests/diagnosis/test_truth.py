@@ -84,7 +84,7 @@ def test_steps_over_tos_pipe_are_each_what_was_lost(lab):
         "two-rovers", hz=0.0, state_hz=0.0, seconds=80, generators=tuple(steps), limits=((0x827, 255),)
     )
     diagnosis = lab.examine(sent)
-    found = [item for item in diagnosis.verdicts if item.rule == "to_pipe_overflow"]
+    found = [item for item in diagnosis.verdicts if (item.rule, item.msg_id) == ("to_pipe_overflow", 0x827)]
     offered = sorted(round((item.of - 1) / ((item.end_ns - item.start_ns) / 1e9), -1) for item in found)
     assert offered == [90, 100, 200, 500, 1000]
     total = sum(item.lost for item in diagnosis.case.losses)

@@ -105,6 +105,10 @@ class Commands:
             self._unfollowed(fate)
         self._number(fates)
 
+    def refusals(self, item: Refused) -> int:
+        """Return how many messages of a refusal were lost by it, and by nothing else."""
+        return self.unplaced[id(item)] + self.placed.get(id(item), (0, None))[0]
+
     def _refuse(self, refused: Sequence[Refused]) -> None:
         for item in refused:
             left = item.lost

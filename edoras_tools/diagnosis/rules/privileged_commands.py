@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -14,13 +14,15 @@ from edoras_tools.wire.order import numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
 
 ID = "privileged_commands"
+_MOST: Final = 8
+"""Senders and times that are named."""
 _UNSOUND = Finding.TRUNCATED | Finding.INVALID_MSG_ID | Finding.WRONG_DIRECTION | Finding.LENGTH_MISMATCH
 
 
@@ -52,7 +54,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             ID,
             Severity.SECURITY,
             f"{plural(len(members), 'command')} {command_name(msg_id, code)} on {case.name(msg_id)} from "
-            f"{', '.join(senders)}: it can {PRIVILEGED[msg_id, code]}",
+            f"{_some(senders)}: it can {PRIVILEGED[msg_id, code]}",
             msg_id=msg_id,
             topic=case.topic(msg_id),
             link="ci",
@@ -60,8 +62,14 @@ def judge(case: Case) -> Iterator[Verdict]:
             start_ns=times[0],
             end_ns=times[-1],
             evidence=(
-                "sent at " + ", ".join(map(case.at, times[:8])) + (", ..." if len(times) > 8 else ""),
+                f"sent at {_some([case.at(when) for when in times])}",
                 f"packet {rows.number[members[0]]} is the first",
             ),
             remedy="see that whoever sent it was meant to; CI asks nobody who he is",
         )
+
+
+def _some(texts: Sequence[str]) -> str:
+    """Return the first of some texts, and how many more there are."""
+    more = f" and {len(texts) - _MOST} more" if len(texts) > _MOST else ""
+    return ", ".join(texts[:_MOST]) + more

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at, published
+from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.wire import cfe
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.verdict import Verdict
 
 ID = "to_pipe_overflow"
 
@@ -26,6 +28,8 @@ def judge(case: Case) -> Iterator[Verdict]:
     routes, others = _divided(case)
     for loss in routes:
         yield _verdict(case, loss, [item for item in others if _together(item, loss)])
+    for instance in dict.fromkeys(item.instance for item in others):
+        yield _with_them(case, [item for item in others if item.instance == instance])
 
 
 def _divided(case: Case) -> tuple[list[Loss], list[Loss]]:
@@ -48,6 +52,27 @@ def _is_route(loss: Loss) -> bool:
 
 def _together(loss: Loss, other: Loss) -> bool:
     return loss.instance == other.instance and loss.start_ns <= other.end_ns and other.start_ns <= loss.end_ns
+
+
+def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
+    """Return the verdict on what did not fill the pipe and was lost at it."""
+    lost: Counter[int] = Counter()
+    for item in others:
+        lost[item.msg_id] += item.lost
+    return Verdict(
+        ID,
+        Severity.ERROR,
+        f"{plural(lost.total(), 'message')} of cFS itself lost at {telemetry_output.PIPE}, of "
+        f"{plural(len(lost), 'MsgId')}: a pipe that is full takes nothing, whoever filled it",
+        link="to",
+        hop=telemetry_output.PIPE,
+        lost=lost.total(),
+        start_ns=min(item.start_ns for item in others),
+        end_ns=max(item.end_ns for item in others),
+        evidence=(", ".join(f"{case.name(msg_id)} {number:,}" for msg_id, number in lost.items()),),
+        remedy="as for the MsgId that fills it",
+        confidence=min((item.confidence for item in others), key=("low", "medium", "high").index),
+    )
 
 
 def _verdict(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:

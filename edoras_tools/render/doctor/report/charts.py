@@ -82,8 +82,8 @@ class Frame:
         step = ticks(self.x_most, 7)[1]
         first, last = ceil(self.begin / step), floor((self.begin + self.x_most) / step)
         return [
-            f'<text class="mid" x="{self.x(index * step - self.begin)}" y="{self.height - 8}">'
-            f"{index * step:g} s</text>"
+            f'<text class="{"mid" if index * step > self.begin else "first"}" '
+            f'x="{self.x(index * step - self.begin)}" y="{self.height - 8}">{index * step:g} s</text>'
             for index in range(first, last + 1)
         ]
 

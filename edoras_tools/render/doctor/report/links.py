@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from html import escape
-from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.balance import summed
 from edoras_tools.render.doctor import balance
-from edoras_tools.render.doctor.report import charts
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -19,10 +17,6 @@ if TYPE_CHECKING:
 
 _MOST: Final = 12
 _MOST_NAMES: Final = 2
-_LINE, _GAP, _TITLE = 23, 22, 30
-_ACROSS: Final = 3
-_LETTERS: Final = 18
-"""Letters in a line of a box, at a size that is readable on a phone."""
 _REST: Final = tuple(
     (name, head.lower())
     for name, head in zip(balance.FIGURES, balance.HEADS, strict=True)
@@ -39,17 +33,14 @@ def links_picture(found: Diagnosis) -> str:
     for (_, link, msg_id, _), rows in ways.items():
         own = rows[0].route not in found.topics and bool(message_name(msg_id or 0))
         lanes.setdefault((own, link, tuple(row.hop for row in rows)), []).append(rows)
-    parts, top = [], 0
-    for (own, link, hops), members in sorted(lanes.items(), key=lambda lane: lane[0][0])[:_MOST]:
-        drawn, height = _lane(_title(found, link, members, own=own), link, hops, members)
-        parts.append(f'<g transform="translate(0 {top})">{drawn}</g>')
-        top += height
+    shown = sorted(lanes.items(), key=lambda lane: lane[0][0])[:_MOST]
+    parts = [
+        f"<h3>{escape(_title(found, link, members, own=own))}</h3>{_lane(link, hops, members)}"
+        for (own, link, hops), members in shown
+    ]
     if len(lanes) > _MOST:
-        top += _LINE
-        parts.append(f'<text x="0" y="{top - 6}">and {len(lanes) - _MOST} more, in the balance</text>')
-    return (
-        f'<div class="links">{charts.svg_box("".join(parts), top, "links and hops")}</div>' if parts else ""
-    )
+        parts.append(f'<p class="dim">and {len(lanes) - _MOST} more, in the balance</p>')
+    return f'<div class="links">{"".join(parts)}</div>' if parts else ""
 
 
 def _title(found: Diagnosis, link: str, members: list[list[Row]], *, own: bool) -> str:
@@ -66,39 +57,20 @@ def _title(found: Diagnosis, link: str, members: list[list[Row]], *, own: bool) 
     return f"{link.upper()}: {told}" if link else told
 
 
-def _lane(title: str, link: str, hops: tuple[str, ...], members: list[list[Row]]) -> tuple[str, int]:
-    """Return the boxes of one path, and their height."""
+def _lane(link: str, hops: tuple[str, ...], members: list[list[Row]]) -> str:
+    """Return the boxes of one path."""
     boxes = []
     for place, hop in enumerate(hops):
         sums: Counter[str] = Counter()
         for rows in members:
             told = rows[place].as_json(None)
             sums.update({name: told[name] for name in balance.FIGURES})
-        lines = [(text, "label") for text in wrap(hop, _LETTERS)]
-        lines.append((f"{sums['in']:,} in, {sums['out']:,} out", ""))
-        lines += [
-            (f"{sums[name]:,} {text}", "bad" if name in {"lost", "unaccounted"} else "")
+        bad = " bad" if sums["lost"] or sums["unaccounted"] else ""
+        figures = [(f"{sums['in']:,} in, {sums['out']:,} out", "dim")] + [
+            (f"{sums[name]:,} {text}", "lost" if name in {"lost", "unaccounted"} else "dim")
             for name, text in _REST
             if sums[name]
         ]
-        boxes.append(lines)
-    high = _LINE * max(map(len, boxes)) + 12
-    wide = (charts.CHART_WIDTH - 2 - (_ACROSS - 1) * _GAP) / _ACROSS
-    parts = [f'<text class="label" x="1" y="{_TITLE - 10}">{escape(title)}</text>']
-    for place, lines in enumerate(boxes):
-        row, column = divmod(place, _ACROSS)
-        left, top = 1 + column * (wide + _GAP), _TITLE + row * (high + _GAP)
-        style = f"hop {link}" + (" bad" if any(kind == "bad" for _, kind in lines) else "")
-        parts.append(
-            f'<rect class="{style}" x="{left:.0f}" y="{top}" width="{wide:.0f}" height="{high}" rx="5"/>'
-        )
-        if column:
-            parts.append(
-                f'<path class="arrow" d="M{left - _GAP + 3:.0f} {top + high // 2}h{_GAP - 6}'
-                f'm-6 -5l6 5l-6 5"/>'
-            )
-        parts += [
-            f'<text class="{kind}" x="{left + 10:.0f}" y="{top + _LINE * (at + 1)}">{escape(text)}</text>'
-            for at, (text, kind) in enumerate(lines)
-        ]
-    return "".join(parts), _TITLE + -(-len(boxes) // _ACROSS) * (high + _GAP)
+        lines = "".join(f'<span class="{kind}">{text}</span>' for text, kind in figures)
+        boxes.append(f'<li class="hop {link}{bad}"><strong>{escape(hop)}</strong>{lines}</li>')
+    return f"<ol>{''.join(boxes)}</ol>"
