@@ -142,7 +142,9 @@ class Diagnosis:
                 name = "messages in all" if msg_id == NO_MSG_ID else self.topics.get(route, unnamed)
                 counted = f"{missing:,} of {sent(own):,} {name} lost or unaccounted for"
                 told.append(f"{counted}: more than {share * 100:g} %")
-        told += [item.reason for item in self.verdicts if item.severity is Severity.ERROR and not item.lost]
+        told += [
+            item.reason for item in self.verdicts if item.severity is Severity.ERROR and item.lost is None
+        ]
         if self.capture.drops:
             told.append("the capture itself lost packets")
         return told if self.datagrams else ["nothing was examined"]
@@ -238,7 +240,7 @@ def _lost_here(verdict: Verdict, number: int) -> Verdict:
     if not other:
         return verdict
     line = f"{plural(other, 'message')} of these arrived, or are told to be lost elsewhere"
-    return replace(verdict, lost=number or None, evidence=(*verdict.evidence, line))
+    return replace(verdict, lost=number, evidence=(*verdict.evidence, line))
 
 
 class Examination:

@@ -110,12 +110,14 @@ class Commands:
         return self.unplaced[id(item)] + self.placed.get(id(item), (0, None))[0]
 
     def _refuse(self, refused: Sequence[Refused]) -> None:
-        for item in refused:
+        # One datagram that is named is that one; what many of a span may be comes after.
+        for item in sorted(refused, key=lambda item: item.end_ns - item.start_ns):
             left = item.lost
             for fate in self.fates.values():
                 if left and (item.link, item.msg_id) == (fate.stream.link.label, fate.stream.msg_id):
                     times = self._known.captured(fate.stream)
-                    inside = np.flatnonzero((times >= item.start_ns) & (times <= item.end_ns) & fate.open)
+                    free = (fate.open | fate.blind) & (times >= item.start_ns) & (times <= item.end_ns)
+                    inside = np.flatnonzero(free)
                     if number := fate.claim(inside[:left]):
                         fate.refused[item.rule] += number
                         self.placed[id(item)] = number, Among(fate.stream, inside)

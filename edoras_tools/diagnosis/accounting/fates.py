@@ -39,6 +39,7 @@ class Fate:
         spans: its messages in time.
         open: bool (rows,), nothing has told yet what became of it.
         waits: bool (rows,), it may yet come out.
+        blind: bool (rows,), it has no values by which it could be seen to come out.
         queued: messages that may wait in CI's socket: it has not counted them.
         refused: rule to messages that came to nothing by what they are.
         passed_on: messages that came out, and were lost behind that.
@@ -62,6 +63,7 @@ class Fate:
     spans: list[Span]
     open: NDArray[np.bool_]
     waits: NDArray[np.bool_]
+    blind: NDArray[np.bool_]
     queued: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     passed_on: int = 0
@@ -91,12 +93,12 @@ class Fate:
     def nothing(cls, stream: Stream) -> Fate:
         """Return the fate of a stream of which nothing is followed."""
         none = np.zeros(len(stream), bool)
-        return cls(stream, [], none, none, [], none, none)
+        return cls(stream, [], none, none, [], none, none, none)
 
     def claim(self, rows: NDArray[np.intp]) -> int:
-        """Take messages that are open; return how many."""
-        own = rows[self.open[rows]]
-        self.open[own] = False
+        """Take messages that are open, or are blind; return how many."""
+        own = rows[self.open[rows] | self.blind[rows]]
+        self.open[own] = self.blind[own] = False
         return len(own)
 
 
@@ -128,6 +130,7 @@ def follow(known: Known, stream: Stream) -> Fate:
         spans=known.spans(stream),
         open=open_ & ~waiting,
         waits=waiting,
+        blind=~followed & ~arrived & bool(hops),
         unseen=unseen,
         doubled=sum(hop.doubled for hop in hops),
     )
