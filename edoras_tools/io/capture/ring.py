@@ -7,11 +7,12 @@ second. Therefore blocks are closed here when they are full, and the open one is
 
 Rules that this file keeps:
 
-1. A block is closed when the next packet does not fit, or after a minute. So a ring holds as many packets as
-   its bytes allow, minutes of traffic at any rate of a link.
+1. A block is closed when the next packet does not fit, or after ``_RETIRE_MS``. There are so many blocks that
+   a ring holds minutes of traffic at any rate of a link.
 2. Nobody waits for a full block: the open block is checked every ``FRESH_S``, and its packets are read. The
    count in its header says which packets the kernel had *begun* to write; after ``barrier.wait`` all of them
-   are complete. No other sign of a complete packet is reliable: fields are written in any order.
+   are complete. No other sign of a complete packet is reliable: fields are written in any order. That wait
+   can take seconds, so another thread does it; meanwhile the block is closed by its age, and read then.
 3. If it is not possible to wait for the kernel, blocks are closed by age (``FRESH_S``), and the open one is
    not read.
 4. A closed block is copied from where reading of the open one ended, and returned at once, with its count set
@@ -88,8 +89,8 @@ _AT_ONCE: Final = 4 << 20
 """Maximum bytes that one read copies, unless a single block is larger."""
 FRESH_S: Final = 0.02
 """Maximum age of packets in the open block before they are read."""
-_RETIRE_MS: Final = 60_000
-"""Age at which the kernel closes a block that is read while it is open; the field has 16 bits."""
+_RETIRE_MS: Final = 500
+"""Age at which the kernel closes a block that is read while it is open."""
 _RING_BYTES: Final = 128 << 20
 _SHARE_OF_MEMORY: Final = 32
 """Size of a ring: ``_RING_BYTES``, or this part of the machine's memory if that is less."""
@@ -136,7 +137,7 @@ class Ring:
         interface: str,
         ports: Iterable[int] = (),
         *,
-        block_size: int = 1 << 19,
+        block_size: int = 1 << 17,
         blocks: int = 0,
         snap_length: int = 262144,
         promiscuous: bool = True,
@@ -152,8 +153,8 @@ class Ring:
         self.info = SourceInfo(interface, "live", snap_length=snap_length)
         self.drops = 0
         self.linger_s = 0.0
-        self._walks = barrier.available()
-        self.look_s = FRESH_S if self._walks else _WATCH_S
+        walks = barrier.available()
+        self.look_s = FRESH_S if walks else _WATCH_S
         self.outages: list[InterfaceOutage] = []
         self._ports = tuple(ports)
         self._promiscuous = promiscuous
@@ -162,7 +163,15 @@ class Ring:
         self._delivered = self._read = self._made = self._back_ns = 0
         self._refusing = False
         self._watched = 0.0
-        self._open(found)
+        self._turn = 0
+        self._asked: tuple[int, int] | None = None
+        """Turn and count of the open block that the barrier waits for."""
+        self._barrier = barrier.Barrier() if walks else None
+        try:
+            self._open(found)
+        except CaptureError:
+            self._end_barrier()
+            raise
 
     def _open(self, interface: Interface) -> None:
         """Create socket and ring for this kind of interface, and bind it if the interface exists."""
@@ -182,6 +191,7 @@ class Ring:
             whole=cooked and self._told,
         )
         self._next = self._seen = self._resume = 0
+        self._turn += 1
         self._looked = 0.0
         self._socket = _socket(interface.name, cooked=cooked and not self._told)
         try:
@@ -229,7 +239,7 @@ class Ring:
 
     def _allocate(self) -> int:
         """Request a ring, halved while the kernel has too little memory; return the number of blocks."""
-        blocks, retire_ms = self._blocks, _RETIRE_MS if self._walks else round(FRESH_S * 1000)
+        blocks, retire_ms = self._blocks, _RETIRE_MS if self._barrier else round(FRESH_S * 1000)
         while True:
             frames = blocks * self._block_size // _FRAME_SIZE
             request = struct.pack("=7I", self._block_size, blocks, _FRAME_SIZE, frames, retire_ms, 0, 0)
@@ -243,8 +253,8 @@ class Ring:
                 return blocks
 
     def filenos(self) -> tuple[int, ...]:
-        """Return the file descriptors that become readable when a block is ready."""
-        return (self._socket.fileno(),)
+        """Return the file descriptors that become readable when a block is ready, or may be read."""
+        return (self._socket.fileno(), *((self._barrier.fileno(),) if self._barrier else ()))
 
     def read(self) -> FrameBatch | None:
         """Read the blocks that the kernel has released, at most a few MiB, or else the open block.
@@ -306,18 +316,27 @@ class Ring:
             taken += length
             self._seen = self._resume = 0
             self._next = (self._next + 1) % len(self._ring)
+            self._turn += 1
         return pieces, ended
 
     def _begun(self) -> int:
         """Return how many packets of the open block are complete and may be read now; 0 if none is new."""
+        if self._barrier is None:
+            return 0
+        if self._asked:
+            succeeded = self._barrier.answer()
+            if succeeded is None:
+                return 0
+            (turn, count), self._asked = self._asked, None
+            if succeeded and turn == self._turn:
+                return count
         now = time.monotonic()
-        if not self._walks or (now - self._looked < FRESH_S and not self._refusing):
-            return 0
         count = int(self._headers[self._next, _COUNT])
-        if count <= self._seen:
-            return 0
-        self._looked = now
-        return count if barrier.wait() else 0
+        if count > self._seen and (now - self._looked >= FRESH_S or self._refusing):
+            self._looked = now
+            self._asked = self._turn, count
+            self._barrier.ask()
+        return 0
 
     def _piece(self, count: int) -> _Piece:
         """Return the unread part of the next block, of which ``count`` packets are complete."""
@@ -412,9 +431,14 @@ class Ring:
         self._map.close()
 
     def close(self) -> None:
-        """Release socket and memory."""
+        """Release thread, socket and memory."""
+        self._end_barrier()
         self._socket.close()
         self._release()
+
+    def _end_barrier(self) -> None:
+        if self._barrier:
+            self._barrier.close()
 
 
 def _socket(interface: str, *, cooked: bool) -> socket.socket:

@@ -12,6 +12,7 @@ import os
 import select
 import socket
 import struct
+import threading
 import time
 
 import numpy as np
@@ -376,8 +377,9 @@ def test_no_interface_of_an_impossible_name_is_waited_for(ring, name):
         ring(name, wait=True)
 
 
-def test_the_open_block_is_read(ring, pair):
+def test_the_open_block_is_read(ring, pair, monkeypatch):
     """Nothing waits for a block to be full or old, and reading it closes none."""
+    monkeypatch.setattr("edoras_tools.io.capture.ring._RETIRE_MS", 60_000)
     sender, port = pair
     source = ring("lo", [port])
     for number in range(50):
@@ -404,8 +406,28 @@ def test_the_open_block_at_every_turn(ring, pair, monkeypatch):
     assert [len(payload) for payload in seen] == [4 + number * 37 % 3000 for number in range(600)]
 
 
-def test_a_ring_that_nobody_empties_holds_what_its_bytes_hold(ring, pair):
+@pytest.mark.parametrize("early", [False, True])
+def test_a_wait_for_the_kernel_holds_nothing_up(ring, pair, monkeypatch, early):
+    """Where processors are busy it takes seconds: what came is read when its block is closed by its age."""
+    end = threading.Event()
+    monkeypatch.setattr("edoras_tools.io.capture.ring.barrier.wait", end.wait)
+    sender, port = pair
+    source = ring("lo", [port])
+    try:
+        sender.send(b"first")
+        assert read_until(source, 1) == [b"first"]
+        assert source._next == 1
+        sender.send(b"second")
+        if early:  # an answer about the block before says nothing of this one
+            end.set()
+        assert read_until(source, 1) == [b"second"]
+    finally:
+        end.set()
+
+
+def test_a_ring_that_nobody_empties_holds_what_its_bytes_hold(ring, pair, monkeypatch):
     """Blocks are closed by fill: time costs no room."""
+    monkeypatch.setattr("edoras_tools.io.capture.ring._RETIRE_MS", 60_000)
     sender, port = pair
     source = ring("lo", [port], block_size=1 << 16, blocks=2)
     for number in range(20):
