@@ -4,7 +4,7 @@ from contextlib import closing
 
 import pytest
 from effort import long_but
-from places import ROOT
+from places import ROOT, SAMPLE_MISSIONS
 from scapy.packet import Raw
 
 from edoras_tools.decode import Context, Dissector
@@ -17,14 +17,6 @@ from edoras_tools.ros import TypeStore
 from edoras_tools.structs import Structs
 
 COMMITTED = ROOT / "dissectors/edoras.lua"
-CAPTURES = {
-    "a_rover": ("rover_ground",),
-    "b_arm_single": ("single_arm_ground",),
-    "c1_tlm_rate_limit4": ("rover_ground",),
-    "d3_cpu1_cpu2": ("two_rovers_ground", "two_rovers_flight"),
-    "e_ci_errors": ("rover_ground",),
-    "f_sbn_disconnect": ("two_rovers_ground", "two_rovers_flight"),
-}
 OF_EACH_KIND = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")
 TYPES = TypeStore()
 LAYERS = {
@@ -99,9 +91,9 @@ def taught():
     scapy_layers.use({})
 
 
-@pytest.mark.parametrize("name", long_but(OF_EACH_KIND, CAPTURES))
+@pytest.mark.parametrize("name", long_but(OF_EACH_KIND, SAMPLE_MISSIONS))
 def test_on_every_packet_of_every_capture(name, tshark, taught, judge):
-    configs = missions(CAPTURES[name])
+    configs = missions(SAMPLE_MISSIONS[name])
     capture = next((ROOT / "samples/captures").glob(f"{name}.pcap*"))  # tshark reads .gz too
     mission = load(configs)
     taught(mission)
@@ -118,7 +110,7 @@ def test_on_every_packet_of_every_capture(name, tshark, taught, judge):
 
 @pytest.mark.parametrize("name", ["a_rover", "b_arm_single"])
 def test_the_committed_script_knows_each_demo(name, tshark, judge):
-    mission = load(missions(CAPTURES[name]))
+    mission = load(missions(SAMPLE_MISSIONS[name]))
     capture = ROOT / f"samples/captures/{name}.pcap"
     frames = tshark(script=COMMITTED).frames(capture)
     messages = 0

@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from dds_loopback import URI
 from mcap.reader import make_reader
 from places import MISSIONS, SUPPORT
 from waiting import Program
@@ -23,11 +24,6 @@ pytestmark = pytest.mark.own_network
 EDORAS = Path(sys.executable).with_name("edoras")
 TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
 TYPES = TypeStore()
-URI = (
-    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
-    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
-    '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
-)
 PORT = 7447
 RATE, SECONDS, MOST = 250, 1, 30
 

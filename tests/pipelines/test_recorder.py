@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import select
 import time
 
 import pytest
 from mcap.reader import make_reader
-from waiting import HOST, until
+from waiting import HOST, arrived_at, receive, until
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.links.ci import CI
@@ -19,18 +18,6 @@ from edoras_tools.pipelines.recorder import RelayRecorder
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe
-
-
-def take(opened, count):
-    return [opened.recv(65536) for _ in range(count)]
-
-
-def waiting(opened):
-    """What has arrived."""
-    found = []
-    while select.select([opened], [], [], 0)[0]:
-        found.append(opened.recv(65536))
-    return found
 
 
 def numbered(count, size=12):
@@ -74,11 +61,11 @@ def test_a_recording_holds_what_was_sent_and_what_was_done_on_purpose(ends, tmp_
         for datagram in numbered(600)[first : first + 60]:
             client.send(datagram)
         until(lambda first=first: proxy.to_target[0].received == first + 60)
-        arrived += waiting(target)
+        arrived += arrived_at(target)
     target.sendto(b"answer", next(iter(proxy.clients)).sockets[0].getsockname())
     client.recv(99)
     proxy.end()
-    arrived += waiting(target)
+    arrived += arrived_at(target)
     ports = client.getsockname()[1], target.getsockname()[1]
     datagrams, faults = recorded(path, ports[1])
     assert datagrams[:-1] == [(data, *ports, CI) for data in arrived]
@@ -104,7 +91,7 @@ def test_what_could_not_be_recorded_is_counted_and_relayed_all_the_same(ends, tm
     client = ends.client(proxy)
     for datagram in numbered(10):
         client.send(datagram)
-    assert take(target, 10) == numbered(10)
+    assert receive(target, 10) == numbered(10)
     proxy.end()
     assert proxy.summary()["unrecorded"] == proxy.lost == 10
 

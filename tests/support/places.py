@@ -9,3 +9,12 @@ SAMPLES = ROOT / "samples"
 CAPTURES = SAMPLES / "captures"
 MISSIONS = SAMPLES / "missions"
 SUPPORT = ROOT / "tests" / "support"
+SAMPLE_MISSIONS = {
+    "a_rover": ("rover_ground",),
+    "b_arm_single": ("single_arm_ground",),
+    "c1_tlm_rate_limit4": ("rover_ground",),
+    "d3_cpu1_cpu2": ("two_rovers_ground", "two_rovers_flight"),
+    "e_ci_errors": ("rover_ground",),
+    "f_sbn_disconnect": ("two_rovers_ground", "two_rovers_flight"),
+}
+"""The sample captures, each with its missions."""

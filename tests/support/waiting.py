@@ -186,3 +186,16 @@ def free_ports(count, kind=socket.SOCK_DGRAM):
             if len(found) == count:
                 return found
     raise AssertionError("no port is free")
+
+
+def receive(opened, count):
+    """Return this many datagrams."""
+    return [opened.recv(65536) for _ in range(count)]
+
+
+def arrived_at(opened):
+    """Return the datagrams that have arrived."""
+    found = []
+    while select.select([opened], [], [], 0)[0]:
+        found.append(opened.recv(65536))
+    return found

@@ -81,18 +81,6 @@ def ring():
         yield make
 
 
-@pytest.fixture
-def pair():
-    """A sender connected to a receiver on loopback."""
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
-    ):
-        receiver.bind(("127.0.0.1", 0))
-        sender.connect(receiver.getsockname())
-        yield sender, receiver.getsockname()[1]
-
-
 def take(source):
     """All frames that have come to a ring: the batches up to the moment when nothing is left in it."""
     source.refuse()

@@ -11,6 +11,7 @@ from contextlib import closing
 
 import pytest
 import zstandard
+from captures import read
 from hypothesis import given
 from hypothesis import strategies as st
 from places import CAPTURES
@@ -21,16 +22,6 @@ from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.open import open_file
 
 ROVER = (CAPTURES / "a_rover.pcap").read_bytes()
-
-
-def read(path):
-    with closing(open_file(path)) as source:
-        rows = []
-        try:
-            rows.extend(row for batch in source.batches() for row in batch)
-        except CaptureError as error:
-            return rows, str(error)
-    return rows, ""
 
 
 EXPECTED = read(CAPTURES / "a_rover.pcap")[0]

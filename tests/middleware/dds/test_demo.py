@@ -7,6 +7,7 @@ import sys
 import threading
 
 import pytest
+from dds_loopback import OPTIONS, URI
 from places import SUPPORT
 from waiting import PATIENCE_S
 
@@ -16,12 +17,6 @@ from edoras_tools.ros import TypeStore
 pytestmark = pytest.mark.own_network
 
 PEER = SUPPORT / "dds_peer.py"
-HERE = {"interface": "lo", "multicast": "false", "peers": "127.0.0.1"}
-URI = (
-    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
-    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
-    '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
-)
 ZERO = {"x": 0.0, "y": 0.0, "z": 0.0}
 DRIVE = {"linear": ZERO | {"x": 0.75}, "angular": ZERO | {"z": 0.125}}
 
@@ -62,7 +57,7 @@ def test_a_dds_node_of_another_process_drives_a_rover_and_hears_where_it_is(peer
         return first & second
 
     plan = DemoPlan(
-        *("two-rovers", tmp_path / "a.mcap"), ros="dds", options=HERE, command_hz=0, state_hz=50.0
+        *("two-rovers", tmp_path / "a.mcap"), ros="dds", options=OPTIONS, command_hz=0, state_hz=50.0
     )
     with Demo(plan) as demo:
         thread = threading.Thread(target=demo.run)

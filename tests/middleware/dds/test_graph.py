@@ -12,6 +12,7 @@ from random import Random
 import numpy as np
 import pytest
 from cyclonedds.domain import DomainParticipant
+from dds_loopback import OPTIONS, URI
 from places import SUPPORT
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
@@ -27,12 +28,6 @@ from edoras_tools.ros.arbitrary import arbitrary
 pytestmark = pytest.mark.own_network
 
 PEER = SUPPORT / "dds_peer.py"
-HERE = {"interface": "lo", "multicast": "false", "peers": "127.0.0.1"}
-URI = (
-    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
-    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
-    '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
-)
 TYPES = TypeStore()
 ROSBAGS = get_typestore(Stores.ROS2_JAZZY)
 STRING = "std_msgs/msg/String"
@@ -115,7 +110,7 @@ def node():
     with ExitStack() as stack:
 
         def opened(name="bridge", **options):
-            graph = open_graph(TYPES, name, **({"options": HERE} | options))
+            graph = open_graph(TYPES, name, **({"options": OPTIONS} | options))
             stack.callback(graph.close)
             return graph
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import CAPTURES, MISSIONS
+from places import CAPTURES, MISSIONS, SAMPLE_MISSIONS
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -25,14 +25,6 @@ from edoras_tools.pipelines.export.tables import TableForm
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 
-SAMPLES = {
-    "a_rover": ("rover_ground",),
-    "b_arm_single": ("single_arm_ground",),
-    "c1_tlm_rate_limit4": ("rover_ground",),
-    "d3_cpu1_cpu2": ("two_rovers_ground", "two_rovers_flight"),
-    "e_ci_errors": ("rover_ground",),
-    "f_sbn_disconnect": ("two_rovers_ground", "two_rovers_flight"),
-}
 ROVER = CAPTURES / "a_rover.pcap"
 
 
@@ -41,7 +33,7 @@ def capture(name):
 
 
 def settings(name):
-    return Settings(tuple(MISSIONS / f"{item}.yaml" for item in SAMPLES[name]))
+    return Settings(tuple(MISSIONS / f"{item}.yaml" for item in SAMPLE_MISSIONS[name]))
 
 
 def flat(value, prefix=""):
@@ -106,7 +98,7 @@ def of_duckdb(path):
 READERS = {"pandas": of_pandas, "polars": of_polars, "duckdb": of_duckdb}
 
 
-@pytest.mark.parametrize("name", SAMPLES)
+@pytest.mark.parametrize("name", SAMPLE_MISSIONS)
 def test_parquet_holds_what_rosbags_reads(name, tmp_path):
     pytest.importorskip("pyarrow")
     source = open_files([capture(name)])

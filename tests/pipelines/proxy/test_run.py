@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import random
-import select
 import time
 from dataclasses import replace
 
 import pytest
 from effort import every
-from waiting import HOST, free_ports, until
+from waiting import HOST, arrived_at, free_ports, receive, until
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
@@ -34,23 +33,11 @@ from edoras_tools.wire import cfe, envelope
 ANY = Endpoint(HOST, 0)
 
 
-def take(opened, count):
-    return [opened.recv(65536) for _ in range(count)]
-
-
-def waiting(opened):
-    """What has arrived."""
-    found = []
-    while select.select([opened], [], [], 0)[0]:
-        found.append(opened.recv(65536))
-    return found
-
-
 def eventually(opened, count):
     """What arrives, once so many have, and a moment to see that there are no more."""
-    found = take(opened, count)
+    found = receive(opened, count)
     time.sleep(0.05)
-    return found + waiting(opened)
+    return found + arrived_at(opened)
 
 
 def numbered(count, size=12):
@@ -72,7 +59,7 @@ def test_every_byte_goes_both_ways_in_order(ends, arena):
         assert [data for data, _ in back] == some
         for data, sender in back:
             target.sendto(data[::-1], sender)
-        assert take(client, len(some)) == [data[::-1] for data in some]
+        assert receive(client, len(some)) == [data[::-1] for data in some]
 
 
 def test_every_client_gets_its_own_answers(ends, arena):
@@ -87,7 +74,7 @@ def test_every_client_gets_its_own_answers(ends, arena):
     for data, sender in heard:
         target.sendto(b"re:" + data, sender)
     for name, client in enumerate(clients):
-        assert take(client, 40) == [b"re:" + bytes([name, number]) for number in range(40)]
+        assert receive(client, 40) == [b"re:" + bytes([name, number]) for number in range(40)]
     assert {item["received"] for item in proxy.summary()["clients"]} == {40}
 
 
@@ -99,7 +86,7 @@ def flood(ends, rules, seed, bursts, count=1200):
     arrived = []
 
     def came(so_far):
-        arrived.extend(waiting(target))
+        arrived.extend(arrived_at(target))
         return proxy.to_target[0].received == so_far
 
     for number, datagram in enumerate(numbered(count)):
@@ -109,7 +96,7 @@ def flood(ends, rules, seed, bursts, count=1200):
         if number % 300 == 299 or number == count - 1:  # as many as every system's buffers hold
             until(lambda so_far=number + 1: came(so_far))
     proxy.end()
-    arrived += waiting(target)
+    arrived += arrived_at(target)
     return [int.from_bytes(data[8:12], "big") for data in arrived], proxy
 
 
@@ -136,7 +123,7 @@ def test_several_targets_each_get_everything(ends):
     client = ends.client(proxy)
     for datagram in numbered(100):
         client.send(datagram)
-    assert all(take(station, 100) == numbered(100) for station in stations)
+    assert all(receive(station, 100) == numbered(100) for station in stations)
     (known,) = proxy.clients
     stations[2].sendto(b"answer", known.sockets[2].getsockname())
     assert client.recv(99) == b"answer"
@@ -160,7 +147,7 @@ def test_two_ground_stations_receive_the_same_telemetry_through_one_to(ends):
     with Served(Simulation(profile, "rover", bridges=False)):
         enable = cfe.emit_command(0x1880, 6, HOST.encode().ljust(16, b"\0"))
         ends.port().sendto(enable, (HOST, ports[0]))
-        first, second = (take(item, 60) for item in stations)
+        first, second = (receive(item, 60) for item in stations)
     assert first == second
     assert {packet[:2].hex() for packet in first} >= {"0800", "0803", "0827", "0880"}
     assert proxy.lost == 0
@@ -185,7 +172,7 @@ def test_what_is_held_back_at_the_end_is_told(ends):
     ends.client(proxy).send(b"never")
     until(lambda: proxy.summary()["held"] == 1)
     proxy.end()
-    assert (proxy.summary()["held"], proxy.lost, waiting(target)) == (1, 0, [])
+    assert (proxy.summary()["held"], proxy.lost, arrived_at(target)) == (1, 0, [])
 
 
 def test_limits_of_a_topic_of_every_msg_id_and_of_all():

@@ -6,6 +6,7 @@ from contextlib import closing, suppress
 
 import numpy as np
 import pytest
+from captures import read
 from effort import every
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -38,19 +39,6 @@ def udp_frame(payload):
     total = 28 + len(payload)
     head = struct.pack(">BBHHHBBHII", 0x45, 0, total, 0, 0, 64, 17, 0, 0x7F000001, 0x7F000001)
     return head + struct.pack(">HHHH", 1, 2, 8 + len(payload), 0) + payload
-
-
-def read(path):
-    """All datagrams of a file, and the message of the error at its end."""
-    source = open_file(path)
-    rows = []
-    try:
-        rows.extend(row for batch in source.batches() for row in batch)
-    except CaptureError as error:
-        return rows, str(error)
-    finally:
-        source.close()
-    return rows, ""
 
 
 @pytest.fixture(params=["default", "tiny"])

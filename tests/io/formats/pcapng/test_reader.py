@@ -6,6 +6,7 @@ import subprocess
 from contextlib import closing, suppress
 
 import pytest
+from captures import read
 from effort import every
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -57,16 +58,6 @@ def obsolete(frame, ticks=0, number=0, order="<"):
 
 def simple(frame, order="<", original=None):
     return block(3, struct.pack(f"{order}I", original or len(frame)) + frame, order)
-
-
-def read(path):
-    with closing(open_file(path)) as source:
-        rows = []
-        try:
-            rows.extend(row for batch in source.batches() for row in batch)
-        except CaptureError as error:
-            return rows, str(error)
-    return rows, ""
 
 
 @pytest.fixture(params=["default", "tiny"])
