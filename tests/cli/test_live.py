@@ -174,7 +174,8 @@ def test_killed_it_loses_nothing_that_was_there_before(start, call, recording, t
     assert call("recover", cut).code == 3
     back = recording(tmp_path / "x.recovered.mcap").counts["/edoras/datagrams"]
     assert 0 < before <= back <= len(sent)
-    again = call("info", "--json", tmp_path / "x.recovered.mcap")
+    port = where.rpartition(":")[2]
+    again = call("info", "--json", tmp_path / "x.recovered.mcap", "--port", f"ci:{port}")
     assert (again.code, again.json()["datagrams"]) == (0, back)
 
 

@@ -53,12 +53,12 @@ def identity(program):
     return {name: text.split() for name, _, text in (line.partition(":\t") for line in lines)}
 
 
-@pytest.mark.parametrize("live", [("-i", "lo"), ("--listen", "{port}")])
+@pytest.mark.parametrize("live", [("-i", "lo", "-a"), ("--listen", "{port}")])
 def test_root_is_given_up_and_the_capture_goes_on(program, place, live):
     (port,) = free_ports(1)
     words = [word.replace("{port}", str(port)) for word in live]
     path = place / "x.mcap"
-    words += ["-a", "-n", "1", "--user", "nobody", "-o", path, "--port", f"ci:{port}"]
+    words += ["-n", "1", "--user", "nobody", "-o", path, "--port", f"ci:{port}"]
     with Program(*program, "record", *words) as running:
         while "capturing on" not in running.line(running.err):
             pass
