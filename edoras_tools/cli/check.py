@@ -12,7 +12,7 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import print_json
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
@@ -146,10 +146,7 @@ def _draft(
     if path is None:
         typer.echo(made.text, nl=False)
     else:
-        try:
-            write_bytes(path, made.text.encode(), folders=True)
-        except OSError as error:
-            raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
+        write_bytes(path, made.text.encode(), folders=True)
     for note in made.notes if not printing.quiet else ():
         tell(note)
 

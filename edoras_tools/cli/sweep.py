@@ -11,7 +11,7 @@ from edoras_tools.cli import options, sending
 from edoras_tools.cli.listening import tell_reach
 from edoras_tools.cli.output import print_json
 from edoras_tools.cli.sim import Scenario
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import ConfigError
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -239,7 +239,4 @@ def _draw(summary: dict[str, Any], charts: ChartOptions) -> None:
         chart.png(drawn, image, subtitle)
         images.append((charts.png, image.getvalue()))
     for path, content in images:
-        try:
-            write_bytes(path, content)
-        except OSError as error:
-            raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from None
+        write_bytes(path, content)

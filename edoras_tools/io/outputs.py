@@ -15,7 +15,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.errors import ConfigError
+from edoras_tools.errors import CaptureError, ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -67,13 +67,16 @@ def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
         folders: create missing folders on its path.
 
     Raises:
-        OSError: as for ``opener``, or it cannot be written.
+        CaptureError: it cannot be written, or another user's link would be followed.
     """
-    if folders:
-        check_links(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "wb", opener=opener) as file:
-        file.write(data)
+    try:
+        if folders:
+            check_links(path)
+            path.parent.mkdir(parents=True, exist_ok=True)
+        with open(path, "wb", opener=opener) as file:
+            file.write(data)
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def in_the_way(path: Path, *, split: bool = False) -> Path | None:

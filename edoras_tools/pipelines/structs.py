@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.errors import ConfigError
+from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.outputs import write_bytes
 from edoras_tools.structs import cfe
 from edoras_tools.structs.bindings import Bindings
@@ -189,8 +189,8 @@ def write_definitions(taken: Taken, folder: Path, *, force: bool = False) -> lis
     for path in others:
         try:
             write_bytes(path, contents[path].encode(), folders=True)
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be written ({error.strerror}); name another folder") from error
+        except CaptureError as error:
+            raise ConfigError(f"{error}; name another folder") from error
     return sorted(contents)
 
 

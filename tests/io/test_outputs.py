@@ -54,6 +54,11 @@ def test_a_link_of_somebody_else_is_refused(for_all, tmp_path, make):
     assert (tmp_path / "precious").read_bytes() == b"precious"
 
 
+def test_a_file_that_cannot_be_written(tmp_path):
+    with pytest.raises(CaptureError, match=r"no/x: cannot be written: No such file"):
+        write_bytes(tmp_path / "no/x", b"")
+
+
 @AS_ROOT
 def test_a_folder_that_is_such_a_link_is_refused(for_all, tmp_path):
     place = link(for_all / "folder", tmp_path, NOBODY)
@@ -87,7 +92,7 @@ def test_a_link_that_appears_at_the_last_moment_is_not_followed(for_all, tmp_pat
 @AS_ROOT
 def test_folders_are_not_made_through_such_a_link(for_all, tmp_path):
     place = link(for_all / "folder", tmp_path, NOBODY)
-    with pytest.raises(OSError, match="is another user's link"):
+    with pytest.raises(CaptureError, match="is another user's link"):
         write_bytes(place / "deep/x.c", b"", folders=True)
     assert not (tmp_path / "deep").exists()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from edoras_tools.errors import CaptureError
 from edoras_tools.io.outputs import write_bytes
 from edoras_tools.mission.report import printable
 
@@ -54,7 +53,4 @@ def write_junit(report: CheckReport, path: Path) -> None:
     Raises:
         CaptureError: the file cannot be written.
     """
-    try:
-        write_bytes(path, junit(report), folders=True)
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
+    write_bytes(path, junit(report), folders=True)

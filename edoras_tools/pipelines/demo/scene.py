@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs.profile import Ports, SimProfile
 from edoras_tools.emulator import MISSIONS
-from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.sockets import local_endpoint, open_bound
 from edoras_tools.io.outputs import write_bytes
 from edoras_tools.mission import GroundLink
@@ -106,10 +105,7 @@ def write_missions(scenario: Scenario, folder: Path, ports: Ports, max_rate: flo
             )
             text = text.replace("  ros__parameters:\n", f"  ros__parameters:\n{group}\n")
         path = folder / f"{name}.yaml"
-        try:
-            write_bytes(path, text.encode())
-        except OSError as error:
-            raise CaptureError(f"{path}: {error.strerror or error}") from None
+        write_bytes(path, text.encode())
         paths.append(path)
     return paths
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.errors import CaptureError
 from edoras_tools.io.outputs import write_bytes
 from edoras_tools.render.doctor.report import page
 
@@ -22,8 +21,5 @@ def write_report(diagnosis: Diagnosis, name: str, path: Path, made: Made) -> int
         CaptureError: the file cannot be written.
     """
     data = page(diagnosis, name, made).encode("utf-8", "replace")
-    try:
-        write_bytes(path, data)
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
+    write_bytes(path, data)
     return len(data)

@@ -163,8 +163,5 @@ def _ask(path: str, *arguments: str) -> str:
 
 
 def _write(path: Path, text: str) -> Path:
-    try:
-        write_bytes(path, text.encode(), folders=True)
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
+    write_bytes(path, text.encode(), folders=True)
     return path
