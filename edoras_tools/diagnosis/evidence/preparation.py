@@ -4,7 +4,8 @@
    disorder: the times in cFS's packets still increase.
 2. Conversations of other programs are left out. Datagrams of strangers that reached a cFS stay, as datagrams
    without a packet.
-3. A datagram that was captured twice is counted once, also if that was in front of a proxy and behind it.
+3. A datagram that was captured twice is counted once, also if that was in front of a proxy and behind it, or
+   on both sides of an address translation.
 4. If frames are cut, a missing packet time is taken from the same packet on another link.
 """
 
@@ -20,6 +21,7 @@ from edoras_tools.diagnosis.evidence.copies import find_copies
 from edoras_tools.diagnosis.evidence.cut_times import with_cut_times
 from edoras_tools.diagnosis.evidence.relayed import before_proxy
 from edoras_tools.diagnosis.evidence.table import SCATTERED, followed
+from edoras_tools.diagnosis.evidence.translated import one_name
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.units import SECOND
@@ -53,6 +55,7 @@ class Prepared:
         relayed: datagrams that were captured in front of a proxy, and are counted behind it.
         duplicates: i64, rows that the network doubled.
         disordered: records that stood behind a later one.
+        translated: address to the address that it is another name of.
     """
 
     rows: Rows
@@ -63,6 +66,7 @@ class Prepared:
     relayed: int
     duplicates: NDArray[np.intp]
     disordered: int
+    translated: Mapping[str, str]
 
 
 def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared:
@@ -81,6 +85,9 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
     foreign = kind == _PLACE[ConversationKind.FOREIGN]
     kept = np.flatnonzero(~foreign)
     told = rows.take(kept) if len(kept) < count else rows
+    names = one_name(told, recorder.endpoints)
+    if (names != np.arange(len(names))).any():
+        told = followed(replace(told, source=names[told.source], destination=names[told.destination]))
     pair = told.source.astype(np.int64) << 32 | told.destination
     relayed = before_proxy(told, proxied)
     if relayed.any():
@@ -105,6 +112,11 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
         relayed=int(relayed.sum()),
         duplicates=np.flatnonzero(duplicate),
         disordered=disordered,
+        translated={
+            recorder.endpoints[index].address: recorder.endpoints[name].address
+            for index, name in enumerate(names.tolist())
+            if index != name
+        },
     )
 
 

@@ -49,6 +49,7 @@ class Rows:
         identification: u16, of the IPv4 packet; 0 for IPv6.
         tap: u64, fingerprint of what the frame holds in front of the IP header, and of the time to live:
             differs where one packet was captured at two places.
+        life: u8, time to live, or hop limit.
         bytes_print: u64, fingerprint of the whole datagram.
         counted: bool, the packet has a sequence count, and its sender counts.
         missing: i32, counts that never came right before the packet; this and the next three are as in
@@ -83,6 +84,7 @@ class Rows:
     findings: NDArray[np.uint32]
     identification: NDArray[np.uint16]
     tap: NDArray[np.uint64]
+    life: NDArray[np.uint8]
     bytes_print: NDArray[np.uint64]
     counted: NDArray[np.bool_]
     missing: NDArray[np.int32]
@@ -192,6 +194,7 @@ class Recorder:
                 findings=columns.findings,
                 identification=identification,
                 tap=tap + life,
+                life=life,
                 bytes_print=of_bytes(batch.data, batch.offset, batch.length),
                 counted=told.stream >= 0,
                 missing=told.missing,
@@ -351,7 +354,7 @@ def _counting(rows: Rows, told: SequenceRows) -> Rows:
 def _none() -> Rows:
     kinds = {"link": "u1", "header_length": "u1", "sequence_count": "u2", "findings": "u4", "counted": "?"}
     kinds |= dict.fromkeys(("processor_id", "spacecraft_id"), "u4")
-    kinds |= {"identification": "u2"}
+    kinds |= {"identification": "u2", "life": "u1"}
     prints = ("tap", "bytes_print", "packet_print", "value_print", "stamped_print")
     kinds |= dict.fromkeys(prints, "u8")
     return Rows(**{item.name: np.zeros(0, kinds.get(item.name, "i8")) for item in fields(Rows)})

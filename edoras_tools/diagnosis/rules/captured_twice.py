@@ -25,6 +25,14 @@ def judge(case: Case) -> Iterator[Verdict]:
             hop="capture",
             start_ns=case.start_ns,
             end_ns=case.end_ns,
-            evidence=("the same bytes with the same IP identification, or at another place, within ms",),
+            evidence=(
+                "the same bytes with the same IP identification, or at another place, within ms",
+                *(
+                    f"{other} is another name of {name}: the same datagrams are there within ms, "
+                    "and were only forwarded"
+                    for other, name in case.prepared.translated.items()
+                    if other != name
+                ),
+            ),
             remedy="capture on one interface instead of any, or at one place",
         )
