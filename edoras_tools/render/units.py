@@ -34,13 +34,7 @@ def rate(hertz: float | None) -> str:
         return NONE
     if abs(hertz) >= 9999.5:
         return f"{hertz / 1e3:,.1f} kHz"
-    return (
-        f"{hertz:,.0f} Hz"
-        if abs(hertz) >= 99.95
-        else f"{hertz:.1f} Hz"
-        if abs(hertz) >= 1
-        else f"{hertz:.2f} Hz"
-    )
+    return f"{_shortened(hertz, 1)} Hz"
 
 
 def milliseconds(value: float | None) -> str:
@@ -49,13 +43,7 @@ def milliseconds(value: float | None) -> str:
         return NONE
     if abs(value) >= 999.5:
         return f"{value / 1e3:,.1f} s"
-    return (
-        f"{value:.0f} ms"
-        if abs(value) >= 99.95
-        else f"{value:.1f} ms"
-        if abs(value) >= 9.995
-        else f"{value:.2f} ms"
-    )
+    return f"{_shortened(value, 9.995)} ms"
 
 
 def microseconds(value: float | None) -> str:
@@ -94,3 +82,9 @@ def utc(time_ns: int, *, digits: int = 6) -> str:
         return f"{time_ns / 1e9:.{digits}f} s"
     text = f"{moment:%Y-%m-%d %H:%M:%S.%f}"
     return text[: len(text) - 6 + digits] if digits else text[:-7]
+
+
+def _shortened(value: float, one_from: float) -> str:
+    """Return a number with no decimals from 100 on, one from ``one_from`` on, else two."""
+    decimals = 0 if abs(value) >= 99.95 else 1 if abs(value) >= one_from else 2
+    return f"{value:,.{decimals}f}"

@@ -12,7 +12,7 @@ from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveTable, Moment, title_line
 from edoras_tools.render.terminal.run import size_of
-from edoras_tools.render.terminal.table import Column, build, figure, one_line, plain
+from edoras_tools.render.terminal.table import Column, build, count_cell, figure, one_line, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -143,8 +143,7 @@ def _state(item: Mapping[str, Any], *, live: bool) -> tuple[str, str]:
 
 
 def _refused(row: Mapping[str, Any]) -> Text:
-    value = sum(row["refused"].values())
-    return Text(units.count(value), Level.ERROR.style if value else palette.DIM)
+    return count_cell(sum(row["refused"].values()), Level.ERROR.style)
 
 
 def _latency(name: str) -> Any:

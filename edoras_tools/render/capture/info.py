@@ -12,7 +12,7 @@ from edoras_tools.links import table
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level, explain
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.table import Column, build, plain
+from edoras_tools.render.terminal.table import Column, build, count_cell, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -118,10 +118,6 @@ def departures(found: Mapping[str, int]) -> Text:
     return out
 
 
-def _lost(value: int | None) -> Text:
-    return Text(units.count(value), Level.WARNING.style if value else palette.DIM)
-
-
 def _sizes(route: Mapping[str, Any]) -> Text:
     least, most = route.get("bytes_min"), route.get("bytes_max")
     return Text(units.count(most) if least in {None, most} else f"{units.count(least)}-{units.count(most)}")
@@ -142,8 +138,8 @@ _COLUMNS: Final = (
     Column("Count", lambda row: Text(units.count(row.get("count")), palette.STRONG)),
     Column("Rate", lambda row: Text(units.rate(_several(row, "rate_hz")))),
     Column("Jitter", lambda row: Text(units.milliseconds(_several(row, "jitter_ms"))), rank=2),
-    Column("Gaps", lambda row: _lost(row.get("gaps")), rank=1),
-    Column("Dup", lambda row: _lost(row.get("duplicates")), rank=5),
+    Column("Gaps", lambda row: count_cell(row.get("gaps"), Level.WARNING.style), rank=1),
+    Column("Dup", lambda row: count_cell(row.get("duplicates"), Level.WARNING.style), rank=5),
     Column("Bytes", _sizes, rank=4),
     Column("Findings", lambda row: departures(row.get("findings") or {}), rank=1, justify="left"),
 )

@@ -12,7 +12,7 @@ from edoras_tools.render.capture.info import departures, link_text, msg_id_text,
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveTable, title_line
-from edoras_tools.render.terminal.table import Column, build, one_line, plain
+from edoras_tools.render.terminal.table import Column, build, count_cell, one_line, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -80,9 +80,7 @@ _COLUMNS: Final = (
     Column("CPU", lambda row: plain(row.get("processor_id") or ""), rank=2),
     Column("Count", lambda row: Text(units.count(row.get("count")), palette.STRONG)),
     Column("Mean", lambda row: Text(units.rate(row.get("rate_hz") or None), palette.DIM), rank=3),
-    Column(
-        "Gaps", lambda row: Text(units.count(row.get("gaps")), "" if row.get("gaps") else palette.DIM), rank=2
-    ),
+    Column("Gaps", lambda row: count_cell(row.get("gaps")), rank=2),
     Column("Largest", lambda row: Text(units.count(row.get("bytes_max"))), rank=4),
     Column("Findings", lambda row: departures(row.get("findings") or {}), rank=1, justify="left"),
 )

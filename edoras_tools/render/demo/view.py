@@ -14,7 +14,7 @@ from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveTable, Moment
 from edoras_tools.render.terminal.run import size_of
-from edoras_tools.render.terminal.table import Column, build, figure, one_line, plain
+from edoras_tools.render.terminal.table import Column, build, count_cell, figure, one_line, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -225,8 +225,7 @@ def _way(row: Mapping[str, Any]) -> Text:
 
 
 def _lost(row: Mapping[str, Any]) -> Text:
-    value = sum(row["lost"].values()) + row["refused"]
-    return Text(units.count(value), Level.ERROR.style if value else palette.DIM)
+    return count_cell(sum(row["lost"].values()) + row["refused"], Level.ERROR.style)
 
 
 def _arrived(row: Mapping[str, Any]) -> Text:

@@ -16,7 +16,7 @@ from edoras_tools.render.capture.info import link_text, msg_id_text, route_text
 from edoras_tools.render.doctor import balance
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.table import Column, build, plain
+from edoras_tools.render.terminal.table import Column, build, figure, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -193,10 +193,6 @@ def _latency(row: Mapping[str, Any]) -> Mapping[str, Any] | None:
     return latency
 
 
-def _lost(row: Mapping[str, Any]) -> Text:
-    return Text(units.count(row["lost"]), Level.ERROR.style if row["lost"] else palette.DIM)
-
-
 def _from(row: Mapping[str, Any]) -> Text:
     return plain(", ".join(f"{item['from_link'].upper()} {item['from']}" for item in row["crossings"]))
 
@@ -219,7 +215,7 @@ _COLUMNS: Final = (
     Column("MsgId", msg_id_text, justify="left"),
     Column("Topic", route_text, justify="left", elastic=True),
     Column("Sent", lambda row: Text(units.count(row["sent"]))),
-    Column("Lost", _lost),
+    Column("Lost", figure("lost", Level.ERROR.style)),
     Column("Rate", lambda row: Text(units.rate(row["rate_hz"] or None)), rank=1),
     Column("Clean to", lambda row: Text(clean_to(row), palette.DIM), rank=1),
     Column("p50", lambda row: _ms(_latency(row), "p50_ms"), rank=2),
@@ -383,7 +379,7 @@ _DIFF: Final = (
     Column("First", lambda row: Text(units.count(row["first"]))),
     Column("Second", lambda row: Text(units.count(row["second"]))),
     Column("Same", lambda row: Text(units.count(row["same"]))),
-    Column("Lost", _lost),
+    Column("Lost", figure("lost", Level.ERROR.style)),
     Column("Extra", lambda row: Text(units.count(row["extra"])), rank=1),
     Column("Doubled", lambda row: Text(units.count(row["doubled"])), rank=1),
     Column("Altered", lambda row: Text(units.count(row["altered"])), rank=1),

@@ -12,7 +12,7 @@ from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveTable, Moment, title_line
 from edoras_tools.render.terminal.run import size_of
-from edoras_tools.render.terminal.table import Column, build, figure, plain
+from edoras_tools.render.terminal.table import Column, build, count_cell, figure, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -122,8 +122,7 @@ def _latency(name: str) -> Any:
 
 
 def _lost(row: Mapping[str, Any]) -> Text:
-    value = row["kernel_drops"] + row["overflowed"]
-    return Text(units.count(value), Level.ERROR.style if value else palette.DIM)
+    return count_cell(row["kernel_drops"] + row["overflowed"], Level.ERROR.style)
 
 
 _WAYS: Final = (

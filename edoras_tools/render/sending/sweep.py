@@ -14,7 +14,7 @@ from edoras_tools.render import units
 from edoras_tools.render.chart import Chart, terminal
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.table import Column, build, plain
+from edoras_tools.render.terminal.table import Column, build, figure, plain
 from edoras_tools.render.terminal.terminal import look
 
 if TYPE_CHECKING:
@@ -110,9 +110,6 @@ def _way(summary: Mapping[str, Any]) -> str:
 
 
 def _steps(steps: list[Mapping[str, Any]], width: int) -> Table:
-    def lost(step: Mapping[str, Any]) -> Text:
-        return Text(units.count(step["lost"]), Level.ERROR.style if step["lost"] else palette.DIM)
-
     def share(step: Mapping[str, Any]) -> Text:
         text = f"{100 * step['lost'] / step['sent']:.1f} %" if step["lost"] else ""
         return Text(text, Level.ERROR.style)
@@ -122,7 +119,7 @@ def _steps(steps: list[Mapping[str, Any]], width: int) -> Table:
         Column("Size", lambda step: Text(f"{step['size']:,} B")),
         Column("Sent", lambda step: Text(units.count(step["sent"]))),
         Column("Delivered", lambda step: Text(units.count(step["delivered"]))),
-        Column("Lost", lost),
+        Column("Lost", figure("lost", Level.ERROR.style)),
         Column("Share", share, rank=1),
         Column("At", lambda step: plain(step["hop"] or ""), justify="left", elastic=True),
     )

@@ -98,12 +98,13 @@ def one_line(text: Text) -> Text:
 
 
 def figure(name: str, style: str = "") -> Callable[[Mapping[str, Any]], Text]:
-    """Return the cell of a column that counts: ``1,827``; 0 is dim, anything else in ``style``."""
+    """Return the cells of a column that counts; see ``count_cell``."""
+    return lambda row: count_cell(row[name], style)
 
-    def cell(row: Mapping[str, Any]) -> Text:
-        return Text(units.count(row[name]), style if row[name] else palette.DIM)
 
-    return cell
+def count_cell(value: int | None, style: str = "") -> Text:
+    """Return ``1,827``; 0 is dim, anything else in ``style``."""
+    return Text(units.count(value), style if value else palette.DIM)
 
 
 def _shorten(text: Text, room: int) -> Text:

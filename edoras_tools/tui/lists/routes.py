@@ -12,7 +12,7 @@ from edoras_tools.render import units
 from edoras_tools.render.capture.info import departures, link_text, msg_id_text, route_text
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import Rates
-from edoras_tools.render.terminal.table import Column, build, plain
+from edoras_tools.render.terminal.table import Column, build, figure, plain
 from edoras_tools.tui.lists.lines import Lines
 
 if TYPE_CHECKING:
@@ -29,10 +29,6 @@ def _rate(row: Mapping[str, Any], key: str) -> Text:
     return Text(units.rate(value or None), "" if value else palette.DIM)
 
 
-def _lost(value: int) -> Text:
-    return Text(units.count(value), "yellow" if value else palette.DIM)
-
-
 _COLUMNS: Final = (
     Column("Link", link_text, justify="left"),
     Column("MsgId", msg_id_text, justify="left"),
@@ -43,7 +39,7 @@ _COLUMNS: Final = (
     Column("Now", lambda row: _rate(row, _RATE)),
     Column("Mean", lambda row: _rate(row, "rate_hz"), rank=1),
     Column("Jitter", lambda row: Text(units.milliseconds(row["jitter_ms"] or None)), rank=4),
-    Column("Gaps", lambda row: _lost(row["gaps"]), rank=2),
+    Column("Gaps", figure("gaps", "yellow"), rank=2),
     Column("Bytes", lambda row: Text(units.size(row["bytes"])), rank=5),
     Column("Findings", lambda row: departures(row["findings"]), rank=1, justify="left"),
 )
