@@ -32,6 +32,24 @@ class TargetOptions(NamedTuple):
             metavar="TIME", parser=options.duration, help="Start a new file after this time, e.g. 10m."
         ),
     ] = None
+    split_count: Annotated[
+        int | None,
+        typer.Option(metavar="N", parser=options.counted, help="Start a new file after N datagrams."),
+    ] = None
+    keep: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", parser=options.counted, help="Of a split recording, keep only the newest N files."
+        ),
+    ] = None
+    keep_size: Annotated[
+        int | None,
+        typer.Option(
+            metavar="SIZE",
+            parser=options.size,
+            help="Delete the oldest files while all are larger, e.g. 20G.",
+        ),
+    ] = None
     sync: Annotated[
         int | None,
         typer.Option(
@@ -70,6 +88,9 @@ def record(
         rosbag2=files.rosbag2,
         split_bytes=files.split_size or 0,
         split_ns=files.split_time or 0,
+        split_count=files.split_count or 0,
+        keep_files=files.keep or 0,
+        keep_bytes=files.keep_size or 0,
         sync_ns=files.sync or 0,
         replace=files.force,
         told=tell,
@@ -87,9 +108,15 @@ def record(
             by_route=printing.json or not printing.quiet,
         )
     if printing.json:
-        print_json({**report.summary(), "outputs": [str(item) for item in report.outputs]})
+        print_json(
+            {
+                **report.summary(),
+                "outputs": [str(item) for item in report.outputs],
+                "deleted": {"files": report.keep.deleted, "datagrams": report.keep.datagrams},
+            }
+        )
     elif not printing.quiet and report.outputs:
         from edoras_tools.render.capture.watch import recorded
 
-        sys.stderr.write(recorded(report.summary(), report.outputs) + "\n")
+        sys.stderr.write(recorded(report.summary(), report.outputs, report.keep) + "\n")
     finish(report, live=live)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, ClassVar
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.outputs import OutputFile
@@ -19,10 +19,15 @@ class CaptureFileSink:
     """Writes the frames of batches to a file; the formats implement ``_lay_out`` and ``_finish``.
 
     Attributes:
+        head: bytes before the first frame.
+        overhead: most bytes that a frame takes besides its own.
         name: of the file.
         datagrams: number written.
         output: the file, if it was opened here.
     """
+
+    head: ClassVar[int]
+    overhead: ClassVar[int]
 
     def __init__(self, path_or_file: str | Path | BinaryIO) -> None:
         """Open the file.
@@ -71,6 +76,9 @@ class CaptureFileSink:
     def complete(self) -> list[tuple[OutputFile, int]]:
         """The file once it is complete, and the number of datagrams in it."""
         return [(self.output, self.datagrams)] if self.output and self._closed else []
+
+    def forget(self, output: OutputFile) -> None:
+        """Do nothing: the only file is complete at the end."""
 
     def abandon(self) -> None:
         """Close the file in its present state; nothing more is written."""

@@ -17,6 +17,7 @@ class RecordingOptions:
         filter: the filter that selected the datagrams, for the metadata record.
         split_bytes: start a new file before one grows larger than about this; 0: never.
         split_ns: start a new file when one covers this much capture time; 0: never.
+        split_count: start a new file after so many datagrams; 0: never.
         datagrams: whether to write ``/edoras/datagrams``.
         structs: C structs in packets; None: only cFE's own.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
@@ -25,6 +26,12 @@ class RecordingOptions:
     filter: str = ""
     split_bytes: int = 0
     split_ns: int = 0
+    split_count: int = 0
     datagrams: bool = True
     structs: Structs | None = None
     offered: str = ""
+
+    @property
+    def splits(self) -> bool:
+        """Whether the recording is written in parts."""
+        return bool(self.split_bytes or self.split_ns or self.split_count)

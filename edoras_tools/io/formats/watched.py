@@ -86,8 +86,28 @@ class FileSink(Sink, Protocol):
         """The complete files, with the number of datagrams in each."""
         ...
 
+    def forget(self, output: OutputFile) -> None:
+        """Leave a complete file out of ``paths`` and ``complete``: it was deleted."""
+
     def abandon(self) -> None:
         """Close the file in its present state; nothing more is written."""
+
+
+@dataclass(slots=True)
+class Keep:
+    """How much of a recording in parts is kept, and what was deleted.
+
+    Attributes:
+        files: most files, with the one being written; 0: all.
+        size: about the most bytes of all files; 0: no limit. The file being written is never deleted.
+        deleted: how many files were deleted, the oldest first.
+        datagrams: how many datagrams were in them.
+    """
+
+    files: int = 0
+    size: int = 0
+    deleted: int = 0
+    datagrams: int = 0
 
 
 class WatchedSink:
@@ -100,9 +120,11 @@ class WatchedSink:
         statistics: of the source, for files that are completed before the end.
         clock: monotonic time in s.
         sync_s: interval at which everything is synced to the disk; 0: never.
+        keep: how much is kept; by default all.
 
     Attributes:
         losses: the files that were lost.
+        keep: as given, with what was deleted.
 
     Raises:
         CaptureError: from every method: the output cannot be written.
@@ -117,8 +139,10 @@ class WatchedSink:
         *,
         clock: Callable[[], float] = time.monotonic,
         sync_s: float = 0,
+        keep: Keep | None = None,
     ) -> None:
         self.losses: list[OutputLoss] = []
+        self.keep = keep or Keep()
         self._path, self._begin, self._told = path, begin, told
         self._statistics = statistics
         self._clock = clock
@@ -142,6 +166,7 @@ class WatchedSink:
         """Write a batch and its columns."""
         self._look()
         self._open().write(batch, columns)
+        self._delete_oldest()
         self._sync()
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
@@ -184,6 +209,29 @@ class WatchedSink:
         if self._sink is None:
             raise CaptureError(f"{self._path}: the recording is closed")
         return self._sink
+
+    def _delete_oldest(self) -> None:
+        """Delete complete files until what is left is as much as is to be kept."""
+        keep, sink = self.keep, self._open()
+        if not (keep.files or keep.size):
+            return
+        there = [*self._complete, *sink.complete]
+        size = sum(output.size for output, _ in there) + (sink.output.size if sink.output else 0)
+        for output, count in there:
+            if not ((keep.files and len(there) >= keep.files) or (keep.size and size > keep.size)):
+                return
+            there, size = there[1:], size - output.size
+            sink.forget(output)
+            self._complete = [item for item in self._complete if item[0] is not output]
+            self._over = [path for path in self._over if path != output.path]
+            if output.fate():
+                continue  # somebody moved it, and it is theirs
+            try:
+                output.path.unlink()
+            except OSError as error:
+                raise CaptureError(f"{output.path}: cannot be deleted: {error.strerror or error}") from error
+            keep.deleted += 1
+            keep.datagrams += count
 
     def _sync(self) -> None:
         now = self._clock()

@@ -11,8 +11,9 @@ from edoras_tools.io.capture.device import DeviceSource
 from edoras_tools.io.formats.mcap.process import Apart
 from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.io.formats.records import RecordSource
+from edoras_tools.io.formats.split import SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, ROSBAG2, Format, written_as
-from edoras_tools.io.formats.watched import WatchedSink
+from edoras_tools.io.formats.watched import Keep, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.errors import EdorasError
     from edoras_tools.io import Sink, Source
+    from edoras_tools.io.formats.capture_file import CaptureFileSink
     from edoras_tools.io.formats.watched import FileSink, OutputLoss
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.reading import ReadLoop
@@ -44,6 +46,9 @@ class Target:
         rosbag2: write a rosbag2 directory.
         split_bytes: start a new file at this size; 0: never.
         split_ns: start a new file after this time; 0: never.
+        split_count: start a new file after so many datagrams; 0: never.
+        keep_files: delete the oldest files of a split recording beyond so many; 0: keep all.
+        keep_bytes: delete the oldest files where all are larger than this; 0: keep all.
         replace: overwrite an existing output.
         sync_ns: flush to the disk at this interval, to survive a power cut; 0: never.
         told: called with a line if the file is removed while it is written.
@@ -53,6 +58,9 @@ class Target:
     rosbag2: bool = False
     split_bytes: int = 0
     split_ns: int = 0
+    split_count: int = 0
+    keep_files: int = 0
+    keep_bytes: int = 0
     sync_ns: int = 0
     replace: bool = False
     told: Callable[[str], None] = field(default=lambda _: None, compare=False, repr=False)
@@ -76,6 +84,7 @@ class CaptureReport:
         notes: what was recognised from the bytes, one line each.
         unnamed: see ``Context``.
         losses: outputs that were removed while they were written.
+        keep: how many of the oldest files were deleted because no more were to be kept.
     """
 
     ledger: Ledger
@@ -86,6 +95,7 @@ class CaptureReport:
     notes: list[str] = field(default_factory=list)
     unnamed: int = 0
     losses: list[OutputLoss] = field(default_factory=list)
+    keep: Keep = field(default_factory=Keep)
 
     @property
     def lost(self) -> int:
@@ -124,13 +134,14 @@ def check_output(target: Target, inputs: Sequence[Path]) -> None:
     """
     if target.format is None:
         raise ConfigError(f"{target.path}: unknown suffix; use {', '.join(FILE_SUFFIXES)}, or --rosbag2")
-    if (target.split_bytes or target.split_ns) and not target.format.messages:
-        raise ConfigError(
-            f"{target.path}: only MCAP recordings can be split; name it .mcap, or leave --split-* out"
-        )
+    split = bool(target.split_bytes or target.split_ns or target.split_count)
+    if (target.keep_files or target.keep_bytes) and not split:
+        raise ConfigError("--keep and --keep-size delete the oldest files: split too, e.g. --split-time 10m")
+    if 0 < target.keep_bytes < target.split_bytes:
+        raise ConfigError("--keep-size is smaller than --split-size: no complete file would be kept")
     refuse_input(target.path, inputs)
     if not target.replace and not target.rosbag2:
-        refuse_existing(in_the_way(target.path, split=bool(target.split_bytes or target.split_ns)))
+        refuse_existing(in_the_way(target.path, split=split))
 
 
 def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str = "") -> WatchedSink | Apart:
@@ -149,22 +160,29 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
     format_ = target.format or PCAP
     make = format_.sink()
     options = RecordingOptions(
-        chosen, target.split_bytes, target.split_ns, structs=bench.columns.context.structs
+        chosen,
+        target.split_bytes,
+        target.split_ns,
+        target.split_count,
+        structs=bench.columns.context.structs,
     )
+
+    def part(path: Path) -> CaptureFileSink:
+        frames: CaptureFileSink = make(
+            path, nanosecond=info.time_resolution_ns < 1000, snap_length=info.snap_length
+        )
+        return frames
 
     def begin(path: Path) -> FileSink:
         if not format_.messages:
-            frames: FileSink = make(
-                path, nanosecond=info.time_resolution_ns < 1000, snap_length=info.snap_length
-            )
-            return frames
+            return SplitCaptureSink(path, options, part) if options.splits else part(path)
         messages: FileSink = make(
             path, bench.mission, bench.types, info, options, statistics=source.statistics
         )
         return messages
 
-    sync_s = target.sync_ns / 1e9
-    sink = WatchedSink(target.path, begin, target.told, source.statistics, sync_s=sync_s)
+    sync_s, keep = target.sync_ns / 1e9, Keep(target.keep_files, target.keep_bytes)
+    sink = WatchedSink(target.path, begin, target.told, source.statistics, sync_s=sync_s, keep=keep)
     return _apart(sink, source, target.path) if format_ is MCAP else sink
 
 
@@ -213,7 +231,7 @@ def record(
     with reading(source, bench, selection, limits, keeps_failure=True) as loop:
         sink = open_sink(target, source, bench, chosen=str(loop.selection))
         report = pour(loop, sink, watcher=watcher, tap=tap, by_route=by_route)
-    report.outputs, report.losses = list(sink.paths), sink.losses
+    report.outputs, report.losses, report.keep = list(sink.paths), sink.losses, sink.keep or Keep()
     return report
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from pathlib import Path
 
+    from edoras_tools.io.formats.watched import Keep
     from edoras_tools.render.terminal.run import CountedSource, ReadingRun, Watcher
 
 
@@ -46,12 +47,13 @@ def watcher(
     return live_table(title, error_console(), output)
 
 
-def recorded(summary: Mapping[str, Any], outputs: Sequence[Path]) -> str:
+def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | None = None) -> str:
     """Return the line that says what a recording holds.
 
     Args:
         summary: in the shape of ``info --json``.
         outputs: the files or the directory written, at least one.
+        keep: what was deleted of it again.
     """
     topics = [row for row in summary.get("routes", ()) if row.get("topic")]
     messages = sum(row.get("count", 0) for row in topics)
@@ -62,5 +64,9 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path]) -> str:
     written = sum(map(size_of, outputs))
     if written:
         words.append(units.size(written))
+    if keep and keep.deleted:
+        words.append(
+            f"{plural(keep.deleted, 'older file')} with {plural(keep.datagrams, 'datagram')} deleted"
+        )
     name = str(outputs[0]) if len(outputs) == 1 else f"{outputs[0]} to {outputs[-1].name}"
     return f"{clean(name)}: {', '.join(words)}"

@@ -31,7 +31,7 @@ class Sink:
 
     def __init__(self, fail_at=None):
         self.done = []
-        self.paths, self.losses = [Path("out.mcap")], []
+        self.paths, self.losses, self.keep = [Path("out.mcap")], [], None
         self._fail_at = fail_at
 
     def write(self, batch, columns):
@@ -253,7 +253,12 @@ TARGETS = [
     (Target("x", rosbag2=True, split_ns=5), None),
     (Target("x.pcap"), None),
     (Target("x.pcapng"), None),
-    (Target("x.pcap", split_ns=5), "only MCAP recordings can be split"),
+    (Target("x.pcap", split_ns=5), None),
+    (Target("x.pcap", split_count=5, keep_files=2), None),
+    (Target("x.mcap", split_bytes=5, keep_bytes=50), None),
+    (Target("x.mcap", keep_files=2), "--keep and --keep-size delete the oldest files: split too"),
+    (Target("x.mcap", keep_bytes=2), "--keep and --keep-size delete the oldest files: split too"),
+    (Target("x.mcap", split_bytes=5, keep_bytes=4), "--keep-size is smaller than --split-size"),
     (Target("x.txt"), "unknown suffix"),
     (Target("x.mcap.gz"), "unknown suffix"),
     (Target("x"), "unknown suffix"),
@@ -262,7 +267,7 @@ TARGETS = [
 
 @pytest.mark.parametrize(("target", "words"), TARGETS, ids=str)
 def test_targets(target, words, tmp_path):
-    target = Target(tmp_path / target.path, target.rosbag2, target.split_bytes, target.split_ns)
+    target = replace(target, path=tmp_path / target.path)
     if words is None:
         check_output(target, [])
         return
@@ -287,8 +292,11 @@ def test_batches_of_one_make_the_same_recording(bench, batches, made_up, tmp_pat
     assert bench.mission == Mission()
 
 
+KEPT = {"split_count": 200, "keep_files": 3}
+
+
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
-@pytest.mark.parametrize("limits", [{}, {"split_bytes": 60_000}, {"split_ns": 20_000_000_000}])
+@pytest.mark.parametrize("limits", [{}, {"split_bytes": 60_000}, {"split_ns": 20_000_000_000}, KEPT])
 def test_a_process_of_its_own_for_what_writes_makes_the_same_recording(
     bench, captures, tmp_path, monkeypatch, limits
 ):
@@ -304,6 +312,9 @@ def test_a_process_of_its_own_for_what_writes_makes_the_same_recording(
         assert report.ledger.datagrams == 1500
         assert len(report.outputs) == 1 or limits
         contents.append({path.name: path.read_bytes() for path in report.outputs})
+        assert {path.name for path in tmp_path.iterdir()} == contents[-1].keys()
+        deleted = (5, 1000) if limits is KEPT else (0, 0)
+        assert (report.keep.deleted, report.keep.datagrams) == deleted
         for path in report.outputs:
             path.unlink()
     assert contents[0] == contents[1]

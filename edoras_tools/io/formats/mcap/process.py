@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.formats.watched import OutputLoss
+    from edoras_tools.io.formats.watched import Keep, OutputLoss
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
 
 _SLOTS: Final = 2
@@ -74,6 +74,7 @@ class Apart:
     Attributes:
         paths: the files written; set by ``close``.
         losses: files that were removed; set by ``close``.
+        keep: what was deleted, see ``WatchedSink``; set by ``close``.
 
     Raises:
         CaptureError: from ``write``, ``flush`` and ``close``: the process has ended. Exceptions of the sink
@@ -87,6 +88,7 @@ class Apart:
             raise OSError("on other systems, libraries do not support fork")
         self.paths: list[Path] = []
         self.losses: list[OutputLoss] = []
+        self.keep: Keep | None = None
         self._path = path
         self._statistics = statistics
         self._memory = np.frombuffer(mmap.mmap(-1, _LENT + _SLOTS * _SLOT_BYTES), np.uint8)
@@ -164,8 +166,10 @@ class Apart:
             return
         process, self._process = self._process, 0
         try:
-            paths, self.losses = self._await(self._ask("close", statistics)) or ([], [])
-            self.paths = list(paths)
+            closed = self._await(self._ask("close", statistics))
+            if closed:
+                paths, self.losses, self.keep = closed
+                self.paths = list(paths)
         finally:
             self._link.close()
             with suppress(ChildProcessError):  # no child is left if SIGCHLD is ignored
@@ -281,10 +285,8 @@ def _serve(
             except Exception as error:  # noqa: BLE001  the caller in the other process gets it
                 failed, failure = True, _portable(error)
             with suppress(OSError):  # the other process has ended: the next read shows it
-                _send(
-                    link,
-                    (number, failure, (sink.paths, getattr(sink, "losses", [])) if kind == "close" else None),
-                )
+                closed = (sink.paths, getattr(sink, "losses", []), getattr(sink, "keep", None))
+                _send(link, (number, failure, closed if kind == "close" else None))
     os._exit(0)
 
 

@@ -14,6 +14,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.chunks import ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile
 from edoras_tools.io.formats.recording import RecordingOptions
+from edoras_tools.io.formats.split import part_path
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.streams import FAULTS, Streams, Topic
@@ -92,6 +93,7 @@ class McapSink:
         self._faults_id = 0
         self._noted: list[InterfaceOutage] = []
         self._count = 0
+        self._number = 0
         self._start_ns = 0
         self._state: Literal["open", "failed", "closed"] = "open"
         self.files: list[McapFile] = []
@@ -145,6 +147,11 @@ class McapSink:
                 self._close_file(statistics)
             self._state = "closed"
 
+    def forget(self, output: OutputFile) -> None:
+        """Leave a complete file out of ``files`` and ``complete``."""
+        self.files = [file for file in self.files if file.output is not output]
+        self.complete = [item for item in self.complete if item[0] is not output]
+
     def abandon(self) -> None:
         """Close the file in its present state; nothing more is written."""
         self._state = "failed"
@@ -170,6 +177,8 @@ class McapSink:
         """Start a new file if row ``first`` needs one; return the end of the rows that fit into the file."""
         last = len(batch)
         now = int(batch.time_ns[first])
+        if self._options.split_count and self._count >= self._options.split_count:
+            self._next_file()
         if self._options.split_ns and self._count and now - self._start_ns >= self._options.split_ns:
             self._next_file()
         if self._options.split_bytes and self._count and self._chunks.size_bound >= self._options.split_bytes:
@@ -178,8 +187,10 @@ class McapSink:
                 self._next_file()
         if self._count == 0:
             self._start_ns = now
+        if self._options.split_count:
+            last = min(last, first + self._options.split_count - self._count)
         if self._options.split_ns:
-            late = np.flatnonzero(batch.time_ns[first:] - self._start_ns >= self._options.split_ns)
+            late = np.flatnonzero(batch.time_ns[first:last] - self._start_ns >= self._options.split_ns)
             last = first + int(late[0]) if len(late) else last
         if self._options.split_bytes:
             filled = np.cumsum(batch.frame_length[first:last].astype(np.int64) + _ROW_BYTES)
@@ -193,9 +204,8 @@ class McapSink:
             self._chunks = self._open_file()
 
     def _open_file(self) -> ChunkWriter:
-        path = self._path
-        if self._options.split_bytes or self._options.split_ns:
-            path = path.with_name(f"{path.stem}_{len(self.files)}{path.suffix}")
+        path = part_path(self._path, self._number) if self._options.splits else self._path
+        self._number += 1
         file = McapFile(path, offered=self._options.offered)
         self.files.append(file)
         try:

@@ -27,6 +27,9 @@ _HEADER_BYTES = 16
 class PcapSink(CaptureFileSink):
     """Writes the frames of batches to a pcap file, bit for bit."""
 
+    head = 24
+    overhead = _HEADER_BYTES
+
     def __init__(
         self, path_or_file: str | Path | BinaryIO, *, nanosecond: bool = False, snap_length: int = 262144
     ) -> None:

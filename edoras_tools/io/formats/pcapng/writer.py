@@ -26,6 +26,9 @@ _TAIL_BYTES = 4
 class PcapngSink(CaptureFileSink):
     """Writes the frames of batches to a pcapng file, bit for bit."""
 
+    head = 28 + 32  # section and interface
+    overhead = _HEAD_BYTES + _TAIL_BYTES + 3  # with what a frame is padded with
+
     def __init__(
         self, path_or_file: str | Path | BinaryIO, *, nanosecond: bool = True, snap_length: int = 262144
     ) -> None:

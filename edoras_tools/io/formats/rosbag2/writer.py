@@ -82,7 +82,7 @@ class Rosbag2Sink:
         if occupied:
             raise CaptureError(f"{path}: is not empty; name a new directory")
         # rosbag2 numbers its files even if there is only one.
-        suffix = "" if options.split_bytes or options.split_ns else "_0"
+        suffix = "" if options.splits else "_0"
         self._sink = McapSink(
             self._path / f"{self._path.name}{suffix}.mcap",
             mission,
@@ -112,6 +112,10 @@ class Rosbag2Sink:
     def complete(self) -> list[tuple[OutputFile, int]]:
         """The complete files, with the number of datagrams in each."""
         return self._sink.complete
+
+    def forget(self, output: OutputFile) -> None:
+        """Leave a complete file out of ``complete`` and of ``metadata.yaml``."""
+        self._sink.forget(output)
 
     def abandon(self) -> None:
         """Close the file in its present state; nothing more is written."""
