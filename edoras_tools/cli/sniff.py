@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from edoras_tools.cli import options, views
 from edoras_tools.cli.endings import nothing_shown
 from edoras_tools.cli.inputs import InputOptions, open_input
+
+if TYPE_CHECKING:
+    from edoras_tools.model import Decoded
 
 
 @options.grouped
@@ -28,9 +31,11 @@ def sniff(
 
     Colours show the link and problems. With -v, notes are shown too, such as a checksum that is not set.
     """
+    from json import dumps
+
     from edoras_tools.cfs.names import MSG_ID_NAMES
     from edoras_tools.links import table
-    from edoras_tools.pipelines.capture.sniff import as_json
+    from edoras_tools.pipelines.capture.sniff import as_json, lines
     from edoras_tools.pipelines.capture.sniff import sniff as packets
     from edoras_tools.render.capture import packet
     from edoras_tools.render.capture import tree as tree_view
@@ -79,26 +84,20 @@ def sniff(
         names=MSG_ID_NAMES,
         verbose=verbose,
     )
-    shown = 0
-    out = sys.stdout
-    if view.json:
-        from json import dumps
-    for decoded in packets(source, bench, selection=selection, limits=limits, started=packet_list.count_from):
+    taken = source, bench, selection, limits, packet_list.count_from
+
+    def text(decoded: Decoded) -> str:
         if view.json:
-            out.write(dumps(as_json(decoded), ensure_ascii=False, separators=(",", ":")) + "\n")
-        elif view.hexdump:
-            out.write(
-                "\n".join(packet.packet_lines(decoded, terminal.width, colour=terminal.colour)) + "\n\n"
-            )
-        elif view.tree:
-            out.write(
-                "\n".join(tree_view.tree_lines(decoded, terminal.width, Paint(terminal.colour))) + "\n\n"
-            )
+            return dumps(as_json(decoded), ensure_ascii=False, separators=(",", ":"))
+        if view.hexdump:
+            shown = packet.packet_lines(decoded, terminal.width, colour=terminal.colour)
         else:
-            if not shown:
-                out.write(packet_list.header() + "\n")
-            out.write(packet_list.line(decoded) + "\n")
-        shown += 1
-        if waits or shown == 1:
-            out.flush()
+            shown = tree_view.tree_lines(decoded, terminal.width, Paint(terminal.colour))
+        return "\n".join([*shown, ""])
+
+    if view.json or view.hexdump or view.tree:
+        shown = views.print_packets(([text(decoded)] for decoded in packets(*taken)), "", flush=waits)
+    else:
+        listed = ([packet_list.line(line) for line in some] for some in lines(*taken))
+        shown = views.print_packets(listed, packet_list.header(), flush=waits)
     nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)

@@ -115,6 +115,19 @@ class ViewOptions(NamedTuple):
                 raise ConfigError(f"{name} has no effect with {view}; leave one of them out")
 
 
+def print_packets(blocks: Iterable[list[str]], header: str, *, flush: bool) -> int:
+    """Print what is shown of packets as they come, below a header if there is one; return their number."""
+    out, shown = sys.stdout, 0
+    for block in blocks:
+        if header and block and not shown:
+            out.write(f"{header}\n")
+        out.writelines(f"{text}\n" for text in block)
+        if block and (flush or not shown):
+            out.flush()
+        shown += len(block)
+    return shown
+
+
 def print_fields(
     blocks: Iterable[ColumnRows], bench: Workbench, text: str, layout: FieldFormat, *, flush: bool
 ) -> int:

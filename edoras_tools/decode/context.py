@@ -209,6 +209,12 @@ class Context:
             ":" not in endpoint.address and int(ipaddress.IPv4Address(endpoint.address)) in self.cfs_addresses
         )
 
+    def name(self, msg_id: int) -> str:
+        """Return how packets of a MsgId are called: cFE's name, else a route's topic or a struct's name."""
+        route = int(self.any_route_of[msg_id])
+        topic = self.mission.routes[route].topic if route != NO_ROUTE else ""
+        return names.message_name(msg_id) or topic or self.structs.name(msg_id)
+
     def commands(self, msg_id: int) -> Mapping[int, names.Command] | None:
         """Return the function codes a command MsgId's app takes, or None where that is not known."""
         if msg_id in names.COMMANDS:

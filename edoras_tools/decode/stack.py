@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.cfs import names
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_of
@@ -96,7 +95,7 @@ class _Dissection(Reading):
         packet = data[start:]
         headers = self.headers = self.context.builds.of_packet(self.datagram, packet)
         msg_id = msg_id_of(packet)
-        name = self._name(msg_id)
+        name = self.context.name(msg_id)
         self.read(
             ccsds.PRIMARY,
             start,
@@ -149,12 +148,6 @@ class _Dissection(Reading):
             self._struct(msg_id, start, header, code)
             return
         self._payload(msg_id, start, header, code)
-
-    def _name(self, msg_id: int) -> str:
-        route = int(self.context.any_route_of[msg_id])
-        if route != NO_ROUTE:
-            return names.message_name(msg_id) or self.context.mission.routes[route].topic
-        return names.message_name(msg_id) or self.context.structs.name(msg_id)
 
     def _command(self, msg_id: int, code: int, start: int, length: int) -> None:
         """Judge a command's checksum and function code."""

@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+import numpy as np
 
 from edoras_tools.cfs import names
 from edoras_tools.links.table import protocol
 from edoras_tools.model import OTHER
+from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.ros.cdr.plan import Repeat
+from edoras_tools.ros.types.schema import PLACEHOLDER
+from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from edoras_tools.model import Decoded
+    from edoras_tools.ros.cdr.columns import MessageColumns
+    from edoras_tools.ros.cdr.plan import CdrPlan
 
+    _Column: TypeAlias = "NDArray[Any] | Ragged | _Group"
+
+LAYER_TEXTS: Final = {
+    cfe.EVENT.name: (("app_name", "event_id", "message"), "{} {}: {}"),
+    cfe.SOFTWARE_BUS_HOUSEKEEPING.name: (
+        ("pipe_overflow_error_counter", "message_limit_error_counter", "no_subscribers_counter"),
+        "pipe overflow {}, message limit {}, no subscribers {}",
+    ),
+}
+"""Layers with a text of their own: fields, and how they are shown."""
 _MOST_FIELDS: Final = 8
 _MOST_ITEMS: Final = 3
 
@@ -24,38 +44,107 @@ def summarise(decoded: Decoded) -> Decoded:
 
 
 def _text(decoded: Decoded) -> str:
-    event = decoded.layer("cfe_event")
-    if event is not None:
-        values = event.values()
-        return f"{values['app_name']} {values['event_id']}: {values['message']}"
-    bus = decoded.layer("cfe_software_bus")
-    if bus is not None:
-        values = bus.values()
-        return (
-            f"pipe overflow {values['pipe_overflow_error_counter']}, "
-            f"message limit {values['message_limit_error_counter']}, "
-            f"no subscribers {values['no_subscribers_counter']}"
-        )
+    for layer in decoded.layers:
+        if layer.name in LAYER_TEXTS:
+            fields, form = LAYER_TEXTS[layer.name]
+            values = layer.values()
+            return form.format(*(values[name] for name in fields))
     if decoded.message is not None:
         bare = decoded.layer("edoras") is None  # the header of a C struct is already in the line
         return short_values({k: v for k, v in decoded.message.values.items() if not bare or k != "header"})
-    if decoded.link is not OTHER and (text := protocol(decoded.link).summary(decoded)):
-        return text
-    return _packet(decoded)
-
-
-def _packet(decoded: Decoded) -> str:
     packet, command = decoded.layer("ccsds"), decoded.layer("cfe_command")
     if packet is None:
-        return str(decoded.stop) if decoded.stop else f"{len(decoded.datagram.payload)} bytes"
-    msg_id = packet.values()["msg_id"]
-    if command is not None and packet.values()["packet_type"]:
-        code = command.values()["function_code"]
-        name = names.command_name(msg_id, code)
-        return f"function code {code}{f' {name}' if name else ''}"
-    if command is not None:
+        text = protocol(decoded.link).summary(decoded) if decoded.link is not OTHER else ""
+        return text or (str(decoded.stop) if decoded.stop else f"{len(decoded.datagram.payload)} bytes")
+    if command is not None and not packet.values()["packet_type"]:
         return "header only"
-    return names.message_name(msg_id)
+    return packet_text(packet.values()["msg_id"], command.values()["function_code"] if command else None)
+
+
+def packet_text(msg_id: int, function_code: int | None) -> str:
+    """Return what is said of a packet without a message; no function code: of telemetry."""
+    if function_code is None:
+        return names.message_name(msg_id)
+    name = names.command_name(msg_id, function_code)
+    return f"function code {function_code}{f' {name}' if name else ''}"
+
+
+def message_texts(messages: MessageColumns, plan: CdrPlan, *, leave_out: str = " ") -> list[str]:
+    """Return ``short_values`` of many messages; nothing where a type has lists of messages with lists.
+
+    Args:
+        messages: the messages.
+        plan: of their type.
+        leave_out: how the fields begin that are not shown.
+    """
+    columns: dict[str, _Column] = {}
+    lists = [step for step in plan.steps if isinstance(step, Repeat) and not step.plan.single]
+    if any(step.plan.lists for step in lists):
+        return []
+    for name, column in messages.fields.items():
+        outer = next((step.name for step in lists if name.startswith(f"{step.name}.")), "")
+        if outer and isinstance(column, Ragged):
+            group = columns.setdefault(outer, _Group(column.offsets, {}))
+            assert isinstance(group, _Group), "the fields of a list follow each other"
+            group.columns[name.removeprefix(f"{outer}.")] = column.values
+        elif not name.startswith(leave_out) and not name.endswith(PLACEHOLDER):
+            columns[name] = column
+    return _words(columns, len(messages))
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """A list of messages: the columns of all elements, and where those of each row are."""
+
+    offsets: NDArray[np.int64]
+    columns: dict[str, NDArray[Any]]
+
+
+def _words(columns: Mapping[str, _Column], count: int) -> list[str]:
+    """Return ``short_values`` of so many rows."""
+    words: list[list[str]] = [[] for _ in range(count)]
+    number = np.zeros(count, np.int64)
+    for name in sorted(columns, key=lambda name: name.startswith("header.")):
+        column = columns[name]
+        says = _say_something(column)
+        number += says
+        rows = np.flatnonzero(says & (number <= _MOST_FIELDS))
+        for row, text in zip(rows.tolist(), _texts(column, rows), strict=True):
+            words[row].append(f"{name}={text}")
+    more = (number > _MOST_FIELDS).tolist()
+    return [" ".join(some) + " ..." * left or "all zero" for some, left in zip(words, more, strict=True)]
+
+
+def _say_something(column: _Column) -> NDArray[np.bool_]:
+    """Tell which values of a column are shown; an array is shown even if it is all zero, an empty one not."""
+    if isinstance(column, (Ragged, _Group)):
+        return np.diff(column.offsets) > 0
+    if column.ndim > 1:
+        return np.full(len(column), column.shape[1] > 0)
+    return np.asarray(column != ("" if column.dtype == object else 0), np.bool_)
+
+
+def _texts(column: _Column, rows: NDArray[np.intp]) -> list[str]:
+    if isinstance(column, (Ragged, _Group)):
+        start, count = column.offsets[rows], column.offsets[rows + 1] - column.offsets[rows]
+        some = np.minimum(count, _MOST_ITEMS)
+        ends = np.cumsum(some)
+        places = np.arange(some.sum()) + np.repeat(start - ends + some, some)
+        items = (
+            [f"{{{text}}}" for text in _words({k: v[places] for k, v in column.columns.items()}, len(places))]
+            if isinstance(column, _Group)
+            else _values(column.values[places])
+        )
+        bounds = zip((ends - some).tolist(), ends.tolist(), count.tolist(), strict=True)
+        return [_listed(items[first:end], size) for first, end, size in bounds]
+    if column.ndim > 1:
+        return [_listed(_values(some), column.shape[1]) for some in column[rows, :_MOST_ITEMS]]
+    return _values(column[rows])
+
+
+def _values(column: NDArray[Any]) -> list[str]:
+    values = column.tolist()
+    return [f"{value:.6g}" for value in values] if column.dtype.kind == "f" else list(map(str, values))
 
 
 def short_values(values: Mapping[str, Any]) -> str:
@@ -82,8 +171,11 @@ def _short(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, (list, tuple)):
-        some = ", ".join(_short(item) for item in value[:_MOST_ITEMS])
-        return f"[{some}{f', ... {len(value)}' if len(value) > _MOST_ITEMS else ''}]"
+        return _listed([_short(item) for item in value[:_MOST_ITEMS]], len(value))
     if isinstance(value, dict):
         return "{" + short_values(value) + "}"
     return str(value)
+
+
+def _listed(some: Sequence[str], count: int) -> str:
+    return f"[{', '.join(some)}{f', ... {count}' if count > _MOST_ITEMS else ''}]"

@@ -13,8 +13,8 @@ from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
 from textual.widgets import ContentSwitcher, Footer, Static
 
+from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.ledger import Ledger
-from edoras_tools.render.capture.facts import facts
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import TimeFormat
@@ -288,7 +288,7 @@ class Panes(App[None]):
 
 
 def _packet_title(decoded: Decoded) -> Text:
-    fact = facts(decoded)
-    msg_id = f"0x{fact.msg_id:04x}" if fact.msg_id >= 0 else ""
-    words = " ".join(filter(None, (decoded.link.name, fact.kind, msg_id, clean(fact.name))))
+    line = line_of(decoded)
+    msg_id = f"0x{line.msg_id:04x}" if line.msg_id >= 0 else ""
+    words = " ".join(filter(None, (decoded.link.name, line.kind, msg_id, clean(line.name))))
     return Text.assemble(f"Packet {decoded.datagram.number}  ", (words, decoded.link.colour))

@@ -1,4 +1,4 @@
-"""Columns and stack are held to one answer: on every packet of the samples, and on any bytes."""
+"""Columns and stack give one answer, and one line: on every packet of the samples, and on any bytes."""
 
 import dataclasses
 import struct
@@ -11,7 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from places import ROOT
 
-from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options, lines
+from edoras_tools.decode.filters.rows import ColumnRows
+from edoras_tools.decode.lines import PacketLines, line_of
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
 from edoras_tools.mission import Mission, load
@@ -80,8 +82,10 @@ def row_of_columns(batch, columns, index):
 def agree(batch, context):
     columns = ColumnDecoder(context).decode(batch)
     dissector = Dissector(context)
+    shown = list(PacketLines(context).of(ColumnRows(context, 0, batch, columns)))
     for index in range(len(batch)):
         decoded = dissector.dissect(batch[index])
+        assert shown[index] == line_of(decoded)
         assert row_of_columns(batch, columns, index) == row_of_stack(decoded), (index, decoded.stop)
         route = int(columns.route[index])
         if route >= 0:
@@ -92,6 +96,11 @@ def agree(batch, context):
             start = int(columns.cdr_offset[index])
             assert decoded.message.cdr == batch.data[start : start + int(columns.cdr_length[index])].tobytes()
     return columns
+
+
+@pytest.fixture(autouse=True)
+def _columns_of_few_packets_too(monkeypatch):
+    monkeypatch.setattr(lines, "_FEW", 0)
 
 
 def test_the_captures_are_there():

@@ -21,6 +21,7 @@ from rich.console import Console as StringConsole
 from schema import check, published
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.decode.lines import line_of
 from edoras_tools.diagnosis.evidence.clocks.alignment import align
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.examination import Examination
@@ -131,7 +132,9 @@ def packet(data: bytes) -> Hashable:
     text = json.dumps(as_json(decoded), allow_nan=False)
     lines = packet_view.packet_lines(decoded, 100, colour=False)
     assert not any(
-        ord(letter) < 32 for line in (*lines, PacketList(100, colour=False).line(decoded)) for letter in line
+        ord(letter) < 32
+        for line in (*lines, PacketList(100, colour=False).line(line_of(decoded)))
+        for letter in line
     )
     shown = json.loads(text)
     return (

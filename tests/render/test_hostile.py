@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
+from edoras_tools.decode.lines import line_of
 from edoras_tools.errors import WireError
 from edoras_tools.links import table
 from edoras_tools.model import OTHER, Datagram, Decoded, Endpoint, Finding, Layer, LayerField, RosMessage
@@ -89,7 +90,7 @@ def test_packet_list(some, width, colour, time_format, verbose):
     view = PacketList(width, colour=colour, time_format=time_format, verbose=verbose)
     check(view.header(), width, colour=colour)
     for decoded in some:
-        check(view.line(decoded), width, colour=colour)
+        check(view.line(line_of(decoded)), width, colour=colour)
 
 
 @quick

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as ET
 
+from edoras_tools.decode.lines import line_of
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.svg import terminal_picture
@@ -9,7 +10,7 @@ from edoras_tools.render.svg import terminal_picture
 
 def test_a_picture_of_lines_and_tables(packets, summary):
     view = PacketList(100, colour=True)
-    lines = [view.header(), *(view.line(item) for item in packets.values())]
+    lines = [view.header(), *(view.line(line_of(item)) for item in packets.values())]
     svg = terminal_picture([*lines, capture_summary(summary)], width=100, title="edoras sniff")
     text = "".join(ET.fromstring(svg).itertext()).replace("\xa0", " ")
     assert "edoras sniff" in text

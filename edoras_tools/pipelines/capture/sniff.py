@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
+from edoras_tools.decode.lines import PacketLines
 from edoras_tools.errors import CaptureError
 from edoras_tools.pipelines.reading import Limits, reading
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.decode.lines import PacketLine
     from edoras_tools.io import Source
     from edoras_tools.model import Decoded
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
 
+_AT_ONCE: Final = 2048
+
 
 def sniff(
     source: Source,
     bench: Workbench,
-    *,
     selection: Selection,
     limits: Limits = Limits(),  # noqa: B008  frozen
     started: Callable[[int], None] = lambda _: None,
@@ -39,15 +45,41 @@ def sniff(
         RouteError: the selection names a topic that is not configured.
         ConfigError: its filter has an error.
     """
+    for rows in _selected(source, bench, selection, limits, started):
+        for row in rows.indices().tolist():
+            yield bench.dissector.dissect(rows.batch[row])
+
+
+def lines(
+    source: Source,
+    bench: Workbench,
+    selection: Selection,
+    limits: Limits = Limits(),  # noqa: B008  frozen
+    started: Callable[[int], None] = lambda _: None,
+) -> Iterator[list[PacketLine]]:
+    """Yield what a line shows of each selected packet, many at once; all else as ``sniff``."""
+    made = PacketLines(bench.columns.context)
+    for rows in _selected(source, bench, selection, limits, started):
+        yield list(made.of(rows))
+
+
+def _selected(
+    source: Source,
+    bench: Workbench,
+    selection: Selection,
+    limits: Limits,
+    started: Callable[[int], None],
+) -> Iterator[ColumnRows]:
+    """Yield the selected rows, some thousands at most, so that Ctrl-C ends the reading of a file at once."""
     live = hasattr(source, "stop")
     with reading(source, bench, selection, limits, conversing=True) as loop:
         try:
             for rows in loop:
                 started(rows.begin_ns)
-                for row in rows.indices().tolist():
+                for first in range(0, len(rows), _AT_ONCE):
                     if loop.interrupted and not live:
                         return
-                    yield bench.dissector.dissect(rows.batch[row])
+                    yield rows.take(np.arange(first, min(first + _AT_ONCE, len(rows))))
         finally:
             loop.note()
 

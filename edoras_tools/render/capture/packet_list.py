@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.render import units
-from edoras_tools.render.capture.facts import facts
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean, clip, clip_left, clip_middle, fit, fit_right
@@ -17,7 +16,8 @@ from edoras_tools.render.units import TimeFormat
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from edoras_tools.model import Decoded, Endpoint
+    from edoras_tools.decode.lines import PacketLine
+    from edoras_tools.model import Endpoint, Link
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +41,7 @@ _TIME_CELLS: Final = {
     TimeFormat.UTC: (12, 15, 26),
     TimeFormat.EPOCH: (17, 17, 17),
 }
+_MOST_KNOWN: Final = 4096
 _PORTS, _COMPACT, _FULL = 11, 27, 45
 _KIND_CELLS: Final = 9
 _SHORT_KINDS: Final = {"NO_MSG": "NONE", "HEARTBEAT": "BEAT", "ANNOUNCE": "ANNC", "DISCONNECT": "DISC"}
@@ -104,6 +105,7 @@ class PacketList:
         self._widths = _widths(self._width, self._time_format)
         self._endpoints: dict[tuple[Endpoint, Endpoint], str] = {}
         self._badges: dict[Finding, tuple[str, int]] = {}
+        self._known: dict[tuple[Link, str, int, str], str] = {}
 
     def header(self) -> str:
         """Return the line of column names."""
@@ -126,46 +128,57 @@ class PacketList:
         line = clip(size.gap.join(parts), self._width)
         return self._paint(line, palette.STRONG)
 
-    def line(self, decoded: Decoded, previous_ns: int | None = None) -> str:
+    def line(self, packet: PacketLine, previous_ns: int | None = None) -> str:
         """Return a packet's line, without a line end.
 
         Args:
-            decoded: the packet.
+            packet: what it shows.
             previous_ns: time of the packet above; None: that of the last one asked for.
         """
         if previous_ns is not None:
             self._previous_ns = previous_ns
-        size, paint, datagram = self._widths, self._paint, decoded.datagram
-        kind, msg_id, name = facts(decoded, self._names)
-        style = decoded.link.colour
+        size, paint, kind, msg_id = self._widths, self._paint, packet.kind, packet.msg_id
+        name = packet.name or (self._names or {}).get(msg_id, "")
 
-        number = f"{datagram.number:>{size.number}}"
+        number = f"{packet.number:>{size.number}}"
         before = number
         if size.time:
-            before += size.gap + fit_right(self._time(datagram.time_ns), size.time)
+            before += size.gap + fit_right(self._time(packet.time_ns), size.time)
         if size.endpoints:
-            before += size.gap + self._route(datagram.source, datagram.destination)
-        if size.kind <= _KIND_CELLS:
-            kind = _SHORT_KINDS.get(kind, kind)
-        middle = fit(f"{decoded.link.name} {kind}", size.kind)
-        if size.msg_id:
-            label = f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else ""
-            middle += f"{size.gap}{label:6}{size.gap}{fit(clip_middle(clean(name), size.name), size.name)}"
-        after = size.gap + f"{len(datagram.payload):>{size.length}}" if size.length else ""
+            before += size.gap + self._route(packet.source, packet.destination)
+        middle = self._what(packet.link, kind, msg_id, name)
+        after = size.gap + f"{packet.length:>{size.length}}" if size.length else ""
 
         # A number or a length beyond its column is shown whole, and the message gives the room.
         room = size.info - (len(number) - size.number) - max(0, len(after) - len(size.gap) - size.length)
-        badge, taken = self._badge(decoded.findings, room)
-        told = decoded.summary or (str(decoded.stop) if decoded.stop else "")
+        badge, taken = self._badge(packet.findings, room)
         # For a packet of which only the name is known, the column of names shows everything.
-        summary = clean(told) if told != name else ""
+        summary = clean(packet.text) if packet.text != name else ""
         summary = clip(summary, room - taken)
         if not self._paint.colour:
             return f"{before}{size.gap}{middle}{after}{size.gap}{badge}{summary}".rstrip()
         return (
-            f"{paint(before, palette.DIM)}{size.gap}{paint(middle, style)}{paint(after, palette.DIM)}"
-            f"{size.gap}{badge}{summary}"
+            f"{paint(before, palette.DIM)}{size.gap}{paint(middle, packet.link.colour)}"
+            f"{paint(after, palette.DIM)}{size.gap}{badge}{summary}"
         ).rstrip()
+
+    def _what(self, link: Link, kind: str, msg_id: int, name: str) -> str:
+        """Return the columns that tell which packet it is."""
+        key = link, kind, msg_id, name
+        known = self._known.get(key)
+        if known is not None:
+            return known
+        size = self._widths
+        if size.kind <= _KIND_CELLS:
+            kind = _SHORT_KINDS.get(kind, kind)
+        text = fit(f"{link.name} {kind}", size.kind)
+        if size.msg_id:
+            label = f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else ""
+            text += f"{size.gap}{label:6}{size.gap}{fit(clip_middle(clean(name), size.name), size.name)}"
+        if len(self._known) > _MOST_KNOWN:
+            self._known.clear()
+        self._known[key] = text
+        return text
 
     def _time(self, time_ns: int) -> str:
         if self._first_ns is None:
@@ -186,7 +199,7 @@ class PacketList:
     def _route(self, source: Endpoint, destination: Endpoint) -> str:
         known = self._endpoints.get((source, destination))
         if known is None:
-            if len(self._endpoints) > 4096:
+            if len(self._endpoints) > _MOST_KNOWN:
                 self._endpoints.clear()
             known = self._endpoints[source, destination] = _endpoints(
                 source, destination, self._widths.endpoints

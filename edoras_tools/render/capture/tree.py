@@ -6,9 +6,9 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
+from edoras_tools.decode.lines import line_of
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.render import units
-from edoras_tools.render.capture.facts import facts
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.terminal import FILE_WIDTH
@@ -89,9 +89,9 @@ def _packet(decoded: Decoded) -> Iterator[TreeRow]:
     length = f"{plural(len(datagram.payload), 'byte')} in a {frame}"
     value = f"{units.utc(datagram.time_ns)} UTC  {length}"
     yield TreeRow("packet", 0, f"Packet {datagram.number}", value, style=style)
-    fact = facts(decoded)
-    msg_id = f"0x{fact.msg_id:04x}" if fact.msg_id != NO_MSG_ID else ""
-    what = " ".join(word for word in (decoded.link.name, fact.kind, msg_id, fact.name) if word)
+    line = line_of(decoded)
+    msg_id = f"0x{line.msg_id:04x}" if line.msg_id != NO_MSG_ID else ""
+    what = " ".join(word for word in (decoded.link.name, line.kind, msg_id, line.name) if word)
     yield TreeRow("packet", 0, "", clean(f"{what}  {datagram.source} → {datagram.destination}"), style=style)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TextIO
 
+from edoras_tools.decode.lines import line_of
 from edoras_tools.render.capture import packet
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
@@ -57,7 +58,7 @@ class Guide:
             space.values()["msg_id"] if space else None,
             decoded.summary if decoded.layer("cfe_event") else "",
         )
-        line = self._list.line(decoded)
+        line = self._list.line(line_of(decoded))
         if kind not in self._seen:
             self._seen.add(kind)
             self._line(line)

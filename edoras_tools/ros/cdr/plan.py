@@ -147,6 +147,23 @@ class CdrPlan:
         return step if alone and isinstance(step, PrimitiveRun) else None
 
     @cached_property
+    def lists(self) -> bool:
+        """Whether it has arrays or sequences."""
+        runs = [step for step in self.steps if isinstance(step, PrimitiveRun)]
+        return any(isinstance(step, Repeat) for step in self.steps) or any(
+            leaf.count is not None for run in runs for leaf in run.leaves
+        )
+
+    @cached_property
+    def single(self) -> bool:
+        """Whether it is one value, a primitive or a string, and no message."""
+        step = self.steps[0]
+        leaves = step.leaves if isinstance(step, PrimitiveRun) else ()
+        return len(self.steps) == 1 and (
+            not step.name if isinstance(step, Text) else [leaf.name for leaf in leaves] == [""]
+        )
+
+    @cached_property
     def element(self) -> Leaf | None:
         """The only primitive of a sequence of primitives; else None."""
         run = self.uniform

@@ -12,6 +12,7 @@ from textual.strip import Strip
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode import Dissector
+from edoras_tools.decode.lines import line_of
 from edoras_tools.model import NO_FINDINGS, Finding
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.severity import EXPLANATIONS, NOTABLE, Level
@@ -125,7 +126,7 @@ class Packets(Lines):
         if line is None:
             decoded = self._dissector.dissect(block.batch[index])
             previous = self._store.time_ns(row - 1) if row else int(block.batch.time_ns[index])
-            line = strip_of(self._view.line(decoded, previous), self.app.console)
+            line = strip_of(self._view.line(line_of(decoded), previous), self.app.console)
             self.drawn[key] = line
         marked = number in self.marks
         style = self.get_component_rich_style("packets--mark", partial=True) if marked else Style.null()

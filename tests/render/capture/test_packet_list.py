@@ -5,17 +5,19 @@ from dataclasses import replace
 
 import pytest
 
-from edoras_tools.model import Finding
+from edoras_tools.decode.lines import line_of
+from edoras_tools.model import NO_MSG_ID, Finding, Peer
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.terminal.text import cells, plain_cells
 from edoras_tools.render.units import TimeFormat
+from edoras_tools.wire import sbn
 
 WIDTHS = [80, 120, 160, 200]
 
 
 def listing(packets, width, **options):
     view = PacketList(width, colour=False, **options)
-    return [view.header(), *(view.line(item) for item in packets.values())]
+    return [view.header(), *(view.line(line_of(item)) for item in packets.values())]
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -41,7 +43,7 @@ def test_columns_stand_under_their_names(packets):
 def test_colour_only_where_wanted(packets):
     plain, painted = PacketList(120, colour=False), PacketList(120, colour=True)
     for item in packets.values():
-        line, coloured = plain.line(item), painted.line(item)
+        line, coloured = plain.line(line_of(item)), painted.line(line_of(item))
         assert "\x1b" not in line
         assert re.sub(r"\x1b\[[0-9;]*m", "", coloured).rstrip() == line
         assert plain_cells(coloured) <= 120
@@ -50,19 +52,22 @@ def test_colour_only_where_wanted(packets):
 
 def test_link_decides_the_colour(packets):
     view = PacketList(120, colour=True)
-    seen = {re.search(r"\x1b\[(\d+)m(CI|TO|SBN|UDP) ", view.line(item)).groups() for item in packets.values()}
+    seen = {
+        re.search(r"\x1b\[(\d+)m(CI|TO|SBN|UDP) ", view.line(line_of(item))).groups()
+        for item in packets.values()
+    }
     assert {link for _, link in seen} == {"CI", "TO", "SBN", "UDP"}
     assert len({colour for colour, _ in seen}) == 4
 
 
 def test_notes_show_only_when_asked_for(packets):
-    assert "no checksum" not in PacketList(160, colour=False).line(packets["twist"])
-    assert "· no checksum" in PacketList(160, colour=False, verbose=True).line(packets["twist"])
+    assert "no checksum" not in PacketList(160, colour=False).line(line_of(packets["twist"]))
+    assert "· no checksum" in PacketList(160, colour=False, verbose=True).line(line_of(packets["twist"]))
 
 
 def test_gravest_finding_comes_first_and_the_rest_is_counted(packets):
     decoded = replace(packets["twist"], findings=Finding((1 << 27) - 1))
-    line = PacketList(120, colour=False).line(decoded)
+    line = PacketList(120, colour=False).line(line_of(decoded))
     assert re.search(r"✗ truncated( ✗ [^+]+)? \+\d+  linear", line)
 
 
@@ -86,22 +91,55 @@ def test_date_where_there_is_room(packets):
 
 def test_long_numbers_take_room_from_the_message(packets):
     decoded = replace(packets["twist"], datagram=replace(packets["twist"].datagram, number=123_456_789))
-    line = PacketList(80, colour=False).line(decoded)
+    line = PacketList(80, colour=False).line(line_of(decoded))
     assert line.startswith("123456789 ")
     assert cells(line) <= 80
 
 
 def test_why_it_stopped_stands_in_for_a_missing_summary(packets):
-    assert "cfe_command at byte 6 needs 2 bytes" in PacketList(200, colour=False).line(packets["truncated"])
+    assert "cfe_command at byte 6 needs 2 bytes" in PacketList(200, colour=False).line(
+        line_of(packets["truncated"])
+    )
 
 
 def test_names_fill_in_where_decode_has_none(packets):
     decoded = replace(packets["event"], layers=(replace(packets["event"].layers[0], fields=()),))
-    assert "events" in PacketList(120, colour=False, names={0x808: "events"}).line(decoded)
+    assert "events" in PacketList(120, colour=False, names={0x808: "events"}).line(line_of(decoded))
 
 
 def test_resize_lays_out_again(packets):
     view = PacketList(200, colour=False)
-    wide = view.line(packets["event"])
+    wide = view.line(line_of(packets["event"]))
     view.resize(80)
-    assert cells(view.line(packets["event"])) <= 80 < cells(wide)
+    assert cells(view.line(line_of(packets["event"]))) <= 80 < cells(wide)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("twist", ("cmd", 0x1827, "/cmd_vel")),
+        ("event", ("tlm", 0x0808, "EVS_LONG_EVENT")),
+        ("subscriptions", ("SUB", NO_MSG_ID, "")),
+        ("disconnect", ("DISCONNECT", NO_MSG_ID, "")),
+        ("truncated", ("cmd", 0x1827, "/cmd_vel")),
+    ],
+)
+def test_what_a_packet_is(packets, name, expected):
+    line = line_of(packets[name])
+    assert (line.kind, line.msg_id, line.name) == expected
+
+
+def test_a_packet_inside_sbn_keeps_the_outer_kind(packets):
+    twist, head = packets["twist"], packets["disconnect"].layers[0]
+    data = sbn.emit(sbn.MsgType.APP, Peer(66, 1), twist.datagram.payload)
+    inner = replace(twist.layers[0], start=11, end=17)
+    decoded = replace(twist, datagram=replace(twist.datagram, payload=data), layers=(head, inner))
+    line = line_of(decoded)
+    assert (line.kind, line.msg_id, line.name) == ("APP", 0x1827, "/cmd_vel")
+
+
+def test_an_unknown_sbn_type_is_its_number(packets):
+    data = sbn.emit(7, Peer(66, 3))
+    decoded = packets["disconnect"]
+    decoded = replace(decoded, datagram=replace(decoded.datagram, payload=data))
+    assert line_of(decoded).kind == "0x07"
