@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Self
 
-from edoras_tools.cfs import sbn
+from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import Peer
 from edoras_tools.units import MICROSECOND, MILLISECOND, SECOND
@@ -129,7 +129,7 @@ class SimProfile:
     to_wake_ns: int = 500 * MILLISECOND
     to_pipe_depth: int = 50
     to_limits: Mapping[int, int] = field(default_factory=lambda: dict(TO_TABLE))
-    to_default_limit: int = 4
+    to_default_limit: int = telemetry_output.USUAL_LIMIT
 
     msg_max: int = 0
     app_pipe_depth: int = 32

@@ -16,6 +16,8 @@ HOUSEKEEPING_MSG_ID: Final = 0x0880
 DATA_TYPES_MSG_ID: Final = 0x0881
 
 NOOP, RESET, ADD_PACKET, SEND_DATA_TYPES, REMOVE_PACKET, REMOVE_ALL, ENABLE = range(7)
+USUAL_LIMIT: Final = 4
+"""Messages of one MsgId that may wait, in the usual table."""
 STOPS: Final = frozenset({REMOVE_PACKET, REMOVE_ALL})
 """Function codes after which it does not send a MsgId, or any."""
 

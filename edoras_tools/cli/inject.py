@@ -26,7 +26,7 @@ class MessageOptions(NamedTuple):
     """What is sent."""
 
     what: Annotated[
-        str, typer.Argument(metavar="[WHAT]", help="A topic; or a command: to-enable, noop APP, ci-noop ...")
+        str, typer.Argument(metavar="[WHAT]", help="A topic; or a command: to-enable, to-add, noop ...")
     ] = ""
     values: Annotated[
         str,
@@ -74,6 +74,12 @@ class MessageOptions(NamedTuple):
             "--every-field-random", help="Random values in all fields, new ones for each message; see --seed."
         ),
     ] = False
+    limit: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=1, max=255, help="to-add: messages of its MsgId that may wait; default 4."
+        ),
+    ] = None
 
     def injection(self, seed: int) -> Injection:
         """Return these options in the form that pipelines take.
@@ -100,6 +106,7 @@ class MessageOptions(NamedTuple):
             self.times or (0 if self.rate else 1),
             self.arbitrary,
             seed,
+            self.limit,
         )
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs import command_ingest, telemetry_output
+from edoras_tools.cfs.commands import inject_line
 from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.accounting.bus import Telemetry
 from edoras_tools.diagnosis.accounting.claims import Counts
@@ -27,7 +28,7 @@ from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.streams import Stream, find_robots, find_streams
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Link
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.diagnosis.verdict import Verdict
     from edoras_tools.mission import Mission, Route
-    from edoras_tools.model import Endpoint, InterfaceOutage
+    from edoras_tools.model import InterfaceOutage
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,6 +301,18 @@ class Case:
     def at(self, time_ns: int) -> str:
         """Return a time as people are told of it: seconds into the capture."""
         return f"{max(0, time_ns - self.zero_ns) / SECOND:.1f} s"
+
+    @cached_property
+    def _target(self) -> str:
+        """``--target`` for the only CI of the capture, where it is not the usual one of this machine."""
+        to_ci = among(self.rows.link, lambda link: link.only_to_cfs)
+        places = {self.endpoints[item] for item in np.unique(self.rows.destination[to_ci]).tolist()}
+        usual = Endpoint("127.0.0.1", command_ingest.PORT)
+        return f" --target {next(iter(places))}" if len(places) == 1 and places != {usual} else ""
+
+    def inject(self, name: str, *arguments: str) -> str:
+        """Return what to type to send a named command to the CI of the capture."""
+        return inject_line(name, *arguments) + self._target
 
     def label(self, instance: int) -> str:
         """Return how people are told of an instance."""

@@ -9,6 +9,7 @@ from collections import Counter
 from html.parser import HTMLParser
 
 import pytest
+import zstandard
 from effort import long_but
 from places import ROOT
 from rewriting import datagrams, write
@@ -478,3 +479,33 @@ def test_options_without_effect_are_refused(arguments, told, call, captures, mis
     done = call("doctor", *words, *missions("rover_ground"))
     assert (done.code, done.out, len(done.err)) == (2, "", 1)
     assert told in done.err[0]
+
+
+@pytest.mark.parametrize(
+    "name", ["c1_tlm_rate_limit4", "n1_to_remove_all", "n3_cfs_restart", "n5_app_restarts"]
+)
+def test_what_a_remedy_tells_to_type_can_be_typed(name, call):
+    done = call("doctor", ROOT / f"tests/captures/{name}.pcap.zst", "--json")
+    remedies = [item["remedy"] for item in done.json()["verdicts"] if item["remedy"]]
+    lines = {line for remedy in remedies for line in re.findall(r"edoras (inject [^;]+)", remedy)}
+    assert lines
+    for line in lines:
+        planned = call(*line.split(), "--dry-run")
+        assert (planned.code, planned.err) == (0, []), line
+
+
+def test_a_remedy_names_a_ci_that_is_elsewhere(call, tmp_path):
+    """The capture on other addresses: 127.0.0.1 becomes 10.5.0.3, and UDP checksums none."""
+    data = (ROOT / "tests/captures/n1_to_remove_all.pcap.zst").read_bytes()
+    moved = bytearray(zstandard.ZstdDecompressor().decompressobj().decompress(data))
+    at = 24
+    while at < len(moved):
+        frame = at + 16
+        length = int.from_bytes(moved[at + 8 : at + 12], "little")
+        moved[frame + 26 : frame + 34] = bytes([10, 5, 0, 3]) * 2
+        moved[frame + 40 : frame + 42] = bytes(2)
+        at = frame + length
+    (tmp_path / "moved.pcap").write_bytes(moved)
+    done = call("doctor", tmp_path / "moved.pcap", "--json")
+    (remedy,) = {item["remedy"] for item in done.json()["verdicts"] if item["rule"] == "to_stopped"}
+    assert remedy.endswith("edoras inject to-add 0x0803 --target 10.5.0.3:1234")

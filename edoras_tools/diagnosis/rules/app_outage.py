@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.diagnosis.accounting.stops import outages
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
 from edoras_tools.diagnosis.verdict import Severity, Verdict
@@ -48,7 +49,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             start_ns=item.start_ns,
             end_ns=end_ns,
             evidence=(f"event {item.said}",),
-            remedy="Telemetry Output has to be enabled again after it restarts"
+            remedy=f"enable it again after it restarts: {case.inject(ENABLE_OUTPUT)}"
             if item.app.startswith("TO_")
             else "none, where it was asked for",
         )

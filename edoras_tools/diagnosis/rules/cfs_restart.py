@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -61,5 +62,6 @@ def judge(case: Case) -> Iterator[Verdict]:
                 ),
                 *(line for loss in down for line in loss.evidence),
             ),
-            remedy="commands sent in between reached nobody; Telemetry Output has to be enabled again",
+            remedy="commands sent in between reached nobody; enable Telemetry Output again: "
+            f"{case.inject(ENABLE_OUTPUT)}",
         )

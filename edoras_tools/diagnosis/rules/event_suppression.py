@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.cfs.software_bus import STOPS_AFTER
+from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
 from edoras_tools.diagnosis.accounting.losses import LEAD_NS
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.words import plural
@@ -41,6 +41,5 @@ def judge(case: Case) -> Iterator[Verdict]:
                 start_ns=last_ns,
                 end_ns=track.times[-1],
                 evidence=((f"after the last of them +{track.growth(name, last_ns + LEAD_NS):,} in 0x803"),),
-                remedy="trust the counter; reset the filter of CFE_SB with 0x1801, code 14, to hear of it "
-                "again",
+                remedy=f"trust the counter; to hear of it again: {case.inject('evs-reset-filters', NAME)}",
             )

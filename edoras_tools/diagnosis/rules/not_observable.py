@@ -57,7 +57,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             case,
             "0x803 is not in the capture: how many messages the software bus lost is not observable from "
             "here",
-            "add 0x803 to Telemetry Output's table (0x1880, function code 2)",
+            f"have Telemetry Output send it: {case.inject('to-add', '0x0803')}",
         )
 
 

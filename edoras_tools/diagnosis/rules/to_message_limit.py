@@ -45,8 +45,16 @@ def _verdict(case: Case, loss: Loss) -> Verdict:
         reason,
         link="to",
         evidence=evidence,
-        remedy=f"publish at most {rate:.0f} Hz, or raise the MsgId's limit in TO's table (to_lab_sub)",
+        remedy=f"publish at most {rate:.0f} Hz, or raise the MsgId's limit in TO's table (to_lab_sub), and "
+        f"until TO restarts: {_raised(case, loss.msg_id, 2 * limit)}",
     )
+
+
+def _raised(case: Case, msg_id: int, limit: int) -> str:
+    """Return what to type so that more of a MsgId may wait: a MsgId that is there already keeps its limit."""
+    more = str(min(255, limit))
+    remove = case.inject("to-remove", f"0x{msg_id:04x}")
+    return f"{remove}; {case.inject('to-add', f'0x{msg_id:04x}', '--limit', more)}"
 
 
 def clean_round(case: Case, loss: Loss) -> tuple[int, int, bool]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
@@ -49,7 +50,7 @@ def judge(case: Case) -> Iterator[Verdict]:
         start_ns=case.start_ns,
         end_ns=case.end_ns,
         evidence=tuple(evidence),
-        remedy="send 0x1880, function code 6, with the ground's address (char[16]); to see telemetry, "
-        "capture on the host of that address, UDP port 1235",
+        remedy=f"{case.inject(ENABLE_OUTPUT)}; to see telemetry, capture on the host that it is enabled for, "
+        "UDP port 1235",
         confidence="medium",
     )

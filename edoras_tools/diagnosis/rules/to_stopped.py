@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
@@ -64,7 +65,9 @@ def judge(case: Case) -> Iterator[Verdict]:
                 ),
                 *known["evidence"],
             ),
-            remedy="add what is wanted again (0x1880, function code 2)",
+            remedy=f"add it again: {case.inject('to-add', f'0x{item.msg_id:04x}')}"
+            if item.msg_id >= 0
+            else f"add what is wanted again, e.g. {case.inject('to-add', '0x0803')}",
         )
     streams = [stream for stream in case.streams if stream.link is TO]
     moved = sorted(
@@ -85,7 +88,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             start_ns=moved[0],
             end_ns=moved[0],
             **told(moved[0]),
-            remedy="enable Telemetry Output again after it restarts (0x1880, function code 6)",
+            remedy=f"enable it again: {case.inject(ENABLE_OUTPUT)}",
         )
     for sender, spans in case.telemetry.silences.items():
         number = sum(case.telemetry.silenced.get(id(item), 0) for item in streams if item.sender == sender)
@@ -107,6 +110,6 @@ def judge(case: Case) -> Iterator[Verdict]:
                     *((f"event {failed}",) if failed else ()),
                 ),
                 remedy="look at the address that it was enabled for; after an error of its socket Telemetry "
-                "Output drops what comes until it is enabled again (0x1880, function code 6)",
+                f"Output drops what comes until it is enabled again: {case.inject(ENABLE_OUTPUT)}",
                 confidence="high" if failed else "medium",
             )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from edoras_tools.cfs.commands import ENABLE_OUTPUT
+from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 
 if TYPE_CHECKING:
@@ -28,7 +30,8 @@ def judge(case: Case) -> Iterator[Verdict]:
                 start_ns=loss.start_ns,
                 end_ns=loss.end_ns,
                 evidence=tuple(loss.evidence),
-                remedy="reset the event filter of CFE_SB (0x1801, code 14), enable TO before the traffic "
-                "starts, and capture CI, TO and SBN together: the events then name MsgId, pipe and sender",
+                remedy=f"before the traffic starts: {case.inject(ENABLE_OUTPUT)}; "
+                f"{case.inject('evs-reset-filters', NAME)}; and capture CI, TO and SBN together: the "
+                "events then name MsgId, pipe and sender",
                 confidence="low",
             )

@@ -11,7 +11,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from edoras_tools.cfs import edoras_app
-from edoras_tools.cfs.names import COMMANDS, MSG_ID_NAMES
+from edoras_tools.cfs.commands import ENABLE_OUTPUT, NAMED, Argument
+from edoras_tools.cfs.telemetry_output import USUAL_LIMIT
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import own_address
 from edoras_tools.pipelines.sending.options import Receiver
@@ -46,6 +47,7 @@ class Injection:
         count: how often; 0 for no end.
         every_field_random: use random values, new ones for each message.
         seed: of the random values.
+        limit: of ``to-add``: how many messages of its MsgId may wait; None for as many as usual.
     """
 
     what: str = ""
@@ -56,6 +58,7 @@ class Injection:
     count: int = 1
     every_field_random: bool = False
     seed: int = 0
+    limit: int | None = None
 
 
 def make(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[Loaded, SendOptions]:
@@ -77,7 +80,7 @@ def make(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[
     passes = injection.count
     if injection.command is not None:
         packets = [Packet(_command(*injection.command, injection.payload))]
-    elif (named := _named(injection, options)) is not None:
+    elif (named := _named(injection, bench.mission, options)) is not None:
         packets = [Packet(named)]
     else:
         packets = list(_messages(injection, bench, options))
@@ -97,42 +100,39 @@ def injection_receiver(injection: Injection, mission: Mission) -> Receiver:
 
 def command_names() -> list[str]:
     """Return the names of commands for ``inject``, e.g. ``to-enable`` and ``es-noop``."""
-    return ["to-enable", "noop", *(name for name, _, _ in _commands())]
+    return [ENABLE_OUTPUT, "noop", *NAMED]
 
 
-def _commands() -> Iterator[tuple[str, int, int]]:
-    """Yield (name, MsgId, function code) of commands that have only a header."""
-    for msg_id, codes in COMMANDS.items():
-        app = MSG_ID_NAMES[msg_id].removesuffix("_CMD").lower()
-        for code, command in codes.items():
-            if cfe.COMMAND_HEADER_BYTES in command.lengths:
-                yield f"{app}-{command.name.lower().replace('_', '-')}", msg_id, code
-
-
-def _named(injection: Injection, options: SendOptions) -> bytes | None:
+def _named(injection: Injection, mission: Mission, options: SendOptions) -> bytes | None:
     """Return the packet of a named command; None if it is not the name of a command."""
-    name = injection.what.lower().replace("_", "-")
-    if name == "to-enable":
+    name, argument = injection.what.lower().replace("_", "-"), injection.values
+    if f"{name}-{argument.lower()}" in NAMED:  # "sbn noop" is "sbn-noop"
+        name, argument = f"{name}-{argument.lower()}", ""
+    if injection.limit is not None and not (name in NAMED and NAMED[name].has_limit):
+        raise ConfigError("--limit is of to-add: how many messages of its MsgId may wait")
+    if name == ENABLE_OUTPUT:
         assert options.target is not None
-        address = injection.values or own_address(options.target)
+        address = argument or own_address(options.target)
         if len(address) > 15 or address.count(".") != 3:
             raise ConfigError(f"to-enable takes an IPv4 address, not {address!r}")
         return enable_output(address)
     if name == "noop":
-        msg_id, code = _noop(injection.values), 0
-    else:
-        found = next(((msg_id, code) for known, msg_id, code in _commands() if known == name), None)
-        if found is None:
-            return None
-        msg_id, code = found
-        if injection.values:
-            raise ConfigError(f"{name} takes no argument; leave {injection.values!r} out")
-    return _command(msg_id, code, b"")
+        return _command(_noop(argument), 0, b"")
+    if name not in NAMED:
+        return None
+    command = NAMED[name]
+    if command.argument is Argument.MSG_ID and any(argument in names for names in _all_names(mission.routes)):
+        argument = str(mission.find(argument).msg_id)
+    try:
+        payload = command.payload(argument, USUAL_LIMIT if injection.limit is None else injection.limit)
+    except ConfigError as error:
+        raise ConfigError(f"{name} {error}") from None
+    return _command(command.msg_id, command.function_code, payload)
 
 
 def _noop(text: str) -> int:
     """Return the MsgId for a no-op: given as a number, or by the name of its app."""
-    apps = {MSG_ID_NAMES[msg_id].removesuffix("_CMD").lower(): msg_id for msg_id in COMMANDS}
+    apps = {name.removesuffix("-noop"): item.msg_id for name, item in NAMED.items() if name.endswith("-noop")}
     wanted = text.strip().lower()
     if wanted in apps:
         return apps[wanted]

@@ -5,6 +5,7 @@ import struct
 import pytest
 from places import MISSIONS
 
+from edoras_tools.cfs.commands import NAMED, Argument
 from edoras_tools.cfs.names import COMMANDS
 from edoras_tools.errors import ConfigError, EdorasError, FieldError, RouteError
 from edoras_tools.links.ci import CI
@@ -82,10 +83,34 @@ def test_commands_by_msg_id_and_by_name(made):
 
 
 def test_every_name_of_a_command_is_a_bare_header(made):
-    for name in command_names()[2:]:
+    for name in (name for name, item in NAMED.items() if item.argument is Argument.NONE):
         packet = made(name)[0][0]
         assert len(packet) == 8
-        assert packet[6] in COMMANDS[int.from_bytes(packet[:2], "big")]
+        assert name == "sbn-noop" or packet[6] in COMMANDS[int.from_bytes(packet[:2], "big")]
+    assert {"to-enable", "noop", "to-add", "es-noop"} <= set(command_names())
+
+
+@pytest.mark.parametrize(
+    ("what", "payload"),
+    [
+        (("to-add", "0x827"), "1880 0000 0009 0200 2708 0000 0000 0400"),
+        (("to-add", "SB_HK"), "1880 0000 0009 0200 0308 0000 0000 0400"),
+        (("to-add", "/robot_1/ground/pose"), "1880 0000 0009 0200 2808 0000 0000 0400"),
+        (("TO_REMOVE", "2087"), "1880 0000 0005 0400 2708 0000"),
+        (("evs-reset-filters", "CFE_SB"), "1801 0000 0015 0e00 4346 455f 5342" + "00" * 14),
+        (("es-restart-app", "CI_LAB_APP"), "1806 0000 0015 0600 4349 5f4c 4142 5f41 5050" + "00" * 10),
+        (("es-stop-app", "EDORAS_APP"), "1806 0000 0015 0500 4544 4f52 4153 5f41 5050" + "00" * 10),
+        (("es-restart", "power-on"), "1806 0000 0003 0200 0200"),
+        (("sbn", "noop"), "18fa 0000 0001 0000"),
+        (("noop", "sbn"), "18fa 0000 0001 0000"),
+    ],
+)
+def test_commands_with_an_argument(what, payload, made):
+    assert made(*what)[0][0] == bytes.fromhex(payload)
+
+
+def test_how_many_may_wait_is_part_of_adding(made):
+    assert made("to-add", "0x827", limit=32)[0][0][14] == 32
 
 
 def test_counts(made):
@@ -142,7 +167,14 @@ def test_a_long_random_run_keeps_its_count(made, monkeypatch):
         (["noop", "nobody"], {}, ConfigError, "not 'nobody'"),
         (["noop", "0x803"], {}, FieldError, "lacks the command bit"),
         (["to-enable", "everywhere"], {}, ConfigError, "takes an IPv4 address"),
-        (["es-noop", "twice"], {}, ConfigError, "takes no argument"),
+        (["es-noop", "twice"], {}, ConfigError, "es-noop takes no argument"),
+        (["to-add", "all"], {}, ConfigError, "to-add takes a MsgId, e.g. 0x0827, not 'all'"),
+        (["to-remove", "0x10827"], {}, ConfigError, "to-remove takes a MsgId"),
+        (["evs-reset-filters"], {}, ConfigError, "takes the name of an application"),
+        (["es-restart-app", "A" * 20], {}, ConfigError, "19 bytes at most"),
+        (["es-restart", "now"], {}, ConfigError, "es-restart takes processor or power-on, not 'now'"),
+        (["to-remove", "0x827"], {"limit": 3}, ConfigError, "--limit is of to-add"),
+        ([CMD], {"limit": 3}, ConfigError, "--limit is of to-add"),
         ([], {"command": (0x1880, 300)}, FieldError, "300 exceeds 7 bits"),
         ([], {"command": (0x803, 0)}, FieldError, "lacks the command bit"),
     ],
