@@ -18,6 +18,7 @@ import typer
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import ROWS
+from edoras_tools.middleware.graph import MOST_DOMAIN
 
 if TYPE_CHECKING:
     from edoras_tools.model import Link
@@ -220,7 +221,7 @@ Constants = Annotated[
     ),
 ]
 ros_domain = partial(
-    typer.Option, metavar="N", min=0, max=232, help="ROS 2 domain; default: ROS_DOMAIN_ID, or 0."
+    typer.Option, metavar="N", min=0, max=MOST_DOMAIN, help="ROS 2 domain; default: ROS_DOMAIN_ID, or 0."
 )
 ros_option = partial(
     typer.Option,

@@ -90,7 +90,7 @@ class CommandPublisher(Publisher):
             assert options.target is not None
             if to is Receiver.CI:
                 transmitter = self._stack.enter_context(Transmitter(options.target))
-                self._outlets[to] = _CommandIngest(transmitter).send
+                self._outlets[to] = partial(_send_to_ci, transmitter)
             else:
                 peer = _PeerLink(options, self._bench)
                 self._stack.callback(peer.close)
@@ -147,14 +147,9 @@ def _placed(options: SendOptions, to: Receiver, bench: Workbench) -> SendOptions
     return replace(options, to=to, no_listen=to is Receiver.CI).placed(bench.mission)
 
 
-class _CommandIngest:
-    """Command Ingest: one datagram for each command, without an answer."""
-
-    def __init__(self, transmitter: Transmitter) -> None:
-        self._transmitter = transmitter
-
-    def send(self, data: bytes, _msg_id: int) -> str:
-        return "" if self._transmitter.send(data) else f"{self._transmitter.target} accepts no datagrams"
+def _send_to_ci(transmitter: Transmitter, data: bytes, _msg_id: int) -> str:
+    """Send a command to Command Ingest: one datagram, without an answer."""
+    return "" if transmitter.send(data) else f"{transmitter.target} accepts no datagrams"
 
 
 class _PeerLink:
