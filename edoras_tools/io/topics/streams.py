@@ -11,6 +11,7 @@ from edoras_tools.io.topics.cfe import event_messages, outage_messages, software
 from edoras_tools.io.topics.clock import MissionClock
 from edoras_tools.io.topics.datagrams import DatagramWriter, ros_messages, without_trailing
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, FAULTS_TYPE
+from edoras_tools.io.topics.latched import LatchedTopics
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.statistics import LinkStatistics
 from edoras_tools.io.topics.structs import struct_messages
@@ -117,6 +118,7 @@ class Streams:
         names = [*(topic.type for topic in OWN_TOPICS), *(topic.type for topic in self.topics)]
         self.definitions = {name: types.definition(name) for name in dict.fromkeys(names)}
         self.clock = MissionClock()
+        self._latched = LatchedTopics(mission)
         self._statistics = LinkStatistics(mission, statistics)
         self._own = len(own)
         self.number(range(len(self.topics)))
@@ -149,8 +151,10 @@ class Streams:
             streams.append(self._statistics.messages(batch, columns, self._statistics_id))
         if self._datagrams and datagrams:
             streams.append(self._datagrams.messages(batch, columns, published))
+        messages = ros_messages(batch, columns, self._routes, published)
+        self._latched.keep(columns, messages)
         streams += [
-            ros_messages(batch, columns, self._routes, published),
+            messages,
             event_messages(batch, columns, self._events, published),
             software_bus_messages(batch, columns, self._software_bus, published),
         ]
@@ -158,6 +162,10 @@ class Streams:
         if len(rows) and self._add:
             streams += struct_messages(batch, columns, rows, self.structs, self._struct_id, published)
         return streams
+
+    def latched(self, time_ns: int) -> Messages:
+        """Return the last message of each latched topic again, for a new file; all belong to row 0."""
+        return self._latched.again(self._routes, time_ns)
 
     def outages(self, news: Sequence[InterfaceOutage]) -> Messages:
         """Return an event for each time that an interface went away or returned, each in its own row."""

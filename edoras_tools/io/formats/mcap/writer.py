@@ -170,6 +170,8 @@ class McapSink:
 
     def _append(self, batch: PacketBatch, columns: Columns) -> None:
         self._attach(int(batch.time_ns[0]))
+        if not self._count and len(latched := self._streams.latched(int(batch.time_ns[0]))):
+            self._chunks.append([latched], 1)
         self._chunks.append(self._streams.messages(batch, columns), len(batch))
         self._count += len(batch)
 
