@@ -33,25 +33,17 @@ _NO_MEMORY: Final = (
 )
 """Texts of errors other than ``MemoryError`` that mean that memory is exhausted."""
 
-COMMANDS: Final = (
-    *("demo", "sniff", "record", "live", "info", "decode", "recover", "export"),
-    *(
-        "replay",
-        "inject",
-        "sweep",
-        "proxy",
-        "bridge",
-        "doctor",
-        "compare",
-        "check",
-        "report",
-        "sim",
-        "wireshark",
-        "codegen",
-    ),
-    "structs",
-)
-"""Each is a function, or a group of commands, in a module of the same name."""
+GROUPS: Final = {
+    "Look": ("sniff", "info", "decode", "live"),
+    "Record": ("record", "recover", "export"),
+    "Explain": ("doctor", "report", "compare", "check"),
+    "Send": ("replay", "inject", "sweep", "proxy"),
+    "Connect": ("bridge", "codegen", "structs", "wireshark"),
+    "Try": ("demo", "sim"),
+}
+"""The commands of each group; each is a function, or a group of commands, in a module of the same name."""
+COMMANDS: Final = {name: group for group, names in GROUPS.items() for name in names}
+"""The group of each command."""
 
 
 class _Command(typer.core.TyperCommand):
@@ -96,9 +88,9 @@ def program(*names: str) -> typer.Typer:
     for name in names or COMMANDS:
         command = _command(name)
         if isinstance(command, typer.Typer):
-            made.add_typer(command)
+            made.add_typer(command, rich_help_panel=COMMANDS[name])
         else:
-            made.command(cls=_Command)(command)
+            made.command(cls=_Command, rich_help_panel=COMMANDS[name])(command)
     return made
 
 
