@@ -189,7 +189,7 @@ def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool
             tell_reach(station.endpoint, "send what is published in ROS 2")
         if bridges.ros in {Ros.DDS, Ros.RCLPY}:
             _say(
-                "the ROS 2 domain is open: every node on its network may publish what is bridged; "
+                "the ROS 2 domain is open: every node on its network can publish messages that are bridged; "
                 "--ros zenoh listens on this machine only"
             )
         sys.stderr.flush()

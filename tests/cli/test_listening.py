@@ -245,7 +245,10 @@ def test_ros_2_over_dds_is_open_by_its_nature_and_it_is_said(machines, command):
     ports, answering, err = asked(machines, command, words, [("udp", 1235), ("udp", 7400)])
     assert ("udp", 1235) in ports - answering
     assert ("udp", 7400) in answering
-    assert "edoras: the ROS 2 domain is open: every node on its network may publish what is bridged" in err
+    assert (
+        "edoras: the ROS 2 domain is open: every node on its network can publish messages that are bridged"
+        in err
+    )
 
 
 def test_a_datagram_from_outside_is_recorded_once_it_is_let_in(machines, command, tmp_path):

@@ -51,7 +51,7 @@ _UNFIT: Final = {
 """Policies that may be incompatible, by their number in DDS: in words, and what a subscriber or a publisher
 of ours has to be for the other to match."""
 _PATIENCE_S: Final = 5.0
-"""Seconds after which it is said that nobody was found."""
+"""Seconds after which a note says that no other node was found."""
 
 
 def _loss(code: int) -> str:
@@ -167,7 +167,7 @@ class DdsGraph:
         """Return a line for each topic with an incompatible peer, once, with the reason; see ``Graph``.
 
         It also says where the other side has another type or definition, or a topic nearly of this name, and
-        after some seconds that nobody was found.
+        after some seconds that no other node was found.
         """
         with self._lock:
             if self._closed.is_set():
@@ -197,8 +197,8 @@ class DdsGraph:
         told += self._peers.notes(own, late=late)
         if late and not self._peers.found:
             told.append(
-                f"nobody was found in domain {self._domain} for {_PATIENCE_S:.0f} s; is ROS_DOMAIN_ID the "
-                "same? Where multicast does not reach others, write --ros-option peers=ADDRESS"
+                f"no other node was found in domain {self._domain} for {_PATIENCE_S:.0f} s; is ROS_DOMAIN_ID "
+                "the same? If multicast does not reach the others, write --ros-option peers=ADDRESS"
             )
         new = [note for note in dict.fromkeys(told) if note not in self._told]
         self._told.update(new)

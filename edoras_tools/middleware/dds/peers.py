@@ -163,9 +163,7 @@ def _difference(ours: OwnEndpoint, item: PeerEndpoint) -> str:
     if not item.type_hash or item.type_hash == ours.type_hash:
         return ""
     if not item.type_hash.startswith(HASH_VERSION) or len(item.type_hash) != _HASH_LENGTH:
-        return (
-            f"{ours.topic}: {who} has a type hash that is none, {item.type_hash[:_HASH_LENGTH]!r}; going on"
-        )
+        return f"{ours.topic}: {who} has an invalid type hash, {item.type_hash[:_HASH_LENGTH]!r}; continuing"
     return (
         f"{ours.topic}: {who} has another definition of {ours.type_name} ({item.type_hash[:19]}..., not "
         f"{ours.type_hash[:19]}...); give theirs with --msg-path, or their --distro"

@@ -41,11 +41,11 @@ CASES = [
     ),
     (
         writer(type_hash="RIHS01_12"),
-        "/cmd_vel: a publisher has a type hash that is none, 'RIHS01_12'; going on",
+        "/cmd_vel: a publisher has an invalid type hash, 'RIHS01_12'; continuing",
     ),
     (
         writer(type_hash="x" * 9999),
-        "/cmd_vel: a publisher has a type hash that is none, '" + 71 * "x" + "'; going on",
+        "/cmd_vel: a publisher has an invalid type hash, '" + 71 * "x" + "'; continuing",
     ),
     (
         writer("rt/robot/cmd_vel"),
