@@ -149,12 +149,19 @@ def _as_user(
     name: str, given: LiveOptions, bench: Workbench, *, every_port: bool, output: Path | None
 ) -> tuple[Source, Workbench]:
     """Open live traffic, then change the user; first check that this user can write the output."""
-    from edoras_tools.io.privileges import become, check_readable, check_writable, find_user
+    from edoras_tools.io.privileges import (
+        become,
+        check_readable,
+        check_writable,
+        find_user,
+        forbid_new_privileges,
+    )
 
     user = find_user(name)
     check_readable(user, Path(logging.__file__), Path(__file__))
     if output is not None:
         check_writable(user, output.absolute().parent)
+    forbid_new_privileges()  # before the capture's threads are started
     source = _opened(given, bench, every_port=every_port)
     try:
         become(user)

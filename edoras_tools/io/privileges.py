@@ -97,6 +97,15 @@ def check_readable(user: User, *files: Path) -> None:
             ) from error
 
 
+def forbid_new_privileges() -> None:
+    """Let no program that is started have more privileges than this one (Linux: ``no_new_privs``).
+
+    It holds for the thread that calls and for those that are started later.
+    """
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
+
+
 def become(user: User) -> None:
     """Drop root's privileges for good, in all threads.
 
@@ -107,8 +116,6 @@ def become(user: User) -> None:
         os.setgroups(user.groups)
         os.setresgid(user.gid, user.gid, user.gid)
         os.setresuid(user.uid, user.uid, user.uid)
-        if sys.platform.startswith("linux"):  # programs that are started do not get it back either
-            ctypes.CDLL(None).prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
     except OSError as error:
         why = error.strerror or error
         raise CaptureError(f"--user {user.name}: root privileges cannot be dropped: {why}") from error

@@ -56,12 +56,13 @@ def test_where_the_account_can_write(place):
 def test_there_is_no_way_back():
     code = """
         import os, socket, threading
-        from edoras_tools.io.privileges import become, find_user
+        from edoras_tools.io.privileges import become, find_user, forbid_new_privileges
         opened = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)
         gate, seen = threading.Event(), []
         other = threading.Thread(target=lambda: (gate.wait(), seen.append(os.getresuid())))
         other.start()
         nobody = find_user("nobody")
+        forbid_new_privileges()
         become(nobody)
         gate.set()
         other.join()
