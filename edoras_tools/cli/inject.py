@@ -135,6 +135,7 @@ def inject(
         if message.to
         else injection_receiver(injection, bench.mission),
         rates=(("*", message.rate or 1.0),),
+        headers=bench.columns.context.options.headers or send_options.headers,
     ).placed(bench.mission)
     loaded, send_options = make(injection, bench, send_options)
     changes = Changes(sequence=send_options.sequence, checksum=send_options.checksum)

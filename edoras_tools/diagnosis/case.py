@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Link
 from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Verdict
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import InterfaceOutage
+
+_MOST: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,11 +307,14 @@ class Case:
 
     @cached_property
     def _target(self) -> str:
-        """``--target`` for the only CI of the capture, where it is not the usual one of this machine."""
+        """``--target`` for the only CI of the capture, unless it is the usual one here; and its headers."""
         to_ci = among(self.rows.link, lambda link: link.only_to_cfs)
         places = {self.endpoints[item] for item in np.unique(self.rows.destination[to_ci]).tolist()}
         usual = Endpoint("127.0.0.1", command_ingest.PORT)
-        return f" --target {next(iter(places))}" if len(places) == 1 and places != {usual} else ""
+        target = f" --target {next(iter(places))}" if len(places) == 1 and places != {usual} else ""
+        lengths = self.rows.header_length[to_ci]
+        extended = bool(len(lengths)) and bool((lengths == cfe.WITH_EXTENDED.command_bytes).mean() > _MOST)
+        return target + " --extended-header" * extended
 
     def inject(self, name: str, *arguments: str) -> str:
         """Return what to type to send a named command to the CI of the capture."""

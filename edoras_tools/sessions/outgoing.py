@@ -122,13 +122,21 @@ class Outgoing:
         )
 
     @classmethod
-    def packets(cls, link: Link, rows: Sequence[Packet], *, sender: Peer | None = None) -> Outgoing:
+    def packets(
+        cls,
+        link: Link,
+        rows: Sequence[Packet],
+        *,
+        sender: Peer | None = None,
+        headers: cfe.Headers | None = None,
+    ) -> Outgoing:
         """Lay out space packets, one a datagram.
 
         Args:
             link: where they go.
             rows: the packets.
             sender: who sends them on the SBN link; needed there.
+            headers: those of their cFE; None for the usual ones.
         """
         before = [
             sbn.emit(sbn.MsgType.APP, sender, row.packet)[: sbn.HEADER.size] if sender else b""
@@ -139,13 +147,14 @@ class Outgoing:
             np.uint8,
         ).copy()
         packet_length = np.array([len(row.packet) for row in rows], np.int32)
+        headers = headers or cfe.STANDARD
         extra = sbn.HEADER.size if sender else 0
         length = packet_length + np.int32(extra)
         offset = np.cumsum(length, dtype=np.int64) - length
         cdr = np.array([row.cdr_at for row in rows], np.int64)
         msg_id = np.array([msg_id_of(row.packet) for row in rows], np.int32)
         command = (msg_id & cfe.COMMAND_BIT) != 0
-        header = np.where(command, cfe.COMMAND_HEADER_BYTES, cfe.TELEMETRY_HEADER_BYTES)
+        header = np.where(command, headers.command_bytes, headers.telemetry_bytes)
         return cls(
             link=link,
             data=data,
@@ -293,7 +302,9 @@ def _number(out: Outgoing, rule: SequenceRule, sent: int) -> None:
 def _check(out: Outgoing, rule: ChecksumRule) -> None:
     whole = out.packet_length >= out.header_length
     rows = np.flatnonzero((out.msg_id != NO_MSG_ID) & ((out.msg_id & cfe.COMMAND_BIT) != 0) & whole)
-    at = out.packet_offset[rows] + out.header_length[rows] - 1
+    extended = out.header_length[rows] == cfe.WITH_EXTENDED.command_bytes
+    start = np.where(extended, cfe.WITH_EXTENDED.start, cfe.STANDARD.start)
+    at = out.packet_offset[rows] + start + cfe.CHECKSUM_BYTE
     out.data[at] = 0
     if rule is not ChecksumRule.ZERO:
         right = xor_bytes(out.data, out.packet_offset[rows], out.packet_length[rows]) ^ np.uint8(

@@ -149,6 +149,8 @@ WITH_EXTENDED: Final = Headers("extended header", True, COMMAND_EXTENDED, TELEME
 HEADERS: Final = (STANDARD, SHORT, WITH_EXTENDED)
 """Every kind of build, the usual one first."""
 
+CHECKSUM_BYTE: Final = 1
+"""Place of the checksum in the command header."""
 COMMAND_HEADER_BYTES: Final = ccsds.PRIMARY.size + COMMAND.size
 TELEMETRY_HEADER_BYTES: Final = ccsds.PRIMARY.size + TELEMETRY.size
 EVENT_MSG_ID: Final = 0x0808
@@ -181,8 +183,9 @@ def emit_command(
     sequence_flags: int = ccsds.UNSEGMENTED,
     sequence_count: int = 0,
     with_checksum: bool = True,
+    headers: Headers = STANDARD,
 ) -> bytes:
-    """Write a whole command packet: 8 header bytes and the payload.
+    """Write a whole command packet: 8 header bytes, or 16 of an extended header, and the payload.
 
     The EDORAS bridges send ``sequence_flags=0`` and ``with_checksum=False``.
 
@@ -191,12 +194,14 @@ def emit_command(
     """
     if not is_command(msg_id):
         raise FieldError("cfe_command", "msg_id", f"0x{msg_id:04x} lacks the command bit 0x1000")
-    total = COMMAND_HEADER_BYTES + len(payload)
+    total = headers.command_bytes + len(payload)
     head = ccsds.emit(msg_id, total, sequence_flags=sequence_flags, sequence_count=sequence_count)
-    packet = head + COMMAND.emit({"function_code": function_code}) + payload
+    head += EXTENDED.emit({}) if headers.extended else b""
+    packet = head + headers.command.emit({"function_code": function_code}) + payload
     if not with_checksum:
         return packet
-    return packet[:7] + bytes([checksum(packet)]) + packet[8:]
+    at = headers.start + CHECKSUM_BYTE
+    return packet[:at] + bytes([checksum(packet)]) + packet[at + 1 :]
 
 
 def emit_telemetry(
@@ -207,17 +212,19 @@ def emit_telemetry(
     subseconds: int = 0,
     sequence_flags: int = ccsds.UNSEGMENTED,
     sequence_count: int = 0,
+    headers: Headers = STANDARD,
 ) -> bytes:
-    """Write a whole telemetry packet: 16 header bytes and the payload.
+    """Write a whole telemetry packet: 16 header bytes (12 in older builds) and the payload.
 
     Raises:
         FieldError: a value does not fit its field, or the MsgId is a command one.
     """
     if is_command(msg_id):
         raise FieldError("cfe_telemetry", "msg_id", f"0x{msg_id:04x} has the command bit 0x1000")
-    total = TELEMETRY_HEADER_BYTES + len(payload)
+    total = headers.telemetry_bytes + len(payload)
     head = ccsds.emit(msg_id, total, sequence_flags=sequence_flags, sequence_count=sequence_count)
-    return head + TELEMETRY.emit({"seconds": seconds, "subseconds": subseconds, "spare": b""}) + payload
+    head += EXTENDED.emit({}) if headers.extended else b""
+    return head + headers.telemetry.emit({"seconds": seconds, "subseconds": subseconds}) + payload
 
 
 def mission_time_ns(seconds: int, subseconds: int) -> int:

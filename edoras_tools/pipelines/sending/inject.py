@@ -79,13 +79,14 @@ def make(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[
     """
     passes = injection.count
     if injection.command is not None:
-        packets = [Packet(_command(*injection.command, injection.payload))]
+        packets = [Packet(_command(*injection.command, injection.payload, options.headers))]
     elif (named := _named(injection, bench.mission, options)) is not None:
         packets = [Packet(named)]
     else:
         packets = list(_messages(injection, bench, options))
         passes = passes // len(packets)
-    out = Outgoing.packets(options.to.link, packets, sender=sender_of(options, bench.mission))
+    sender = sender_of(options, bench.mission)
+    out = Outgoing.packets(options.to.link, packets, sender=sender, headers=options.headers)
     return Loaded(out), replace(options, passes=passes)
 
 
@@ -115,9 +116,9 @@ def _named(injection: Injection, mission: Mission, options: SendOptions) -> byte
         address = argument or own_address(options.target)
         if len(address) > 15 or address.count(".") != 3:
             raise ConfigError(f"to-enable takes an IPv4 address, not {address!r}")
-        return enable_output(address)
+        return enable_output(address, options.headers)
     if name == "noop":
-        return _command(_noop(argument), 0, b"")
+        return _command(_noop(argument), 0, b"", options.headers)
     if name not in NAMED:
         return None
     command = NAMED[name]
@@ -127,7 +128,7 @@ def _named(injection: Injection, mission: Mission, options: SendOptions) -> byte
         payload = command.payload(argument, USUAL_LIMIT if injection.limit is None else injection.limit)
     except ConfigError as error:
         raise ConfigError(f"{name} {error}") from None
-    return _command(command.msg_id, command.function_code, payload)
+    return _command(command.msg_id, command.function_code, payload, options.headers)
 
 
 def _noop(text: str) -> int:
@@ -143,8 +144,10 @@ def _noop(text: str) -> int:
         raise ConfigError(f"noop takes a MsgId or an app ({', '.join(apps)}), {said}") from None
 
 
-def _command(msg_id: int, function_code: int, payload: bytes) -> bytes:
-    return cfe.emit_command(msg_id, function_code, payload, sequence_flags=0, with_checksum=False)
+def _command(msg_id: int, function_code: int, payload: bytes, headers: cfe.Headers) -> bytes:
+    return cfe.emit_command(
+        msg_id, function_code, payload, sequence_flags=0, with_checksum=False, headers=headers
+    )
 
 
 def _messages(injection: Injection, bench: Workbench, options: SendOptions) -> Iterator[Packet]:

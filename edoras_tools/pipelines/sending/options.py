@@ -16,6 +16,7 @@ from edoras_tools.pipelines.sending.safety import fits
 from edoras_tools.sessions.outgoing import ChecksumRule, SequenceRule
 from edoras_tools.sessions.pacing import Pacing
 from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.cfe import STANDARD, Headers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,6 +83,7 @@ class SendOptions:
         checksum: what to do with checksums.
         passes: how often; 0 for no end.
         step: start in single steps.
+        headers: those of the cFE that it goes to, for packets that are made.
     """
 
     to: Receiver = Receiver.CI
@@ -106,6 +108,7 @@ class SendOptions:
     checksum: ChecksumRule = ChecksumRule.KEEP
     passes: int = 1
     step: bool = False
+    headers: Headers = STANDARD
 
     def _check(self) -> None:
         """Check the combination, once the receiver is known.

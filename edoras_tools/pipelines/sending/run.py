@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ from edoras_tools.pipelines.sending.wait_for import conditions, count_known
 from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.sessions.sbn.habits import CLIENT, PUBLIC_BRIDGE
 from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -80,6 +81,9 @@ class Transmission:
         table = options.pacing(out, mission).timetable(out.time_ns, out.msg_id)
         ready = changes.once(in_order(out, table))
         check_allowed(ready, options.allow, mission)
+        command = (ready.msg_id != NO_MSG_ID) & ((ready.msg_id & cfe.COMMAND_BIT) != 0)
+        if (ready.header_length[command] == cfe.WITH_EXTENDED.command_bytes).any():
+            options = replace(options, headers=cfe.WITH_EXTENDED)
         wanted = tuple(sorted(subscribed)) or loaded.wanted
         return cls(ready, table, options, mission, changes, wanted, loaded.notes)
 

@@ -38,32 +38,39 @@ class Encoder:
         index: its index in the mission.
         envelope: format of the two lengths before the CDR.
         function_code: for a command.
+        headers: those of the cFE that it goes to or comes from.
     """
 
     route: Route
     index: int
     envelope: EnvelopeFormat
     function_code: int = edoras_app.SET
+    headers: cfe.Headers = cfe.STANDARD
 
     @classmethod
     def of(cls, route: Route, bench: Workbench, function_code: int = edoras_app.SET) -> Encoder:
         """Return the encoder of a route of the bench's mission."""
         index = bench.mission.routes.index(route)
-        return cls(route, index, bench.columns.context.envelopes[index] or DEFAULT, function_code)
+        context = bench.columns.context
+        headers = context.options.headers or cfe.STANDARD
+        return cls(route, index, context.envelopes[index] or DEFAULT, function_code, headers)
 
     def packet(self, cdr: bytes, time_ns: int) -> Packet:
         """Return a space packet; sequence word and checksum are 0, as the bridges send them."""
         body = self.envelope.emit(cdr)
-        msg_id = self.route.msg_id
+        msg_id, headers = self.route.msg_id, self.headers
         if cfe.is_command(msg_id):
-            data = cfe.emit_command(msg_id, self.function_code, body, sequence_flags=0, with_checksum=False)
-            head = cfe.COMMAND_HEADER_BYTES
+            data = cfe.emit_command(
+                msg_id, self.function_code, body, sequence_flags=0, with_checksum=False, headers=headers
+            )
+            head = headers.command_bytes
         else:
             seconds, rest = divmod(max(time_ns - _CFE_EPOCH_S * SECOND, 0), SECOND)
+            fraction = (rest << 16) // SECOND
             data = cfe.emit_telemetry(
-                msg_id, body, seconds=seconds, subseconds=(rest << 16) // SECOND, sequence_flags=0
+                msg_id, body, seconds=seconds, subseconds=fraction, sequence_flags=0, headers=headers
             )
-            head = cfe.TELEMETRY_HEADER_BYTES
+            head = headers.telemetry_bytes
         return Packet(data, time_ns, self.index, head + self.envelope.size)
 
 
@@ -132,7 +139,12 @@ def load_topics(
     if not packets:
         raise CaptureError(f"{bag.path}: contains no message on {', '.join(encoders)} in the selected time")
     notes = (f"{short:,} messages are too short for CDR, and are sent as they are",) if short else ()
-    out = Outgoing.packets(options.to.link, packets, sender=sender_of(options, mission))
+    out = Outgoing.packets(
+        options.to.link,
+        packets,
+        sender=sender_of(options, mission),
+        headers=bench.columns.context.options.headers,
+    )
     return Loaded(out, notes=notes)
 
 

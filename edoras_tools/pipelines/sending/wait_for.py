@@ -136,7 +136,7 @@ def _enabled(options: SendOptions, responses: Responses, wire: Wire, local: Endp
     )
 
     def ask() -> None:
-        wire.put(enable_output(address))
+        wire.put(enable_output(address, options.headers))
 
     def explain(seconds: float) -> str:
         return (
@@ -172,12 +172,18 @@ def _event(text: str, responses: Responses, local: Endpoint) -> Condition:
     return Condition(f"event:{text}", lambda: responses.says(text), explain)
 
 
-def enable_output(address: str) -> bytes:
-    """Return the command that makes Telemetry Output send to an IPv4 address, as the ground bridge does."""
+def enable_output(address: str, headers: cfe.Headers = cfe.STANDARD) -> bytes:
+    """Return the command that makes Telemetry Output send to an IPv4 address, as the ground bridge does.
+
+    Args:
+        address: as text.
+        headers: those of the cFE that it goes to.
+    """
     return cfe.emit_command(
         telemetry_output.COMMAND_MSG_ID,
         telemetry_output.ENABLE,
         address.encode().ljust(16, b"\0"),
         sequence_flags=0,
         with_checksum=False,
+        headers=headers,
     )

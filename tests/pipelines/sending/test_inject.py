@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+import json
 import struct
 
 import pytest
-from places import MISSIONS
+import zstandard
+from places import MISSIONS, ROOT
 
 from edoras_tools.cfs.commands import NAMED, Argument
 from edoras_tools.cfs.names import COMMANDS
+from edoras_tools.decode import Options
 from edoras_tools.errors import ConfigError, EdorasError, FieldError, RouteError
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
@@ -14,6 +17,8 @@ from edoras_tools.links.to import TO
 from edoras_tools.pipelines.sending.inject import Injection, command_names, injection_receiver, make
 from edoras_tools.pipelines.sending.options import Receiver, SendOptions
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.sessions.outgoing import Changes, ChecksumRule
+from edoras_tools.wire import cfe
 
 TWIST = "geometry_msgs/msg/Twist"
 
@@ -111,6 +116,38 @@ def test_commands_with_an_argument(what, payload, made):
 
 def test_how_many_may_wait_is_part_of_adding(made):
     assert made("to-add", "0x827", limit=32)[0][0][14] == 32
+
+
+@pytest.fixture(scope="module")
+def extended():
+    """The first commands that a real cFE with the extended header got, by MsgId; sequence words as 0."""
+    packed = (ROOT / "tests/captures/p6b_extended_header.pcap.zst").read_bytes()
+    raw, at, found = zstandard.ZstdDecompressor().decompressobj().decompress(packed), 24, {}
+    while at < len(raw):
+        length = int.from_bytes(raw[at + 8 : at + 12], "little")
+        frame = raw[at + 16 : at + 16 + length]
+        at += 16 + length
+        if frame[36:38] == (1234).to_bytes(2, "big"):
+            found.setdefault(frame[42:44].hex(), frame[42:44] + b"\0\0" + frame[46:])
+    return found
+
+
+def test_commands_of_a_cfe_with_the_extended_header(extended, bench):
+    options = SendOptions(headers=cfe.WITH_EXTENDED).placed(bench.mission)
+    enable = make(Injection("to-enable", "127.0.0.1"), bench, options)[0].out
+    assert enable[0] == extended["1880"]
+    changes = Changes(checksum=ChecksumRule.FIX)
+    fixed = changes.once(enable)[0]
+    assert (cfe.checksum(fixed), fixed[11] != 0, fixed[:11]) == (0, True, enable[0][:11])
+
+
+def test_messages_for_a_cfe_with_the_extended_header(extended):
+    settings = Settings([MISSIONS / "rover_ground.yaml"], options=Options(extended_header=True))
+    bench = settings.workbench()
+    options = SendOptions(headers=cfe.WITH_EXTENDED).placed(bench.mission)
+    real = bench.types.decode(TWIST, extended["1827"][32:])
+    ours = make(Injection("/cmd_vel", json.dumps(real)), bench, options)[0].out
+    assert ours[0] == extended["1827"]
 
 
 def test_counts(made):

@@ -57,7 +57,7 @@ def test_what_the_mission_wants_in_the_table_is_added_and_real_to_takes_it():
     output = TelemetryOutput(profile, SoftwareBus(profile))
     output.subscribe([0x828])
     session = GroundSession(PacketWriter(checksum=True, sequence=True), "10.0.0.7", {0x828: 255}, now=0)
-    said = [output.command(packet).event.message for packet in session.service(now=0)]
+    said = [event.message for packet in session.service(now=0) for event in output.command(packet).events]
     assert said == [
         "TO telemetry output enabled for IP 10.0.0.7",
         "L497 TO RemovePkt 0x828",
