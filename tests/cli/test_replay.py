@@ -309,7 +309,9 @@ def test_ctrl_c_prints_the_report(command, captures, receiver, tmp_path):
         report = json.loads(program.end()[0])
     assert report["interrupted"]
     assert 3 <= report["sent"] == len(sent + take()) < 601
-    info = subprocess.run([command, "info", "--json", tmp_path / "x.mcap"], capture_output=True, check=True)
+    port = f"ci:{target.rpartition(':')[2]}"
+    asked = [command, "info", "--json", tmp_path / "x.mcap", "--port", port]
+    info = subprocess.run(asked, capture_output=True, check=True)
     assert json.loads(info.stdout)["datagrams"] == report["sent"]
 
 
