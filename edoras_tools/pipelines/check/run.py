@@ -206,7 +206,11 @@ def _results(expected: Expectations, observed: Observation, findings: Findings) 
     for event, watch in zip(expected.events, observed.events, strict=True):
         yield _event(event, watch, diagnosis.zero_ns)
     if expected.findings is not None:
-        counts = {name: number for name, number in ledger.findings.items() if name in NOTABLE_FINDINGS}
+        counts = {
+            name: plural(number, "datagram")
+            for name, number in ledger.findings.items()
+            if name in NOTABLE_FINDINGS
+        }
         yield from _allowed("findings", expected.findings, counts)
     # What is wrong with the capture itself goes for all the rest: it has to be allowed by name.
     grave = [item for item in diagnosis.verdicts if item.severity >= Severity.WARNING]
