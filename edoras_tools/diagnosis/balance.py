@@ -320,8 +320,12 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
         told["lost"] = "not counted: no 0x803 is here"
     came = max(at, sum(on_bus.values()))
     out = came - sum(on_bus.values())
-    unfollowed = 0 if fate.seen or fate.reached is not None else min(fate.unaccounted, out)
+    told_behind = fate.seen or fate.reached is not None or fate.commanded is not None
+    unfollowed = 0 if told_behind else min(fate.unaccounted, out)
     at = add(BUS, came, out - unfollowed, lost=on_bus, unaccounted=unfollowed, counted=told)
+    if fate.commanded is not None and fate.unaccounted:
+        told = {"in": "what the software bus did not lose", "out": "0x880: commands that it took or refused"}
+        at = add(telemetry_output.NAME, at, at - fate.unaccounted, unaccounted=fate.unaccounted, counted=told)
     if fate.reached is not None:
         told = {"in": "what the software bus did not lose", "out": "number of datagrams on the robot link"}
         late = at - fate.reached - fate.unaccounted

@@ -109,6 +109,15 @@ COMMAND_INGEST_HOUSEKEEPING: Final = Layout(
     byte_order="little",
 )
 """Payload of CI_LAB's telemetry 0x0884."""
+TELEMETRY_OUTPUT_HOUSEKEEPING: Final = Layout(
+    "to_lab_housekeeping",
+    "TO_LAB Housekeeping",
+    Field("command_counter", 8, "commands to TO itself accepted"),
+    Field("command_error_counter", 8, "commands to TO itself refused"),
+    Field("spare", 16, "alignment"),
+    byte_order="little",
+)
+"""Payload of TO_LAB's telemetry 0x0880."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ LAYOUTS = [
     cfe.EVENT,
     cfe.SOFTWARE_BUS_HOUSEKEEPING,
     cfe.COMMAND_INGEST_HOUSEKEEPING,
+    cfe.TELEMETRY_OUTPUT_HOUSEKEEPING,
     sbn.HEADER,
     sbn.LEGACY_HEADER,
     sbn.SUBSCRIPTIONS,
@@ -24,7 +25,7 @@ LAYOUTS = [
     cdr.ENCAPSULATION,
     *(item.layout for item in envelope.ENVELOPE_FORMATS),
 ]
-SIZES = [6, 2, 10, 6, 4, 156, 28, 24, 11, 7, 50, 6, 1, 4, 16, 16, 8, 8, 2]
+SIZES = [6, 2, 10, 6, 4, 156, 28, 24, 4, 11, 7, 50, 6, 1, 4, 16, 16, 8, 8, 2]
 
 
 @pytest.mark.parametrize(("layout", "size"), list(zip(LAYOUTS, SIZES, strict=True)))

@@ -15,15 +15,15 @@ Rules:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import names, sbn
+from edoras_tools.cfs import names, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
 from edoras_tools.diagnosis.accounting.leftover import Leftover
-from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, Among, Loss
+from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, TAIL_NS, Among, Loss
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
 from edoras_tools.diagnosis.accounting.stops import stopped
 from edoras_tools.links.robot import ROBOT
@@ -39,6 +39,11 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.ingest import Ingest
     from edoras_tools.diagnosis.accounting.losses import Known
     from edoras_tools.diagnosis.matching.crossing import Hop
+
+
+_COUNTS: Final = 256
+_WRAPPED: Final = 128
+"""A counter of 8 bits that falls by more began again from 0, by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +109,9 @@ class Commands:
         for fate in fates:
             self._unfollowed(fate)
         self._number(fates)
+        for fate in fates:
+            if fate.stream.msg_id == telemetry_output.COMMAND_MSG_ID and fate.stream.link.only_to_cfs:
+                self._commanded(fate)
 
     def refusals(self, item: Refused) -> int:
         """Return how many messages of a refusal were lost by it, and by nothing else."""
@@ -170,6 +178,27 @@ class Commands:
             left -= fate.queued + fate.late
             late = self._known.captured(fate.stream) > self._known.end_ns - WAITS_NS
             fate.unaccounted = max(0, left - int(late.sum()))
+
+    def _commanded(self, fate: Fate) -> None:
+        """Hold commands to Telemetry Output against its own counters in 0x880.
+
+        They were sent, and are counted, between its first 0x880 and its last; what was sent just before the
+        last may not be in it yet. A counter that was set back tells nothing, nor those of
+        several cFS, or of one that was started again, or whose Telemetry Output was.
+        """
+        known, samples = self._known, self._known.payloads.commanded
+        senders = np.unique(known.rows.source[samples["row"]])
+        if fate.seen or len(samples) < 2 or len(senders) != 1 or len(known.instances.items) != 1:
+            return
+        steps = np.stack([np.diff(samples[name]) for name in ("taken", "refused")])
+        steps[steps < -_WRAPPED] += _COUNTS
+        reset = any(item.function_code == telemetry_output.RESET for item in known.payloads.output)
+        if reset or (steps < 0).any():
+            return
+        fate.commanded = int(steps.sum())
+        times, counted_ns = known.captured(fate.stream), samples["time_ns"]
+        inside = int(((times > counted_ns[0]) & (times <= counted_ns[-1] - TAIL_NS)).sum())
+        fate.unaccounted = max(0, inside - (len(times) - self._untold(fate)) - fate.commanded)
 
     def _rest(self, fate: Fate) -> None:
         """Rules 6 and 7."""

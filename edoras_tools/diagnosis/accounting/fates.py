@@ -50,6 +50,7 @@ class Fate:
         unfollowed_since: what was said or asked from which on that is so.
         unseen: bool (rows,), it may have come out while the capturing interface was away.
         reached: messages that came out by their number alone, where cut frames hide which; None elsewhere.
+        commanded: commands to Telemetry Output that 0x880 counts; None where it does not tell.
         uncounted: messages that CI's first count does not have, and nothing tells why.
         late: messages that were sent so late that no count of their CI is here after them.
         unsure: messages of which the first counts of their CI do not tell whether it read them.
@@ -74,6 +75,7 @@ class Fate:
     unfollowed_since: str = ""
     unseen: NDArray[np.bool_] | None = None
     reached: int | None = None
+    commanded: int | None = None
     uncounted: int = 0
     late: int = 0
     unsure: int = 0

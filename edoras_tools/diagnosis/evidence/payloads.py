@@ -33,6 +33,7 @@ _BUS_COUNTERS: Final = (
     ),
 )
 _CI_COUNTERS: Final = cfe.COMMAND_INGEST_HOUSEKEEPING, ("ingest_packets", "ingest_errors")
+_TO_COUNTERS: Final = cfe.TELEMETRY_OUTPUT_HOUSEKEEPING, ("command_counter", "command_error_counter")
 
 
 @dataclass(slots=True)
@@ -165,6 +166,7 @@ class Payloads:
     Attributes:
         housekeeping: of 0x803 what the software bus counted: 16 bits that wrap, the last two 8.
         ingest: of 0x884 what Command Ingest counted.
+        commanded: of 0x880 the commands that Telemetry Output counted: those that it took, and refused.
         subscriptions: SUB and UNSUB; ``said`` is a place in ``contents``.
         contents: what they say, each once.
         events: of 0x808 what applications said.
@@ -176,6 +178,7 @@ class Payloads:
         default_factory=lambda: Samples.of("pipe_overflows", "msg_limits", "no_subscribers", "send_errors")
     )
     ingest: Samples = field(default_factory=lambda: Samples.of("packets", "errors"))
+    commanded: Samples = field(default_factory=lambda: Samples.of("taken", "refused"))
     subscriptions: Samples = field(default_factory=lambda: Samples.of("said"))
     contents: list[SubscriptionMessage] = field(default_factory=list)
     events: list[EventRecord] = field(default_factory=list)
@@ -195,6 +198,7 @@ class Payloads:
         for samples, msg_id, layout, names in (
             (self.housekeeping, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, *_BUS_COUNTERS),
             (self.ingest, command_ingest.HOUSEKEEPING_MSG_ID, *_CI_COUNTERS),
+            (self.commanded, telemetry_output.HOUSEKEEPING_MSG_ID, *_TO_COUNTERS),
         ):
             rows = np.flatnonzero(downward & (columns.msg_id == msg_id))
             # What follows the counters is not read; a capture may have cut it off.
@@ -236,6 +240,7 @@ class Payloads:
             self,
             housekeeping=self.housekeeping.over(place),
             ingest=self.ingest.over(place),
+            commanded=self.commanded.over(place),
             subscriptions=self.subscriptions.over(place),
             events=moved(self.events),
             output=moved(self.output),
@@ -248,6 +253,7 @@ class Payloads:
             self,
             housekeeping=self.housekeeping.timed(time_ns),
             ingest=self.ingest.timed(time_ns),
+            commanded=self.commanded.timed(time_ns),
             events=[replace(item, time_ns=int(time_ns[item.row])) for item in self.events],
         )
 

@@ -89,6 +89,9 @@ def _unfollowed(case: Case, fate: Fate) -> Verdict:
     if fate.reached is not None:
         why = f"the robot got {fate.reached:,}, and which they were is cut off"
         evidence = ["datagrams counted: to CI, and on the robot link"]
+    elif fate.commanded is not None:
+        why = f"Telemetry Output counted {fate.commanded:,} commands meanwhile"
+        evidence = ["0x880: its counters of commands taken and refused, between the first and the last here"]
     else:
         why = "they were sent after an application was stopped, and nothing here shows whether one took them"
         evidence = [fate.unfollowed_since]
