@@ -118,6 +118,21 @@ def record_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
     }
 
 
+def list_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
+    """A line a packet, beside tshark's list of the same file, in alternation; start-up included."""
+    capture = folder / "list.pcap"
+    subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+    ours, theirs = float("inf"), float("inf")
+    for _ in range(ROUNDS):
+        ours = min(ours, timed([EDORAS, "sniff", "-r", str(capture), *MISSIONS], rounds=1))
+        theirs = min(theirs, timed(["tshark", "-r", str(capture)], rounds=1))
+    return {
+        "packets": packets,
+        "edoras_us_per_packet": round(ours / packets * 1e6, 1),
+        "tshark_us_per_packet": round(theirs / packets * 1e6, 1),
+    }
+
+
 def memory_of_a_large_file(folder: Path, packets: int) -> dict[str, object]:
     """Peak memory does not grow with the file."""
     capture = folder / "large.pcap"
@@ -190,7 +205,7 @@ def main() -> None:
     parser.add_argument(
         "--only",
         choices=[
-            *("record", "memory", "live", "startup", "pacing"),
+            *("record", "list", "memory", "live", "startup", "pacing"),
             *("proxy", "bridge", "foxglove", "where", "lua", "codegen", "tui", "export"),
         ],
     )
@@ -205,6 +220,7 @@ def main() -> None:
         for key, run in {
             "startup": start_up,
             "record": lambda: record_beside_tshark(folder, options.packets),
+            "list": lambda: list_beside_tshark(folder, options.packets // 10),
             "memory": lambda: memory_of_a_large_file(folder, 4 * options.packets),
             "live": lambda: live(folder),
             "pacing": lambda: pacing.measure(folder),

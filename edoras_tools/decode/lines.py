@@ -135,6 +135,7 @@ class PacketLines:
             yield from (line_of(self._dissector.dissect(rows.batch[row])) for row in rows.indices().tolist())
             return
         links = {code: table.link(code) for code in set(rows.column("link").tolist())}
+        found = {bits: Finding(bits) for bits in set(rows.column("findings").tolist())}
         columns = zip(
             rows.indices().tolist(),
             rows.datagram("number").tolist(),
@@ -159,7 +160,7 @@ class PacketLines:
                 content.msg_id,
                 content.name,
                 length,
-                Finding(findings),
+                found[findings],
                 content.text,
             )
 

@@ -103,7 +103,7 @@ class PacketList:
         """Lay the columns out for another width; the lines that follow have it."""
         self._width = max(20, width)
         self._widths = _widths(self._width, self._time_format)
-        self._endpoints: dict[tuple[Endpoint, Endpoint], str] = {}
+        self._endpoints: dict[tuple[int, int], tuple[str, Endpoint, Endpoint]] = {}
         self._badges: dict[Finding, tuple[str, int]] = {}
         self._known: dict[tuple[Link, str, int, str], str] = {}
 
@@ -143,7 +143,7 @@ class PacketList:
         number = f"{packet.number:>{size.number}}"
         before = number
         if size.time:
-            before += size.gap + fit_right(self._time(packet.time_ns), size.time)
+            before += f"{size.gap}{self._time(packet.time_ns):>{size.time}}"
         if size.endpoints:
             before += size.gap + self._route(packet.source, packet.destination)
         middle = self._what(packet.link, kind, msg_id, name)
@@ -197,14 +197,14 @@ class PacketList:
                 return moment[:width] if width == len(moment) else moment[11 : 11 + width]
 
     def _route(self, source: Endpoint, destination: Endpoint) -> str:
-        known = self._endpoints.get((source, destination))
+        key = id(source), id(destination)  # to hash them takes as long as the rest of a line
+        known = self._endpoints.get(key)
         if known is None:
             if len(self._endpoints) > _MOST_KNOWN:
                 self._endpoints.clear()
-            known = self._endpoints[source, destination] = _endpoints(
-                source, destination, self._widths.endpoints
-            )
-        return known
+            text = _endpoints(source, destination, self._widths.endpoints)
+            known = self._endpoints[key] = text, source, destination  # which keeps the ids theirs
+        return known[0]
 
     def _badge(self, findings: Finding, room: int) -> tuple[str, int]:
         """Return the painted findings that fit in at most half of the room, and the cells they take."""
