@@ -290,7 +290,9 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
 
     at = len(stream)
     done = case.known.done_to(stream)
-    if done.dropped or done.doubled:
+    # What a proxy did to a MsgId is told once, whoever else gets that MsgId.
+    first = next(item for item in case.streams if case.known.done_to(item) is done)
+    if (done.dropped or done.doubled) and first is stream:
         doubled = min(done.doubled, at)
         add(PROXY_HOP, at + len(done.dropped) - doubled, at, **_done(len(done.dropped), doubled))
     if stream.link.only_to_cfs:

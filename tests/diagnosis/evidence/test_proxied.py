@@ -10,6 +10,7 @@ from places import ROOT
 from rewriting import datagrams, write
 
 from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.diagnosis.missing import missing
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import table
 from edoras_tools.pipelines.workbench import Settings
@@ -123,6 +124,19 @@ def test_doubles_and_what_it_did_else_are_said_and_not_lost(tmp_path):
     told = " ".join(item.reason for item in found.verdicts if item.rule == "proxy_faults")
     assert "sent again" in told
     assert "struck by corrupt" in told
+
+
+def test_what_it_dropped_is_lost_once_where_two_cfs_get_that_msg_id(tmp_path):
+    kept, faults, _ = relayed(["drop:0.1,msg_id=0x1827"])
+    other = next(item for item in kept if item.payload.startswith(TWIST.to_bytes(2)))
+    second = [
+        replace(other, destination=("10.0.0.8", CI), identification=at + 1).at(at * 1_000_000_000)
+        for at in range(9)
+    ]
+    found = diagnosed(tmp_path, sorted([*kept, *second], key=lambda item: item.time_ns), faults)
+    assert [row for row in found.balance if not row.adds_up] == []
+    assert by_cause(found)["proxy"] == len(faults) > 20
+    assert len(missing(found.case)) == found.lost
 
 
 def test_of_two_rules_that_drop_one_datagram_it_is_lost_once(tmp_path):
