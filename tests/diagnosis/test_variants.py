@@ -437,6 +437,19 @@ def test_frames_that_are_cut_anywhere_say_no_more_than_whole_ones(tmp_path, snap
         assert lost_by(found) == lost_by(whole)
 
 
+@pytest.mark.parametrize("snap", [60, 74, 140])
+@pytest.mark.parametrize("name", ["e_ci_errors", "f_sbn_disconnect", "n5_app_restarts", "n12_two_hosts_flight"])
+def test_what_a_cut_hides_is_nobodys_loss(tmp_path, name, snap):
+    whole = diagnosed(write(tmp_path / "x.pcap", captured(name)), name)
+    found = diagnosed(write(tmp_path / "y.pcap", captured(name), snap=snap), name)
+    assert found.lost <= whole.lost
+    assert found.lost + found.unaccounted <= whole.lost + whole.unaccounted
+    assert all("suppressed" not in line for item in found.verdicts for line in item.evidence if "event" in line)
+    # Who is silent is told by headers alone.
+    silent = [sum(row.lost.get("sbn_timeout", 0) for row in one.balance) for one in (found, whole)]
+    assert silent[0] == silent[1]
+
+
 @pytest.mark.parametrize("snap", [60, 72, 96])
 @pytest.mark.parametrize("name", ROBOT_GOT)
 def test_what_reached_the_robot_is_counted_where_its_values_are_cut(tmp_path, name, snap):

@@ -157,8 +157,10 @@ class Network:
             return
         self._identify(rows, network)
         flight_software = {item.name for item in instances.items if item.name}
-        timed = network[instances.of_row[network] != NOBODY]
-        speakers = {self.identity_of.get(source, "") for source in np.unique(rows.source[timed]).tolist()}
+        # Where the capture cut the time off: who counts what it sends is a cFS, bridges never do.
+        counting = (rows.counted & rows.has(Finding.CAPTURE_CUT))[network]
+        own = network[(instances.of_row[network] != NOBODY) | counting]
+        speakers = {self.identity_of.get(source, "") for source in np.unique(rows.source[own]).tolist()}
         flight_software |= speakers - {""}
         self._connect(rows, network, flight_software)
 

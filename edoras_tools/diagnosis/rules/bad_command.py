@@ -217,14 +217,17 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     # What cFS says beats what it usually does.
     accepted = bool(events) and telemetry_output.ENABLED.phrase in events[0].message
     # Without a word from cFS it may be built with a longer header, and the length be right.
-    unsure = kind.finding is Finding.COMMAND_LENGTH and not case.has_telemetry
+    unheard = not events and _events_cut(case, start_ns)
+    unsure = kind.finding is Finding.COMMAND_LENGTH and (unheard or not case.has_telemetry)
     lost = None if accepted or unsure or not kind.refused else len(members)
     size = f"{rows.length[first]:,} bytes to CI at {case.at(start_ns)}"
     if not many and rows.function_code[first] >= 0:
         size += f", function code {rows.function_code[first]}"
     evidence = [size if not many else f"{size} is the first"]
     evidence += [f"cFS said: {record}" for record in events]
-    if kind.event and not events and case.has_telemetry:
+    if kind.event and unheard:
+        evidence.append("the capture cut the events of that time: what cFS said about it is not there")
+    elif kind.event and not events and case.has_telemetry:
         evidence.append("no event about it in the capture: suppressed, filtered, or not asked for")
     return Verdict(
         ID,
@@ -242,6 +245,13 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
         remedy=f"send whole commands of {cfe.COMMAND_HEADER_BYTES} to {CI_BUFFER} bytes whose fields agree",
         confidence="high" if events or not kind.event else "medium",
     )
+
+
+def _events_cut(case: Case, start_ns: int) -> bool:
+    """Tell whether the capture cut off what cFS said within the time of an answer."""
+    rows = case.rows
+    there = (rows.time_ns >= start_ns) & (rows.time_ns <= start_ns + _ANSWERED_NS)
+    return bool((there & (rows.msg_id == cfe.EVENT_MSG_ID) & rows.has(Finding.CAPTURE_CUT)).any())
 
 
 def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:
