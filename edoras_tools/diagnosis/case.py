@@ -21,6 +21,7 @@ from edoras_tools.diagnosis.accounting.unheard import Unheard, unheard
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.counters import Track, tracks
 from edoras_tools.diagnosis.evidence.events import Culprit, Said, culprits
+from edoras_tools.diagnosis.evidence.holes import find_holes
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
@@ -155,9 +156,19 @@ class Case:
         return culprits(self.payloads.events, self.instances)
 
     @cached_property
+    def holes(self) -> list[tuple[int, int]]:
+        """From when to when nothing was captured although everybody went on sending."""
+        return find_holes(self.rows)
+
+    @property
+    def away(self) -> list[tuple[int, int]]:
+        """From when to when nothing could be captured."""
+        return sorted([*self.capture.away, *self.holes])
+
+    @cached_property
     def network(self) -> Network:
         """The Software Bus Network."""
-        return Network(self.rows, self.payloads, self.instances, self.profile, self.capture.away)
+        return Network(self.rows, self.payloads, self.instances, self.profile, self.away)
 
     @cached_property
     def hops(self) -> list[Hop]:
@@ -205,7 +216,7 @@ class Case:
             self.profile,
             {item.endpoint: item.system for item in self.ingests},
             self.proxied,
-            self.capture.away,
+            self.away,
         )
 
     @cached_property

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.streams import Stream
 
 _SILENT_WAKES: Final = 5
+_STOPS_NS: Final = 3 * SECOND
+"""After a command that stops it, packets of Telemetry Output come for so long, also over a slow network."""
 
 
 def closed_at(known: Known, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -33,7 +35,7 @@ def closed_at(known: Known, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.
         for item in known.payloads.output:
             when = int(rows.time_ns[item.row])
             if item.function_code in telemetry_output.STOPS and item.msg_id in {-1, stream.msg_id}:
-                out |= (starts - SECOND < when) & (when < ends)
+                out |= (starts - _STOPS_NS < when) & (when < ends)
         return out
     connection = known.network.crossing(stream.sender, stream.receiver)
     for index, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
 
 ID = "not_examined"
+_REMEDY = "what spans it says nothing of the link: examine before and after, --start and --end"
 AWAY = "is away: what has been sent since"
 
 
@@ -30,7 +31,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             evidence=("lengths, types and MsgIds in it agree as only that link's do",),
             remedy=item.remedy,
         )
-    missing = sum(case.telemetry.away.values()) if case.capture.outages and len(case.rows) else 0
+    missing = sum(case.telemetry.away.values()) if len(case.rows) and case.away else 0
     counted = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"
     for outage in case.capture.outages:
         end_ns = outage.end_ns or max(case.end_ns, outage.start_ns)
@@ -43,5 +44,19 @@ def judge(case: Case) -> Iterator[Verdict]:
             start_ns=outage.start_ns,
             end_ns=end_ns,
             evidence=(f"the recorder found it {outage.why}", *((counted,) if missing else ())),
-            remedy="what spans it says nothing of the link: examine before and after, --start and --end",
+            remedy=_REMEDY,
+        )
+    for start_ns, end_ns in case.holes if len(case.rows) else ():
+        yield Verdict(
+            ID,
+            Severity.WARNING,
+            f"the capture has a hole of {(end_ns - start_ns) / 1e9:.1f} s: traffic in it is not examined",
+            hop="capture",
+            start_ns=start_ns,
+            end_ns=end_ns,
+            evidence=(
+                "it shows no datagram of anybody; all sent before and after, and cFS went on counting",
+                *((counted,) if missing else ()),
+            ),
+            remedy=_REMEDY,
         )
