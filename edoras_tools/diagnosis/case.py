@@ -157,8 +157,12 @@ class Case:
 
     @cached_property
     def holes(self) -> list[tuple[int, int]]:
-        """From when to when nothing was captured although everybody went on sending."""
-        return find_holes(self.rows)
+        """From when to when nothing was captured though all went on sending and the interface was there."""
+        return [
+            (start_ns, end_ns)
+            for start_ns, end_ns in find_holes(self.rows)
+            if not any(start < end_ns and start_ns < end for start, end in self.capture.away)
+        ]
 
     @property
     def away(self) -> list[tuple[int, int]]:

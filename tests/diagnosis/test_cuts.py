@@ -87,9 +87,12 @@ RELAY_DROPPED += [141, 145, 150, 155, 163, 170, 172, 174, 192, 198, 199, 205, 20
 """Which commands the relay of n10 dropped, as it noted."""
 
 
-@pytest.mark.parametrize("tenths_of_a_second", every(5, range(0, 450, 9)))
+@pytest.mark.parametrize("tenths_of_a_second", every(5, range(0, 390, 9)))
 def test_what_the_first_counts_do_not_tell_is_not_captured(tenths_of_a_second, batches):
-    """A capture that begins amid commands does not show whether CI read the ones before its first count."""
+    """A capture that begins amid commands does not show whether CI read the ones before its first count.
+
+    Ten seconds are left at least: in fewer, a slow network explains what is missing as well.
+    """
     whole = batches("n10_uplink_loss")
     sent = np.array([item.time_ns for one in whole for item in one if item.payload[:2] == b"\x18\x27"])
     start_ns, end_ns = int(whole[0].time_ns[0]) + tenths_of_a_second * 10**8, int(whole[-1].time_ns[-1])

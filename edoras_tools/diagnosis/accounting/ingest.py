@@ -12,8 +12,8 @@ Rules:
 6. CI takes datagrams in the order in which they came. What it takes before the first one of the capture
    comes out was sent before the capture began.
 7. Within these bounds the smallest number is lost. The rest waits.
-8. Datagrams and counts may be under way for long, as over a radio link: if nothing is lost on the network
-   then, nothing is.
+8. Datagrams and counts may be under way for long, as over a radio link: if that explains all that seem to be
+   lost on the network, nothing is.
 """
 
 from __future__ import annotations

@@ -41,8 +41,9 @@ def test_telemetry_that_is_missing_then_is_not_captured(lab, start_s, end_s):
     behind = [row for row in found.balance if row.hop == "between cFS and the capture"]
     assert sum(row.not_captured for row in behind) == gone > 5
     assert {item.rule for item in found.verdicts} <= {"not_examined", "lost_before_ci"}
-    # Without the recorder's word they were lost.
-    assert lab.examine(kept, lab.mission("rover_ground")).lost == gone
+    # Without the recorder's word they were lost, unless nothing at all was captured for long.
+    alone = lab.examine(kept, lab.mission("rover_ground"))
+    assert alone.lost == (gone if end_s - start_s < 2 else 0)
 
 
 @pytest.mark.parametrize(("start_s", "end_s"), [(20, 30), (33.3, 34.1), (2, 60)])
