@@ -9,6 +9,7 @@ import numpy as np
 
 from edoras_tools.decode.lines import PacketLines
 from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.jsonl.texts import NOT_FINITE
 from edoras_tools.pipelines.reading import Limits, reading
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
 
 
 def as_json(decoded: Decoded) -> dict[str, Any]:
-    """Return a packet in the shape of ``sniff --json``: plain values, bytes as hex, NaN as null."""
+    """Return a packet in the shape of ``sniff --json``: plain values, bytes as hex, NaN as a text."""
     packet = decoded.layer("ccsds")
     message = decoded.message
     record = {
@@ -146,5 +147,5 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (bytes, bytearray)):
         return value.hex()
     if isinstance(value, float) and not math.isfinite(value):
-        return None
+        return NOT_FINITE[repr(value)]
     return value

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.formats.columns import TableColumn
 
-_NOT_FINITE: Final = {"nan": '"NaN"', "inf": '"Infinity"', "-inf": '"-Infinity"'}
+NOT_FINITE: Final = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
+"""The texts in JSON of the numbers that it does not know, by Python's."""
 
 
 def json_texts(column: TableColumn) -> list[str]:
@@ -53,5 +54,5 @@ def _texts(values: NDArray[Any]) -> list[str]:
         return [f'"{text}"' for text in time_texts(values)]
     texts = number_texts(values)
     if kind == "f" and not np.isfinite(values).all():
-        return [_NOT_FINITE.get(text, text) for text in texts]
+        return [f'"{NOT_FINITE[text]}"' if text in NOT_FINITE else text for text in texts]
     return texts
