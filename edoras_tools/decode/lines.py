@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.decode.filters.messages import struct_messages, structs_of
+from edoras_tools.decode.filters.messages import held_messages, structs_of
 from edoras_tools.decode.stack import Dissector
 from edoras_tools.decode.summary import LAYER_TEXTS, message_texts, packet_text
 from edoras_tools.links import table
@@ -272,7 +272,7 @@ def _messages(
         if texts:
             yield owner, route.topic, texts
     for bound in structs_of(rows):
-        owner, messages = struct_messages(bound, rows)
+        owner, messages = held_messages(bound, rows)
         layer = _LAYERS.get(bound.key.msg_id)
         plain = (routes[owner] == NO_ROUTE) & messages.valid
         if layer is None:

@@ -167,7 +167,7 @@ class MessageFieldFinder:
     def _field(
         self, path: str, name: str, routes: tuple[int, ...], steps: list[_Step], bound: Bound | None = None
     ) -> FilterField:
-        messages = partial(_messages, name, routes) if bound is None else partial(struct_messages, bound)
+        messages = partial(_messages, name, routes) if bound is None else partial(held_messages, bound)
         scope = (lambda rows: np.isin(rows.routes(), routes)) if bound is None else partial(_holds, bound)
         last = steps[-1].field.type
         dtype = np.dtype(schema.PRIMITIVES.get(last, "q"))
@@ -276,7 +276,7 @@ def structs_of(rows: ColumnRows) -> dict[Bound, Held]:
     return found
 
 
-def struct_messages(bound: Bound, rows: ColumnRows) -> Owned:
+def held_messages(bound: Bound, rows: ColumnRows) -> Owned:
     """Return the rows that hold a C struct, and its messages."""
 
     def make() -> Owned:
@@ -294,12 +294,12 @@ def struct_messages(bound: Bound, rows: ColumnRows) -> Owned:
 
 def _holds(bound: Bound, rows: ColumnRows) -> NDArray[np.bool_]:
     out = np.zeros(len(rows), np.bool_)
-    out[struct_messages(bound, rows)[0]] = True
+    out[held_messages(bound, rows)[0]] = True
     return out
 
 
 def _read_struct(bound: Bound, rows: ColumnRows) -> Series:
-    owner = struct_messages(bound, rows)[0]
+    owner = held_messages(bound, rows)[0]
     return Series(len(rows), np.zeros(len(owner), INDEX_DTYPE), owner)
 
 
