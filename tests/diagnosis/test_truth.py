@@ -45,7 +45,8 @@ def test_commands_lost_beside_much_telemetry_are_seen_in_what_it_does_not_explai
     assert lost[0x1827] == pytest.approx(lost[0x1828], rel=0.25)
     (track,) = diagnosis.case.tracks.values()
     assert lost[0x1827] + lost[0x1828] == track.growth("msg_limits") - telemetry
-    assert track.growth("msg_limits") == pytest.approx(counters.msg_limits, abs=80)
+    # Before the first 0x803 and after the last one, up to a second each is not in the capture.
+    assert track.growth("msg_limits") == pytest.approx(counters.msg_limits, abs=2 * counters.msg_limits / 50)
     assert lost[0x1827] > 50
     alone = lab.examine(lab.simulate("two-rovers", hz=4.0, state_hz=45.0, seconds=50)[0])
     assert {item.rule for item in alone.verdicts} == {"to_message_limit", "event_suppression"}
