@@ -36,6 +36,7 @@ ELSEWHERE = {
     "diagnosis/accounting/*": "diagnosis/test_captures.py",
     "diagnosis/evidence/*": "diagnosis/test_parts.py",
     "diagnosis/evidence/clocks/*": "diagnosis/test_parts.py",
+    "diagnosis/evidence/relays/*": "diagnosis/test_parts.py",
     "diagnosis/matching/*": "diagnosis/test_parts.py",
     "diagnosis/rules/*": "diagnosis/test_rules.py",
     "emulator/*": "emulator/test_simulation.py",

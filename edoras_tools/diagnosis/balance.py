@@ -20,7 +20,7 @@ from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKET
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.proxied import PROXY_HOP
+from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links import table
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE

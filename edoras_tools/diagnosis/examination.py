@@ -13,7 +13,7 @@ from edoras_tools.diagnosis.accounting.commands import Refused
 from edoras_tools.diagnosis.accounts import accounts
 from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, sent, summed
 from edoras_tools.diagnosis.case import Capture, Case
-from edoras_tools.diagnosis.evidence.proxied import proxied
+from edoras_tools.diagnosis.evidence.relays.proxied import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import (

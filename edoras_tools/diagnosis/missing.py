@@ -19,7 +19,7 @@ import numpy as np
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.accounting.losses import Among, LossKind
-from edoras_tools.diagnosis.evidence.proxied import PROXY_HOP
+from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.sessions.sequence import MODULUS

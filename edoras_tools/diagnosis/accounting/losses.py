@@ -14,7 +14,7 @@ import numpy as np
 
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.proxied import UNTOUCHED
+from edoras_tools.diagnosis.evidence.relays.proxied import UNTOUCHED
 from edoras_tools.diagnosis.matching.spans import Comb, Span, comb, spans
 from edoras_tools.model import Peer
 from edoras_tools.units import MILLISECOND, SECOND
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.peers import Network
-    from edoras_tools.diagnosis.evidence.proxied import Proxied, RouteWay
+    from edoras_tools.diagnosis.evidence.relays.proxied import Proxied, RouteWay
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.balance import ON_PURPOSE
-from edoras_tools.diagnosis.evidence.proxied import PROXY_HOP
+from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links import table
 from edoras_tools.words import plural

@@ -1,0 +1,1 @@
+"""What stands between a sender and a receiver: proxies, relays, address translation."""
