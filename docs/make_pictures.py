@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from textual.widgets import Input
 
+from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.sniff import decode_packet
 from edoras_tools.pipelines.selection import Selection
@@ -49,7 +50,7 @@ def sniff() -> str:
     for batch in source.batches():
         for row in range(len(batch)):
             decoded = bench.dissector.dissect(batch[row])
-            number, line = decoded.datagram.number, view.line(decoded)
+            number, line = decoded.datagram.number, view.line(line_of(decoded))
             if any(number in part for part in _SHOWN):
                 if lines[1:] and number in {part.start for part in _SHOWN}:
                     lines.append(palette.Paint(colour=True)("     ⋮", palette.DIM))

@@ -81,7 +81,7 @@ def test_ports_are_free_and_cfs_has_them():
 
 
 def test_a_folder_that_cannot_be_written_is_told(tmp_path):
-    with pytest.raises(CaptureError, match=r"none/rover_ground.yaml: No such file"):
+    with pytest.raises(CaptureError, match=r"none/rover_ground.yaml: cannot be written: No such file"):
         write_missions("rover", tmp_path / "none", PORTS, 0)
 
 
