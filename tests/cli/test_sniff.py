@@ -205,7 +205,7 @@ def test_not_a_number_is_still_json(call, captures, missions, frames, write_pcap
         raise AssertionError(word)
 
     message = json.loads(done.out, parse_constant=refuse)["message"]
-    assert message["linear"] == {"x": None, "y": None, "z": None}
+    assert message["linear"] == {"x": "NaN", "y": "Infinity", "z": "-Infinity"}
     assert message["angular"] == {"x": -0.0, "y": 5e-324, "z": 1.5}
 
 

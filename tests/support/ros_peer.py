@@ -3,8 +3,9 @@
     python ros_peer.py NODE ROUTE...
 
 A route is ``TYPE TOPIC ANSWERS``: what comes on ``TOPIC`` is deserialised, and published on ``ANSWERS``. When
-its subscriptions stand, ``ready`` is printed. It ends when its standard input does, and prints as JSON who
-published on each topic, and the hash of its type. It needs no library but those wheels.
+its subscriptions stand, ``ready`` is printed. For each line on its standard input, the name of a node, it
+prints as JSON on which of the topics that node publishes now, and the hash that each publisher gives of its
+type; it ends when there are no more. It needs no library but those wheels.
 """
 
 import contextlib
@@ -28,26 +29,24 @@ def main():
         publisher = node.create_publisher(message, answers, QoSProfile(depth=100))
         node.create_subscription(message, topic, publisher.publish, QoSProfile(depth=100))
 
-    seen = {}
-
-    def look():
-        for topic in words[1::3]:
-            for found in node.get_publishers_info_by_topic(topic):
-                # A node that comes or goes is not known by its name.
-                if not any(word in found.node_name for word in ("_BARE_DDS_APP_", "_NAME_UNKNOWN_")):
-                    seen[topic] = [found.node_namespace + found.node_name, str(found.topic_type_hash)]
-
-    node.create_timer(0.1, look)
-
-    def until_the_end():
-        sys.stdin.read()
+    def answer():
+        for line in sys.stdin:
+            other = line.strip()
+            named = other in node.get_node_names()
+            theirs = dict(node.get_publisher_names_and_types_by_node(other, "/")) if named else {}
+            found = {topic: node.get_publishers_info_by_topic(topic) for topic in words[1::3]}
+            seen = {
+                topic: str(ends[0].topic_type_hash)
+                for topic, ends in found.items()
+                if ends and topic in theirs
+            }
+            print(json.dumps(seen), flush=True)
         rclpy.try_shutdown()
 
-    threading.Thread(target=until_the_end, daemon=True).start()
     print("ready", flush=True)
+    threading.Thread(target=answer, daemon=True).start()
     with contextlib.suppress(ExternalShutdownException):
         rclpy.spin(node)
-    print(json.dumps(seen))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
     python ros_round_trip.py GRAPH DISTRIBUTION TYPE...
 
 It prints JSON: ``back``, what came back, by type, as CDR in hexadecimal digits; ``sent``, what went out; and
-the graph's ``notes``. The Python that has the wheels runs it for ``rclpy``, else the tests' own.
+the graph's ``notes``. It ends when its standard input does: until then the peer can see it. The Python that
+has the wheels runs it for ``rclpy``, else the tests' own.
 """
 
 import json
@@ -46,8 +47,9 @@ def main():
         "sent": {name: cdr.hex() for name, cdr in sent.items()},
         "notes": graph.notes(),
     }
+    print(json.dumps(found), flush=True)
+    sys.stdin.read()
     graph.close()
-    print(json.dumps(found))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ Rules:
 3. A wake-up that reads fewer than CI can read empties the socket: what was sent before it does not wait.
 4. A count that falls began anew: CI or cFS started again. Nobody counted what CI took last; it took what was
    sent until it was told to restart, or until its cFS fell silent.
-5. Loss while more wait than two wake-ups read is its full socket; at a rate that it can read, the network.
+5. Loss while more wait than two wake-ups read, or while it mostly reads all that it can, is its full
+   socket; at a rate that it can read, the network.
 6. CI takes datagrams in the order in which they came. What it takes before the first one of the capture
    comes out was sent before the capture began.
 7. Within these bounds the smallest number is lost. The rest waits.
@@ -56,6 +57,8 @@ DRAINS_NS: Final = 15 * SECOND
 _MODULUS: Final = 1 << 32
 _BUSY: Final = 0.9
 """Of what CI can read at the most; whoever reads so much may have left something."""
+_MOSTLY: Final = 0.5
+"""More than so many of the samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +268,7 @@ def _account(
             begin = _first(sources, own[0], sent_ns)
             before = 0 if begin[0] == "down" else _older(low, high)
             if begin[0] != "down":
-                before = min(before, _missing_firstolder(sources, endpoint, sent_ns, own[:end]))
+                before = min(before, _most_older(sources, endpoint, sent_ns, own[:end]))
             if busy[1:2].any():
                 low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
                 idle = np.flatnonzero(np.diff(count[part]) < sources.profile.ci_datagrams_per_wake)
@@ -276,7 +279,7 @@ def _account(
         unread = 0 if first else _unseen(sources, endpoint, sent_ns, own[0])
         # What was sent before the capture began may wait, and is not lost here.
         high = high - before if first else np.minimum(high - before, sent[part])
-        run = _Run(seen[part], low - before, high, drained, 2 * most, unread)
+        run = _Run(seen[part], low - before, high, drained, busy, 2 * most, unread)
         lost = _follow(account, run, lost, begin)
         if not first and before and unread is None and account.losses and not busy[1:2].any():
             least = _sent_until(sources, sent_ns, int(emptied_ns[0])) - own[0].count
@@ -324,9 +327,7 @@ def _older(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:
     return int(high[: later[0] if len(later) else None].min())
 
 
-def _missing_firstolder(
-    sources: Sources, endpoint: int, sent_ns: NDArray[np.int64], own: Sequence[_Sample]
-) -> int:
+def _most_older(sources: Sources, endpoint: int, sent_ns: NDArray[np.int64], own: Sequence[_Sample]) -> int:
     """Return the most that a first count can have fewer than were sent: CI takes one after the other.
 
     Until a first sample it took no more than it can read in that time. Until the first command of the capture
@@ -390,7 +391,8 @@ def _ended_ns(sources: Sources, endpoint: int, last: _Sample, first: _Sample) ->
 class _Run:
     """Samples of one count: when seen, and the least and most that was lost until then (rules 1 to 3).
 
-    ``drained`` tells which read fewer than a wake-up can; more than ``many`` wait in a socket that gets full.
+    ``drained`` tells which read fewer than a wake-up can, ``busy`` which read nearly all that they can; more
+    than ``many`` wait in a socket that gets full.
     ``unread`` were sent before the first count and did not come out: lost, or a CI read them that restarted;
     None where nothing shows what comes out.
     """
@@ -399,6 +401,7 @@ class _Run:
     low: NDArray[np.int64]
     high: NDArray[np.int64]
     drained: NDArray[np.bool_]
+    busy: NDArray[np.bool_]
     many: int
     unread: int | None
 
@@ -441,9 +444,9 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int]) -> 
                 empty = np.flatnonzero(run.drained[: level.first])
                 last = int(empty[-1]) if len(empty) else 0
                 # Rule 5: a socket that is full held many before.
-                cause = (
-                    "socket" if int(run.high[last : level.first + 1].max()) - number > run.many else "network"
-                )
+                since = slice(last, level.first + 1)
+                full = int(run.high[since].max()) - number > run.many
+                cause = "socket" if full or run.busy[since].mean() > _MOSTLY else "network"
                 since_ns = int(run.seen[last])
                 missing_first = int(run.high[: level.first].min())
                 if not account.losses and run.unread is not None:
