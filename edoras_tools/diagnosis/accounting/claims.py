@@ -1,21 +1,22 @@
 """The growth of the software bus's loss counters, second by second, and who claims it.
 
 A count belongs to the second between two samples of the counter, and to one message. Who has the least to
-choose from chooses first, so that as many as possible are explained.
+choose from chooses first, so that as many as possible are explained: in kinds or in time, whichever explains
+more.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS, PipeKind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -121,21 +122,41 @@ def _steps(totals: list[int]) -> NDArray[np.int64]:
 
 
 def settle(counts: Counts, claims: Sequence[Claim]) -> None:
-    """Give claims what was counted: who has the least to choose from first (rule 4)."""
+    """Give claims what was counted: who has the least to choose from first (rule 4).
+
+    That is who can be counted as the fewest kinds, or who has the earliest end: what explains more is taken.
+    """
     grew = {kind for kind, left in counts.left.items() if left.any()}
     for claim in claims:
         claim.kinds = [kind for kind in claim.kinds if kind in grew]
 
-    def order(claim: Claim) -> tuple[int, int, int, tuple[PipeKind, ...]]:
+    def by_kinds(claim: Claim) -> tuple[Any, ...]:
         return len(claim.kinds), claim.last, claim.first, tuple(claim.kinds)
 
-    for (_, last, first, kinds), together in groupby(sorted(claims, key=order), key=order):
+    def by_end(claim: Claim) -> tuple[Any, ...]:
+        return claim.last, len(claim.kinds), claim.first, tuple(claim.kinds)
+
+    tried = [_given(counts, sorted(claims, key=order), order) for order in (by_kinds, by_end)]
+    counts.left, given = max(tried, key=lambda each: sum(number for _, _, number in each[1]))
+    for claim, kind, number in given:
+        claim.taken[kind] = number
+
+
+def _given(
+    counts: Counts, claims: Sequence[Claim], order: Callable[[Claim], Any]
+) -> tuple[dict[PipeKind, NDArray[np.int64]], list[tuple[Claim, PipeKind, int]]]:
+    """Return what is left of counts where claims in this order take theirs, and what each is given."""
+    work = Counts(counts.times, {kind: left.copy() for kind, left in counts.left.items()})
+    given: list[tuple[Claim, PipeKind, int]] = []
+    for _, together in groupby(claims, key=order):
         members = list(together)
         left = [claim.number for claim in members]
-        for kind, number in counts.take(kinds, first, last, sum(left)).items():
+        one = members[0]
+        for kind, number in work.take(one.kinds, one.first, one.last, sum(left)).items():
             for at, share in enumerate(shares(number, left, left)):
-                members[at].taken[kind] = share
+                given.append((members[at], kind, share))
                 left[at] -= share
+    return work.left, given
 
 
 def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[int]:
