@@ -223,10 +223,8 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
     for owner, topic, texts in _messages(rows, easy):
         told.update(zip(owner.tolist(), ((topic, text) for text in texts), strict=True))
     kinds, codes = _kinds(rows), rows.column("function_code").tolist()
-    ids, names_of = (
-        msg_id.tolist(),
-        {value: context.name(value) for value in np.unique(msg_id[easy]).tolist()},
-    )
+    ids = msg_id.tolist()
+    names_of = {value: context.name(value) for value in set(msg_id[easy].tolist())}
     routed = (rows.routes() != NO_ROUTE).tolist()
     for row in np.flatnonzero(easy).tolist():
         value = ids[row]

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from operator import itemgetter
+
+from edoras_tools.errors import ConfigError
 
 
 def printable(text: str, limit: int = 60) -> str:
@@ -32,6 +35,15 @@ class Mistakes:
     def warn(self, line: int, key: str, what: str) -> None:
         """Add a warning: something that works but is probably a mistake."""
         self.warnings.append((line, self._text(line, key, what)))
+
+    def raise_all(self) -> None:
+        """Raise the mistakes, in the order of their lines.
+
+        Raises:
+            ConfigError: if there is one.
+        """
+        if self.mistakes:
+            raise ConfigError(*(text for _, text in sorted(self.mistakes, key=itemgetter(0))))
 
     def _text(self, line: int, key: str, what: str) -> str:
         place = printable(self.file, 200) + (f":{line}" if line else "")

@@ -130,6 +130,24 @@ def parse_yaml(text: str, report: Mistakes, form: str = BRIDGE_FILE_FORM) -> lis
     return list(_documents(iter(events)))
 
 
+def parse_document(content: bytes, report: Mistakes, form: str, one: str) -> Tree | None:
+    """Return the only document of a YAML file; None if it has none. What is wrong goes to the report.
+
+    Args:
+        content: the file.
+        report: of the file.
+        form: what such a file contains, in a clause.
+        one: that it is one document, in a clause.
+    """
+    text = yaml_text(content, report, form)
+    documents = parse_yaml(text, report, form) if text is not None else []
+    if not documents and not report.mistakes:
+        report.mistake(1, "", f"the file is empty; {form}")
+    for document in documents[1:]:
+        report.mistake(document.line, "", f"a second document; {one}")
+    return documents[0] if documents else None
+
+
 def _step(event: Any) -> int:
     """Return the change of nesting depth after this event: 1, 0 or -1."""
     name = type(event).__name__

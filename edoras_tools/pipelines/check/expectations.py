@@ -34,7 +34,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from operator import itemgetter
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 from edoras_tools.decode.filters.syntax import WhereError, parse_filter
@@ -48,8 +47,7 @@ from edoras_tools.mission.tree import (
     ScalarNode,
     SequenceNode,
     Tree,
-    parse_yaml,
-    yaml_text,
+    parse_document,
 )
 from edoras_tools.model import Finding
 from edoras_tools.pipelines.check.bounds import Tolerance, Unit, parse_bound
@@ -178,25 +176,10 @@ def load_expectations(path: Path) -> Expectations:
         raise ConfigError(
             f"{path}: cannot be read ({error.strerror or error}); name a file of expectations"
         ) from error
-    text = yaml_text(content, report, _FORM)
-    documents = parse_yaml(text, report, _FORM) if text is not None else []
-    if not documents and not report.mistakes:
-        report.mistake(1, "", f"the file is empty; {_FORM}")
-    for document in documents[1:]:
-        report.mistake(document.line, "", "a second document; expectations are one document")
-    made = _Reader(report).expectations(documents[0]) if documents else Expectations(str(path))
-    raise_mistakes(report)
+    document = parse_document(content, report, _FORM, "expectations are one document")
+    made = _Reader(report).expectations(document) if document is not None else Expectations(str(path))
+    report.raise_all()
     return made
-
-
-def raise_mistakes(report: Mistakes) -> None:
-    """Raise what is wrong with a file, in the order of its lines.
-
-    Raises:
-        ConfigError: if anything is.
-    """
-    if report.mistakes:
-        raise ConfigError(*(line for _, line in sorted(report.mistakes, key=itemgetter(0))))
 
 
 class _Reader:

@@ -13,7 +13,6 @@ from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.mission.fields import suggestion
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.pipelines.capture.info import Counting
-from edoras_tools.pipelines.check.expectations import raise_mistakes
 from edoras_tools.pipelines.selection import fits_topic
 from edoras_tools.wire import cfe
 
@@ -160,7 +159,7 @@ class Observation(Counting):
             self.subjects.append(subject)
             self.fields.append(list(_watches(subject, topic.fields, context, report)))
         self.events = [FilterCount(EVENT_MESSAGES, Where(item.where, context)) for item in expected.events]
-        raise_mistakes(report)
+        report.raise_all()
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """Count the chosen rows of a batch; return those that count."""

@@ -18,7 +18,6 @@ All errors of a file are reported at once, with file, line and key.
 
 from __future__ import annotations
 
-from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
@@ -30,8 +29,7 @@ from edoras_tools.mission.tree import (
     ScalarNode,
     SequenceNode,
     Tree,
-    parse_yaml,
-    yaml_text,
+    parse_document,
 )
 from edoras_tools.sessions.faults.kinds import FAULT_KINDS
 from edoras_tools.sessions.faults.machine import FaultPlan
@@ -91,17 +89,9 @@ def load_scenario(path: Path) -> FaultPlan:
         ConfigError: all errors at once, each with file, line and key.
     """
     report = Mistakes(str(path))
-    plan = FaultPlan()
-    text = _read(path, report)
-    documents = parse_yaml(text, report, _SCENARIO_FORM) if text is not None else []
-    if text is not None and not documents and not report.mistakes:
-        report.mistake(1, "", f"the file is empty; {_SCENARIO_FORM}")
-    for document in documents[1:]:
-        report.mistake(document.line, "", "a second document; a scenario is one document")
-    if documents:
-        plan = _plan(documents[0], report)
-    if report.mistakes:
-        raise ConfigError(*(line for _, line in sorted(report.mistakes, key=itemgetter(0))))
+    document = _read(path, report)
+    plan = _plan(document, report) if document is not None else FaultPlan()
+    report.raise_all()
     return plan
 
 
@@ -109,14 +99,14 @@ def _one(text: str) -> tuple[Rule, ...]:
     return (parse_rule(text),)
 
 
-def _read(path: Path, report: Mistakes) -> str | None:
+def _read(path: Path, report: Mistakes) -> Tree | None:
     try:
         with path.open("rb") as file:
             content = file.read(LARGEST_FILE + 1)
     except OSError as error:
         report.mistake(0, "", f"cannot be read ({error.strerror or error}); name a readable file")
         return None
-    return yaml_text(content, report, _SCENARIO_FORM)
+    return parse_document(content, report, _SCENARIO_FORM, "a scenario is one document")
 
 
 def _plan(tree: Tree, report: Mistakes) -> FaultPlan:
