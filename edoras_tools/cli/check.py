@@ -52,6 +52,7 @@ def check(
     Expectations are bounds of rates, counts, sizes, losses and latencies, what must hold of fields, and which
     events, findings and verdicts may appear. Exit code 3: one of them is not met.
     """
+    from edoras_tools.io.outputs import refuse_input
     from edoras_tools.pipelines.check.expectations import load_expectations
     from edoras_tools.pipelines.check.junit import write_junit
     from edoras_tools.pipelines.check.run import check as run
@@ -73,7 +74,8 @@ def check(
     if live and (start or end):
         raise ConfigError("--start and --end select part of a file; for live traffic use --duration")
     options.check_duration(duration, given.paths)
-    _check_apart(task.junit, [*given.paths, path])
+    if task.junit is not None:
+        refuse_input(task.junit, [*given.paths, path])
     expected, (json, quiet) = load_expectations(path), printing
     with FileProgress(
         ", ".join(map(str, given.paths)), console=error_console(), quiet=quiet or json or live
@@ -107,15 +109,6 @@ def _expectations(given: InputOptions) -> tuple[InputOptions, Path]:
     return given._replace(files=FileOptions(files[:-1], read)), files[-1]
 
 
-def _check_apart(output: Path | None, inputs: list[Path]) -> None:
-    if (
-        output is not None
-        and output.exists()
-        and any(item.exists() and item.samefile(output) for item in inputs)
-    ):
-        raise ConfigError(f"{output}: would overwrite its own input; name another output")
-
-
 def _draft(
     given: InputOptions,
     task: CheckOptions,
@@ -123,7 +116,7 @@ def _draft(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    from edoras_tools.io.outputs import in_the_way, write_bytes
+    from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input, write_bytes
     from edoras_tools.pipelines.check.draft import draft
     from edoras_tools.pipelines.doctor.doctor import profile_with
     from edoras_tools.render.terminal.console import error_console
@@ -134,9 +127,10 @@ def _draft(
     if any(given.live) or not given.paths:
         raise ConfigError("--init drafts from a recording: edoras check --init FILE...")
     path = task.output
-    _check_apart(path, given.paths)
-    if path is not None and not task.force and in_the_way(path):
-        raise ConfigError(f"{path} exists; name another output, or replace it with --force")
+    if path is not None:
+        refuse_input(path, given.paths)
+        if not task.force:
+            refuse_existing(in_the_way(path))
     with FileProgress(", ".join(map(str, given.paths)), console=error_console(), quiet=printing.quiet) as bar:
         source, bench = open_input(given, decoding.settings(), aligned=True, progress=bar)
         profile = profile_with(task.constant or ())
