@@ -191,7 +191,7 @@ def _is_group(annotation: Any) -> bool:
 
 Config = Annotated[
     list[Path] | None,
-    typer.Option("--config", "-c", metavar="FILE", help="EDORAS bridge YAML; repeatable."),
+    typer.Option("--config", "-c", metavar="FILE", help="EDORAS bridge YAML, or a folder of it; repeatable."),
 ]
 Duration = Annotated[
     int | None,

@@ -6,7 +6,7 @@ import os
 from operator import itemgetter
 from pathlib import Path, PurePath
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission.bridges import find_bridges, read_bridge
@@ -16,10 +16,12 @@ from edoras_tools.mission.report import Mistakes
 from edoras_tools.mission.tree import LARGEST_FILE, yaml_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Container, Iterable, Mapping
 
     from edoras_tools.mission.bridges import CheckType, Claims
     from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Route
+
+_PARAMETERS: Final = b"ros__parameters"
 
 
 def load(
@@ -28,7 +30,8 @@ def load(
     """Read EDORAS bridge files, ground and flight alike, into one mission.
 
     Args:
-        paths: one file or several; none give an empty mission.
+        paths: one file or several; none give an empty mission. A folder stands for all YAML files in
+            it; those that are no parameter files of ROS 2, or have no bridge, are left out with a warning.
         check_type: asked for every ROS type; returns None where it is known, else what is wrong, as
             ``unknown type a/msg/B; did you mean a/msg/C?``.
 
@@ -36,8 +39,14 @@ def load(
         ConfigError: all mistakes of all files at once.
     """
     paths = [paths] if isinstance(paths, (str, os.PathLike)) else paths
-    contents = [(os.fspath(path), _read(path)) for path in paths]
-    return _mission(contents, check_type)
+    folders = [(path, _files(path)) for path in paths]
+    contents = [
+        item
+        for path, files in folders
+        for item in ([(os.fspath(path), _read(path))] if files is None else files)
+    ]
+    of_folders = {name for _, files in folders for name, _ in files or ()}
+    return _mission(contents, check_type, of_folders)
 
 
 def loads(files: Mapping[str, bytes], *, check_type: CheckType | None = None) -> Mission:
@@ -49,6 +58,19 @@ def loads(files: Mapping[str, bytes], *, check_type: CheckType | None = None) ->
     return _mission(list(files.items()), check_type)
 
 
+def _files(path: str | os.PathLike[str]) -> list[tuple[str, bytes | str]] | None:
+    """Return the YAML files of a folder; None for a file."""
+    try:
+        if not Path(path).is_dir():
+            return None
+        files = sorted(item for item in Path(path).iterdir() if item.suffix in {".yaml", ".yml"})
+    except OSError:
+        return None
+    return [(str(item), _read(item)) for item in files] or [
+        (os.fspath(path), "a folder without YAML files; give the files of bridges")
+    ]
+
+
 def _read(path: str | os.PathLike[str]) -> bytes | str:
     """Return a file's bytes, or why there are none."""
     try:
@@ -56,14 +78,14 @@ def _read(path: str | os.PathLike[str]) -> bytes | str:
             return file.read(LARGEST_FILE + 1)
     except FileNotFoundError:
         return "no such file; give the YAML file of a bridge"
-    except IsADirectoryError:
-        return "a directory; give the YAML files in it one by one"
     except (OSError, ValueError) as error:
         why = (error.strerror if isinstance(error, OSError) else None) or str(error)
         return f"cannot be read ({why}); give a file that can"
 
 
-def _mission(contents: list[tuple[str, bytes | str]], check_type: CheckType | None) -> Mission:
+def _mission(
+    contents: list[tuple[str, bytes | str]], check_type: CheckType | None, of_folders: Container[str] = ()
+) -> Mission:
     reports = []
     files: dict[str, bytes] = {}
     claims: Claims = {}
@@ -75,6 +97,9 @@ def _mission(contents: list[tuple[str, bytes | str]], check_type: CheckType | No
             continue  # the same file given twice
         report = Mistakes(name)
         reports.append(report)
+        if name in of_folders and isinstance(content, bytes) and _PARAMETERS not in content:
+            report.warn(0, "", "left out: not a parameter file of ROS 2")
+            continue
         if isinstance(content, bytes):
             files[_free_name(PurePath(name).name, files)] = content
         text = _text(content, report)
@@ -82,7 +107,7 @@ def _mission(contents: list[tuple[str, bytes | str]], check_type: CheckType | No
         bridges = find_bridges(nodes)
         if nodes and not bridges and not report.mistakes:
             what = "no node here is a bridge; it needs communication, command and telemetry"
-            report.mistake(nodes[0].line, nodes[0].name, what)
+            (report.warn if name in of_folders else report.mistake)(nodes[0].line, nodes[0].name, what)
         for node in bridges:
             bridge, found = read_bridge(node, report, claims, check_type)
             routes += found

@@ -124,7 +124,7 @@ MISSIONS = [
     ("wide_mid.yaml", ["wide_mid.yaml:6: drive.mid: 0x11827 does not fit 16 bits"]),
     ("broken.yaml", ["broken.yaml:2"]),
     ("missing.yaml", ["missing.yaml: no such file"]),
-    ("folder", ["folder: a directory"]),
+    ("folder", ["folder: a folder without YAML files"]),
     ("noise", ["noise:1: not UTF-8"]),
     ("empty", ["empty"]),
 ]

@@ -181,14 +181,15 @@ def test_all_mistakes_of_all_files_at_once(tmp_path):
     bad.write_text(
         GROUND.replace("fsw_port: 1234", "fsw_port: ci").replace("0x827", "0x2827").replace("cmd_vel", "a b")
     )
+    (tmp_path / "folder").mkdir()
     with pytest.raises(ConfigError) as caught:
-        load([tmp_path / "none.yaml", bad, tmp_path])
+        load([tmp_path / "none.yaml", bad, tmp_path / "folder"])
     assert [line.removeprefix(str(tmp_path)).partition("; ")[0] for line in caught.value.mistakes] == [
         "/none.yaml: no such file",
         '/bad.yaml:5: communication.fsw_port: "ci" is a string',
         '/bad.yaml:12: drive.topic: "a b" is not a topic',
         "/bad.yaml:17: pose.mid: 0x2827 is refused by cFE",
-        ": a directory",
+        "/folder: a folder without YAML files",
     ]
 
 
