@@ -15,6 +15,8 @@ import typer
 import typer.core
 
 from edoras_tools import __version__
+from edoras_tools.cli import settings
+from edoras_tools.cli.endings import tell
 from edoras_tools.errors import EdorasError
 
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
@@ -46,12 +48,47 @@ COMMANDS: Final = {name: group for group, names in GROUPS.items() for name in na
 """The group of each command."""
 
 
-class _Command(typer.core.TyperCommand):
-    """A command with options whose value may be left out: ``--sync`` is ``--sync=1s``."""
+class Command(typer.core.TyperCommand):
+    """A command. ``edoras.toml`` holds defaults of its options; ``--sync`` is ``--sync=1s``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments."""
-        return super().parse_args(ctx, [_VALUE_LEFT_OUT.get(item, item) for item in args])
+        file = None if {"-h", "--help"}.intersection(args) else settings.found()
+        if file is not None and file.left_out:
+            tell(_harmless(f"{file.path} is not used: {file.left_out}"))
+        elif file is not None:
+            file.check(COMMANDS)
+            options = {
+                name.removeprefix("--"): item.multiple or item.nargs == -1
+                for item in self.params
+                for name in item.opts
+                if name.startswith("--")
+            }
+            ctx.default_map = file.defaults(_name(ctx), options)
+        try:
+            rest = super().parse_args(ctx, [_VALUE_LEFT_OUT.get(item, item) for item in args])
+        except _USAGE as error:
+            option = str(getattr(getattr(error, "param", None), "name", ""))
+            if file is not None and option in (ctx.default_map or ()) and not _is_given(ctx, option):
+                error.message = f"{file.path}: {error.message}"
+            raise
+        if file is not None and ctx.params.get("verbose"):
+            tell(_harmless(f"settings: {file.path}"))
+        return rest
+
+
+def _is_given(ctx: Any, option: str) -> bool:
+    """Whether an option's value comes from the command line or the environment."""
+    return getattr(ctx.get_parameter_source(option), "name", "") in {"COMMANDLINE", "ENVIRONMENT"}
+
+
+def _name(ctx: Any) -> str:
+    """Return the name of the command that runs, also in a program of its own."""
+    names = [ctx.info_name]
+    while ctx.parent is not None:
+        ctx = ctx.parent
+        names.append(ctx.info_name)
+    return str(names[-2] if len(names) > 1 else names[0].removeprefix("edoras-"))
 
 
 def _show_version(wanted: bool) -> None:
@@ -90,7 +127,7 @@ def program(*names: str) -> typer.Typer:
         if isinstance(command, typer.Typer):
             made.add_typer(command, rich_help_panel=COMMANDS[name])
         else:
-            made.command(cls=_Command, rich_help_panel=COMMANDS[name])(command)
+            made.command(cls=Command, rich_help_panel=COMMANDS[name])(command)
     return made
 
 
@@ -106,7 +143,7 @@ def alone(name: str) -> typer.Typer:
         pretty_exceptions_enable=False,
         context_settings=_SETTINGS,
     )
-    made.command(cls=_Command)(_command(name))
+    made.command(cls=Command)(_command(name))
     return made
 
 

@@ -7,12 +7,17 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
+from edoras_tools.cli.settings import in_effect
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON document."""
+    """Print one JSON document; ``settings`` is the path of the settings file, if there is one."""
+    file = in_effect()
+    if file is not None and isinstance(value, dict):
+        value = {**value, "settings": str(file.path)}
     sys.stdout.write(json.dumps(value, indent=2, ensure_ascii=False) + "\n")
 
 

@@ -10,6 +10,7 @@ import typer
 
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import tell
+from edoras_tools.cli.main import Command
 from edoras_tools.io.formats.table import READ
 
 To = Annotated[Path | None, typer.Option("--to", metavar="DIR", help="A folder other than Wireshark's own.")]
@@ -38,7 +39,7 @@ def _dissector(decoding: options.DecodingOptions) -> str:
     return text
 
 
-@wireshark.command()
+@wireshark.command(cls=Command)
 @options.grouped
 def install(*, to: To = None, decoding: options.DecodingOptions) -> None:
     """Copy the dissector to the personal plugin folder, with the missions of -c or the demos' routes."""
@@ -47,7 +48,7 @@ def install(*, to: To = None, decoding: options.DecodingOptions) -> None:
     sys.stdout.write(f"{wireshark_program.install(_dissector(decoding), to)}\n")
 
 
-@wireshark.command("print")
+@wireshark.command("print", cls=Command)
 @options.grouped
 def print_(decoding: options.DecodingOptions) -> None:
     """Print the dissector, with the missions of -c or the demos' routes."""
@@ -62,7 +63,7 @@ def path() -> None:
     sys.stdout.write(f"{files('edoras_tools.dissectors') / 'edoras.lua'}\n")
 
 
-@wireshark.command()
+@wireshark.command(cls=Command)
 @options.grouped
 def run(
     *,
