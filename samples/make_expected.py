@@ -14,8 +14,8 @@ from typing import Any, Final
 
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.pipelines.capture.packet_json import as_json
 from edoras_tools.pipelines.capture.record import CaptureReport
-from edoras_tools.pipelines.capture.sniff import as_json
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.severity import NOTABLE
 

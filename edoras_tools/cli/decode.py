@@ -35,7 +35,8 @@ def decode(
     decoding: options.DecodingOptions,
 ) -> None:
     """Show one packet in full: every layer and field, and their bytes."""
-    from edoras_tools.pipelines.capture.sniff import as_json, decode_packet
+    from edoras_tools.pipelines.capture.packet_json import as_json
+    from edoras_tools.pipelines.capture.sniff import decode_packet
 
     source, bench = open_input(InputOptions(FileOptions([file])), decoding.settings())
     decoded = decode_packet(source, bench, number)

@@ -31,11 +31,9 @@ def sniff(
 
     Colours show the link and problems. With -v, notes are shown too, such as a checksum that is not set.
     """
-    from json import dumps
-
     from edoras_tools.cfs.names import MSG_ID_NAMES
     from edoras_tools.links import table
-    from edoras_tools.pipelines.capture.sniff import as_json, lines
+    from edoras_tools.pipelines.capture.sniff import json_texts, lines
     from edoras_tools.pipelines.capture.sniff import sniff as packets
     from edoras_tools.render.capture import packet
     from edoras_tools.render.capture import tree as tree_view
@@ -87,15 +85,15 @@ def sniff(
     taken = source, bench, selection, limits, packet_list.count_from
 
     def text(decoded: Decoded) -> str:
-        if view.json:
-            return dumps(as_json(decoded), ensure_ascii=False, separators=(",", ":"))
         if view.hexdump:
             shown = packet.packet_lines(decoded, terminal.width, colour=terminal.colour)
         else:
             shown = tree_view.tree_lines(decoded, terminal.width, Paint(terminal.colour))
         return "\n".join([*shown, ""])
 
-    if view.json or view.hexdump or view.tree:
+    if view.json:
+        shown = views.print_packets(json_texts(*taken), "", flush=waits)
+    elif view.hexdump or view.tree:
         shown = views.print_packets(([text(decoded)] for decoded in packets(*taken)), "", flush=waits)
     else:
         listed = ([packet_list.line(line) for line in some] for some in lines(*taken))

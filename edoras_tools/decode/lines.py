@@ -1,30 +1,20 @@
 """What a line shows of a packet: from its layers, or of many packets from their columns.
 
-The rules that this file keeps:
-
-1. Both ways give the same lines; ``tests/decode/test_lines.py`` compares them.
-2. From columns come sound packets whose message has single values and lists of them. A packet of another
-   kind is dissected: one with a finding that ends its decoding, without a space packet, or with a layer
-   that has a text of its own.
-3. The text of a datagram without a space packet depends on its bytes alone and is kept: heartbeats and
-   subscriptions come again and again.
+From columns come packets whose message has single values and lists of them, and whose layers have no text of
+their own; :mod:`edoras_tools.decode.contents` says which of them are dissected, too.
 """
 
 from __future__ import annotations
 
-from functools import reduce
-from operator import or_
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.decode.filters.messages import held_messages, structs_of
-from edoras_tools.decode.stack import Dissector
+from edoras_tools.decode.contents import Contents, endpoints, links_of, messages_of, read_whole
 from edoras_tools.decode.summary import LAYER_TEXTS, message_texts, packet_text
-from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.wire import cfe
-from edoras_tools.wire.order import by_value, numbered
+from edoras_tools.wire.order import by_value
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:
@@ -36,31 +26,11 @@ if TYPE_CHECKING:
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.model import Decoded, Endpoint, Layer, Link
 
-_ALL_READ: Final = reduce(
-    or_,
-    (
-        Finding.CHECKSUM_BAD,
-        Finding.CHECKSUM_ABSENT,
-        Finding.SEQUENCE_UNSET,
-        Finding.STALE_TAIL,
-        Finding.UNKNOWN_MSG_ID,
-        Finding.WRONG_DIRECTION,
-        Finding.UNKNOWN_FUNCTION_CODE,
-        Finding.COMMAND_LENGTH,
-        Finding.OVER_SOFTWARE_BUS,
-        Finding.CDR_BIG_ENDIAN,
-        Finding.CDR_TRAILING,
-    ),
-)
-"""Findings of packets that are read to their end."""
 _LAYERS: Final = {
     cfe.EVENT_MSG_ID: cfe.EVENT,
     cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
 }
 """Packets whose layer has a text of its own."""
-_MOST_KEPT: Final = 4096
-_FEW: Final = 16
-"""Fewer packets than these are dissected sooner than columns are made of them."""
 
 
 class PacketLine(NamedTuple):
@@ -126,34 +96,29 @@ class PacketLines:
     """
 
     def __init__(self, context: Context) -> None:
-        self._dissector = Dissector(context, detail=False)
-        self._kept: dict[tuple[Link, int, bytes], _Content] = {}
+        self._contents = Contents(context, _content, _contents)
 
     def of(self, rows: ColumnRows) -> Iterator[PacketLine]:
         """Yield the line of each row, in order."""
-        if len(rows) < _FEW:
-            yield from (line_of(self._dissector.dissect(rows.batch[row])) for row in rows.indices().tolist())
-            return
-        links = {code: table.link(code) for code in set(rows.column("link").tolist())}
+        links = links_of(rows)
         found = {bits: Finding(bits) for bits in set(rows.column("findings").tolist())}
+        pairs, which = endpoints(rows)
         columns = zip(
-            rows.indices().tolist(),
             rows.datagram("number").tolist(),
             rows.datagram("time_ns").tolist(),
             rows.column("link").tolist(),
+            which.tolist(),
             rows.datagram("length").tolist(),
             rows.column("findings").tolist(),
-            _endpoints(rows),
-            _contents(rows),
+            self._contents.of(rows),
             strict=True,
         )
-        for place, number, time_ns, code, length, findings, (source, destination), known in columns:
-            link = links[code]
-            content = known or self._dissected(rows, place, link, findings)
+        for number, time_ns, code, pair, length, findings, content in columns:
+            source, destination = pairs[pair]
             yield PacketLine(
                 number,
                 time_ns,
-                link,
+                links[code],
                 source,
                 destination,
                 content.kind,
@@ -163,20 +128,6 @@ class PacketLines:
                 found[findings],
                 content.text,
             )
-
-    def _dissected(self, rows: ColumnRows, place: int, link: Link, findings: int) -> _Content:
-        """Dissect one packet; where it has no space packet, the same bytes are dissected once."""
-        batch = rows.batch
-        if rows.columns.packet_offset[place] >= 0:
-            return _content(self._dissector.dissect(batch[place]))
-        start = int(batch.offset[place])
-        key = link, findings, batch.data[start : start + int(batch.length[place])].tobytes()
-        content = self._kept.get(key)
-        if content is None:
-            if len(self._kept) >= _MOST_KEPT:
-                self._kept.clear()
-            content = self._kept[key] = _content(self._dissector.dissect(batch[place]))
-        return content
 
 
 def _content(decoded: Decoded) -> _Content:
@@ -204,21 +155,11 @@ def _msg_id(layer: Layer, word: int) -> tuple[int, str]:
     return word, ""
 
 
-def _endpoints(rows: ColumnRows) -> Iterator[tuple[Endpoint, Endpoint]]:
-    """Yield where each row comes from, and where it goes."""
-    names = ("source_address", "destination_address", "source_port", "destination_port", "ip_version")
-    first, which = numbered(*(rows.datagram(name) for name in names))
-    places = rows.indices()[first].tolist()
-    pairs = [(item.source, item.destination) for item in map(rows.batch.__getitem__, places)]
-    return (pairs[at] for at in which.tolist())
-
-
 def _contents(rows: ColumnRows) -> list[_Content | None]:
     """Return what is said of the packets that columns tell everything of; None for the others."""
     out: list[_Content | None] = [None] * len(rows)
     msg_id, context = rows.column("msg_id"), rows.context
-    easy = (rows.column("packet_offset") >= 0) & (rows.column("header_length") > 0)
-    easy &= (rows.column("findings") & np.uint32(~_ALL_READ & 0xFFFFFFFF)) == 0
+    easy = read_whole(rows)
     told: dict[int, tuple[str, str]] = {}
     for owner, topic, texts in _messages(rows, easy):
         told.update(zip(owner.tolist(), ((topic, text) for text in texts), strict=True))
@@ -257,25 +198,15 @@ def _messages(
 
     ``easy`` is cleared where a message has to be dissected.
     """
-    context, routes = rows.context, rows.routes()
-    offset, length = rows.column("cdr_offset"), rows.column("cdr_length")
-    for index, owner in by_value(np.where(easy & (length > 0), routes, NO_ROUTE)):
-        route = context.mission.routes[index] if index != NO_ROUTE else None
-        types = context.types
-        if route is None or types is None or not types.has(route.type):
-            continue
-        messages = types.columns(route.type, rows.batch.data, offset[owner], length[owner])
-        texts = message_texts(messages, types.plan(route.type)[1])
-        easy[owner[~messages.valid] if texts else owner] = False
-        if texts:
-            yield owner, route.topic, texts
-    for bound in structs_of(rows):
-        owner, messages = held_messages(bound, rows)
-        layer = _LAYERS.get(bound.key.msg_id)
-        plain = (routes[owner] == NO_ROUTE) & messages.valid
+    routes = rows.routes()
+    for owner, topic, _, messages, plan, bound in messages_of(rows, easy.copy()):
+        layer = _LAYERS.get(bound.key.msg_id) if bound else None
+        plain = messages.valid
+        if bound:
+            plain = plain & (routes[owner] == NO_ROUTE)
         if layer is None:
-            texts = message_texts(messages, context.structs.types.plan(bound.type)[1], leave_out="header.")
-        elif bound.shipped:
+            texts = message_texts(messages, plan, leave_out="header." if bound else " ")
+        elif bound and bound.shipped:
             fields, form = LAYER_TEXTS[layer.name]
             values = [np.asarray(messages.fields[name]).tolist() for name in fields]
             texts = list(map(form.format, *values))
@@ -284,4 +215,4 @@ def _messages(
             texts = []
         easy[owner[~plain] if texts else owner] = False
         if texts:
-            yield owner, bound.topic, texts
+            yield owner, topic, texts

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.ros.cdr.columns import MessageColumns
     from edoras_tools.ros.cdr.plan import CdrPlan
 
-    _Column: TypeAlias = "NDArray[Any] | Ragged | _Group"
+    Column: TypeAlias = "NDArray[Any] | Ragged | Group"
 
 LAYER_TEXTS: Final = {
     cfe.EVENT.name: (("app_name", "event_id", "message"), "{} {}: {}"),
@@ -77,30 +77,48 @@ def message_texts(messages: MessageColumns, plan: CdrPlan, *, leave_out: str = "
         plan: of their type.
         leave_out: how the fields begin that are not shown.
     """
-    columns: dict[str, _Column] = {}
-    lists = [step for step in plan.steps if isinstance(step, Repeat) and not step.plan.single]
-    if any(step.plan.lists for step in lists):
+    columns = grouped(messages, plan)
+    if columns is None:
         return []
-    for name, column in messages.fields.items():
-        outer = next((step.name for step in lists if name.startswith(f"{step.name}.")), "")
-        if outer and isinstance(column, Ragged):
-            group = columns.setdefault(outer, _Group(column.offsets, {}))
-            assert isinstance(group, _Group), "the fields of a list follow each other"
-            group.columns[name.removeprefix(f"{outer}.")] = column.values
-        elif not name.startswith(leave_out) and not name.endswith(PLACEHOLDER):
-            columns[name] = column
-    return _words(columns, len(messages))
+    shown = {
+        name: column
+        for name, column in columns.items()
+        if not name.startswith(leave_out) and not name.endswith(PLACEHOLDER)
+    }
+    return _words(shown, len(messages))
 
 
 @dataclass(frozen=True, slots=True)
-class _Group:
-    """A list of messages: the columns of all elements, and where those of each row are."""
+class Group:
+    """A list of messages: the columns of all elements, and where those of each row are.
+
+    Attributes:
+        offsets: i64, one more than rows, as those of ``Ragged``.
+        columns: the fields of all elements by their dotted name.
+    """
 
     offsets: NDArray[np.int64]
     columns: dict[str, NDArray[Any]]
 
 
-def _words(columns: Mapping[str, _Column], count: int) -> list[str]:
+def grouped(messages: MessageColumns, plan: CdrPlan) -> dict[str, Column] | None:
+    """Return the columns of messages, those of a list of messages as one; None for lists inside lists."""
+    columns: dict[str, Column] = {}
+    lists = [step for step in plan.steps if isinstance(step, Repeat) and not step.plan.single]
+    if any(step.plan.lists for step in lists):
+        return None
+    for name, column in messages.fields.items():
+        outer = next((step.name for step in lists if name.startswith(f"{step.name}.")), "")
+        if outer and isinstance(column, Ragged):
+            group = columns.setdefault(outer, Group(column.offsets, {}))
+            assert isinstance(group, Group), "the fields of a list follow each other"
+            group.columns[name.removeprefix(f"{outer}.")] = column.values
+        else:
+            columns[name] = column
+    return columns
+
+
+def _words(columns: Mapping[str, Column], count: int) -> list[str]:
     """Return ``short_values`` of so many rows."""
     words: list[list[str]] = [[] for _ in range(count)]
     number = np.zeros(count, np.int64)
@@ -115,24 +133,24 @@ def _words(columns: Mapping[str, _Column], count: int) -> list[str]:
     return [" ".join(some) + " ..." * left or "all zero" for some, left in zip(words, more, strict=True)]
 
 
-def _say_something(column: _Column) -> NDArray[np.bool_]:
+def _say_something(column: Column) -> NDArray[np.bool_]:
     """Tell which values of a column are shown; an array is shown even if it is all zero, an empty one not."""
-    if isinstance(column, (Ragged, _Group)):
+    if isinstance(column, (Ragged, Group)):
         return np.diff(column.offsets) > 0
     if column.ndim > 1:
         return np.full(len(column), column.shape[1] > 0)
     return np.asarray(column != ("" if column.dtype == object else 0), np.bool_)
 
 
-def _texts(column: _Column, rows: NDArray[np.intp]) -> list[str]:
-    if isinstance(column, (Ragged, _Group)):
+def _texts(column: Column, rows: NDArray[np.intp]) -> list[str]:
+    if isinstance(column, (Ragged, Group)):
         start, count = column.offsets[rows], column.offsets[rows + 1] - column.offsets[rows]
         some = np.minimum(count, _MOST_ITEMS)
         ends = np.cumsum(some)
         places = np.arange(some.sum()) + np.repeat(start - ends + some, some)
         items = (
             [f"{{{text}}}" for text in _words({k: v[places] for k, v in column.columns.items()}, len(places))]
-            if isinstance(column, _Group)
+            if isinstance(column, Group)
             else _values(column.values[places])
         )
         bounds = zip((ends - some).tolist(), ends.tolist(), count.tolist(), strict=True)

@@ -1,6 +1,7 @@
-"""Columns and stack give one answer, and one line: on every packet of the samples, and on any bytes."""
+"""Columns and stack give one answer, one line, one JSON: on every packet of the samples, and on any bytes."""
 
 import dataclasses
+import json
 import struct
 from contextlib import closing
 
@@ -11,13 +12,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from places import ROOT
 
-from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options, lines
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options, contents
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.lines import PacketLines, line_of
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
 from edoras_tools.mission import Mission, load
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, PacketBatch, Peer
+from edoras_tools.pipelines.capture.packet_json import PacketTexts, as_json
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe, sbn
 
@@ -82,10 +84,12 @@ def row_of_columns(batch, columns, index):
 def agree(batch, context):
     columns = ColumnDecoder(context).decode(batch)
     dissector = Dissector(context)
-    shown = list(PacketLines(context).of(ColumnRows(context, 0, batch, columns)))
+    rows = ColumnRows(context, 0, batch, columns)
+    shown, texts = list(PacketLines(context).of(rows)), PacketTexts(context).of(rows)
     for index in range(len(batch)):
         decoded = dissector.dissect(batch[index])
         assert shown[index] == line_of(decoded)
+        assert texts[index] == json.dumps(as_json(decoded), ensure_ascii=False, separators=(",", ":"))
         assert row_of_columns(batch, columns, index) == row_of_stack(decoded), (index, decoded.stop)
         route = int(columns.route[index])
         if route >= 0:
@@ -100,7 +104,7 @@ def agree(batch, context):
 
 @pytest.fixture(autouse=True)
 def _columns_of_few_packets_too(monkeypatch):
-    monkeypatch.setattr(lines, "_FEW", 0)
+    monkeypatch.setattr(contents, "_FEW", 0)
 
 
 def test_the_captures_are_there():

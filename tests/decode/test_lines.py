@@ -6,7 +6,7 @@ from contextlib import closing
 import pytest
 from places import CAPTURES
 
-from edoras_tools.decode import ColumnDecoder, Context, Dissector, lines
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, contents
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.lines import PacketLines
 from edoras_tools.io.formats.open import open_file
@@ -38,7 +38,7 @@ def test_only_what_columns_do_not_tell_is_dissected_and_equal_bytes_once(rows, m
             seen[datagram.payload] += 1
             return super().dissect(datagram)
 
-    monkeypatch.setattr(lines, "Dissector", Counting)
+    monkeypatch.setattr(contents, "Dissector", Counting)
     made = list(PacketLines(rows.context).of(rows))
     alone = {rows.batch[row].payload for row in (rows.columns.packet_offset < 0).nonzero()[0].tolist()}
     assert len(made) == len(rows) > 1800

@@ -38,7 +38,7 @@ from edoras_tools.io.frames.linklayer import Demux, FrameBatch
 from edoras_tools.mission import Mission, load, loads
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.pipelines.capture.ledger import Ledger
-from edoras_tools.pipelines.capture.sniff import as_json
+from edoras_tools.pipelines.capture.packet_json import as_json
 from edoras_tools.pipelines.doctor.runs import Runs
 from edoras_tools.render.capture import packet as packet_view
 from edoras_tools.render.capture.packet_list import PacketList

@@ -265,7 +265,7 @@ def test_a_name_that_is_close_is_offered():
 
 
 def test_it_is_plain_json():
-    from edoras_tools.pipelines.capture.sniff import as_json
+    from edoras_tools.pipelines.capture.packet_json import as_json
 
     packet = as_json(dissect(PACKETS[0]))
     assert json.loads(json.dumps(packet))["message"]["way"][1] == {"x": 2, "y": -1.0}

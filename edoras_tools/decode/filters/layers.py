@@ -183,18 +183,28 @@ def _decoded(column: str, none: int, rows: ColumnRows) -> Series:
 def _gathered(layout: Layout, slot: Slot, places: Callable[[ColumnRows], Places], rows: ColumnRows) -> Series:
     """Read one field of the headers that a batch holds."""
     owner, start = places(rows)
-    item = slot.field
-    window = gather(rows.batch.data, start + slot.start, slot.end - slot.start)
-    if item.kind in {"text", "bytes"}:
-        raw = window.tobytes()
-        size = slot.end - slot.start
-        items = [raw[at : at + size] for at in range(0, len(raw), size)]
-        if item.kind == "text":
-            known = {one: one.split(b"\0", 1)[0].decode("utf-8", "replace") for one in set(items)}
-            return Series.of_objects(len(rows), [known[one] for one in items], owner)
-        return Series.of_objects(len(rows), items, owner)
-    values = layout.column(item.name, window, -slot.start)
+    values = slot_values(layout, slot, gather(rows.batch.data, start + slot.start, slot.end - slot.start))
+    if isinstance(values, list):
+        return Series.of_objects(len(rows), values, owner)
     return Series(len(rows), values, None if len(owner) == len(rows) else owner)
+
+
+def slot_values(layout: Layout, slot: Slot, window: NDArray[np.uint8]) -> NDArray[Any] | list[Any]:
+    """Return one field of many headers: numbers, or a list of str or bytes.
+
+    Args:
+        layout: the table.
+        slot: the field.
+        window: u8 (n, width of the slot), the bytes of the field.
+    """
+    if slot.field.kind not in {"text", "bytes"}:
+        return layout.column(slot.field.name, window, -slot.start)
+    raw, size = window.tobytes(), window.shape[1]
+    items = [raw[at : at + size] for at in range(0, len(raw), size)]
+    if slot.field.kind == "bytes":
+        return items
+    known = {one: one.split(b"\0", 1)[0].decode("utf-8", "replace") for one in set(items)}
+    return [known[one] for one in items]
 
 
 def _of_any_format(field: FilterField) -> FilterField:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.decode.lines import PacketLines
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.jsonl.texts import NOT_FINITE
+from edoras_tools.pipelines.capture.packet_json import PacketTexts
 from edoras_tools.pipelines.reading import Limits, reading
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
 
-_AT_ONCE: Final = 2048
+_AT_ONCE: Final = 8192
 
 
 def sniff(
@@ -85,6 +84,19 @@ def _selected(
             loop.note()
 
 
+def json_texts(
+    source: Source,
+    bench: Workbench,
+    selection: Selection,
+    limits: Limits = Limits(),  # noqa: B008  frozen
+    started: Callable[[int], None] = lambda _: None,
+) -> Iterator[list[str]]:
+    """Yield the JSON text of each selected packet, many at once; all else as ``sniff``."""
+    made = PacketTexts(bench.columns.context)
+    for rows in _selected(source, bench, selection, limits, started):
+        yield made.of(rows)
+
+
 def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
     """Return one packet; everything before it is decoded first, because decoding keeps state.
 
@@ -112,40 +124,3 @@ def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
         "is not a UDP datagram" if number <= last else f"does not exist: the last datagram is number {last}"
     )
     raise CaptureError(f"{source.info.name}: packet {number} {what}")
-
-
-def as_json(decoded: Decoded) -> dict[str, Any]:
-    """Return a packet in the shape of ``sniff --json``: plain values, bytes as hex, NaN as a text."""
-    packet = decoded.layer("ccsds")
-    message = decoded.message
-    record = {
-        "number": decoded.datagram.number,
-        "time_ns": decoded.datagram.time_ns,
-        "link": decoded.link.label,
-        "source": str(decoded.datagram.source),
-        "destination": str(decoded.datagram.destination),
-        "length": len(decoded.datagram.payload),
-        "layers": {
-            layer.name: layer.values() for layer in decoded.layers if layer.name not in {"ros", "cfs"}
-        },
-        "msg_id": f"0x{packet.values()['msg_id']:04x}" if packet else None,
-        "topic": message.topic if message else None,
-        "type": message.type if message else None,
-        "message": message.values if message else None,
-        "findings": decoded.findings.labels,
-        "stop": str(decoded.stop) if decoded.stop else None,
-    }
-    plain: dict[str, Any] = _plain(record)
-    return plain
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (bytes, bytearray)):
-        return value.hex()
-    if isinstance(value, float) and not math.isfinite(value):
-        return NOT_FINITE[repr(value)]
-    return value

@@ -8,7 +8,7 @@ from edoras_tools.decode.filters.filter import Where, fields
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.pipelines.capture.fields import column_texts, is_number
-from edoras_tools.pipelines.capture.sniff import as_json
+from edoras_tools.pipelines.capture.packet_json import as_json
 from edoras_tools.pipelines.reading import Limits, chosen
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files

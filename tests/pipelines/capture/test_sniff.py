@@ -24,7 +24,8 @@ from edoras_tools.model import (
     LayerField,
     RosMessage,
 )
-from edoras_tools.pipelines.capture.sniff import as_json, decode_packet, sniff
+from edoras_tools.pipelines.capture.packet_json import as_json
+from edoras_tools.pipelines.capture.sniff import decode_packet, sniff
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import open_files

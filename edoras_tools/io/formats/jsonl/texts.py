@@ -20,7 +20,7 @@ NOT_FINITE: Final = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
 def json_texts(column: TableColumn) -> list[str]:
     """Return the JSON text of every row of a column; numbers that JSON does not know are texts."""
     values, offsets = column.spread()
-    texts = _texts(values)
+    texts = value_texts(values)
     if offsets is not None:
         texts = [f"[{','.join(texts[first:last])}]" for first, last in pairwise(offsets.tolist())]
     if column.there is None:
@@ -42,7 +42,8 @@ def time_texts(values: NDArray[np.datetime64]) -> list[str]:
     return texts
 
 
-def _texts(values: NDArray[Any]) -> list[str]:
+def value_texts(values: NDArray[Any]) -> list[str]:
+    """Return the JSON text of every value of an array of one dimension."""
     kind = values.dtype.kind
     if kind == "O":
         items = values.tolist()

@@ -1,0 +1,152 @@
+"""What is said of many packets: from their columns where these tell everything, else from their layers.
+
+The rules that this file keeps:
+
+1. Both ways give the same, of every packet; ``tests/decode/test_agreement.py`` compares them.
+2. From columns come packets that are read to their end. A packet of another kind is dissected: one with a
+   finding that ends its decoding, or without a space packet.
+3. What is said of a datagram without a space packet depends on its bytes alone and is kept: heartbeats and
+   subscriptions come again and again.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from edoras_tools.decode.filters.messages import held_messages, structs_of
+from edoras_tools.decode.stack import Dissector
+from edoras_tools.links import table
+from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.wire.order import by_value, numbered
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.model import Decoded, Endpoint, Link
+    from edoras_tools.ros.cdr.columns import MessageColumns
+    from edoras_tools.ros.cdr.plan import CdrPlan
+    from edoras_tools.structs.bound import Bound
+
+Content = TypeVar("Content")
+
+_ENDING: Final = (
+    Finding.TRUNCATED
+    | Finding.ENVELOPE_OVERRUN
+    | Finding.CDR_INVALID
+    | Finding.HEADER_ONLY
+    | Finding.STRUCT_LENGTH
+    | Finding.SBN_LEGACY_HEADER
+    | Finding.CAPTURE_CUT
+)
+"""Findings of packets that are not read to their end, or with other layers than usual."""
+_MOST_KEPT: Final = 4096
+_FEW: Final = 16
+"""Fewer packets than these are dissected sooner than columns are made of them."""
+
+
+class Contents(Generic[Content]):
+    """Says something of many packets.
+
+    Args:
+        context: shared with the decoder of the same stream.
+        of_packet: says it of a dissected packet; of one without a space packet by its bytes alone.
+        of_columns: says it of rows; None for a row that has to be dissected.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        of_packet: Callable[[Decoded], Content],
+        of_columns: Callable[[ColumnRows], list[Content | None]],
+    ) -> None:
+        self._dissector = Dissector(context, detail=False)
+        self._of_packet = of_packet
+        self._of_columns = of_columns
+        self._kept: dict[tuple[int, int, bytes], Content] = {}
+
+    def of(self, rows: ColumnRows) -> list[Content]:
+        """Return what is said of each row."""
+        few = len(rows) < _FEW
+        known = [None] * len(rows) if few else self._of_columns(rows)
+        return [
+            self._dissected(rows, place) if content is None else content
+            for place, content in zip(rows.indices().tolist(), known, strict=True)
+        ]
+
+    def _dissected(self, rows: ColumnRows, place: int) -> Content:
+        """Dissect one packet; where it has no space packet, the same bytes are dissected once."""
+        batch, columns = rows.batch, rows.columns
+        if columns.packet_offset[place] >= 0:
+            return self._of_packet(self._dissector.dissect(batch[place]))
+        start = int(batch.offset[place])
+        payload = batch.data[start : start + int(batch.length[place])].tobytes()
+        key = int(columns.link[place]), int(columns.findings[place]), payload
+        content = self._kept.get(key)
+        if content is None:
+            if len(self._kept) >= _MOST_KEPT:
+                self._kept.clear()
+            content = self._kept[key] = self._of_packet(self._dissector.dissect(batch[place]))
+        return content
+
+
+class Messages(NamedTuple):
+    """The messages of some rows, all of one type.
+
+    Attributes:
+        owner: i64 (n,), the rows.
+        topic: their topic.
+        type: their type, as the mission or the struct names it.
+        columns: the messages.
+        plan: of their type.
+        bound: the C struct that they are; None for messages of a route.
+    """
+
+    owner: NDArray[np.int64]
+    topic: str
+    type: str
+    columns: MessageColumns
+    plan: CdrPlan
+    bound: Bound | None
+
+
+def read_whole(rows: ColumnRows) -> NDArray[np.bool_]:
+    """Tell which rows hold a packet that is read to its end."""
+    whole: NDArray[np.bool_] = (rows.column("packet_offset") >= 0) & (rows.column("header_length") > 0)
+    whole &= (rows.column("findings") & np.uint32(_ENDING)) == 0
+    return whole
+
+
+def messages_of(rows: ColumnRows, whole: NDArray[np.bool_]) -> Iterator[Messages]:
+    """Yield the messages of each topic and of each C struct; of topics those in ``whole`` rows alone."""
+    context, routes = rows.context, rows.routes()
+    offset, length = rows.column("cdr_offset"), rows.column("cdr_length")
+    for index, owner in by_value(np.where(whole & (length > 0), routes, NO_ROUTE)):
+        route = context.mission.routes[index] if index != NO_ROUTE else None
+        types = context.types
+        if route is None or types is None or not types.has(route.type):
+            continue
+        messages = types.columns(route.type, rows.batch.data, offset[owner], length[owner])
+        yield Messages(owner, route.topic, route.type, messages, types.plan(route.type)[1], None)
+    for bound in structs_of(rows):
+        owner, messages = held_messages(bound, rows)
+        plan = context.structs.types.plan(bound.type)[1]
+        yield Messages(owner, bound.topic, bound.type, messages, plan, bound)
+
+
+def links_of(rows: ColumnRows) -> dict[int, Link]:
+    """Return the links of the rows by their code."""
+    return {code: table.link(code) for code in set(rows.column("link").tolist())}
+
+
+def endpoints(rows: ColumnRows) -> tuple[list[tuple[Endpoint, Endpoint]], NDArray[np.intp]]:
+    """Return all pairs of where rows come from and go to, and which pair each row has."""
+    names = ("source_address", "destination_address", "source_port", "destination_port", "ip_version")
+    first, which = numbered(*(rows.datagram(name) for name in names))
+    places = rows.indices()[first].tolist()
+    return [(item.source, item.destination) for item in map(rows.batch.__getitem__, places)], which

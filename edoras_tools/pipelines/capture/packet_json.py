@@ -1,0 +1,321 @@
+"""Packets as ``sniff --json`` prints them: from their layers, or many texts at once from columns.
+
+A text is a template with what is the same in all packets of a kind, filled with the texts of the columns that
+differ. The rules that this file keeps:
+
+1. Both ways give the same bytes; ``tests/pipelines/capture/test_packet_json.py`` compares them.
+2. From columns come the packets that :mod:`edoras_tools.decode.contents` reads from columns, on links whose
+   headers are fixed, in an envelope of a known format, with a message without lists inside lists.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import groupby, pairwise
+from json import dumps
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.decode.contents import Contents, endpoints, links_of, messages_of, read_whole
+from edoras_tools.decode.filters.layers import slot_values
+from edoras_tools.decode.summary import Group, grouped
+from edoras_tools.io.formats.jsonl.texts import NOT_FINITE, value_texts
+from edoras_tools.links.protocol import LinkProtocol
+from edoras_tools.links.sbn import SBN
+from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.ros.types.schema import PLACEHOLDER
+from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.cdr import ENCAPSULATION
+from edoras_tools.wire.envelope import ENVELOPE_FORMATS
+from edoras_tools.wire.order import by_value, numbered
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.decode.summary import Column
+    from edoras_tools.model import Decoded, Link
+    from edoras_tools.ros.cdr.columns import MessageColumns
+    from edoras_tools.ros.cdr.plan import CdrPlan
+    from edoras_tools.wire.layout import Layout
+
+    Texts = str | Sequence[Any]
+    """JSON texts of a column, one a row, or the one of all rows; integers are texts as they are."""
+    Path = tuple[str, ...]
+    Parts = Mapping[Path, Texts]
+    """The values of an object by their path; those of one object follow each other."""
+
+_IN_HEAD: Final = 6
+"""How many values of a packet are in front of those that follow from its bytes."""
+_ABOUT: Final = ("topic", "type", "message")
+_INSIDE: Final = (
+    (cfe.EVENT_MSG_ID, cfe.EVENT),
+    (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING),
+)
+"""Packets of which one more layer is shown, and the layer."""
+
+
+def as_json(decoded: Decoded) -> dict[str, Any]:
+    """Return a packet in the shape of ``sniff --json``: plain values, bytes as hex, NaN as a text."""
+    packet = decoded.layer("ccsds")
+    message = decoded.message
+    record = {
+        "number": decoded.datagram.number,
+        "time_ns": decoded.datagram.time_ns,
+        "link": decoded.link.label,
+        "source": str(decoded.datagram.source),
+        "destination": str(decoded.datagram.destination),
+        "length": len(decoded.datagram.payload),
+        "layers": {
+            layer.name: layer.values() for layer in decoded.layers if layer.name not in {"ros", "cfs"}
+        },
+        "msg_id": f"0x{packet.values()['msg_id']:04x}" if packet else None,
+        "topic": message.topic if message else None,
+        "type": message.type if message else None,
+        "message": message.values if message else None,
+        "findings": decoded.findings.labels,
+        "stop": str(decoded.stop) if decoded.stop else None,
+    }
+    plain: dict[str, Any] = _plain(record)
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (bytes, bytearray)):
+        return value.hex()
+    if isinstance(value, float) and not math.isfinite(value):
+        return NOT_FINITE[repr(value)]
+    return value
+
+
+class PacketTexts:
+    """Makes the JSON texts of many packets.
+
+    Args:
+        context: shared with the decoder of the same stream.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._contents = Contents(context, _tail, _tails)
+
+    def of(self, rows: ColumnRows) -> list[str]:
+        """Return the text of each row, in order: ``as_json`` without spaces."""
+        links = {code: _text(link.label) for code, link in links_of(rows).items()}
+        pairs, which = endpoints(rows)
+        named = [(_text(str(source)), _text(str(destination))) for source, destination in pairs]
+        heads = zip(
+            rows.datagram("number").tolist(),
+            rows.datagram("time_ns").tolist(),
+            map(links.__getitem__, rows.column("link").tolist()),
+            map(named.__getitem__, which.tolist()),
+            rows.datagram("length").tolist(),
+            self._contents.of(rows),
+            strict=True,
+        )
+        return [
+            f'{{"number":{number},"time_ns":{time_ns},"link":{link},"source":{source},'
+            f'"destination":{destination},"length":{length},{tail}'
+            for number, time_ns, link, (source, destination), length, tail in heads
+        ]
+
+
+def _text(value: Any) -> str:
+    return dumps(value, ensure_ascii=False, separators=(",", ":"))
+
+
+def _tail(decoded: Decoded) -> str:
+    """Return the text of what follows from a packet's bytes, without the brace in front."""
+    return _text(dict(list(as_json(decoded).items())[_IN_HEAD:]))[1:]
+
+
+def _tails(rows: ColumnRows) -> list[str | None]:
+    """Return the same of rows, None for those that have to be dissected."""
+    out: list[str | None] = [None] * len(rows)
+    shapes = _Shapes(rows)
+    easy = read_whole(rows) & shapes.known
+    about: dict[str, NDArray[Any]] = {name: np.full(len(rows), "null", object) for name in _ABOUT}
+    for owner, topic, name, messages, plan, _ in messages_of(rows, easy):
+        texts = _message_texts(messages, plan)
+        for key, value in zip(_ABOUT, (_text(topic), _text(name), texts or "null"), strict=True):
+            about[key][owner] = value
+        easy[owner if texts is None else owner[~messages.valid]] = False
+    ids, findings = rows.column("msg_id"), rows.column("findings")
+    labels = {bits: _text(Finding(bits).labels) for bits in set(findings.tolist())}
+    for members, parts in shapes.of(np.flatnonzero(easy)):
+        parts[("msg_id",)] = [f'"0x{value:04x}"' for value in ids[members].tolist()]
+        for key, values in about.items():
+            parts[(key,)] = values[members].tolist()
+        parts[("findings",)] = [labels[bits] for bits in findings[members].tolist()]
+        parts[("stop",)] = "null"
+        for row, text in zip(members.tolist(), _objects(parts, len(members)), strict=True):
+            out[row] = text[1:]
+    return out
+
+
+class _Shapes:
+    """Which layers rows have, of those whose packets are read to their end.
+
+    Attributes:
+        known: bool (n,), rows whose layers columns tell.
+    """
+
+    def __init__(self, rows: ColumnRows) -> None:
+        self._rows = rows
+        envelopes = [*rows.context.envelopes, None]  # the last is that of no route
+        self._start, header = rows.column("packet_offset"), rows.column("header_length")
+        self._body = self._start + header
+        left = rows.column("packet_length") - header
+        self._links = links_of(rows)
+        fixed = [code for code, link in self._links.items() if _fixed(link) is not None]
+        self.known = np.isin(rows.column("link"), fixed)
+        self._inside = np.zeros(len(rows), np.uint8)
+        for number, (msg_id, layout) in enumerate(_INSIDE, 1):
+            there = (rows.column("msg_id") == msg_id) & (left >= layout.size) & (rows.routes() == NO_ROUTE)
+            self._inside[there] = number
+        enclosed = rows.column("cdr_length") > 0
+        formats = np.array([ENVELOPE_FORMATS.index(item) + 1 if item else 0 for item in envelopes])
+        self._envelope = np.where(enclosed, formats[rows.routes()], 0)
+        sizes = np.array([0, *(item.size for item in ENVELOPE_FORMATS)])
+        self._cdr, length = rows.column("cdr_offset"), rows.column("cdr_length")
+        self.known &= ~enclosed | ((self._envelope > 0) & (self._cdr == self._body + sizes[self._envelope]))
+        self._padding = np.where(enclosed, self._start + rows.column("packet_length") - self._cdr - length, 0)
+        self._command = (rows.column("msg_id") & cfe.COMMAND_BIT) != 0
+
+    def of(self, rows: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], dict[Path, Texts]]]:
+        """Yield those of some rows that have the same layers, and the fields of these."""
+        link, headers = self._rows.column("link"), self._rows.column("headers")
+        keys = link, headers, self._command, self._inside, self._envelope, self._padding > 0
+        _, which = numbered(*(key[rows] for key in keys))
+        for _, members in by_value(which):
+            yield rows[members], dict(self._fields(rows[members]))
+
+    def _fields(self, rows: NDArray[np.intp]) -> Iterator[tuple[Path, Texts]]:
+        of, first, start = self._rows, rows[0], self._start[rows]
+        headers = cfe.HEADERS[of.column("headers")[first]]
+        at = of.datagram("offset")[rows]
+        for layout in _fixed(self._links[int(of.column("link")[first])]) or ():
+            yield from self._layer(layout, at)
+            at = at + layout.size
+        yield ("layers", "ccsds", "msg_id"), _texts(of.column("msg_id")[rows])
+        yield from self._layer(ccsds.PRIMARY, start)
+        if headers.extended:
+            yield from self._layer(cfe.EXTENDED, start + ccsds.PRIMARY.size)
+        second = headers.command if self._command[first] else headers.telemetry
+        yield from self._layer(second, start + headers.start)
+        if self._inside[first]:
+            yield from self._layer(_INSIDE[self._inside[first] - 1][1], self._body[rows])
+        if self._envelope[first]:
+            yield from self._layer(ENVELOPE_FORMATS[self._envelope[first] - 1].layout, self._body[rows])
+            yield from self._layer(ENCAPSULATION, self._cdr[rows])
+        if self._padding[first]:
+            yield ("layers", "padding", "length"), _texts(self._padding[rows])
+            stale = (of.column("findings")[rows] & np.uint32(Finding.STALE_TAIL)) != 0
+            yield ("layers", "padding", "stale"), _texts(stale)
+
+    def _layer(self, layout: Layout, at: NDArray[np.int64]) -> Iterator[tuple[Path, Texts]]:
+        window = gather(self._rows.batch.data, at, layout.size)
+        for slot in layout.slots:
+            values = slot_values(layout, slot, window[:, slot.start : slot.end])
+            if isinstance(values, list):
+                known = {item: item.hex() if isinstance(item, bytes) else item for item in set(values)}
+                values = np.array([known[item] for item in values], object)
+            yield ("layers", layout.name, slot.field.name), _texts(values)
+
+
+def _fixed(link: Link) -> tuple[Layout, ...] | None:
+    """Return the headers in front of every space packet of a link; None where they vary."""
+    if link is SBN:
+        return (sbn.HEADER,)
+    usual = isinstance(link, LinkProtocol) and type(link).dissect is LinkProtocol.dissect
+    return link.layouts if usual and isinstance(link, LinkProtocol) and not link.forms else None
+
+
+def _message_texts(messages: MessageColumns, plan: CdrPlan) -> list[str] | None:
+    """Return the texts of messages; None where a type has lists of messages with lists."""
+    columns = grouped(messages, plan)
+    return None if columns is None else _message_objects(columns, len(messages))
+
+
+def _texts(column: Column) -> Texts:
+    """Return the JSON texts of a column; one where all rows have the same value."""
+    if isinstance(column, (Ragged, Group)):
+        offsets = column.offsets.tolist()
+        if isinstance(column, Ragged) and _as_python(column.values):
+            values = column.values.tolist()
+            return [str(values[first:last]).replace(" ", "") for first, last in pairwise(offsets)]
+        items = (
+            _message_objects(column.columns, offsets[-1])
+            if isinstance(column, Group)
+            else value_texts(_doubles(column.values))
+        )
+        return [f"[{','.join(items[first:last])}]" for first, last in pairwise(offsets)]
+    if len(column) and _all_equal(column):
+        return str(_each(column[:1])[0])
+    return _each(column)
+
+
+def _each(column: NDArray[Any]) -> list[Any]:
+    if column.ndim == 1:
+        return column.tolist() if column.dtype.kind in "iu" else value_texts(_doubles(column))
+    if _as_python(column):
+        return [str(row).replace(" ", "") for row in column.tolist()]
+    return [f"[{','.join(value_texts(_doubles(row)))}]" for row in column]
+
+
+def _as_python(values: NDArray[Any]) -> bool:
+    """Tell whether Python writes a list of these numbers as JSON does, but for spaces."""
+    kind = values.dtype.kind
+    return kind in "iu" or (kind == "f" and bool(np.isfinite(values).all()))
+
+
+def _doubles(values: NDArray[Any]) -> NDArray[Any]:
+    """Return floating-point numbers as Python has them."""
+    return values.astype(np.float64) if values.dtype.kind == "f" else values
+
+
+def _all_equal(column: NDArray[Any]) -> bool:
+    if column.dtype != object:  # as bits: -0.0 is another text than 0.0
+        column = np.ascontiguousarray(column).view(f"u{column.itemsize}")
+    return bool((column == column[0]).all())
+
+
+def _message_objects(columns: Mapping[str, Column], count: int) -> list[str]:
+    return _objects({tuple(name.split(".")): _texts(column) for name, column in columns.items()}, count)
+
+
+def _objects(parts: Parts, count: int) -> list[str]:
+    """Return the texts of so many objects."""
+    columns: list[Sequence[Any]] = []
+    template = _template(list(parts.items()), columns)
+    if not columns:
+        return [template % ()] * count
+    return list(map(template.__mod__, zip(*columns, strict=True)))
+
+
+def _template(parts: Iterable[tuple[Path, Texts]], columns: list[Sequence[Any]]) -> str:
+    """Return the template of an object; the columns that fill it are appended to those given."""
+    members = []
+    for name, group in groupby(parts, lambda part: part[0][0]):
+        inside = [(path[1:], texts) for path, texts in group]
+        path, texts = inside[0]
+        if name == PLACEHOLDER:
+            return "{}"
+        if path:
+            text = _template(inside, columns)
+        elif isinstance(texts, str):
+            text = texts.replace("%", "%%")
+        else:
+            text = "%s"
+            columns.append(texts)
+        members.append(f"{_text(name).replace('%', '%%')}:{text}")
+    return f"{{{','.join(members)}}}"
