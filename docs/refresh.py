@@ -37,7 +37,7 @@ PAGES: Final = (
     *(
         path
         for path in sorted((ROOT / "docs").glob("*.md"))
-        if path.stem not in {"missions", "sim", "bench"}  # these have tests of their own
+        if path.stem not in {"sim", "bench"}  # these have tests of their own
     ),
 )
 WIDTH: Final = 100

@@ -40,7 +40,7 @@ GROUPS: Final = {
     "Record": ("record", "recover", "export"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "sweep", "proxy"),
-    "Connect": ("bridge", "codegen", "structs", "wireshark"),
+    "Connect": ("bridge", "mission", "codegen", "structs", "wireshark"),
     "Try": ("demo", "sim"),
 }
 """The commands of each group; each is a function, or a group of commands, in a module of the same name."""

@@ -19,7 +19,7 @@ PAGES = sorted(
     [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "samples/README.md", *(ROOT / "docs").glob("*.md")],
     key=str,
 )
-REFRESHED = [page for page in PAGES if page.stem not in {"missions", "sim", "bench", "CHANGELOG"}]
+REFRESHED = [page for page in PAGES if page.stem not in {"sim", "bench", "CHANGELOG"}]
 LIBRARIES = ("pyarrow", "pandas", "duckdb", "polars")
 """Of the extra ``dev``: the page of each is run where all are installed."""
 COMMANDS = (

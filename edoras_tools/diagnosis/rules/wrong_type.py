@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.errors import EdorasError
 from edoras_tools.model import Finding
 from edoras_tools.ros.cdr.plan import ROUNDING
+from edoras_tools.ros.fitting import types_that_fit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,18 +18,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.mission import Route
-    from edoras_tools.ros import TypeStore
 
 ID = "wrong_type"
-PACKAGES: Final = ("geometry_msgs", "sensor_msgs", "std_msgs", "nav_msgs", "builtin_interfaces")
-"""Where types that fit are looked for, besides the mission's own."""
-USUAL: Final = (
-    "geometry_msgs/msg/Pose",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/Twist",
-    "sensor_msgs/msg/JointState",
-)
-"""What the EDORAS demos send: likelier than another type of the same shape."""
 _MOST: Final = 3
 _SHARE: Final = 0.5
 
@@ -99,30 +89,8 @@ def _samples(case: Case, route: Route) -> list[bytes]:
 
 
 def fitting(case: Case, samples: list[bytes], configured: str) -> list[str]:
-    """Return the types that end at the last byte, or at most where their writer might leave bytes behind.
-
-    The mission's own and the plainest come first.
-    """
+    """Return the other types that fit some messages; the mission's own come first."""
     types = case.context.types
-    if types is None or not samples:
-        return []
     own = {route.type for route in case.mission.routes}
-    names = [name for name in types.types() if name.startswith(tuple(f"{item}/msg/" for item in PACKAGES))]
-    found = []
-    for name in sorted({*names, *own} - {configured}):
-        try:
-            if all(_ends(types, name, cdr) for cdr in samples):
-                found.append(name)
-        except EdorasError:
-            continue
-    return sorted(found, key=lambda name: (name not in own, name not in USUAL, name))[:8]
-
-
-def _ends(types: TypeStore, name: str, cdr: bytes) -> bool:
-    """Tell whether a message of a type ends with these bytes.
-
-    Raises:
-        EdorasError: they are none of its messages.
-    """
-    types.decode(name, cdr)
-    return len(cdr) - types.extent(name, cdr) <= types.most_trailing(name) - ROUNDING
+    found = types_that_fit(types, samples, own) if types is not None else []
+    return [name for name in found if name != configured][:8]

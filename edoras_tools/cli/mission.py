@@ -1,0 +1,66 @@
+"""``edoras mission``: mission files, which say which topic travels under which MsgId."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from edoras_tools.cli import options, recordings
+from edoras_tools.cli.endings import tell
+from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
+from edoras_tools.cli.main import Command
+
+mission = typer.Typer(
+    name="mission",
+    help="Draft a mission file from what is in a capture.",
+    no_args_is_help=True,
+    add_completion=False,
+)
+
+
+@mission.callback()
+def _mission() -> None:
+    """Keep ``draft`` a command of its own: typer drops the name of an only command."""
+
+
+@mission.command(cls=Command)
+@options.grouped
+def draft(
+    *,
+    files: FileOptions,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write it here; default: standard output."),
+    ] = None,
+    force: recordings.Force = False,
+    quiet: options.Quiet = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Draft a mission file from a capture: MsgIds, addresses, and the types that fit.
+
+    What -c names is left out. The names of topics are made from MsgIds: edit them.
+    """
+    from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input, write_bytes
+    from edoras_tools.pipelines.mission import draft_mission
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+    from edoras_tools.words import plural
+
+    paths = files.named()
+    if output is not None:
+        refuse_input(output, paths)
+        if not force:
+            refuse_existing(in_the_way(output))
+    with FileProgress(", ".join(map(str, paths)), console=error_console(), quiet=quiet) as bar:
+        source, bench = open_input(InputOptions(files), decoding.settings())
+        made = draft_mission(source, bench, progress=bar)
+    if output is None:
+        typer.echo(made.text, nl=False)
+    else:
+        write_bytes(output, made.text.encode(), folders=True)
+    for note in () if quiet else made.notes:
+        tell(note)
+    if output is not None and not quiet:
+        tell(f"{output}: {plural(made.topics, 'topic')}, {made.sure} with a type that alone fits")

@@ -1,0 +1,349 @@
+"""Drafts a mission file from a capture: which MsgIds carry EDORAS messages, and of which types they could be.
+
+What a capture cannot tell is marked in the draft: names of topics never, types only where one alone fits.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs.names import message_name
+from edoras_tools.errors import CaptureError
+from edoras_tools.links import table
+from edoras_tools.links.table import among, carrying
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Link, Peer
+from edoras_tools.pipelines.reading import reading
+from edoras_tools.ros.fitting import types_that_fit
+from edoras_tools.wire import cfe
+from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat, detect
+from edoras_tools.wire.order import by_value
+from edoras_tools.words import listed, plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.io import Source
+    from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.run import Progress
+
+_SAMPLES: Final = 64
+"""Most different messages of a MsgId that types are tried on."""
+_OF_A_BATCH: Final = 64
+"""Most messages of a MsgId that are looked at in a batch, and as many of different lengths."""
+_ENOUGH: Final = 3
+"""Envelopes that show that a MsgId carries EDORAS messages, whatever else it carries."""
+_SECONDARY_HEADER: Final = 0x0800
+_HEADER: Final = """\
+# Drafted from {name}.
+# A capture shows MsgIds, addresses and the shape of messages, but no names: rename the topics, and check the
+# types that are marked with a question mark. Then give this file with -c.
+"""
+
+
+@dataclass(slots=True)
+class _Stream:
+    """The messages of one MsgId of one sender on one link.
+
+    Attributes:
+        count: packets.
+        samples: CDR of some of them, each once.
+        formats: of the envelopes of those looked at.
+        bare: those looked at that hold no whole envelope.
+    """
+
+    link: Link
+    msg_id: int
+    processor_id: int
+    count: int = 0
+    samples: dict[bytes, None] = field(default_factory=dict)
+    formats: Counter[EnvelopeFormat] = field(default_factory=Counter)
+    bare: int = 0
+
+    def look(self, payload: bytes) -> None:
+        """Take the bytes behind a cFE header."""
+        envelope = detect(payload)
+        if envelope is None:
+            self.bare += 1
+        else:
+            self.formats[envelope] += 1
+            length, _ = envelope.parse(payload)
+            if len(self.samples) < _SAMPLES:
+                self.samples[payload[envelope.size : envelope.size + length]] = None
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"0x{self.msg_id:04x} ({self.link.name})"
+
+
+@dataclass(slots=True)
+class _Traffic:
+    """What a capture says of the bridges.
+
+    Attributes:
+        streams: by link, MsgId and processor.
+        ways: of each link how many datagrams went from where to where.
+        peers: of each SBN peer how many datagrams came from where.
+        flight: peers that are cFS, as its events or its own messages on SBN show.
+        configured: MsgIds that the missions name, which are not drafted.
+    """
+
+    streams: dict[tuple[Link, int, int], _Stream] = field(default_factory=dict)
+    ways: dict[Link, Counter[tuple[str, Endpoint]]] = field(default_factory=dict)
+    peers: dict[Peer, Counter[Endpoint]] = field(default_factory=dict)
+    flight: Counter[int] = field(default_factory=Counter)
+    configured: set[int] = field(default_factory=set)
+
+    def add(self, rows: ColumnRows) -> None:
+        """Take a batch."""
+        batch, columns = rows.batch, rows.columns
+        bridged = among(columns.link, lambda link: bool(link.bridge))
+        carries = bridged & (columns.msg_id != NO_MSG_ID)
+        self.configured.update(np.unique(columns.msg_id[carries & (columns.route != NO_ROUTE)]).tolist())
+        self._add_ways(batch, columns, np.flatnonzero(bridged))
+        events = np.flatnonzero(carries & (columns.msg_id == cfe.EVENT_MSG_ID))[:_OF_A_BATCH]
+        for payload in (_payload(batch, columns, row) for row in events.tolist()):
+            if len(payload) >= cfe.EVENT.size - 2:  # some builds leave the last two bytes away
+                event = cfe.EVENT.parse(payload.ljust(cfe.EVENT.size, b"\0"))
+                self.flight[event["processor_id"]] += 1
+        loose = np.flatnonzero(carries & (columns.route == NO_ROUTE))
+        keys = columns.msg_id[loose].astype(np.int64) << 40 | columns.link[loose].astype(np.int64) << 32
+        for key, members in by_value(keys | columns.processor_id[loose].astype(np.int64)):
+            self._add_stream(batch, columns, key, loose[members])
+
+    def _add_stream(self, batch: PacketBatch, columns: Columns, key: int, members: NDArray[np.intp]) -> None:
+        link, msg_id, processor_id = table.link(key >> 32 & 0xFF), key >> 40, key & 0xFFFFFFFF
+        if message_name(msg_id):
+            if link.peers and not msg_id & cfe.COMMAND_BIT:
+                self.flight[processor_id] += len(members)
+            return
+        stream = self.streams.setdefault((link, msg_id, processor_id), _Stream(link, msg_id, processor_id))
+        stream.count += len(members)
+        _, first = np.unique(columns.packet_length[members], return_index=True)
+        spread = members[:: max(1, len(members) // _OF_A_BATCH)]
+        for row in {*spread[:_OF_A_BATCH].tolist(), *members[first[:_OF_A_BATCH]].tolist()}:
+            stream.look(_payload(batch, columns, row))
+
+    def _add_ways(self, batch: PacketBatch, columns: Columns, rows: NDArray[np.intp]) -> None:
+        names = ("source_address", "source_port", "destination_address", "destination_port")
+        parts = [getattr(batch, name)[rows].astype(np.int64) for name in names]
+        parts += [columns.link[rows].astype(np.int64), columns.processor_id[rows].astype(np.int64)]
+        parts.append(columns.spacecraft_id[rows].astype(np.int64))
+        if not len(rows):
+            return
+        told, first, counts = np.unique(np.stack(parts, 1), axis=0, return_index=True, return_counts=True)
+        for (*_, code, processor_id, spacecraft_id), at, count in zip(
+            told.tolist(), first.tolist(), counts.tolist(), strict=True
+        ):
+            link, datagram = table.link(code), batch[int(rows[at])]
+            ways = self.ways.setdefault(link, Counter())
+            ways[datagram.source.address, datagram.destination] += count
+            if link.peers and processor_id:
+                sources = self.peers.setdefault(Peer(spacecraft_id, processor_id), Counter())
+                sources[datagram.source] += count
+
+
+def _payload(batch: PacketBatch, columns: Columns, row: int) -> bytes:
+    start = int(columns.packet_offset[row])
+    at = start + int(columns.header_length[row])
+    return batch.data[at : start + int(columns.packet_length[row])].tobytes()
+
+
+@dataclass(frozen=True, slots=True)
+class MissionDraft:
+    """A mission file from a capture.
+
+    Attributes:
+        text: of the file.
+        topics: how many it has.
+        sure: how many of them have a type that alone fits.
+        notes: what it does not have, a line each.
+    """
+
+    text: str
+    topics: int
+    sure: int
+    notes: Sequence[str]
+
+
+def draft_mission(source: Source, bench: Workbench, *, progress: Progress | None = None) -> MissionDraft:
+    """Read a source to its end and draft a mission file for the MsgIds that no mission names.
+
+    Raises:
+        CaptureError: the source cannot be read, or holds no EDORAS message under such a MsgId.
+    """
+    traffic = _Traffic()
+    with reading(source, bench) as loop:
+        for rows in loop:
+            traffic.add(rows)
+            if progress is not None:
+                progress.read(source)
+    return _Writer(traffic, bench).draft(source.info.name)
+
+
+class _Writer:
+    """Writes the file."""
+
+    def __init__(self, traffic: _Traffic, bench: Workbench) -> None:
+        self._traffic, self._types = traffic, bench.types
+        self._notes: list[str] = []
+        self._topics = self._sure = 0
+
+    def draft(self, name: str) -> MissionDraft:
+        """Return the draft.
+
+        Raises:
+            CaptureError: there is nothing to draft.
+        """
+        streams = [item for item in self._traffic.streams.values() if self._is_message(item)]
+        streams.sort(key=lambda item: (item.link.code, -item.count, item.msg_id))
+        lines = [
+            *self._ground([item for item in streams if item.link.bridge == "ground"]),
+            *self._flight([item for item in streams if item.link.bridge == "flight"]),
+        ]
+        known = plural(len(self._traffic.configured), "MsgId")
+        if not self._topics:
+            why = f"; {known} of it are in the mission already" if self._traffic.configured else ""
+            raise CaptureError(f"{name}: no EDORAS message under a MsgId that is not known{why}")
+        if self._traffic.configured:
+            self._notes.append(f"{known} left out: the mission has them already")
+        shown = "".join(item if item.isprintable() else "?" for item in name)
+        text = _HEADER.format(name=shown) + "".join(f"{line}\n" for line in lines)
+        return MissionDraft(text, self._topics, self._sure, self._notes)
+
+    def _is_message(self, stream: _Stream) -> bool:
+        valid = stream.msg_id & _SECONDARY_HEADER and stream.msg_id <= cfe.HIGHEST_MSG_ID
+        whole = stream.formats.total()
+        if valid and whole and whole >= min(stream.bare, _ENOUGH):
+            return True
+        why = f"{stream.bare:,} of {stream.bare + whole:,} looked at hold no whole EDORAS envelope"
+        why = why if valid else "no MsgId of a cFE message with a secondary header"
+        self._notes.append(f"{stream.name}: {plural(stream.count, 'packet')} left out: {why}")
+        return False
+
+    def _ground(self, streams: list[_Stream]) -> Iterator[str]:
+        """Yield the node of the ground bridge."""
+        if not streams:
+            return
+        up, down = (carrying("ground", to_cfs=to_cfs) for to_cfs in (True, False))
+        (_, cfs), (_, bridge) = (self._usual_way(link) for link in (up, down))
+        yield "ground_conversion_node:"
+        yield from self._node(
+            {
+                "bridge_port": bridge.port,
+                "fsw_port": cfs.port,
+                "fsw_ip": cfs.address,
+                "telemetry_ip": bridge.address,
+                "bridge_ip": bridge.address,
+            },
+            [item for item in streams if item.link == up],
+            [item for item in streams if item.link == down],
+        )
+
+    def _usual_way(self, link: Link) -> tuple[str, Endpoint]:
+        """Return where from and where to most datagrams of a link went; the usual port if there are none."""
+        ways = self._traffic.ways.get(link, Counter()).most_common()
+        targets = list(dict.fromkeys(str(target) for (_, target), _ in ways))
+        if len(targets) > 1:
+            self._notes.append(f"{link.name} also went to {listed(targets[1:])}: a bridge has one target")
+        ports = link.transport.ports
+        return ways[0][0] if ways else ("127.0.0.1", Endpoint("127.0.0.1", ports[link.from_cfs]))
+
+    def _flight(self, streams: list[_Stream]) -> Iterator[str]:
+        """Yield the node of the flight bridge: the peer of cFS that sent or got the most."""
+        peers = {item.processor_id: item for item in self._traffic.peers}
+        if not streams:
+            return
+        flight = [item for item, _ in self._traffic.flight.most_common() if item in peers] or [min(peers)]
+        others = [item for item in self._traffic.peers if item.processor_id not in flight]
+        if not others:
+            self._notes.append(f"{listed([item.name for item in streams])} left out: between two cFS")
+            return
+        cfs = peers[flight[0]]
+        bridge = max(others, key=lambda item: self._traffic.peers[item].total())
+        chosen: dict[int, _Stream] = {}
+        for item in streams:
+            if item.processor_id not in {cfs.processor_id, bridge.processor_id} or item.msg_id in chosen:
+                self._notes.append(
+                    f"{item.name} of processor {item.processor_id} left out: a bridge has one peer"
+                )
+            else:
+                chosen[item.msg_id] = item
+        ((cfs_at, _),), ((bridge_at, _),) = (
+            self._traffic.peers[item].most_common(1) for item in (cfs, bridge)
+        )
+        yield "flight_conversion_node:"
+        yield from self._node(
+            {
+                "peer_ip": cfs_at.address,
+                "peer_port": cfs_at.port,
+                "peer_processor_id": cfs.processor_id,
+                "peer_spacecraft_id": cfs.spacecraft_id,
+                "udp_receive_port": bridge_at.port,
+                "udp_receive_ip": bridge_at.address,
+                "processor_id": bridge.processor_id,
+                "spacecraft_id": bridge.spacecraft_id,
+            },
+            [item for item in chosen.values() if item.processor_id == bridge.processor_id],
+            [item for item in chosen.values() if item.processor_id == cfs.processor_id],
+        )
+
+    def _node(
+        self, communication: dict[str, int | str], command: list[_Stream], telemetry: list[_Stream]
+    ) -> Iterator[str]:
+        """Yield what stands below the name of a node."""
+        groups = [("command", "to cFS", command), ("telemetry", "from cFS", telemetry)]
+        written = {
+            item.msg_id: lines for _, _, some in groups for item in some if (lines := self._topic(item))
+        }
+        yield "  ros__parameters:"
+        yield "    communication:"
+        for key, value in communication.items():
+            yield f"      {key}: {json.dumps(value)}"
+        for direction, what, streams in groups:
+            keys = [_key(item) for item in streams if item.msg_id in written]
+            yield f"    {direction}: {keys or ['']} # {what}"
+        for lines in written.values():
+            yield ""
+            yield from lines
+
+    def _topic(self, stream: _Stream) -> list[str]:
+        """Return the lines of a topic; none where no type fits."""
+        samples = list(stream.samples)
+        fits = types_that_fit(self._types, samples) or types_that_fit(
+            self._types, samples, self._types.types()
+        )
+        examined = plural(len(samples), "different message")
+        if not fits:
+            self._notes.append(f"{stream.name}: left out: no known type fits {examined}; give its --msg-path")
+            return []
+        self._topics += 1
+        self._sure += len(fits) == 1
+        if len(fits) == 1:
+            sure = f"the only known type that fits {examined}"
+        else:
+            sure = f"? fits {examined}, as do {listed(fits[1:], 4)}"
+        lines = [f"    {_key(stream)}: # {plural(stream.count, 'packet')}", f"      # {sure}"]
+        if stream.bare:
+            looked = stream.bare + stream.formats.total()
+            lines.append(f"      # {stream.bare:,} of {looked:,} looked at hold no whole EDORAS envelope")
+        lines += [f"      type: {json.dumps(fits[0])}", f'      topic: "/{_key(stream)}"']
+        lines.append(f"      mid: 0x{stream.msg_id:X}")
+        envelope, _ = stream.formats.most_common(1)[0]
+        if envelope != DEFAULT:
+            lines.append(f'      envelope: "{envelope}"')
+        return lines
+
+
+def _key(stream: _Stream) -> str:
+    """Return the name of a mapping and its topic: link and MsgId."""
+    return f"{stream.link.label}_{stream.msg_id:04x}"
