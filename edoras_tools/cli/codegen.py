@@ -31,6 +31,25 @@ class BoundOptions(NamedTuple):
     ] = 32
 
 
+class CoreOptions(NamedTuple):
+    """How the functions of edoras_core behave."""
+
+    pool: Annotated[
+        int,
+        typer.Option(metavar="N", min=1, help="Messages of one type that can be in use at the same time."),
+    ] = 4
+    envelope: Annotated[
+        str, typer.Option(metavar="FORMAT", help="EDORAS envelope: 8/8, 4/4 or 1/1, with le or be.")
+    ] = "8/8 le"
+    keep_values: Annotated[
+        bool,
+        typer.Option(
+            "--keep-values",
+            help="A get_ function that fails leaves the app's variable as it was; by default it writes 0.",
+        ),
+    ] = False
+
+
 @options.grouped
 def codegen(
     *,
@@ -46,13 +65,7 @@ def codegen(
     ] = Path("edoras_msgs"),
     config: options.Config = None,
     bounds: BoundOptions,
-    pool: Annotated[
-        int,
-        typer.Option(metavar="N", min=1, help="Messages of one type that can be in use at the same time."),
-    ] = 4,
-    envelope: Annotated[
-        str, typer.Option(metavar="FORMAT", help="EDORAS envelope: 8/8, 4/4 or 1/1, with le or be.")
-    ] = "8/8 le",
+    core: CoreOptions,
     definitions: options.TypeOptions,
     quiet: options.Quiet = False,
 ) -> None:
@@ -73,8 +86,9 @@ def codegen(
         tuple(types or ()),
         Bounds(bounds.strings, bounds.sequences, rules),
         mission,
-        pool,
-        EnvelopeFormat.named(envelope),
+        core.pool,
+        EnvelopeFormat.named(core.envelope),
+        keep_values=core.keep_values,
     )
     made = generate(store, order)
     removed = write_folder(output, made.files)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.codegen.header import c_type, file_name, heads
+from edoras_tools.codegen.header import c_type, header_name, heads
 from edoras_tools.codegen.layout import banner, function, loop, statement
 from edoras_tools.codegen.names import literal
 from edoras_tools.codegen.plan import utf16
@@ -20,7 +20,7 @@ def codec(library: CLibrary, package: str, command: str) -> str:
     """Return the text of a package's ``.c`` file."""
     messages = library.of(package)
     head = banner(command, f"The messages of {package}: default values, CDR to and fro.", messages)
-    includes = f'#include "{file_name(package)}.h"\n\n#include <string.h>\n'
+    includes = f'#include "{header_name(package)}"\n\n#include <string.h>\n'
     return "\n".join([head + includes, *(part for item in messages for part in _functions(item))])
 
 

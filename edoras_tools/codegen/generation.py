@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.codegen.bounds import SEQUENCES_DEFAULT, STRINGS_DEFAULT, Bounds
 from edoras_tools.codegen.codec import codec
-from edoras_tools.codegen.header import file_name, package_header, umbrella
+from edoras_tools.codegen.header import UMBRELLA, header_name, package_header, umbrella
 from edoras_tools.codegen.layout import banner, guarded
 from edoras_tools.codegen.mission import side_files
 from edoras_tools.codegen.plan import CLibrary, plan_messages
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 RUNTIME: Final = Path(__file__).parent / "runtime"
 """C that is the same for every library: CDR, and the functions of edoras_core."""
+_CONFIG: Final = "edoras_core/config.h"
 POOL_DEFAULT: Final = 4
 MOST_POOLED: Final = 1024
 
@@ -41,6 +42,7 @@ class LibraryOrder:
         mission: its types are added, and its tables for cFS.
         pool: messages of a type that may be in use at once, where edoras_core takes them from a heap.
         envelope: of the EDORAS envelope, see ``wire.envelope``.
+        keep_values: whether a ``get_`` function that fails leaves the app's variable alone; it writes 0 else.
     """
 
     types: Sequence[str] = ()
@@ -48,6 +50,7 @@ class LibraryOrder:
     mission: Mission = Mission()  # noqa: RUF009
     pool: int = POOL_DEFAULT
     envelope: EnvelopeFormat = EnvelopeFormat()  # noqa: RUF009
+    keep_values: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,18 +83,13 @@ def generate(types: TypeStore, order: LibraryOrder) -> Generated:
         path.relative_to(RUNTIME).as_posix(): banner(command) + path.read_text(encoding="utf-8")
         for path in sorted(RUNTIME.rglob("*.[ch]"))
     }
-    files["edoras_config.h"] = _config(order, command)
-    files["edoras_msgs.h"] = umbrella(library, command)
+    files[_CONFIG] = _config(order, command)
+    files[UMBRELLA] = umbrella(library, command)
     files["edoras_types.c"] = tables(library, command)
     files |= side_files(order.mission, command)
     for package in library.packages:
-        name = file_name(package)
-        if files.keys() & {f"{name}.h", f"{name}.c"}:
-            raise ConfigError(
-                f"package {package}: its files would be called as others of the library; rename it"
-            )
-        files[f"{name}.h"] = package_header(library, package, command)
-        files[f"{name}.c"] = codec(library, package, command)
+        files[header_name(package)] = package_header(library, package, command)
+        files[f"edoras_msgs_{package}.c"] = codec(library, package, command)
     return Generated(library, files)
 
 
@@ -108,6 +106,7 @@ def _command(types: TypeStore, order: LibraryOrder) -> str:
         ("--distro", types.distro, USUAL_DISTRO),
     ):
         words += [option, str(value)] if value != default else []
+    words += ["--keep-values"] * order.keep_values
     return shlex.join(words)
 
 
@@ -119,8 +118,11 @@ def _config(order: LibraryOrder, command: str) -> str:
 /** Bytes of each of the two lengths of the EDORAS envelope, and whether their first byte is the highest. */
 #define EDORAS_ENVELOPE_WORD {order.envelope.width}
 #define EDORAS_ENVELOPE_BIG_ENDIAN {int(order.envelope.byte_order == "big")}
+
+/** Whether a get_ function that fails leaves the app's variable as it was; otherwise it writes 0. */
+#define EDORAS_KEEP_VALUES {int(order.keep_values)}
 """
-    return banner(command, "What the library was made for.") + guarded("edoras_config.h", body)
+    return banner(command, "What the library was made for.") + guarded(_CONFIG, body)
 
 
 def _chosen(types: TypeStore, names: Iterable[str]) -> list[str]:

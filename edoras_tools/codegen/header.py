@@ -25,28 +25,29 @@ _ABOUT: Final = """\
  * A size above the bound is EDORAS_BOUND to encode, from wherever it came.
  */
 """
+UMBRELLA: Final = "edoras_core/messages.h"
+"""The header that includes every package's."""
 _C_TYPES: Final = {"bool": "bool", "float32": "float", "float64": "double"}
 
 
-def file_name(package: str) -> str:
-    """Return a package's file name, without its ending."""
-    return f"edoras_{package}"
+def header_name(package: str) -> str:
+    """Return the header of a package; in a folder, so that no header of the app can have its name."""
+    return f"edoras_msgs/{package}.h"
 
 
 def package_header(library: CLibrary, package: str, command: str) -> str:
     """Return the text of a package's header."""
     messages = library.of(package)
-    name = f"{file_name(package)}.h"
-    includes = ["edoras_cdr.h", *(f"{file_name(item)}.h" for item in library.uses(package))]
+    includes = ["edoras_core/cdr.h", *(header_name(item) for item in library.uses(package))]
     body = "".join(f'#include "{item}"\n' for item in includes) + "\n"
     body += for_cpp("\n".join(_message(message) for message in messages))
-    return banner(command, f"The messages of {package}.", messages) + guarded(name, body)
+    return banner(command, f"The messages of {package}.", messages) + guarded(header_name(package), body)
 
 
 def umbrella(library: CLibrary, command: str) -> str:
     """Return the text of the header that includes all others."""
-    body = _ABOUT + "".join(f'#include "{file_name(package)}.h"\n' for package in library.packages)
-    return banner(command, "Every message.") + guarded("edoras_msgs.h", body)
+    body = _ABOUT + "".join(f'#include "{header_name(package)}"\n' for package in library.packages)
+    return banner(command, "Every message.") + guarded(UMBRELLA, body)
 
 
 def heads(name: str) -> dict[str, str]:

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.codegen.header import UMBRELLA
 from edoras_tools.codegen.layout import banner, guarded
 from edoras_tools.codegen.names import c_type_name, comment
 
@@ -14,9 +15,9 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission import Mission, Route
 
-MSGIDS: Final = "edoras_app_msgids.h"
-_PACKETS_FILE: Final = "edoras_app_msg.h"
-_SUBSCRIPTIONS_FILE: Final = "edoras_to_lab_subs.inc"
+MSGIDS: Final = "edoras_mission/msgids.h"
+_PACKETS_FILE: Final = "edoras_mission/packets.h"
+_SUBSCRIPTIONS_FILE: Final = "edoras_mission/to_lab_subs.inc"
 _LIMIT: Final = 4
 """Messages of one MsgId that may wait in TO_LAB's pipe, as in its own table."""
 
@@ -45,7 +46,7 @@ def _named(routes: Sequence[Route]) -> dict[str, Route]:
 
 def _plain(route: Route) -> str:
     side = route.link.bridge.upper()
-    return f"EDORAS_APP_{re.sub(r'[^A-Za-z0-9]+', '_', route.key).strip('_').upper()}_{side}"
+    return f"EDORAS_MISSION_{re.sub(r'[^A-Za-z0-9]+', '_', route.key).strip('_').upper()}_{side}"
 
 
 def _msgids(routes: dict[str, Route], command: str) -> str:
@@ -58,7 +59,7 @@ def _msgids(routes: dict[str, Route], command: str) -> str:
     listed = ", \\\n      ".join(received)
     subscribed = f"""
 /** What the app subscribes to with CFE_SB_Subscribe: commands from the ground, state from the flight side. */
-#define EDORAS_APP_SUBSCRIPTIONS \\
+#define EDORAS_MISSION_SUBSCRIPTIONS \\
     {{ {listed} }}
 """
     about = "The MsgIds of the mission: what ROS topic and type each carries, and where it comes from."
@@ -71,7 +72,7 @@ def _about(route: Route) -> str:
 
 
 def _packets(routes: dict[str, Route], command: str) -> str:
-    body = f'#include "cfe.h"\n#include "{MSGIDS}"\n#include "edoras_msgs.h"\n'
+    body = f'#include "cfe.h"\n#include "{MSGIDS}"\n#include "{UMBRELLA}"\n'
     for name, route in routes.items():
         if not route.to_cfs:
             kind, head = ("Command", "CmdHeader") if route.msg_id & 0x1000 else ("Telemetry", "TlmHeader")

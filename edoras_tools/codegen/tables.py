@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.codegen.header import UMBRELLA
 from edoras_tools.codegen.layout import LINE_WIDTH, banner
 
 if TYPE_CHECKING:
     from edoras_tools.codegen.plan import CLibrary, CMember, Message
 
-_INCLUDES: Final = '#include "edoras_msgs.h"\n#include "edoras_tables.h"\n'
+_INCLUDES: Final = f'#include "{UMBRELLA}"\n#include "edoras_core/tables.h"\n'
 
 
 def tables(library: CLibrary, command: str) -> str:

@@ -27,7 +27,6 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> list[str]:
         ConfigError: one of the files is there and was not generated; nothing is written then.
         EdorasError: a file cannot be written.
     """
-    names = {part for name in files for part in (name, name.rpartition("/")[0])} - {""}
     try:
         foreign = [
             folder / name for name in sorted(files) if (folder / name).exists() and not _ours(folder / name)
@@ -38,7 +37,7 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> list[str]:
             )
         old = [
             path
-            for place in sorted({folder, *(folder / name for name in names)})
+            for place in (folder, *sorted(folder.glob("edoras_*/")))
             if place.is_dir()
             for path in sorted(place.iterdir())
             if path.is_file() and path.relative_to(folder).as_posix() not in files and _ours(path)

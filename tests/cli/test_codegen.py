@@ -20,9 +20,14 @@ def test_a_mission_in_c(call, missions, tmp_path):
         ["geometry_msgs/msg/Pose", "60"],
         ["sensor_msgs/msg/JointState", "2,028"],
     ]
-    written = [path.name for path in out.rglob("*") if path.is_file()]
+    written = [path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()]
     assert lines[-1] == f"{len(written)} files in {out}; 4 more types are nested"
-    assert {"edoras_msgs.h", "edoras_cdr.c", "edoras_core.c", "edoras_app_msgids.h"} <= set(written)
+    assert {
+        "edoras_core/interface.h",
+        "edoras_core.c",
+        "edoras_msgs/std_msgs.h",
+        "edoras_mission/msgids.h",
+    } <= set(written)
     assert call("codegen", *missions("single_arm_ground"), *rule, "-o", out, "-q").out == ""
 
 

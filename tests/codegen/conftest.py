@@ -322,9 +322,30 @@ def leaves(store, name, values, prefix=""):
                 yield place, field.type, item
 
 
+def steady():
+    """What makes a program lie at the same addresses every time: old sanitizers mind some of them."""
+    setarch = shutil.which("setarch")
+    works = (
+        setarch and subprocess.run([setarch, "-R", "true"], capture_output=True, check=False).returncode == 0
+    )
+    return [setarch, "-R"] if works else []
+
+
+def need_32_bits(cc, folder, flags=("-m32",)):
+    """Skip a test where the compiler makes no 32-bit programs with some flags."""
+    probe = folder / "probe.c"
+    probe.write_text("#include <stdlib.h>\nint main(void) { return (int)sizeof(size_t) - 4; }\n")
+    try:
+        cc(folder / "probe", probe, flags=flags)
+    except AssertionError:
+        pytest.skip("this compiler makes no such 32-bit programs: apt install gcc-multilib")
+
+
 @pytest.fixture(scope="session")
 def tools():
     return SimpleNamespace(
+        steady=steady,
+        need_32_bits=need_32_bits,
         messages=messages,
         leaves=leaves,
         TYPES=TYPES,

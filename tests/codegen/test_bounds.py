@@ -21,7 +21,7 @@ def made(*rules, types=("a_msgs/A",), strings=64, sequences=32):
 
 
 def header(*rules, **options):
-    return made(*rules, **options).files["edoras_a_msgs.h"]
+    return made(*rules, **options).files["edoras_msgs/a_msgs.h"]
 
 
 def member(text, name):
@@ -61,7 +61,7 @@ def test_defaults_hold_for_what_nothing_bounds():
 
 def test_a_rule_holds_wherever_its_type_is_nested():
     files = made("std_msgs/Header.frame_id=12").files
-    assert "char data[13]; } frame_id;" in files["edoras_std_msgs.h"]
+    assert "char data[13]; } frame_id;" in files["edoras_msgs/std_msgs.h"]
 
 
 @pytest.mark.parametrize("text", ["", "x", "A.few=1", "a_msgs/A.few=0", "a_msgs/A.few=-1", "a_msgs/A.few=x"])

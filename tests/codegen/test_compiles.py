@@ -25,15 +25,6 @@ def build(cc, tools, generated, out, *flags):
     return cc(out, f"-I{generated}", tools.HERE / "c/judge.c", *sorted(generated.glob("*.c")), flags=flags)
 
 
-def steady():
-    """What makes a program lie at the same addresses every time: old sanitizers mind some of them."""
-    setarch = shutil.which("setarch")
-    works = (
-        setarch and subprocess.run([setarch, "-R", "true"], capture_output=True, check=False).returncode == 0
-    )
-    return [setarch, "-R"] if works else []
-
-
 def judged(program, corpus, times, **environment):
     done = subprocess.run(
         [*program, corpus, str(times)],
@@ -49,7 +40,7 @@ def judged(program, corpus, times, **environment):
 
 def test_spoilt_messages_under_sanitizers(cc, tools, generated, corpus, tmp_path):
     program = build(cc, tools, generated, tmp_path / "judge", *tools.FLAGS, *SANITIZERS)
-    statuses = judged([*steady(), program], corpus, TIMES, ASAN_OPTIONS="detect_leaks=0")
+    statuses = judged([*tools.steady(), program], corpus, TIMES, ASAN_OPTIONS="detect_leaks=0")
     assert int(statuses["ok"]) > 500
     assert int(statuses["a field lies outside the given bytes"]) > 500
     assert int(statuses["a sequence or string is longer than its bound"]) > 100
@@ -59,12 +50,7 @@ def test_spoilt_messages_under_sanitizers(cc, tools, generated, corpus, tmp_path
 
 def test_32_bits(cc, tools, generated, corpus, tmp_path):
     """The same bytes where size_t has 4 and double is aligned to 4."""
-    probe = tmp_path / "probe.c"
-    probe.write_text("#include <stdlib.h>\nint main(void) { return (int)sizeof(size_t) - 4; }\n")
-    try:
-        cc(tmp_path / "probe", probe, flags=("-m32",))
-    except AssertionError:
-        pytest.skip("this compiler makes no 32-bit programs: apt install gcc-multilib")
+    tools.need_32_bits(cc, tmp_path)
     program = build(cc, tools, generated, tmp_path / "judge", *tools.FLAGS, "-m32")
     assert int(judged([program], corpus, 5)["ok"]) > 0
 
@@ -126,7 +112,7 @@ def test_constants(cc, generated, tmp_path):
     source = tmp_path / "constants.c"
     source.write_text(
         """\
-#include "edoras_msgs.h"
+#include "edoras_core/messages.h"
 int32_t low(void) { return probe_msgs__msg__Defaults__LOW; }
 int64_t lowest(void) { return probe_msgs__msg__Defaults__LOWEST; }
 uint64_t high(void) { return probe_msgs__msg__Defaults__HIGH; }

@@ -18,8 +18,7 @@ from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 
 JOINTS = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/Pose"
-FIGURE_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wno-unused-parameter", "-Werror", "-shared", "-fPIC")
-"""The figures have a parameter that they do not use."""
+APP_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC")
 
 
 def packets(capture, msg_id):
@@ -35,29 +34,27 @@ def packets(capture, msg_id):
     return found
 
 
-def app(cc, tools, folder, name, types, *flags):
+def app(cc, tools, folder, name, types):
     """A flight app, compiled with a library of its own at default bounds."""
     write_folder(folder, generate(TypeStore(), LibraryOrder(types)).files)
     sources = [tools.HERE / "c" / file for file in (f"{name}.c", "cfe.c")] + sorted(folder.glob("*.c"))
     out = folder / f"{name}.so"
-    return ctypes.CDLL(
-        str(cc(out, f"-I{folder}", f"-I{tools.HERE / 'c'}", *sources, flags=(*FIGURE_FLAGS, *flags)))
-    )
+    return ctypes.CDLL(str(cc(out, f"-I{folder}", f"-I{tools.HERE / 'c'}", *sources, flags=APP_FLAGS)))
 
 
 @pytest.fixture(scope="module")
 def arm(cc, tools, tmp_path_factory):
     made = app(cc, tools, tmp_path_factory.mktemp("arm"), "arm", (POSE, JOINTS))
-    made.ArmInit()
+    made.AppInit()
     return made
 
 
 @pytest.fixture(scope="module")
 def rover(cc, tools, tmp_path_factory):
     types = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped")
-    made = app(cc, tools, tmp_path_factory.mktemp("rover"), "rover", types, "-DEDORAS_REPLACE_FREE")
-    made.RoverInit()
-    made.RoverCommand.restype = made.RoverTelemetry.restype = ctypes.c_bool
+    made = app(cc, tools, tmp_path_factory.mktemp("rover"), "rover", types)
+    made.AppInit()
+    made.RoverTelemetry.restype = ctypes.c_bool
     return made
 
 
@@ -105,14 +102,14 @@ def test_the_rover_reads_its_commands(rover, store):
     captured = packets("a_rover", 0x1827)
     assert len(captured) == 600
     for packet in captured:
-        assert rover.RoverCommand(packet)
+        rover.AppCommand(packet)
         told = store.decode("geometry_msgs/msg/Twist", packet[24:76])
-        expected = [told["linear"]["x"], told["angular"]["z"]]
-        assert list((ctypes.c_double * 2).in_dll(rover, "twist")) == expected
+        expected = [told[part][axis] for part in ("linear", "angular") for axis in "xyz"]
+        assert list((ctypes.c_double * 6).in_dll(rover, "twist")) == expected
 
 
 def test_the_rover_makes_the_packets_of_the_capture(rover, store):
-    """Its app frees what it is given: EDORAS_REPLACE_FREE makes that nothing."""
+    """Its app frees what it is given, as both apps here do."""
     captured = packets("a_rover", 0x0827)
     assert len(captured) == 63
     for packet in captured:
@@ -129,12 +126,26 @@ def test_the_rover_makes_the_packets_of_the_capture(rover, store):
         assert next(outcome) == packet
 
 
-def test_a_command_that_is_cut_is_no_command(rover):
-    packet = packets("a_rover", 0x1827)[0]
-    assert rover.RoverCommand(packet)
+def test_a_command_that_is_cut_stops_the_rover(rover):
+    packet = next(packet for packet in packets("a_rover", 0x1827) if any(packet[28:76]))
     for length in range(8, len(packet)):
-        short = packet[:4] + (length - 7).to_bytes(2, "big") + packet[6:length]
-        assert not rover.RoverCommand(short + b"\xa5" * 100)
+        rover.AppCommand(packet)
+        assert any((ctypes.c_double * 6).in_dll(rover, "twist"))
+        rover.AppCommand(packet[:4] + (length - 7).to_bytes(2, "big") + packet[6:length] + b"\xa5" * 100)
+        assert not any((ctypes.c_double * 6).in_dll(rover, "twist"))
+
+
+def test_memory_of_a_heap_is_still_freed(library):
+    heap_only = library.dll.edoras_heap_only
+    heap_only.restype, heap_only.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
+    info, size = library.info(POSE), ctypes.c_size_t()
+    message = library.created(POSE)
+    buffer = library.dll.from_msg_pointer_to_uint_buffer(message, None, info, ctypes.byref(size))
+    last = info.contents.size_of_ - 1
+    for pointer in (message, message + last, buffer, buffer + info.contents.buffer_size - 1, None):
+        assert heap_only(pointer) is None
+    mine = ctypes.addressof(ctypes.create_string_buffer(8))
+    assert heap_only(mine) == mine
 
 
 def test_types(library):
@@ -248,9 +259,41 @@ def test_strings_at_their_bounds(library):
     into.restype = ctypes.c_bool
     arguments = (ctypes.c_void_p(message), library.info(name), b"word", small)
     assert not into(*arguments, ctypes.c_size_t(4))
-    assert small.raw == b"\xa5" * 8
+    assert small.raw == b"\0" * 4 + b"\xa5" * 4
     assert into(*arguments, ctypes.c_size_t(5))
     assert small.raw == b"abcd\0\xa5\xa5\xa5"
+
+
+@pytest.fixture(scope="module")
+def keeping(cc, tools, tmp_path_factory):
+    """A library whose get_ functions leave the variable alone when they fail."""
+    folder = tmp_path_factory.mktemp("keeping")
+    write_folder(folder, generate(TypeStore(), LibraryOrder((JOINTS,), keep_values=True)).files)
+    return tools.Library(cc(folder / "library.so", "-shared", "-fPIC", f"-I{folder}", *folder.glob("*.c")))
+
+
+@pytest.mark.parametrize("kind", ["bool", "uint8", "int16", "uint32", "int64", "float32", "float64"])
+@pytest.mark.parametrize("message", [True, False])
+def test_a_variable_that_nothing_is_found_for(library, keeping, kind, message):
+    """It is 0, unless the library was generated with --keep-values."""
+    width = ctypes.sizeof(library.C_TYPES[kind])
+    for made, left in ((library, b"\0"), (keeping, b"\xa5")):
+        value = ctypes.create_string_buffer(b"\xa5" * 16, 16)
+        given = made.created(JOINTS) if message else None
+        assert not getattr(made.dll, f"get_{kind}")(given, made.info(JOINTS), b"position.0", value)
+        assert value.raw == left * width + b"\xa5" * (16 - width)
+
+
+def test_texts_and_sizes_that_nothing_is_found_for(library, keeping):
+    for made, left in ((library, b"\0"), (keeping, b"\xa5")):
+        text, info = ctypes.create_string_buffer(b"\xa5" * 204, 204), made.info(JOINTS)
+        assert not made.dll.get_const_char16(None, info, b"header.frame_id", text)
+        assert text.raw == left * 200 + b"\xa5" * 4
+        text = ctypes.create_string_buffer(b"\xa5" * 104, 104)
+        assert not made.dll.get_const_char(None, info, b"header.frame_id", text)
+        assert text.raw == left * 100 + b"\xa5" * 4
+        assert not made.dll.get_sequence_size(None, info, b"position", text)
+        assert text.raw[:8] == left * 8
 
 
 def test_null_is_refused(library):
@@ -268,7 +311,7 @@ def test_null_is_refused(library):
     assert not dll.from_uint_buffer_to_msg_pointer(None, 0, None, info, None)
     assert not dll.from_msg_pointer_to_uint_buffer(None, None, info, None)
     assert not dll.from_msg_pointer_to_uint_buffer(message, None, None, None)
-    assert value.value == 7.0
+    assert bytes(value)[:4] == bytes(4)
 
 
 def test_the_pool_goes_round(library):
@@ -361,14 +404,14 @@ def test_a_mission_compiles_with_cfe(cc, tools, tmp_path):
     source = tmp_path / "app.c"
     source.write_text(
         """\
-#include "edoras_app_msg.h"
+#include "edoras_mission/packets.h"
 typedef struct { uint8_t Priority; uint8_t Reliability; } Qos;
 typedef struct { CFE_SB_MsgId_t Stream; Qos Flags; uint16_t BufLimit; } Sub;
 const Sub subscriptions[] = {
-#include "edoras_to_lab_subs.inc"
+#include "edoras_mission/to_lab_subs.inc"
     {0, {0, 0}, 0}};
-const uint16_t received[] = EDORAS_APP_SUBSCRIPTIONS;
-const size_t sizes[] = {sizeof(EdorasAppPoseTlm1Ground_t), sizeof(EdorasAppTwistCmd2Flight_t)};
+const uint16_t received[] = EDORAS_MISSION_SUBSCRIPTIONS;
+const size_t sizes[] = {sizeof(EdorasMissionPoseTlm1Ground_t), sizeof(EdorasMissionTwistCmd2Flight_t)};
 """
     )
     flags = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-shared", "-fPIC")

@@ -46,8 +46,8 @@ def test_definitions_are_told_by_their_hash():
     definition = "int32 mine\n"
     made = generate(TypeStore(definitions={"a/msg/A": definition}), LibraryOrder(("a/A",)))
     digest = sha256(definition.encode()).hexdigest()[:16]
-    assert f" *     a/msg/A  {digest}\n" in made.files["edoras_a.h"]
-    assert f" *     a/msg/A  {digest}\n" in made.files["edoras_a.c"]
+    assert f" *     a/msg/A  {digest}\n" in made.files["edoras_msgs/a.h"]
+    assert f" *     a/msg/A  {digest}\n" in made.files["edoras_msgs_a.c"]
 
 
 @pytest.mark.parametrize(
@@ -101,12 +101,20 @@ def test_packages_that_use_each_other():
         generate(TypeStore(definitions=definitions), LibraryOrder(("a/A",)))
 
 
-@pytest.mark.parametrize("package", ["core", "cdr", "msgs", "types", "config", "app_msg"])
-def test_packages_called_as_our_own_files(package):
+@pytest.mark.parametrize("package", ["core", "cdr", "msgs", "types", "config", "app_msg", "edoras_msgs"])
+def test_packages_called_as_other_files(package):
+    """Each file has one name, and every header lies in a folder: none is called as one of the app's."""
     types = TypeStore(definitions={f"{package}/msg/A": "int8 x\n"})
-    mission = missions("rover_ground")
-    with pytest.raises(ConfigError, match=f"package {package}: its files would be called as others"):
-        generate(types, LibraryOrder((f"{package}/A",), mission=mission))
+    files = generate(types, LibraryOrder((f"{package}/A",), mission=missions("rover_ground"))).files
+    usual = generate(types, LibraryOrder(("std_msgs/Header",), mission=missions("rover_ground"))).files
+    assert files.keys() - usual.keys() == {f"edoras_msgs/{package}.h", f"edoras_msgs_{package}.c"}
+    headers = [name for name in files if not name.endswith(".c")]
+    assert {name.partition("/")[0] for name in headers} == {"edoras_core", "edoras_msgs", "edoras_mission"}
+    guards = [
+        re.search(r"^#ifndef (\w+)$", files[name], re.MULTILINE)[1] for name in headers if name[-1] == "h"
+    ]
+    assert all(guard.startswith(("EDORAS_CORE_", "EDORAS_MSGS_", "EDORAS_MISSION_")) for guard in guards)
+    assert len(set(guards)) == len(guards)
 
 
 def test_fields_are_renamed_only_where_they_must():
@@ -130,17 +138,17 @@ def test_no_pools(pool):
 def test_message_ids():
     made = generate(TypeStore(), LibraryOrder(mission=missions("two_rovers_ground", "two_rovers_flight")))
     found = dict(
-        re.findall(r"^#define (\w+_MID) +(0x\w+) /\*\*<", made.files["edoras_app_msgids.h"], re.MULTILINE)
+        re.findall(r"^#define (\w+_MID) +(0x\w+) /\*\*<", made.files["edoras_mission/msgids.h"], re.MULTILINE)
     )
     assert found == {
-        "EDORAS_APP_TWIST_CMD_1_GROUND_MID": "0x1827",
-        "EDORAS_APP_TWIST_CMD_2_GROUND_MID": "0x1828",
-        "EDORAS_APP_POSE_TLM_1_GROUND_MID": "0x0828",
-        "EDORAS_APP_POSE_TLM_2_GROUND_MID": "0x0829",
-        "EDORAS_APP_POSE_TLM_1_FLIGHT_MID": "0x1829",
-        "EDORAS_APP_POSE_TLM_2_FLIGHT_MID": "0x182A",
-        "EDORAS_APP_TWIST_CMD_1_FLIGHT_MID": "0x082A",
-        "EDORAS_APP_TWIST_CMD_2_FLIGHT_MID": "0x082B",
+        "EDORAS_MISSION_TWIST_CMD_1_GROUND_MID": "0x1827",
+        "EDORAS_MISSION_TWIST_CMD_2_GROUND_MID": "0x1828",
+        "EDORAS_MISSION_POSE_TLM_1_GROUND_MID": "0x0828",
+        "EDORAS_MISSION_POSE_TLM_2_GROUND_MID": "0x0829",
+        "EDORAS_MISSION_POSE_TLM_1_FLIGHT_MID": "0x1829",
+        "EDORAS_MISSION_POSE_TLM_2_FLIGHT_MID": "0x182A",
+        "EDORAS_MISSION_TWIST_CMD_1_FLIGHT_MID": "0x082A",
+        "EDORAS_MISSION_TWIST_CMD_2_FLIGHT_MID": "0x082B",
     }
 
 
@@ -155,7 +163,7 @@ def test_names_that_two_routes_share(tmp_path):
     for name, text in (("a.yaml", ground), ("b.yaml", other)):
         (tmp_path / name).write_text(text)
     mission = load([tmp_path / "a.yaml", tmp_path / "b.yaml"])
-    text = generate(TypeStore(), LibraryOrder(mission=mission)).files["edoras_app_msgids.h"]
+    text = generate(TypeStore(), LibraryOrder(mission=mission)).files["edoras_mission/msgids.h"]
     names = re.findall(r"^#define (\w+_MID) ", text, re.MULTILINE)
     assert len(set(names)) == 4
     assert any(name.endswith("_GROUND_1827_MID") for name in names)
@@ -163,9 +171,7 @@ def test_names_that_two_routes_share(tmp_path):
 
 def test_without_a_mission_there_are_no_tables():
     assert not [
-        name
-        for name in generate(TypeStore(), LibraryOrder(("std_msgs/Empty",))).files
-        if "app" in name or "lab" in name
+        name for name in generate(TypeStore(), LibraryOrder(("std_msgs/Empty",))).files if "mission" in name
     ]
 
 

@@ -1,4 +1,4 @@
-#include "edoras_cdr.h"
+#include "edoras_core/cdr.h"
 
 #include <string.h>
 

@@ -162,6 +162,14 @@ static bool find(const uint8_t *message, const TypeInfo_t *ti, const char *name,
     return found;
 }
 
+/** Give an app's variable, which nothing was found for, a value all the same. */
+static void clear(void *value, size_t size)
+{
+    if ((value != NULL) && (EDORAS_KEEP_VALUES == 0)) {
+        (void)memset(value, 0, size);
+    }
+}
+
 /* Whole messages. */
 
 edoras_status_t create_msg_into(const TypeInfo_t *ti, void *message, size_t size)
@@ -347,6 +355,8 @@ bool get_sequence_size(const uint8_t *message, const TypeInfo_t *ti, const char 
 
     if (found) {
         *size = count_of(message, &place);
+    } else {
+        clear(size, sizeof(*size));
     }
     return found;
 }
@@ -393,6 +403,8 @@ static bool get_value(const uint8_t *message, const TypeInfo_t *ti, const char *
 
     if (found) {
         (void)memcpy(value, &message[place.offset], size);
+    } else {
+        clear(value, size);
     }
     return found;
 }
@@ -424,6 +436,8 @@ static bool get_text(const uint8_t *message, const TypeInfo_t *ti, const char *n
     if (found) {
         (void)memset(value, 0, (count + (size_t)1U) * width);
         (void)memcpy(value, &message[place.offset + STRING_DATA], count * width);
+    } else {
+        clear(value, capacity * width);
     }
     return found;
 }
@@ -619,7 +633,39 @@ bool set_float64(uint8_t *message, const TypeInfo_t *ti, const char *name, doubl
     return set_value(message, ti, name, EDORAS_KIND_FLOAT64, &value, sizeof(value));
 }
 
-void edoras_release(void *pointer)
+/* What else edoras_core has. */
+
+void debug_parse_buffer(uint8_t *message, const TypeInfo_t *ti)
 {
-    (void)pointer;
+    (void)message;
+    (void)ti;
+}
+
+void printBuffer(uint8_t *data, size_t data_size, const char *text)
+{
+    (void)data;
+    (void)data_size;
+    (void)text;
+}
+
+/** Whether an address lies in a block of so many bytes. */
+static bool lies_in(uintptr_t address, const uint8_t *block, size_t size)
+{
+    return (address >= (uintptr_t)block) && ((address - (uintptr_t)block) < size);
+}
+
+void *edoras_heap_only(void *pointer)
+{
+    const uintptr_t address = (uintptr_t)pointer;
+    bool pooled = false;
+    size_t i;
+
+    for (i = 0U; !pooled && (i < edoras_types_count); ++i) {
+        const TypeInfo_t *const type = edoras_types[i].data;
+
+        pooled = (type->pool != NULL) &&
+                 (lies_in(address, type->pool->messages, EDORAS_POOL * type->size_of_) ||
+                  lies_in(address, type->pool->buffers, EDORAS_POOL * type->buffer_size));
+    }
+    return pooled ? NULL : pointer;
 }

@@ -2,9 +2,11 @@
  * The flight app of the paper's second demo. Figures 14, 15 and 16 stand here word for word, between their
  * markers; what the figures leave out ("snip") is filled in beside comments that say so.
  */
+#include "app.h"
+
 #include <edoras_core/interface.h>
 
-#include "cfe.h"
+#pragma GCC diagnostic ignored "-Wunused-parameter" /* Figure 16 has one */
 
 #define EDORAS_APP_TLM_MID 0x0827
 
@@ -104,6 +106,10 @@ int32 EdorasAppReportHousekeeping(const CFE_MSG_CommandHeader_t *Msg)
     set_int32(js_msg, parse_joint_state_.ti, "header.stamp.sec", sec);
     set_uint32(js_msg, parse_joint_state_.ti, "header.stamp.nanosec", nanosec);
 
+    /* filled in, as the app has it */
+    debug_parse_buffer(js_msg, parse_joint_state_.ti);
+    /* end */
+
     // Convert data to serialized version
     uint8_t* tlm_data = NULL;
     size_t tlm_data_size;
@@ -118,6 +124,10 @@ int32 EdorasAppReportHousekeeping(const CFE_MSG_CommandHeader_t *Msg)
     CFE_SB_TransmitMsg(&tlm_joint_state.TlmHeader.Msg, true);
 
     // >> snip, snip, snip
+    /* filled in */
+    free(js_msg);
+    free(tlm_data);
+    /* end */
     return CFE_SUCCESS;
 }
 /* End of Figure 16. */
@@ -129,10 +139,26 @@ static void initializeParseData(const char *_interface_name, const char *_interf
     _parse_data->ts = get_type_support(_interface_name, _interface_type, _parse_data->ts_library);
 }
 
-void ArmInit(void)
+void AppInit(void)
 {
     initializeParseData("geometry_msgs", "Pose", &parse_pose_);
     initializeParseData("sensor_msgs", "JointState", &parse_joint_state_);
     CFE_MSG_Init(
         &tlm_joint_state.TlmHeader.Msg, CFE_SB_ValueToMsgId(EDORAS_APP_TLM_MID), sizeof(tlm_joint_state));
+}
+
+void AppCommand(CFE_SB_Buffer_t *SBBufPtr)
+{
+    EdorasAppProcessGroundCommand(SBBufPtr);
+}
+
+void AppHousekeeping(void)
+{
+    (void)EdorasAppReportHousekeeping(NULL);
+}
+
+const void *AppOutput(size_t *size)
+{
+    *size = sizeof(commanded);
+    return commanded;
 }

@@ -5,23 +5,27 @@
  * Where edoras_core takes memory, a pool gives: EDORAS_POOL messages and as many buffers for each type that
  * the library was made for, handed out in turn. What create_msg and from_uint_buffer_to_msg_pointer return is
  * good until the EDORAS_POOL-th such call after, for the same type; likewise what
- * from_msg_pointer_to_uint_buffer returns. Nothing is given back, and nothing runs out. Types that are only
- * there because others nest them have no pool: NULL. (Apps that call free(): see the end of this file.)
+ * from_msg_pointer_to_uint_buffer returns. Nothing has to be given back, and nothing runs out. Types that are
+ * only there because others nest them have no pool: NULL. (Apps that call free(): see the end of this file.)
  *
  * The pools and their turns are the only state. Tasks that share a library must not take from the pool of one
  * type at the same time; functions that end in _into, and those of the messages themselves, keep no state.
  *
  * Names are dotted, with indexes: "position.x", "header.stamp.sec", "position.0", "poses.3.pose.position.x".
- * A function that returns bool says false, and changes nothing, where there is no such field, element, kind.
+ * A function that returns bool says false where there is no such field, element, kind, or the message is NULL
+ * because its bytes could not be parsed. set_ then changes nothing. get_ then writes 0, or an empty string: the
+ * app's variable is never left without a value. (Generated with --keep-values it is left as it was.)
  */
 #ifndef EDORAS_CORE_INTERFACE_H
 #define EDORAS_CORE_INTERFACE_H
 
 #include "edoras_core/types.h"
 
-#ifdef EDORAS_REPLACE_FREE
-#include <stdlib.h> /* declares free() before its name is taken over below */
+#ifdef __cplusplus
+#include <cstdlib>
 #endif
+#include <stdio.h>  /* apps get it from edoras_core's header, which includes it */
+#include <stdlib.h> /* likewise; and it declares free() before the macro at the end */
 
 /** Size of the arrays that get_const_char and get_const_char16 fill, their end included. */
 #define EDORAS_CONST_CHAR_MAX_SIZE 100
@@ -103,7 +107,7 @@ bool get_int64(const uint8_t *message, const TypeInfo_t *ti, const char *name, i
 bool get_float32(const uint8_t *message, const TypeInfo_t *ti, const char *name, float *value);
 bool get_float64(const uint8_t *message, const TypeInfo_t *ti, const char *name, double *value);
 
-/** False, too, where the string does not fit. */
+/** False, too, where the string does not fit; then all of the array is 0. */
 bool get_const_char(const uint8_t *message, const TypeInfo_t *ti, const char *name,
                     char value[EDORAS_CONST_CHAR_MAX_SIZE]);
 
@@ -135,19 +139,28 @@ bool set_const_char(uint8_t *message, const TypeInfo_t *ti, const char *name, co
 /** A wide string, as UTF-16 units with a 0 at the end. */
 bool set_const_char16(uint8_t *message, const TypeInfo_t *ti, const char *name, const uint16_t *value);
 
-/** Does nothing: what the pools gave need not be given back. */
-void edoras_release(void *pointer);
+/* What else edoras_core has. */
+
+/** Prints nothing: a task of flight software has no time for it, and often no console. */
+void debug_parse_buffer(uint8_t *message, const TypeInfo_t *ti);
+
+/** Prints nothing. */
+void printBuffer(uint8_t *data, size_t data_size, const char *text);
+
+/** NULL for memory of a pool; any other pointer as it is. */
+void *edoras_heap_only(void *pointer);
 
 #ifdef __cplusplus
 }
 #endif
 
 /*
- * Apps written for edoras_core give its memory back with free(), which must never see memory of a pool.
- * Compiled with -DEDORAS_REPLACE_FREE they need no change: behind this header free() is edoras_release().
+ * Apps written for edoras_core give its memory back with free(), which would end the process if it were given
+ * memory of a pool. Behind this header it is given NULL instead, and what came from a heap as before. A file
+ * that does not include this header must not free what the functions above return.
  */
-#ifdef EDORAS_REPLACE_FREE
-#define free(pointer) edoras_release(pointer)
+#ifndef EDORAS_KEEP_FREE
+#define free(pointer) free(edoras_heap_only(pointer))
 #endif
 
 #endif

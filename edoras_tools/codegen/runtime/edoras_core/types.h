@@ -6,7 +6,7 @@
 #ifndef EDORAS_CORE_TYPES_H
 #define EDORAS_CORE_TYPES_H
 
-#include "edoras_cdr.h"
+#include "edoras_core/cdr.h"
 
 typedef enum {
     EDORAS_KIND_BOOL,

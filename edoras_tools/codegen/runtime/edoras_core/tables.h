@@ -3,8 +3,8 @@
  *
  * One row tells of a field where it is, where its first element, how large one is, and how many there are.
  */
-#ifndef EDORAS_TABLES_H
-#define EDORAS_TABLES_H
+#ifndef EDORAS_CORE_TABLES_H
+#define EDORAS_CORE_TABLES_H
 
 #include "edoras_core/types.h"
 

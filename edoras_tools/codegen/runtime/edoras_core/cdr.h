@@ -5,14 +5,14 @@
  * A reader or writer stops at its first mistake and remembers it: what follows reads zeros, or writes
  * nothing, and the end returns the mistake's status. No byte outside the given buffer is touched.
  */
-#ifndef EDORAS_CDR_H
-#define EDORAS_CDR_H
+#ifndef EDORAS_CORE_CDR_H
+#define EDORAS_CORE_CDR_H
 
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
-#include "edoras_config.h"
+#include "edoras_core/config.h"
 
 #ifdef __cplusplus
 extern "C" {
