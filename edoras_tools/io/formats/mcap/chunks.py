@@ -151,16 +151,16 @@ class ChunkWriter:
 
     def _press(self, buffer: NDArray[np.uint8], used: int, index: MessageIndex) -> NDArray[np.uint8]:
         """Compress and write a buffer's chunks; return a buffer that is free."""
-        parts = list(index.divide(used, CHUNK_BYTES))
-        segments = np.array([(part.start, part.end - part.start) for part in parts], np.uint64)
+        chunks = index.divide(used, CHUNK_BYTES)
+        segments = np.stack([chunks.edges[:-1], np.diff(chunks.edges)], axis=1).astype(np.uint64)
         np.empty(used + _ENOUGH, np.uint8)  # asked for, and given back at once
         # One call and one write for all: each time this thread needs Python's lock, it has to wait.
         packed = self._compressor.multi_compress_to_buffer(
             zstandard.BufferWithSegments(buffer[:used].data, segments.tobytes())
         )
-        with self._file.together():
-            for place, part in enumerate(parts):
-                self._file.add_chunk(buffer[part.start : part.end].data, packed[place].tobytes(), part)
+        self._file.add_chunks(
+            buffer[:used].data, [packed[place].tobytes() for place in range(len(packed))], chunks
+        )
         return buffer if len(buffer) == _BUFFER_BYTES else _blank()
 
 

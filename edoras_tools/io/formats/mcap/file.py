@@ -6,8 +6,8 @@ All records except messages, chunks and their indexes use the record classes of 
 from __future__ import annotations
 
 import struct
-from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,10 +37,12 @@ from edoras_tools.io.topics.names import MAGIC
 from edoras_tools.wire.crc import crc32
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.io.formats.mcap.index import ChunkMessages
+
+    _Bytes = bytes | memoryview
 
 _FOOTER_BYTES_IN_CRC = 9 + 8 + 8
 """The summary's CRC covers the footer record up to the CRC itself."""
@@ -71,11 +73,27 @@ class Summary:
     start_ns: int | None = None
     end_ns: int = 0
 
-    def add_chunk(self, index: bytes, size: int) -> None:
-        """Count a chunk with this uncompressed size, and keep its ChunkIndex record."""
+    def add_chunk(self, head: ChunkHead, place: tuple[int, int], records: bytes, length: int) -> None:
+        """Count a chunk, and keep its ChunkIndex record.
+
+        Args:
+            head: of the chunk.
+            place: its position in the file, and its length.
+            records: where its MessageIndex records start, ``INDEX_PLACE``.
+            length: bytes of these records.
+        """
+        name = head.compression.encode()
+        index = b"".join(
+            [
+                CHUNK_INDEX_HEAD.pack(head.start_ns, head.end_ns, *place, len(records)),
+                records,
+                struct.pack("<QI", length, len(name)) + name,
+                struct.pack("<QQ", head.length, head.size),
+            ]
+        )
         self.chunks += 1
-        self.chunk_bytes += size
-        self.chunk_indexes += index
+        self.chunk_bytes += head.size
+        self.chunk_indexes += RECORD_HEAD.pack(Opcode.CHUNK_INDEX, len(index)) + index
 
     def add_messages(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> None:
         """Count messages by channel, with log times from ``start_ns`` to ``end_ns``."""
@@ -149,8 +167,6 @@ class McapFile:
         self._offered = offered
         self.summary = Summary()
         self._checksum = 0
-        self._held: list[bytes | memoryview] | None = None
-        self._held_bytes = 0
         try:
             self.output = OutputFile(path)
         except OSError as error:
@@ -163,18 +179,8 @@ class McapFile:
 
     @property
     def size(self) -> int:
-        """Bytes written so far, including those held back."""
-        return self.output.size + self._held_bytes
-
-    @contextmanager
-    def together(self) -> Iterator[None]:
-        """Hold back what is added inside, and write it in one call at the end."""
-        self._held = []
-        try:
-            yield
-        finally:
-            pieces, self._held, self._held_bytes = self._held, None, 0
-            self.add_bytes(b"".join(pieces))
+        """Bytes written so far."""
+        return self.output.size
 
     def add_schema(self, name: str, definition: str) -> int:
         """Write a ``ros2msg`` schema; return its id."""
@@ -214,56 +220,53 @@ class McapFile:
         self.add_bytes(record)
         self.summary.metadata.append(index)
 
-    def add_chunk(
+    def add_chunks(
         self,
-        raw: bytes | memoryview,
-        packed: bytes | memoryview,
+        raw: memoryview,
+        packed: Sequence[_Bytes],
         messages: ChunkMessages,
         *,
         proved: bool = True,
     ) -> None:
-        """Write a chunk and its message index to the operating system.
+        """Write chunks and their message indexes to the operating system, in one call.
 
         Args:
-            raw: its records.
-            packed: the records, compressed with zstd.
-            messages: the messages in it.
-            proved: write a checksum; False for records that may already be wrong.
+            raw: the records of all chunks.
+            packed: the records of each, compressed with zstd.
+            messages: the messages in them.
+            proved: write checksums; False for records that may already be wrong.
         """
-        compression = "zstd"
-        name = compression.encode()
-        sizes = len(raw), crc32(raw) if proved else 0, len(name)
-        head = CHUNK_HEAD.pack(messages.start_ns, messages.end_ns, *sizes) + name
-        length = len(head) + 8 + len(packed)
-        prefix = RECORD_HEAD.pack(Opcode.CHUNK, length)
-        record = prefix + head + len(packed).to_bytes(8, "little")
-        times = messages.start_ns, messages.end_ns
-        self._put_chunk(
-            [record, packed], ChunkHead(*times, len(raw), 0, compression, 0, len(packed)), messages
-        )
+        edges = pairwise(messages.edges.tolist())
+        times = zip(messages.start_ns.tolist(), messages.end_ns.tolist(), strict=True)
+        heads = [
+            ChunkHead(*around, end - start, crc32(raw[start:end]) if proved else 0, "zstd", 0, len(data))
+            for data, (start, end), around in zip(packed, edges, times, strict=True)
+        ]
+        starts = [_chunk_start(head) for head in heads]
+        self._put_chunks(list(zip(starts, packed, strict=True)), heads, messages)
 
     def copy_chunk(self, record: bytes, head: ChunkHead, messages: ChunkMessages) -> None:
         """Write a chunk unchanged from another file, with a new message index."""
-        self._put_chunk([record], head, messages)
+        self._put_chunks([(record,)], [head], messages)
 
-    def _put_chunk(self, record: list[bytes | memoryview], head: ChunkHead, messages: ChunkMessages) -> None:
-        start, length = self.size, sum(map(len, record))
-        index_start = start + length
-        self.add_bytes(*record, messages.records)
-        places = messages.places.copy()
-        places["offset"] += np.uint64(index_start)
-        name = head.compression.encode()
-        index = b"".join(
-            [
-                CHUNK_INDEX_HEAD.pack(head.start_ns, head.end_ns, start, length, places.nbytes),
-                places.tobytes(),
-                struct.pack("<QI", len(messages.records), len(name)) + name,
-                struct.pack("<QQ", head.length, head.size),
-            ]
-        )
-        self.summary.add_chunk(RECORD_HEAD.pack(Opcode.CHUNK_INDEX, len(index)) + index, head.size)
+    def _put_chunks(
+        self, chunks: Sequence[Sequence[_Bytes]], heads: Sequence[ChunkHead], messages: ChunkMessages
+    ) -> None:
+        """Write chunks, each in pieces, and their message indexes."""
+        indexes, places = messages.records.data, messages.places.copy()
+        spans = pairwise(messages.record_edges.tolist()), pairwise(messages.place_edges.tolist())
+        pieces: list[_Bytes] = []
+        at = self.size
+        for chunk, head, (start, end), (first, last) in zip(chunks, heads, *spans, strict=True):
+            length = sum(map(len, chunk))
+            pieces += *chunk, indexes[start:end]
+            places["offset"][first:last] += np.uint64(at + length)
+            self.summary.add_chunk(head, (at, length), places[first:last].tobytes(), end - start)
+            at += length + end - start
+        self.add_bytes(b"".join(pieces))
         if messages.counts:
-            self.summary.add_messages(messages.counts, messages.start_ns, messages.end_ns)
+            times = int(messages.start_ns.min()), int(messages.end_ns.max())
+            self.summary.add_messages(messages.counts, *times)
 
     def finish(self) -> None:
         """Write the summary and close the file."""
@@ -276,10 +279,6 @@ class McapFile:
 
     def add_bytes(self, *pieces: bytes | memoryview) -> None:
         """Write bytes that need no entry in the summary; when this returns, the operating system has them."""
-        if self._held is not None:
-            self._held += pieces
-            self._held_bytes += sum(map(len, pieces))
-            return
         for piece in pieces:
             self._checksum = crc32(piece, self._checksum)
         try:
@@ -292,6 +291,14 @@ class McapFile:
             f"{self.path}: cannot be written: {error.strerror or error}; "
             f"`edoras recover {self.path}` repairs the file"
         )
+
+
+def _chunk_start(head: ChunkHead) -> bytes:
+    """Return a chunk's record up to its data."""
+    name = head.compression.encode()
+    start = CHUNK_HEAD.pack(head.start_ns, head.end_ns, head.size, head.crc, len(name)) + name
+    length = len(start) + 8 + head.length
+    return RECORD_HEAD.pack(Opcode.CHUNK, length) + start + head.length.to_bytes(8, "little")
 
 
 def _text(name: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,32 +14,32 @@ from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import put_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkMessages:
-    """The messages of one chunk.
+    """The messages of the chunks that a buffer was divided into; n chunks.
 
     Attributes:
-        start: position of the chunk in the buffer that was divided.
-        end: its end.
-        start_ns: smallest log time; 0 if there is no message.
-        end_ns: largest log time.
-        counts: messages of each channel, in order of the channels.
-        records: the MessageIndex records in sequence.
-        places: start of each channel's record in them, ``INDEX_PLACE``.
+        edges: i64 (n + 1), start of each chunk in the buffer, and the end of the last one.
+        start_ns: u64 (n), smallest log time of each; 0 if there is no message.
+        end_ns: u64 (n), largest log time.
+        counts: messages of each channel in all chunks, in order of the channels.
+        records: u8, the MessageIndex records, those of a chunk in sequence.
+        record_edges: i64 (n + 1), start of each chunk's records, and the end of the last ones.
+        places: ``INDEX_PLACE``, start of each record, counted from the first one of its chunk.
+        place_edges: i64 (n + 1), as ``record_edges``, for ``places``.
     """
 
-    start: int
-    end: int
-    start_ns: int
-    end_ns: int
+    edges: NDArray[np.int64]
+    start_ns: NDArray[np.uint64]
+    end_ns: NDArray[np.uint64]
     counts: dict[int, int]
-    records: memoryview
+    records: NDArray[np.uint8]
+    record_edges: NDArray[np.int64]
     places: NDArray[np.void]
+    place_edges: NDArray[np.int64]
 
 
 class MessageIndex:
@@ -69,7 +68,7 @@ class MessageIndex:
         for value, rows in by_value(channel_id):
             self._noted.setdefault(value, []).append((times[rows], position[rows]))
 
-    def divide(self, size: int, limit: int) -> Iterator[ChunkMessages]:
+    def divide(self, size: int, limit: int) -> ChunkMessages:
         """Divide the buffer between messages, into as few chunks of about ``limit`` bytes as possible.
 
         Args:
@@ -77,8 +76,10 @@ class MessageIndex:
             limit: a chunk exceeds this by at most one message.
         """
         if not self._noted:
-            yield ChunkMessages(0, size, 0, 0, {}, memoryview(b""), np.empty(0, INDEX_PLACE))
-            return
+            nothing, never = np.zeros(2, np.int64), np.zeros(1, np.uint64)
+            edges = np.array([0, size])
+            records = np.empty(0, np.uint8)
+            return ChunkMessages(edges, never, never, {}, records, nothing, np.empty(0, INDEX_PLACE), nothing)
         channels = np.array(sorted(self._noted))
         noted = [self._noted[key] for key in channels.tolist()]
         times = np.concatenate([pair[0] for pairs in noted for pair in pairs])
@@ -114,22 +115,16 @@ class MessageIndex:
         places = np.empty(len(chunk), INDEX_PLACE)
         places["channel_id"] = channels[channel]
         places["offset"] = record_start[channel, chunk] - record_start[0, chunk]
-        least, most = (_folded(fold, times, first, counts).tolist() for fold in (np.minimum, np.maximum))
-        named = list(zip(channels[channel].tolist(), counts[channel, chunk].tolist(), strict=True))
-        starts, ends = record_start[0].tolist(), record_end[-1].tolist()
-        begin = 0
-        for at, (start, end) in enumerate(pairwise(edges.tolist())):
-            upto = begin + int(np.count_nonzero(counts[:, at]))
-            yield ChunkMessages(
-                start,
-                end,
-                least[at],
-                most[at],
-                dict(named[begin:upto]),
-                data[starts[at] : ends[at]].data,
-                places[begin:upto],
-            )
-            begin = upto
+        return ChunkMessages(
+            edges,
+            _folded(np.minimum, times, first, counts),
+            _folded(np.maximum, times, first, counts),
+            dict(zip(channels.tolist(), counts.sum(axis=1).tolist(), strict=True)),
+            data,
+            np.append(record_start[0], record_end[-1, -1]),
+            places,
+            np.concatenate([[0], np.cumsum(np.count_nonzero(counts, axis=0))]),
+        )
 
 
 def _edges(positions: NDArray[np.int64], base: NDArray[np.int64], size: int, limit: int) -> NDArray[np.int64]:

@@ -344,10 +344,10 @@ class _Assembly:
             stretch = self._file.read(piece.start, piece.record_end)
             self._out.copy_chunk(stretch, piece.head, messages)
         else:
-            raw = walked.data.tobytes()
+            raw = walked.data.data
             proved = piece is not None and piece.proof is Proof.CHECKSUM
             packed = zstandard.ZstdCompressor(write_checksum=proved).compress(raw)
-            self._out.add_chunk(raw, packed, messages, proved=proved)
+            self._out.add_chunks(raw, [packed], messages, proved=proved)
 
     def _record(self, piece: Piece) -> None:
         part, record = self._part(piece.start), piece.record

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+from collections import Counter
+from itertools import pairwise
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,21 +36,23 @@ def test_the_records_are_those_of_the_library(pieces, limit):
         added += zip(channels, times, positions, strict=True)
         index.add(np.array(channels, np.uint16) if one is None else one, np.array(times), np.array(positions))
     size = SIZE * len(added)
-    chunks = list(index.divide(size, limit))
-    assert [chunk.start for chunk in chunks] == [0, *(chunk.end for chunk in chunks[:-1])]
-    assert chunks[-1].end == size
-    assert all(chunk.end - chunk.start < limit + SIZE for chunk in chunks)
-    for chunk in chunks:
+    chunks = index.divide(size, limit)
+    edges = chunks.edges.tolist()
+    assert (edges[0], edges[-1]) == (0, size)
+    assert all(end - start < limit + SIZE for start, end in pairwise(edges))
+    for at, (start, end) in enumerate(pairwise(edges)):
         expected = {}
         for channel, time_ns, position in added:
-            if chunk.start <= position < chunk.end:
-                expected.setdefault(channel, []).append((time_ns, position - chunk.start))
-        places = dict(chunk.places.tolist())
+            if start <= position < end:
+                expected.setdefault(channel, []).append((time_ns, position - start))
+        places = dict(chunks.places[slice(*chunks.place_edges[at : at + 2])].tolist())
+        assert list(places) == sorted(expected)
         builder = RecordBuilder()
         for channel, entries in sorted(expected.items()):
             assert places[channel] == builder.count
             Record(channel, entries).write(builder)
-        assert bytes(chunk.records) == builder.end()
-        assert chunk.counts == {channel: len(entries) for channel, entries in expected.items()}
+        assert chunks.records[slice(*chunks.record_edges[at : at + 2])].tobytes() == builder.end()
         every = [time_ns for entries in expected.values() for time_ns, _ in entries]
-        assert (chunk.start_ns, chunk.end_ns) == (min(every, default=0), max(every, default=0))
+        assert chunks.start_ns[at] == min(every, default=0)
+        assert chunks.end_ns[at] == max(every, default=0)
+    assert chunks.counts == dict(sorted(Counter(channel for channel, _, _ in added).items()))

@@ -78,12 +78,11 @@ class Walked:
         return np.isin(mine.view(wide), said.view(wide))
 
     def index(self) -> ChunkMessages:
-        """Return the message index of the chunk."""
+        """Return the message index, as one chunk."""
         index = MessageIndex()
         if len(self):
             index.add(self.channel, self.log_time, self.start)
-        (made,) = index.divide(len(self.data), len(self.data) or 1)
-        return made
+        return index.divide(len(self.data), len(self.data) or 1)
 
     def rebuilt(self, ids: Mapping[int, int]) -> Walked:
         """Return only the messages, joined, with new channel ids."""
