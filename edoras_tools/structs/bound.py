@@ -79,6 +79,11 @@ class Bound:
         return self.struct.name.removesuffix("_t")
 
     @property
+    def metadata(self) -> dict[str, str]:
+        """What is told of its topic: the MsgId, and the struct's name."""
+        return {"msg_id": f"0x{self.key.msg_id:04x}", "struct": self.struct.name}
+
+    @property
     def shipped(self) -> bool:
         """Whether it is one of the built-in structs of cFE."""
         return self.layout.origin == SHIPPED

@@ -53,6 +53,7 @@ def test_what_clients_publish_is_heard_if_it_fits(graph):
     with peer.Client(graph.server.url) as client:
         client.advertise(1, "/cmd_vel", TWIST, "json")
         client.advertise(2, "/other", TWIST)
+        client.publish(2, b"")
         client.publish(1, b'{"linear": {"x": 0.5}}')
         client.publish(1, b"[")
         client.until(lambda: len(client.statuses) == 2)

@@ -5,6 +5,10 @@
 3. If not all messages of one call fit, the latest are kept. Messages already in the queue stay.
 4. Answers are never dropped: a client with too many waiting answers is disconnected.
 5. At most one time of the clock waits, and it is the latest.
+6. The first time of the clock of a ``foxglove.websocket.v1`` client is a second early. Lichtblick divides the
+   messages of a topic by the time that its clock has shown, and warns of a high frequency above 60 Hz:
+   without that second, at the second message of a topic with 40 Hz.
+7. Why messages of a channel are refused is told at the first one, and again only after one was accepted.
 """
 
 from __future__ import annotations
@@ -18,20 +22,22 @@ from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import parse_qs
 
 import numpy as np
+from websockets.exceptions import NegotiationError
 from websockets.frames import Frame, Opcode
 from websockets.http11 import Request
 from websockets.protocol import State
 from websockets.server import ServerProtocol
-from websockets.typing import Subprotocol
 
 from edoras_tools.errors import WireError
 from edoras_tools.io.foxglove import protocol
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
     from websockets.http11 import Response
+    from websockets.typing import Subprotocol
 
     from edoras_tools.io.topics.rows import Records
     from edoras_tools.model import Endpoint
@@ -92,7 +98,7 @@ class FoxgloveClient:
     def __init__(self, address: Endpoint, *, publishes: bool, controls: bool) -> None:
         self.address, self._publishes, self._controls = address, publishes, controls
         self._websocket = ServerProtocol(
-            subprotocols=[Subprotocol(name) for name in protocol.SUBPROTOCOLS],
+            select_subprotocol=_chosen,
             max_size=_MOST_RECEIVED,
             logger=_SILENT,
         )
@@ -100,12 +106,23 @@ class FoxgloveClient:
         self._text, self._fragments = False, bytearray()
         self._subscription = np.zeros(0, np.int64)
         self._channels: dict[int, protocol.Channel] = {}
+        self._told: set[tuple[int, str]] = set()
         self._queue: deque[_Piece] = deque()
         self._clock: _Piece | None = None
         self._clock_ns = -1
         self._answers = self._waiting = self._waiting_bytes = self._sent = self._sent_bytes = 0
         self.dropped = self.published = self.refused = 0
-        self.opened = self.failed = self.ending = False
+        self.opened = self.failed = self.ending = self._answered = False
+
+    @property
+    def plays(self) -> bool:
+        """Whether it is one that controls playback, and is told its state."""
+        return self._controls and self._websocket.subprotocol == protocol.PLAYBACK_SUBPROTOCOL
+
+    @property
+    def subscriptions(self) -> int:
+        """How many topics it has subscribed to."""
+        return int(np.count_nonzero(self._subscription >= 0))
 
     @property
     def connected(self) -> bool:
@@ -119,6 +136,10 @@ class FoxgloveClient:
         else:
             self._websocket.receive_eof()
         events = [event for item in self._websocket.events_received() for event in self._read(item)]
+        wrong = self._websocket.handshake_exc
+        if wrong is not None and data and not self._answered:
+            self._answered = True
+            events.append(protocol.Refused(str(wrong)))
         self._collect()
         return events
 
@@ -134,6 +155,7 @@ class FoxgloveClient:
 
     def refuse(self, status: int, text: str) -> None:
         """Refuse it with an HTTP status and a line of text."""
+        self._answered = True
         self._websocket.send_response(self._websocket.reject(status, f"{text}\n"))
         self._collect()
 
@@ -180,8 +202,10 @@ class FoxgloveClient:
     def tell_time(self, time_ns: int) -> None:
         """Send a time for its clock, ns since 1970."""
         if self.connected and time_ns != self._clock_ns:
+            if self._clock_ns < 0 and self._websocket.subprotocol != protocol.PLAYBACK_SUBPROTOCOL:
+                self._append(_Piece(_clock_frame(max(time_ns - SECOND, 0))))
             self._clock_ns = time_ns
-            data = memoryview(Frame(Opcode.BINARY, protocol.time(time_ns)).serialize(mask=False))
+            data = _clock_frame(time_ns)
             if self._clock is not None and not self._clock.taken:
                 self._clock.data = data
             else:
@@ -189,12 +213,13 @@ class FoxgloveClient:
                 self._append(self._clock)
 
     def answer(self, channel: protocol.Channel, why: str) -> None:
-        """Count a message that it published; if it was refused, tell it why."""
+        """Count a message that it published; if it was refused, tell it why, unless it knows."""
         if why:
             self.refused += 1
-            self.tell(protocol.error_status(why, channel.topic))
+            self._tell_once(channel.number, why, channel.topic)
         else:
             self.published += 1
+            self._told = {item for item in self._told if item[0] != channel.number}
 
     def to_send(self) -> list[memoryview]:
         """Return the pieces for the socket; call ``taken`` afterwards."""
@@ -248,7 +273,7 @@ class FoxgloveClient:
                 given = parse_qs(item.path.partition("?")[2]).get("token", [""])
                 yield protocol.Opening(item.headers.get("Origin"), given[-1])
             else:
-                self._websocket.send_response(self._response)
+                self._websocket.send_response(self._response)  # the error is in handshake_exc
         elif (
             isinstance(item, Frame)
             and item.opcode in {Opcode.TEXT, Opcode.BINARY, Opcode.CONT}
@@ -274,20 +299,27 @@ class FoxgloveClient:
                 if not self._controls:
                     raise WireError("this server does not support playbackControl")
                 yield request
-            case _ if not self._publishes:
-                raise WireError("this server does not support clientPublish")
-            case protocol.Advertise(channels):
+            case protocol.Advertise(channels):  # what may not be published is told at its first message
                 if len(self._channels) + len(channels) > _MOST_CHANNELS:
                     raise WireError(f"no client may advertise more than {_MOST_CHANNELS} channels")
                 self._channels |= {channel.number: channel for channel in channels}
-                yield request
             case protocol.Unadvertise(numbers):
                 for number in numbers:
                     self._channels.pop(number, None)
+                self._told = {item for item in self._told if item[0] not in numbers}
+            case protocol.Publish(number) if not self._publishes:
+                self.refused += 1
+                self._tell_once(number, "this server does not support clientPublish")
             case protocol.Publish(number, data):
                 if number not in self._channels:
                     raise WireError(f"channel {number} was not advertised")
                 yield protocol.Published(self._channels[number], data)
+
+    def _tell_once(self, number: int, why: str, about: str = "") -> None:
+        """Tell why a message of a channel was refused, unless that was told."""
+        if (number, why) not in self._told and len(self._told) < _MOST_CHANNELS:
+            self._told.add((number, why))
+            self.tell(protocol.error_status(why, about))
 
     def _subscribe(self, number: int, place: int) -> None:
         if place >= len(self._subscription):
@@ -311,3 +343,16 @@ class FoxgloveClient:
         self._queue.append(answer)
         self._answers += 1
         self.failed |= self._answers > MOST_ANSWERS
+
+
+def _chosen(_: ServerProtocol, offered: Sequence[Subprotocol]) -> Subprotocol:
+    """Return the first subprotocol that a client offers and that is supported."""
+    for name in offered:
+        if name in protocol.SUBPROTOCOLS:
+            return name
+    names = " or ".join(protocol.SUBPROTOCOLS)
+    raise NegotiationError(f"it offers {', '.join(offered) or 'no subprotocol'}, not {names}")
+
+
+def _clock_frame(time_ns: int) -> memoryview:
+    return memoryview(Frame(Opcode.BINARY, protocol.time(time_ns)).serialize(mask=False))

@@ -27,7 +27,7 @@ class OriginCheck:
 
     Attributes:
         origins: more origins (RFC 6454), e.g. ``https://viz.example.org``; ``*`` allows all.
-        tell: called with a note when a page was refused, on any thread.
+        tell: called with a note when a page or another client was refused, on any thread.
 
     Raises:
         ConfigError: a text is not an origin.

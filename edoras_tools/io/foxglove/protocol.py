@@ -2,7 +2,7 @@
 
 Text messages are JSON objects with an ``op``. Binary ones start with one byte for their kind; integers are
 little-endian. Both subprotocols have the same messages, except that playback control needs
-``foxglove.sdk.v1``.
+``foxglove.sdk.v1``: a client of the other takes its state for an error.
 https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 """
 
@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from edoras_tools.io.topics.rows import Records
     from edoras_tools.io.topics.streams import Topic
 
-SUBPROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
-"""Supported subprotocols, the preferred one first."""
+PLAYBACK_SUBPROTOCOL: Final = "foxglove.sdk.v1"
+"""The subprotocol that has playback control."""
+SUBPROTOCOLS: Final = (PLAYBACK_SUBPROTOCOL, "foxglove.websocket.v1")
+"""Supported subprotocols; of those that a client offers, its first one that is supported is used."""
 
 _MESSAGE: Final = 1
 _MESSAGE_FIELDS: Final = [("operation", "u1"), ("subscription", "<u4"), ("time", "<u8")]
@@ -115,6 +117,12 @@ class Opening(NamedTuple):
     token: str
 
 
+class Refused(NamedTuple):
+    """Its request was answered with an error already; why, as text of any characters."""
+
+    why: str
+
+
 class Published(NamedTuple):
     """A message was published."""
 
@@ -122,7 +130,7 @@ class Published(NamedTuple):
     data: bytes
 
 
-ClientEvent = Opening | Advertise | Published | Control
+ClientEvent = Opening | Refused | Published | Control
 """The requests of a client that its server must handle."""
 Request = Subscribe | Unsubscribe | Advertise | Unadvertise | Publish | Control
 

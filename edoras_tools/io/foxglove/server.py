@@ -56,7 +56,9 @@ _BUFFER_BYTES: Final = 1 << 18
 _MOST_LISTED: Final = 256
 """Clients that have left and are listed singly; earlier ones are summed up."""
 _MOST_TOLD: Final = 8
-"""Maximum origins that are reported, because pages can have any number of them."""
+"""Maximum refusals that are reported, each once, because there can be any number of them."""
+_MOST_TEXT: Final = 160
+"""Maximum characters of a reason that are reported."""
 _SUMS: Final = ("sent", "dropped", "published", "refused")
 
 
@@ -190,6 +192,11 @@ class FoxgloveServer:
         """Return whether any client has subscribed to a topic."""
         return any(client.wants(place) for client in self.clients)
 
+    @property
+    def subscriptions(self) -> int:
+        """How many subscriptions the clients have in all."""
+        return sum(client.subscriptions for client in self.clients)
+
     def publish(self, records: Records) -> None:
         """Queue messages for their subscribers; never waits for a client."""
         self._each(lambda client: client.give(records))
@@ -200,7 +207,8 @@ class FoxgloveServer:
 
     def tell_state(self, state: PlaybackState) -> None:
         """Send the state of playback to clients; each also gets it when it connects."""
-        self._each(lambda client: client.tell(protocol.playback_state(state)))
+        told = protocol.playback_state(state)
+        self._each(lambda client: client.tell(told) if client.plays else None)
 
     def summary(self) -> dict[str, Any]:
         """Return counts, one row for each client: those that left most recently, then the connected ones."""
@@ -313,12 +321,6 @@ class FoxgloveServer:
     def _answer(self, connection: _Connection, event: protocol.ClientEvent) -> None:
         client, publisher, player = connection.client, self._options.publisher, self._options.player
         match event:
-            case protocol.Advertise(channels) if publisher is not None:
-                refusals = {item.topic: publisher.refusal(*item[1:]) for item in channels}
-                with self._lock:
-                    for topic, why in refusals.items():
-                        if why:
-                            client.tell(protocol.error_status(why, topic))
             case protocol.Published(channel, data) if publisher is not None:
                 why = publisher.publish(*channel[1:], data)
                 with self._lock:
@@ -327,38 +329,49 @@ class FoxgloveServer:
                 state = player.control(request)
                 with self._lock:
                     for other in self.clients:
-                        other.tell(protocol.playback_state(state, request_id if other is client else ""))
+                        if other.plays:
+                            told = protocol.playback_state(state, request_id if other is client else "")
+                            other.tell(told)
+            case protocol.Refused(why):
+                self._tell(f"a client at {client.address.address} was refused: {_readable(why)}")
             case protocol.Opening(origin, token):
                 self._admit(connection, origin, token)
 
     def _admit(self, connection: _Connection, origin: str | None, token: str) -> None:
         options, client, player = self._options, connection.client, self._options.player
         state = [] if player is None else [protocol.playback_state(player.state)]
-        stranger = origin is not None and not options.origins.admits(origin)
+        here, told = f"a client at {client.address.address} was refused", ""
         with self._lock:
-            if stranger:
+            if origin is not None and not options.origins.admits(origin):
                 client.refuse(403, "Pages of this origin may not connect; --allow-origin allows them.")
+                page = _readable(origin, "!")[:100]
+                told = f"a web page of {page} was refused as a client; --allow-origin {page} allows it"
             elif options.token and not _same(token, options.token):
                 client.refuse(401, "A token is required: connect to this address with ?token=... at its end.")
+                wrong = "wrong" if token else "missing"
+                told = f"{here}: its token is {wrong}; give ?token=... in the address"
             elif len(self._open) >= MOST_CLIENTS:
                 client.refuse(503, f"{MOST_CLIENTS} clients are connected, which is the maximum.")
+                told = f"{here}: {MOST_CLIENTS} clients are connected, which is the maximum"
             else:
                 info = protocol.server_info(
                     self._name,
                     self._session,
                     publish=options.publisher is not None,
-                    range_ns=None if player is None else player.range_ns,
+                    range_ns=None if player is None or not client.plays else player.range_ns,
                 )
-                client.accept(len(self._channels), [info, protocol.advertise(self._channels), *state])
+                answers = [info, protocol.advertise(self._channels), *(state if client.plays else ())]
+                client.accept(len(self._channels), answers)
                 self._open = (*self._open, connection)
                 connection.until = math.inf
-        if stranger and options.origins.tell is not None:
-            self._tell(re.sub(r"[^!-~]", "?", str(origin))[:100], options.origins.tell)
+        if told:
+            self._tell(told)
 
-    def _tell(self, origin: str, tell: Callable[[str], None]) -> None:
-        if origin not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(origin)
-            tell(f"a web page of {origin} was refused as a client; --allow-origin {origin} allows it")
+    def _tell(self, told: str) -> None:
+        tell = self._options.origins.tell
+        if tell is not None and told not in self._told and len(self._told) < _MOST_TOLD:
+            self._told.add(told)
+            tell(told)
 
     def _send(self, connection: _Connection, now: float) -> bool:
         """Send what a socket takes; return whether to keep the connection."""
@@ -402,6 +415,11 @@ class FoxgloveServer:
             for connection in self._connections.values():
                 connection.until = until if connection.client.opened else 0
                 connection.client.close()
+
+
+def _readable(text: str, first: str = " ") -> str:
+    """Return text of a client as a terminal may show it; ``first`` is the first character that is kept."""
+    return re.sub(rf"[^{first}-~]", "?", text)[:_MOST_TEXT]
 
 
 def _same(given: str, token: str) -> bool:

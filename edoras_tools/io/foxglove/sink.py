@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 class FoxgloveSink:
     """Serves batches over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
 
-    Topics, types and messages are those of a recording, plus ``/diagnostics``. Whole datagrams are only made
-    while a client has subscribed to them.
+    Topics, types and messages are those of a recording, plus ``/diagnostics``. All are offered from the
+    start, also those that a recording has only with their first message: who subscribes to what is offered
+    misses nothing. Whole datagrams are only made while a client has subscribed to them.
 
     Args:
         mission: its routes become topics.
@@ -57,10 +58,11 @@ class FoxgloveSink:
     ) -> None:
         self._mission, self._types, self._info = mission, types, info
         self._levels, self._counted = levels or {}, statistics
-        self._faults, self._structs = -1, structs
-        self._late: dict[str, int] = {}
+        self._structs = structs
         self._begin()
-        topics = [*self._streams.topics, DIAGNOSTICS]
+        bound = [Topic(item.topic, item.type, item.metadata) for item in self._streams.structs.all]
+        topics = [*self._streams.topics, DIAGNOSTICS, FAULTS, *bound]
+        self._places = {topic.name: place for place, topic in enumerate(topics)}
         definitions = {
             **self._streams.definitions,
             **{item.type: types.definition(item.type) for item in (DIAGNOSTICS, FAULTS)},
@@ -69,7 +71,6 @@ class FoxgloveSink:
                 for item in self._streams.structs.all
             },
         }
-        self._diagnostics_id = len(topics) - 1
         self.server = FoxgloveServer(f"edoras: {info.name}", topics, definitions.__getitem__, options)
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
@@ -78,17 +79,15 @@ class FoxgloveSink:
             return
         # Whole datagrams are the first topic, and the most expensive.
         streams = self._streams.messages(batch, columns, datagrams=self.server.wanted(0))
-        streams.append(self._diagnostics.messages(batch, columns, self._diagnostics_id))
+        streams.append(self._diagnostics.messages(batch, columns, self._places[DIAGNOSTICS.name]))
         if self.server.clients:
             self.server.publish(lay_out(streams, len(batch)))
             self.show_time(int(batch.time_ns[-1]))
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
-        """Send injected faults, with times in ns since 1970; the first call adds their topic."""
-        if self._faults < 0:
-            self._faults = self.server.add(FAULTS)
+        """Send injected faults, with times in ns since 1970."""
         if self.server.clients:
-            self.server.publish(lay_out([fault_messages(faults, self._faults)], len(faults)))
+            self.server.publish(lay_out([fault_messages(faults, self._places[FAULTS.name])], len(faults)))
 
     def show_time(self, time_ns: int) -> None:
         """Send a time for the clients' clocks, ns since 1970."""
@@ -109,15 +108,13 @@ class FoxgloveSink:
         """Return counts of the messages; see ``FoxgloveServer.summary``."""
         return self.server.summary()
 
-    def _add_topic(self, topic: Topic) -> int:
-        """Offer a topic when its first message comes; return its index."""
-        if topic.name not in self._late:
-            self._late[topic.name] = self.server.add(topic)
-        return self._late[topic.name]
-
     def _begin(self) -> None:
         self._streams = Streams(
-            self._mission, self._types, self._counted, structs=self._structs, add=self._add_topic
+            self._mission,
+            self._types,
+            self._counted,
+            structs=self._structs,
+            add=lambda topic: self._places[topic.name],
         )
         self._diagnostics = Diagnostics(
             self._mission, self._types, self._info.name, self._levels, self._counted

@@ -175,8 +175,7 @@ class Streams:
         """Return the channel of a struct's topic, which is added at first use."""
         if bound.topic not in self._struct_ids:
             assert self._add is not None, "called only if topics can be added"
-            told = {"msg_id": f"0x{bound.key.msg_id:04x}", "struct": bound.struct.name}
-            self._struct_ids[bound.topic] = self._add(Topic(bound.topic, bound.type, told))
+            self._struct_ids[bound.topic] = self._add(Topic(bound.topic, bound.type, bound.metadata))
         return self._struct_ids[bound.topic]
 
     def finish(self) -> Messages:

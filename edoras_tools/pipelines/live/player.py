@@ -14,6 +14,7 @@ from edoras_tools.io.foxglove.playback import PlaybackState
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
@@ -28,6 +29,10 @@ if TYPE_CHECKING:
 
 _TICK_S: Final = 0.02
 """How often messages are sent and requests are handled."""
+_SETTLED_NS: Final = 300 * MILLISECOND
+"""Subscriptions are complete when none came for this time: clients send them one by one."""
+_PATIENCE_NS: Final = 5 * SECOND
+"""A client that has subscribed to nothing for this time only looks at the list of topics."""
 _SLOWEST: Final = 1e-3
 _FASTEST: Final = 1e4
 
@@ -79,7 +84,8 @@ class RecordingPlayer:
         clock: monotonic time in ns.
         selection: which datagrams; all by default.
         speed: initial speed, as a multiple of the recorded one.
-        paused: start paused; otherwise playback starts when the first client connects.
+        paused: start paused; otherwise playback starts when the first client has
+            subscribed, or has been there for 5 s.
 
     Attributes:
         range_ns: when the recording starts and ends, ns since 1970.
@@ -109,7 +115,7 @@ class RecordingPlayer:
         self._wake = threading.Event()
         self._stopping = False
         self._playback = _Playback(not paused, speed, self.range_ns[0], clock(), self.range_ns[0])
-        self._held = not paused
+        self._held = True  # nothing is played yet, not even the message at the start
 
     @property
     def state(self) -> PlaybackState:
@@ -149,20 +155,27 @@ class RecordingPlayer:
         """
         until = self._clock() + duration_ns if duration_ns else 1 << 63
         pieces, piece = self._read(0, sink), None
+        before, settled_ns = (0, 0), 0
         try:
             with on_interrupt(self.stop) as asked:
                 while not self._stopping and self._clock() < until:
+                    came = len(sink.server.clients), sink.server.subscriptions
                     with self._lock:
                         now, playback = self._clock(), self._playback
-                        if self._held:
-                            self._held, playback.since_ns = not sink.server.clients, now
-                        position, seek_ns, playback.seek_ns = self._position(now), playback.seek_ns, None
+                        if self._held and playback.playing:
+                            playback.since_ns = now
+                            if came != before:
+                                before, settled_ns = came, now + (_SETTLED_NS if came[1] else _PATIENCE_NS)
+                            self._held = not came[0] or now < settled_ns
+                        held, position, seek_ns = self._held, self._position(now), playback.seek_ns
+                        playback.seek_ns = None
                     if seek_ns is not None:
                         pieces.close()
                         sink.restart()
                         pieces, piece = self._read(seek_ns, sink), None
-                    piece = self._play(sink, pieces, piece, position)
-                    self._tell(sink, position, over=piece is None)
+                    if not held:
+                        piece = self._play(sink, pieces, piece, position)
+                    self._tell(sink, position, over=not held and piece is None)
                     self._wake.wait(_TICK_S)
                     self._wake.clear()
         finally:

@@ -36,11 +36,11 @@ def records(places, size, first=0):
 class Wire:
     """A client machine, and another WebSocket at its other end; the test carries the bytes."""
 
-    def __init__(self, **options):
+    def __init__(self, subprotocol="foxglove.sdk.v1", **options):
         self.client = FoxgloveClient(
             Endpoint("10.0.0.1", 5), **{"publishes": False, "controls": False} | options
         )
-        self.other = ClientProtocol(parse_uri("ws://here"), subprotocols=["foxglove.sdk.v1"], max_size=None)
+        self.other = ClientProtocol(parse_uri("ws://here"), subprotocols=[subprotocol], max_size=None)
         self.other.send_request(self.other.connect())
         (self.asked,) = self.carry()
         self.received = []
@@ -177,6 +177,30 @@ def test_the_latest_time_waits_and_no_other():
     assert clock == [protocol.time(99), protocol.time(300)]
 
 
+def test_a_client_without_playback_is_told_a_time_before_the_first():
+    """Lichtblick's own formula: messages of a topic by the seconds that its clock has shown."""
+    second, rate = 1_000_000_000, 59
+    wire = Wire("foxglove.websocket.v1", controls=True).open()
+    assert not wire.client.plays
+    for number in range(3):
+        wire.client.tell_time(5 * second + number * second // rate)
+        wire.take_all()
+    told = [item.data for item in wire.received if item.opcode is Opcode.BINARY]
+    times = [int.from_bytes(item[1:9], "little") for item in told]
+    assert times[:2] == [4 * second, 5 * second]
+    assert all(count / ((time - times[0]) / second) < 60 for count, time in enumerate(times[1:], 1))
+
+
+def test_why_a_message_is_refused_is_told_once():
+    wire = Wire(publishes=True).open()
+    channel = protocol.Channel(1, "/a", "x", "cdr")
+    for why in ("not allowed", "not allowed", "", "not allowed", "too fast"):
+        wire.client.answer(channel, why)
+    wire.take_all()
+    assert [item["message"] for item in wire.texts()[1:]] == ["not allowed", "not allowed", "too fast"]
+    assert (wire.client.published, wire.client.refused) == (1, 4)
+
+
 def test_a_client_that_asks_and_never_reads_is_disconnected():
     wire = Wire().open()
     for _ in range(foxglove_client.MOST_ANSWERS + 1):
@@ -206,7 +230,7 @@ def test_fragments_are_put_together_and_pings_answered():
     wire = Wire(publishes=True).open()
     channel = protocol.Channel(1, "/a", "x", "cdr")
     advertised = {"id": 1, "topic": "/a", "schemaName": "x", "encoding": "cdr"}
-    assert wire.say({"op": "advertise", "channels": [advertised]}) == [protocol.Advertise([channel])]
+    assert wire.say({"op": "advertise", "channels": [advertised]}) == []
     wire.other.send_binary(b"\x01\x01\x00", fin=False)
     wire.other.send_ping(b"there?")
     wire.other.send_continuation(b"\x00\x00da", fin=False)

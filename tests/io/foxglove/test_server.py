@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import socket
 import sys
 from contextlib import ExitStack, suppress
@@ -154,14 +155,15 @@ def test_clients_publish_where_they_may(serve, types):
         assert client.info["supportedEncodings"] == ["cdr", "json"]
         client.advertise(1, "/a", STRING)
         client.advertise(2, "/b", STRING, "json")
-        client.until(lambda: client.statuses)
-        told = {"op": "status", "level": 2, "message": "/b is not for you", "id": "/b"}
-        assert client.statuses == [told]
         client.publish(1, cdr)
         client.publish(2, b"{}")
-        client.until(lambda: len(client.statuses) == 2)
+        client.publish(2, b"{}")
+        waiting.until(lambda: server.summary()["refused"] == 2)
+        client.until(lambda: client.statuses)
+        told = {"op": "status", "level": 2, "message": "/b is not for you", "id": "/b"}
+        assert client.statuses == [told], "at the first message, and not again"
         assert heard == [cdr]
-        assert (server.summary()["published"], server.summary()["refused"]) == (1, 1)
+        assert server.summary()["published"] == 1
         client.say(op="unadvertise", channelIds=[1])
         client.publish(1, cdr)
         client.until(lambda: client.statuses[-1]["message"] == "channel 1 was not advertised")
@@ -171,6 +173,7 @@ def test_clients_publish_where_they_may(serve, types):
 def test_what_is_not_served_is_told(serve):
     with peer.Client(serve().url, 2) as client:
         client.advertise(1, "/a", STRING)
+        client.publish(1, b"")
         client.until(lambda: client.statuses)
         assert "clientPublish" in client.statuses[0]["message"]
         client.say(op="getParameters", parameterNames=[])
@@ -207,6 +210,20 @@ def test_clients_steer_playback_and_the_others_are_told(serve):
         assert client.states == [at_first, answer]
 
 
+def test_a_client_gets_its_own_first_subprotocol_and_playback_only_where_that_has_it(serve):
+    """Lichtblick offers the older one first, and takes the state of playback for an error."""
+    server = serve(player=Deck())
+    both = ["foxglove.websocket.v1", "foxglove.sdk.v1"]
+    with peer.Client(server.url, 2, subprotocols=both) as client, peer.Client(server.url, 2) as other:
+        assert client.socket.subprotocol == both[0]
+        assert client.info["capabilities"] == ["time"]
+        other.control(play=True)
+        server.tell_state(Deck.state)
+        server.tell_time(7)
+        client.until(lambda: len(client.times) == 2)
+        assert client.states == []
+
+
 def answer(server, *pieces):
     """What the server answers to bytes that are sent piece by piece, until it hangs up."""
     with socket.create_connection((server.endpoint.address, server.endpoint.port), PATIENCE_S) as opened:
@@ -227,15 +244,20 @@ UPGRADE = (
 
 
 def test_what_is_no_foxglove_client_is_told_so(serve, capfd):
-    server = serve()
+    told = []
+    server = serve(origins=OriginCheck((), told.append))
     assert answer(server, b"GET / HT", b"TP/1.1\r\nHost: here\r\n\r\n").startswith(b"HTTP/1.1 426 ")
     other = UPGRADE.replace(b"foxglove.sdk.v1", b"chat")
-    assert b"expected one of foxglove.sdk.v1" in answer(server, other + b"\r\n")
+    offers = "it offers chat, not foxglove.sdk.v1 or foxglove.websocket.v1"
+    assert offers.encode() in answer(server, other + b"\r\n")
+    assert told[-1] == f"a client at 127.0.0.1 was refused: {offers}"
     assert answer(server, b"\x16\x03\x01 this is TLS\r\n\r\n") == b""
     assert answer(server, b"GET /" + b"x" * 100_000).startswith(b"HTTP/1.1 414 ")
     with socket.create_connection((server.endpoint.address, server.endpoint.port)):
         pass
     assert server.summary()["connections"] == 0
+    assert all(line.startswith("a client at 127.0.0.1 was refused: ") for line in told)
+    assert len(told) == len({*told}) >= 3
     assert capfd.readouterr() == ("", "")
 
 
@@ -307,12 +329,15 @@ def test_the_address_with_most_connections_makes_room(serve, monkeypatch):
     ],
 )
 def test_who_has_no_token_is_turned_away(serve, query, status):
-    server = serve(token="sésame")
+    told = []
+    server = serve(token="sésame", origins=OriginCheck((), told.append))
     place = (server.endpoint.address, server.endpoint.port)
     with socket.create_connection(place, PATIENCE_S) as opened:
         opened.sendall(UPGRADE.replace(b"GET /", b"GET /" + query.encode()) + b"\r\n")
-        told = opened.recv(4096)
-    assert told.startswith(f"HTTP/1.1 {status} ".encode())
+        answered = opened.recv(4096)
+    assert answered.startswith(f"HTTP/1.1 {status} ".encode())
+    assert all(re.search(r"its token is (wrong|missing); give \?token=", line) for line in told)
+    assert bool(told) is (status == 401)
     assert "sésame" not in server.app_url + server.url + repr(server._options)
 
 
@@ -323,9 +348,11 @@ def test_a_client_with_the_token_is_served(serve):
 
 def test_no_more_clients_than_there_may_be(serve, monkeypatch):
     monkeypatch.setattr(foxglove_server, "MOST_CLIENTS", 1)
-    server = serve()
+    told = []
+    server = serve(origins=OriginCheck((), told.append))
     with peer.Client(server.url, 2):
         assert b"1 clients are connected" in answer(server, UPGRADE + b"\r\n")
+    assert told == ["a client at 127.0.0.1 was refused: 1 clients are connected, which is the maximum"]
     waiting.until(lambda: not server.clients)
     with peer.Client(server.url, 2):
         pass

@@ -1,18 +1,24 @@
 from __future__ import annotations
 
+import json
 import math
 import os
+import subprocess
 import threading
+from collections import Counter
 from contextlib import contextmanager
 from pathlib import Path
+from time import monotonic_ns
 
 import foxglove_client as peer
 import pytest
+from mcap.reader import make_reader
 from places import ROOT
 
 from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.io.foxglove.playback import PlaybackRequest
 from edoras_tools.model import Endpoint
+from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.live.player import RecordingPlayer, open_recording
 from edoras_tools.pipelines.live.run import attach
 from edoras_tools.pipelines.selection import Selection
@@ -23,6 +29,7 @@ ROVER = ROOT / "samples/captures/a_rover.pcap"
 SETTINGS = Settings((ROOT / "samples/missions/rover_ground.yaml",))
 SECOND = 1_000_000_000
 TOPICS = 7
+SUPPORT = ROOT / "tests/support"
 WANTED = ("/cmd_vel", "/telemetry_pose")
 
 
@@ -43,10 +50,12 @@ def truth():
 class Deck:
     """A player in a thread, by a clock that the test moves."""
 
-    def __init__(self, files=(ROVER,), **options):
+    def __init__(self, files=(ROVER,), *, real=False, **options):
         self.now = 0
         info, bench, reopen = open_recording(files, SETTINGS)
-        self.player = RecordingPlayer(reopen, bench, clock=lambda: self.now, **options)
+        self.player = RecordingPlayer(
+            reopen, bench, clock=monotonic_ns if real else lambda: self.now, **options
+        )
         self.start, self.end = self.player.range_ns
         self.sink = attach(bench, info, listen=ANY, player=self.player)
         self._thread = threading.Thread(target=self.player.run, args=(self.sink,))
@@ -103,13 +112,17 @@ def test_messages_come_when_they_are_due(truth):
                 reached(client, player, until, topic, [time for time in truth[topic] if time <= until])
 
 
-def test_playing_begins_when_somebody_comes():
+def test_playing_begins_when_somebody_has_come_and_subscribed():
     with deck() as player:
         player.now = 100 * SECOND
         assert player.player.state.time_ns == player.start
         with player.client() as client:
             client.until(lambda: client.states)
             assert client.states[0][:2] == ("playing", player.start)
+            player.now += 4 * SECOND
+            client.until(lambda: client.times)
+            assert client.times[-1] == player.start, "it may still subscribe"
+            player.subscribe(client)
 
             def gone_on():
                 player.now += SECOND
@@ -253,3 +266,44 @@ def test_times_that_step_back_are_played_in_the_order_they_were_captured(tmp_pat
         player.now = player.end - player.start
         client.until(lambda: client.states[-1].status == "ended")
         client.until(lambda: len(client.on("/cmd_vel")) == 600)
+
+
+NPM = ROOT / ".npm"
+ABSENT = NPM / "absent"
+WHY = ABSENT.read_text().strip() if ABSENT.exists() else "Foxglove's client is not installed: make foxglove"
+
+
+@pytest.mark.skipif(not (NPM / ".installed").exists(), reason=WHY)
+@pytest.mark.parametrize("subprotocol", ["foxglove.websocket.v1", "foxglove.sdk.v1"])
+def test_who_subscribes_at_once_loses_nothing(subprotocol, tmp_path):
+    """Fifty clients of Foxglove's own library, ten at a time, get all that a recording of the same has."""
+    path = tmp_path / "a.mcap"
+    record(open_files([ROVER]), SETTINGS.workbench(), Target(path))
+    with path.open("rb") as file:
+        messages = make_reader(file).iter_messages()
+        recorded = Counter(channel.topic for _, channel, _ in messages)
+    del recorded["/edoras/link_statistics"]  # its last second ends with the recording
+    assert {"/cmd_vel", "/edoras/datagrams", "/cfs/CFE_ES_HousekeepingTlm"} <= recorded.keys()
+    with subprocess.Popen(
+        ["node", SUPPORT / "foxglove_subscriber.mjs", NPM, subprotocol],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as clients:
+        for _ in range(5):
+            decks = [Deck(speed=1e4, real=True) for _ in range(10)]
+            for player in decks:
+                clients.stdin.write(f"{player.sink.server.url} {player.end} {recorded.total()}\n")
+            clients.stdin.flush()
+            told = [json.loads(clients.stdout.readline()) for _ in decks]
+            for player in decks:
+                player.stop()
+            for item in told:
+                assert item["protocol"] == subprotocol
+                # The library knows no state of playback, which is told to clients of this subprotocol.
+                state = "Unrecognized server opcode in binary message: 5"
+                assert all(state in text for text in item["errors"])
+                assert bool(item["errors"]) is (subprotocol == "foxglove.sdk.v1")
+                assert {topic: item["messages"][topic] for topic in recorded} == recorded
+            assert sum(player.sink.summary()["dropped"] for player in decks) == 0
+        clients.stdin.close()
