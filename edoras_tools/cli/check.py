@@ -42,8 +42,7 @@ def check(
     given: InputOptions,
     task: CheckOptions,
     duration: options.Duration = None,
-    start: options.Start = None,
-    end: options.End = None,
+    part: options.ScopeOptions,
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
@@ -60,10 +59,7 @@ def check(
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
 
-    scope, profile = (
-        options.ScopeOptions(options.SelectionOptions(), start, end).scope(),
-        profile_with(task.constant or ()),
-    )
+    scope, profile = part.scope(), profile_with(task.constant or ())
     if task.init:
         _draft(given, task, scope, printing, decoding)
         return
@@ -71,7 +67,7 @@ def check(
         raise ConfigError("--output and --force are options of --init; --junit writes results to a file")
     given, path = _expectations(given)
     live = not given.paths
-    if live and (start or end):
+    if live and scope.period:
         raise ConfigError("--start and --end select part of a file; for live traffic use --duration")
     options.check_duration(duration, given.paths)
     if task.junit is not None:

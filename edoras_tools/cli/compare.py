@@ -25,6 +25,7 @@ def compare(
     ] = 10,
     json: options.Json = False,
     quiet: options.Quiet = False,
+    part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
     """Compare two runs, route by route: rates, loss, latency, sizes, findings, verdicts.
@@ -36,8 +37,11 @@ def compare(
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
 
+    scope = part.scope()
     with FileProgress(good.name, console=error_console(), quiet=quiet or json) as bar:
-        found = compare_runs(good, bad, decoding.settings(), tolerance=tolerance / 100, progress=bar)
+        found = compare_runs(
+            good, bad, decoding.settings(), tolerance=tolerance / 100, scope=scope, progress=bar
+        )
     if json:
         print_json(found.as_json())
     else:

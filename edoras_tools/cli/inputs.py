@@ -187,6 +187,7 @@ def _opened(given: LiveOptions, bench: Workbench, *, every_port: bool) -> Source
     sockets = UdpSource(
         [parse_endpoint(item) for item in listen or ()], ready=lambda: _ready(sockets.info.name)
     )
+    bench.columns.context.described["listened"] = " ".join(str(item.port) for item in sockets.endpoints)
     for endpoint in sockets.endpoints:
         tell_reach(endpoint, "send datagrams that count as captured")
     return sockets

@@ -231,8 +231,6 @@ def live(
         raise ConfigError(
             "--allow-publish, -o, -a and -n can only be used with live traffic, not with a recording"
         )
-    if files and limits.period:
-        raise ConfigError("--start and --end do not apply to playback; seek in Foxglove")
     if not files and any(playback):
         raise ConfigError("--speed and --paused can only be used with a recording, not with live traffic")
     goal = recordings.recording_target(outputs.output, force=outputs.force)
@@ -245,9 +243,7 @@ def live(
     )
     report = None
     if files:
-        summary, failure = _play(
-            files, settings, selection, serve, playback, limits.duration_ns, quiet=quiet or json
-        )
+        summary, failure = _play(files, settings, selection, serve, playback, limits, quiet=quiet or json)
     else:
         failure = None
         with ExitStack() as stack:
@@ -276,11 +272,12 @@ def _play(
     selection: Selection,
     serve: Callable[..., FoxgloveSink],
     playback: PlaybackOptions,
-    duration_ns: int,
+    limits: Limits,
     *,
     quiet: bool,
 ) -> tuple[dict[str, Any], EdorasError | None]:
     """Play a recording; return a summary, and the error if the recording is cut off."""
+    from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.interrupt import on_interrupt
     from edoras_tools.pipelines.live.player import RecordingPlayer, open_recording
     from edoras_tools.render import units
@@ -290,7 +287,7 @@ def _play(
         reopen,
         bench,
         clock=monotonic_ns,
-        selection=selection,
+        scope=Scope(selection, limits.period),
         speed=playback.speed or 1.0,
         paused=playback.paused,
     )
@@ -301,7 +298,7 @@ def _play(
         if not quiet:
             begins = "play is pressed in Foxglove" if playback.paused else "a client connects"
             _write(f"plays {units.duration((end_ns - start_ns) / 1e9)} when {begins}; Ctrl-C ends")
-        player.run(sink, duration_ns=duration_ns)
+        player.run(sink, duration_ns=limits.duration_ns)
     summary = {"source": info.name, "kind": info.kind, "start_ns": start_ns, "end_ns": end_ns}
     return {**summary, "foxglove": sink.summary()}, player.failure
 

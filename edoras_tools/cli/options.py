@@ -21,10 +21,12 @@ from edoras_tools.links import ROWS
 from edoras_tools.middleware.graph import MOST_DOMAIN
 
 if TYPE_CHECKING:
+    from datetime import tzinfo
+
     from edoras_tools.model import Link
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.reading import Limits
-    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.selection import Moment, Period, Selection
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.sessions.faults.machine import FaultPlan
 
@@ -47,8 +49,13 @@ def counted(text: str) -> int:
     return value
 
 
+def packets(text: str) -> int | str:
+    """Read a MsgId, or a name that tables show, which is looked up when the mission is known."""
+    return msg_id(text) if text[:1].isdecimal() or text[:1] in "-+" else text
+
+
 def msg_id(text: str) -> int:
-    """Read a MsgId: 16 bits, decimal or hex, or a name that tables show, e.g. ``TO_CMD``."""
+    """Read a MsgId: 16 bits, decimal or hex, or its name, e.g. ``TO_CMD``."""
     if text[:1].isalpha():
         return _named_msg_id(text)
     value = number(text)
@@ -70,7 +77,9 @@ def _named_msg_id(text: str) -> int:
 
 
 def size(text: str) -> int:
-    """Read a size in bytes: ``500000``, ``64k``, ``100M``, ``2G``; ``100MB`` and ``4 KiB`` too."""
+    """Read a size in bytes: ``500000``, ``64k``, ``100M``, ``2G``; ``100MB`` and ``4 KiB`` too; 0 is none."""
+    if text == "0":
+        return 0
     match = re.fullmatch(r"([\d.]+) ?([kMGT]?)(i?)B?", text, re.IGNORECASE)
     try:
         digits, prefix, binary = match.groups() if match else ("", "", "")
@@ -83,7 +92,9 @@ def size(text: str) -> int:
 
 
 def duration(text: str) -> int:
-    """Read a duration in ns: ``90``, ``1.5s``, ``10m``, ``5min``, ``2h``, ``250ms``."""
+    """Read a duration in ns: ``90``, ``1.5s``, ``10m``, ``5min``, ``2h``, ``250ms``; 0 is none."""
+    if text in {"0", "0s"}:
+        return 0
     units = {"ms": 1e6, "s": 1e9, "min": 60e9, "m": 60e9, "h": 3600e9}
     name = next((unit for unit in units if text.endswith(unit)), "")
     try:
@@ -93,6 +104,84 @@ def duration(text: str) -> int:
     if not 1 <= value < 1 << 62:
         raise typer.BadParameter(f"{text!r} is not a duration; write 90, 1.5s, 10m or 250ms")
     return int(value)
+
+
+_CLOCK = re.compile(
+    r"(?:(\d{4}-\d\d-\d\d)(?:[T ]|$))?(?:(\d\d?):(\d\d)(?::(\d\d)(\.\d{1,9})?)?)?(Z|[+-]\d\d:?\d\d)?"
+)
+"""Groups: date, hour, minute, second, fraction, zone."""
+
+
+def moment(text: str) -> tuple[str, int]:
+    """Read a time: a duration after the capture's start, or a clock time, e.g. 12:03:05.5, also with a date.
+
+    Returns:
+        The text of a clock time, which ``at`` reads when its zone is known, else an empty one; and ns.
+    """
+    text = text.strip()
+    if _CLOCK.fullmatch(text) and not text.isdecimal():
+        from datetime import UTC
+
+        at(text, UTC)
+        return text, 0
+    try:
+        return "", duration(text)
+    except typer.BadParameter:
+        raise typer.BadParameter(
+            f"{text!r} is not a time; write 90, 1.5s or 10m after the capture's start, 12:03:05.5, or "
+            "2026-07-23T12:03"
+        ) from None
+
+
+def at(text: str, zone: tzinfo | None) -> Moment:
+    """Read a clock time, with or without a date.
+
+    Args:
+        text: as ``moment`` accepted it.
+        zone: where it has none itself; None for this machine's.
+    """
+    from datetime import UTC, date, time, timedelta, timezone
+
+    from edoras_tools.pipelines.selection import Moment
+
+    match = _CLOCK.fullmatch(text)
+    assert match, "moment() accepted it"
+    day, hour, minute, second, fraction, own = match.groups()
+    clock = [int(item or 0) for item in (hour, minute, second)]
+    try:
+        time(clock[0], clock[1], clock[2])
+        date_ = date.fromisoformat(day) if day else None
+        if own == "Z":
+            zone = UTC
+        elif own:
+            minutes = int(own[1:3]) * 60 + int(own[-2:])
+            zone = timezone(timedelta(minutes=-minutes if own[0] == "-" else minutes))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not a time of the clock or a date") from None
+    seconds = (clock[0] * 60 + clock[1]) * 60 + clock[2]
+    return Moment(text, seconds * 10**9 + int((fraction or ".")[1:].ljust(9, "0")), date_, zone)
+
+
+def zone(text: str) -> tuple[tzinfo | None]:
+    """Read the name of a time zone, in a tuple: ``local`` is this machine's, None, as no option is."""
+    if text.lower() == "local":
+        return (None,)
+    if text.upper() in {"UTC", "Z"}:
+        from datetime import UTC
+
+        return (UTC,)
+    import zoneinfo
+
+    try:
+        return (zoneinfo.ZoneInfo(text),)
+    except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):
+        from edoras_tools.words import did_you_mean
+
+        there = zoneinfo.available_timezones()
+        hint = did_you_mean(text, there, 1) if there else "this machine knows none: pip install tzdata"
+        raise typer.BadParameter(
+            f"no time zone is named {text!r}; {hint or 'write UTC, local, or e.g. Europe/Berlin'}"
+        ) from None
 
 
 def share(text: str) -> float:
@@ -196,18 +285,6 @@ Config = Annotated[
 Duration = Annotated[
     int | None,
     typer.Option("--duration", metavar="TIME", parser=duration, help="Stop after this time, e.g. 30 or 10m."),
-]
-Start = Annotated[
-    int | None,
-    typer.Option(
-        "--start", metavar="TIME", parser=duration, help="Skip this much time at the start of the capture."
-    ),
-]
-End = Annotated[
-    int | None,
-    typer.Option(
-        "--end", metavar="TIME", parser=duration, help="Stop at this time after the start of the capture."
-    ),
 ]
 Unproved = Annotated[
     bool,
@@ -335,15 +412,20 @@ class SelectionOptions(NamedTuple):
         ),
     ] = None
     msg_id: Annotated[
-        list[int] | None,
+        list[Any] | None,
         typer.Option(
-            "--msg-id", metavar="ID", parser=msg_id, help="Only this MsgId, e.g. 0x827 or TO_CMD; repeatable."
+            "--msg-id",
+            metavar="ID",
+            parser=packets,
+            help="Only this MsgId, or a name that tables show, e.g. 0x827 or TO_CMD; repeatable.",
         ),
     ] = None
     topic: Annotated[
         list[str] | None,
         typer.Option(
-            "--topic", metavar="PATTERN", help="Only topics that match, e.g. '/robot_*'; repeatable."
+            "--topic",
+            metavar="PATTERN",
+            help="Only topics, or names that tables show, that match, e.g. '/robot_*'; repeatable.",
         ),
     ] = None
     where: Annotated[
@@ -374,12 +456,58 @@ def check_duration(duration_ns: int | None, files: Sequence[Path]) -> None:
         raise ConfigError("--duration ends live traffic; of a file, --end selects a part")
 
 
+class TimeOptions(NamedTuple):
+    """Which time of the input is used."""
+
+    start: Annotated[
+        Any,
+        typer.Option(
+            "--start",
+            metavar="TIME",
+            parser=moment,
+            help="Leave out what is before: 10m after the capture's start, 12:03, or 2026-07-23T12:03:05.5.",
+        ),
+    ] = None
+    end: Annotated[
+        Any, typer.Option("--end", metavar="TIME", parser=moment, help="Leave out what is from then on.")
+    ] = None
+    tz: Annotated[
+        Any,
+        typer.Option(
+            "--tz",
+            metavar="ZONE",
+            parser=zone,
+            help="Zone of clock times: UTC, as they are shown (default), local, or e.g. Europe/Berlin.",
+        ),
+    ] = None
+
+    def period(self) -> Period:
+        """Return these options in the form that pipelines take.
+
+        Raises:
+            ConfigError: the end is not after the start, or a zone is given without a clock time.
+        """
+        from datetime import UTC
+
+        from edoras_tools.pipelines.selection import Period
+
+        start, end = self.start or ("", 0), self.end or ("", 0)
+        if self.tz and not (start[0] or end[0]):
+            raise ConfigError(
+                "--tz is the zone of clock times: it has no effect without, e.g., --start 12:03"
+            )
+        zone = self.tz[0] if self.tz else UTC
+        first, last = (at(text, zone) if text else None for text, _ in (start, end))
+        if self.end == ("", 0):
+            raise ConfigError("--end 0 is the capture's start: nothing is left")
+        return Period(start[1], end[1], first, last)
+
+
 class ScopeOptions(NamedTuple):
     """The part of a capture that is examined and shown."""
 
     chosen: SelectionOptions
-    start: Start = None
-    end: End = None
+    times: TimeOptions = TimeOptions()
 
     def scope(self) -> Scope:
         """Return these options in the form that pipelines take.
@@ -388,9 +516,8 @@ class ScopeOptions(NamedTuple):
             ConfigError: the end is not after the start.
         """
         from edoras_tools.pipelines.doctor.scope import Scope
-        from edoras_tools.pipelines.selection import Period
 
-        return Scope(self.chosen.selection(), Period(self.start or 0, self.end or 0))
+        return Scope(self.chosen.selection(), self.times.period())
 
 
 class PartOptions(NamedTuple):
@@ -400,8 +527,7 @@ class PartOptions(NamedTuple):
         int | None, typer.Option("--count", "-n", metavar="N", parser=counted, help="Stop after N datagrams.")
     ] = None
     duration: Duration = None
-    start: Start = None
-    end: End = None
+    times: TimeOptions = TimeOptions()
 
     def limits(self, files: Sequence[Path] = ()) -> Limits:
         """Return these options in the form that pipelines take.
@@ -413,11 +539,9 @@ class PartOptions(NamedTuple):
             ConfigError: the end is not after the start, or files are to be read for a duration.
         """
         from edoras_tools.pipelines.reading import Limits
-        from edoras_tools.pipelines.selection import Period
 
         check_duration(self.duration, files)
-        period = Period(self.start or 0, self.end or 0)
-        return Limits(self.datagrams or 0, self.duration or 0, period=period)
+        return Limits(self.datagrams or 0, self.duration or 0, period=self.times.period())
 
 
 class PrintOptions(NamedTuple):

@@ -59,8 +59,7 @@ def show(
             settings,
             time_format=time,
             follow=live,
-            count=limits.count,
-            duration_ns=limits.duration_ns,
+            limits=limits,
             verbose=verbose,
         )
         viewer = Viewer(source, bench, choice)

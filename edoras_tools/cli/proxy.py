@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
 
 _IDLE_NS = 60_000_000_000
+_NEVER_NS = 1 << 62
 
 
 class RelayOptions(NamedTuple):
@@ -88,7 +89,7 @@ class TimeOptions(NamedTuple):
         typer.Option(
             metavar="TIME",
             parser=options.duration,
-            help="Forget clients that send nothing for this time; default 60s.",
+            help="Forget clients that send nothing for this time; default 60s; 0: never.",
         ),
     ] = None
     duration: options.Duration = None
@@ -127,7 +128,7 @@ def proxy(
         bind=relayed.bind,
         client=relayed.client,
         faults=replace(injected, rules=(*injected.rules, *limits)),
-        idle_ns=times.idle or _IDLE_NS,
+        idle_ns=_IDLE_NS if times.idle is None else times.idle or _NEVER_NS,
     )
     if dry_run:
         if json:

@@ -63,8 +63,7 @@ class PaceOptions(NamedTuple):
 class PartOptions(NamedTuple):
     """Which part of the recording is sent."""
 
-    start: options.Start = None
-    end: options.End = None
+    times: options.TimeOptions = options.TimeOptions()
     duration: Annotated[
         int | None,
         typer.Option(
@@ -90,14 +89,14 @@ class PartOptions(NamedTuple):
         Raises:
             ConfigError: both --end and --duration are given, or the end is not after the start.
         """
-        from edoras_tools.pipelines.selection import Period
         from edoras_tools.pipelines.sending.replay import ReplaySelection
 
-        if self.end and self.duration:
+        if self.times.end and self.duration:
             raise ConfigError("--end and --duration both say when to stop; name one")
-        start = self.start or 0
-        end = self.end or (start + self.duration if self.duration else 0)
-        return ReplaySelection(selection, tuple(self.route or ()), Period(start, end), self.first or 0)
+        period = self.times.period()
+        if self.duration:
+            period = replace(period, length_ns=self.duration)
+        return ReplaySelection(selection, tuple(self.route or ()), period, self.first or 0)
 
 
 class ChangeOptions(NamedTuple):

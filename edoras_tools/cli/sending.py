@@ -172,7 +172,7 @@ class SendingOptions(NamedTuple):
             listen=self.listen,
             no_listen=self.no_listen,
             wait_for=tuple(self.wait_for or ()),
-            timeout_ns=self.timeout or _TIMEOUT_NS,
+            timeout_ns=_TIMEOUT_NS if self.timeout is None else self.timeout,
             linger_ns=self.linger,
             allow=tuple(self.allow or ()),
             max_rate_hz=self.max_rate or 0.0,

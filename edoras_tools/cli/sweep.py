@@ -143,7 +143,7 @@ class SendingOptions(NamedTuple):
             listen=self.listen,
             sender=self.sender,
             wait_for=("peer" if link.peers else "to-enabled",),
-            timeout_ns=self.timeout or 10 * SECOND,
+            timeout_ns=10 * SECOND if self.timeout is None else self.timeout,
             allow=tuple(self.allow or ()),
             unlimited=self.unlimited,
             confirmed=self.yes,

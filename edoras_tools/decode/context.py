@@ -41,12 +41,14 @@ class Options:
         envelope: format of every route that names none: ``8/8`` and the like, ``auto`` where each packet may
             have its own; None to detect it from the first packets of each route.
         ports: further UDP ports by link.
+        listened: UDP ports that a recorder was told to receive on: what came there was asked for.
     """
 
     extended_header: bool | None = None
     telemetry_header: int | None = None
     envelope: str | None = None
     ports: tuple[tuple[Link, int], ...] = ()
+    listened: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Check once.
@@ -77,6 +79,8 @@ class Options:
             said["envelope"] = self.envelope
         if self.ports:
             said["ports"] = " ".join(f"{link.label}:{port}" for link, port in self.ports)
+        if self.listened:
+            said["listened"] = " ".join(map(str, self.listened))
         return said
 
     def over(self, recorded: Mapping[str, str]) -> Options:
@@ -93,7 +97,12 @@ class Options:
         links = {link.label: link for link in table.links()}
         pairs = [item.partition(":") for item in recorded.get("ports", "").split()]
         known = [(links[name], int(port)) for name, _, port in pairs if name in links and port.isdecimal()]
-        return replace(chosen, ports=tuple(dict.fromkeys((*self.ports, *known))))
+        listened = [int(item) for item in recorded.get("listened", "").split() if item.isdecimal()]
+        return replace(
+            chosen,
+            ports=tuple(dict.fromkeys((*self.ports, *known))),
+            listened=tuple(dict.fromkeys((*self.listened, *listened))),
+        )
 
 
 class Context:

@@ -196,8 +196,9 @@ class Conversations:
 
     @property
     def unnamed(self) -> int:
-        """Datagrams that look like a link's, on ports that no option names."""
-        return sum(item.datagrams for item in unnamed(self.judge()))
+        """Datagrams that look like a link's, on ports that no option names and no recorder listened on."""
+        asked = self.context.options.listened
+        return sum(item.datagrams for item in unnamed(self.judge()) if item.port not in asked)
 
     def _flow(self, batch: PacketBatch, row: int, link: Link, *, make: bool) -> Flow | None:
         addresses = int(batch.source_address[row]), int(batch.destination_address[row])
@@ -224,6 +225,7 @@ def foreign(flows: Iterable[Flow]) -> list[str]:
 class Unnamed(NamedTuple):
     """Traffic of a port that looks like a link's, and that no option names."""
 
+    port: int
     datagrams: int
     told: str
     remedy: str
@@ -242,6 +244,7 @@ def unnamed(flows: Iterable[Flow]) -> list[Unnamed]:
             counts[key] = counts.get(key, 0) + flow.datagrams
     return [
         Unnamed(
+            port,
             count,
             f"{count:,} datagrams on port {port} look like {link.name} traffic and were left out",
             f"name the port with --port {link.label}:{port}",

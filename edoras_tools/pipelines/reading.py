@@ -9,13 +9,14 @@ from __future__ import annotations
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from time import monotonic_ns
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError
 from edoras_tools.pipelines.interrupt import interruptible
-from edoras_tools.pipelines.selection import Period, Selection
+from edoras_tools.pipelines.selection import Period, Selection, outside
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     import threading
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.model import PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
+
+
+_NO_CLOCK_NS: Final = 946_684_800 * SECOND
+"""The year 2000: a machine whose clock shows less has not set it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,24 +97,30 @@ class ReadLoop:
 
         Raises:
             CaptureError: the source ended early, and ``keeps_failure`` is not set.
+            CaptureError: no datagram of a file is in the chosen time.
         """
         limits, bench = self.limits, self.bench
         left, began = limits.count, limits.clock()
+        examined = shown = Period()
+        inside = False
         for whole in self._until_failure():
             if len(whole):
-                self.begin_ns = int(whole.time_ns[0]) if self.begin_ns is None else self.begin_ns
+                if self.begin_ns is None:
+                    self.begin_ns = int(whole.time_ns[0])
+                    examined, shown = self.examined.since(self.begin_ns), limits.period.since(self.begin_ns)
                 self.last_ns = max(self.last_ns, int(whole.time_ns.max()))
             begin_ns = self.begin_ns or 0
             batch = whole
-            if self.examined:
-                batch = whole.take(self.examined.holds(whole.time_ns - begin_ns))
+            if examined:
+                batch = whole.take(examined.holds(whole.time_ns - begin_ns))
                 self.outside += len(whole) - len(batch)
             columns = bench.columns.decode(batch)
             if self._conversing:
                 self.conversations.add(batch, columns)
-            rows = self.selection.rows(batch, columns, bench.mission)
-            if limits.period:
-                rows = rows[limits.period.holds(batch.time_ns[rows] - begin_ns)]
+            rows = self.selection.rows(batch, columns)
+            inside = inside or (len(batch) > 0 and bool(shown.holds(batch.time_ns - begin_ns).any()))
+            if shown:
+                rows = rows[shown.holds(batch.time_ns[rows] - begin_ns)]
             if limits.count:
                 rows = rows[:left]
                 left -= len(rows)
@@ -120,6 +131,13 @@ class ReadLoop:
                 if not hasattr(self.source, "stop"):
                     return
                 self.source.stop()  # what arrived until now is still read
+        if self.begin_ns is not None and self.begin_ns < _NO_CLOCK_NS <= self.last_ns:
+            self.bench.columns.context.notes.append(
+                "some times are before the year 2000 and others are not: a clock was not set, and spans and "
+                "rates over both are wrong; choose one of them with --start and --end"
+            )
+        if self.begin_ns is not None and not (inside or self.interrupted or hasattr(self.source, "stop")):
+            raise outside(self.source.info.name, self.begin_ns, self.last_ns)
 
     def _until_failure(self) -> Iterator[PacketBatch]:
         try:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, overload
+from datetime import UTC, date, datetime, time, timedelta, tzinfo
+from typing import TYPE_CHECKING, Final, overload
 
 import numpy as np
 
-from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.structs.shapes import Key
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.pipelines.names import Packets, find_packets
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -22,14 +22,59 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
 
+_BEFORE_NS: Final = 3600 * SECOND
+"""A --start without a date may be this much before the capture; an earlier one is of the next day."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A time of the clock.
+
+    Attributes:
+        text: as it was written.
+        clock_ns: since midnight.
+        day: its date; None for the first such time of a capture.
+        zone: where it is read; None for this machine's zone.
+    """
+
+    text: str
+    clock_ns: int
+    day: date | None = None
+    zone: tzinfo | None = UTC
+
+    def first(self, earliest_ns: int) -> int:
+        """Return it in ns since 1970; without a date, the first such time that is not earlier.
+
+        Raises:
+            ConfigError: no date can be given to that time.
+        """
+        try:
+            day = self.day or datetime.fromtimestamp(earliest_ns // SECOND, self.zone).date()
+            time_ns = self._on(day)
+            late = self.day is not None or time_ns >= earliest_ns
+            return time_ns if late else self._on(day + timedelta(days=1))
+        except (OverflowError, ValueError, OSError):
+            raise ConfigError(
+                f"{self.text}: the capture's times are no dates; give seconds after its start"
+            ) from None
+
+    def _on(self, day: date) -> int:
+        seconds, rest = divmod(self.clock_ns, SECOND)
+        clock = datetime.combine(day, time()) + timedelta(seconds=seconds)
+        return int(clock.replace(tzinfo=self.zone).timestamp()) * SECOND + rest
+
 
 @dataclass(frozen=True, slots=True)
 class Period:
-    """The datagrams between two times, in ns after the first datagram; by default all.
+    """The datagrams between two times; by default all.
 
     Attributes:
-        start_ns: earlier ones are left out; with 0 also those are in that are older than the first one.
+        start_ns: ns after the first datagram; earlier ones are left out. With 0 also those are in that are
+            older than the first one.
         end_ns: those from this time on are left out; 0 for none.
+        start: a time of the clock instead of ``start_ns``; :meth:`since` replaces it.
+        end: likewise.
+        length_ns: instead of an end, how long after the start; 0 for none.
 
     Raises:
         ConfigError: the end is not after the start.
@@ -37,22 +82,68 @@ class Period:
 
     start_ns: int = 0
     end_ns: int = 0
+    start: Moment | None = None
+    end: Moment | None = None
+    length_ns: int = 0
 
     def __post_init__(self) -> None:
-        if self.end_ns and self.end_ns <= self.start_ns:
-            raise ConfigError("--end is not after --start; both count from the start of the capture")
+        if not (self.start or self.end) and self.end_ns and self.end_ns <= self.start_ns:
+            raise ConfigError(
+                "--end is not after --start; both count from the start of the capture, or are clock times"
+            )
 
     def __bool__(self) -> bool:
-        return bool(self.start_ns or self.end_ns)
+        return bool(self.start_ns or self.end_ns or self.length_ns or self.start or self.end)
+
+    def since(self, begin_ns: int) -> Period:
+        """Return the period in ns after a capture's first datagram.
+
+        A clock time without a date is looked for from an hour before the first datagram.
+
+        Raises:
+            ConfigError: the end is not after the start, or not after the first datagram.
+        """
+        start_ns, end_ns = self.start_ns, self.end_ns
+        if self.start:
+            start_ns = max(0, self.start.first(begin_ns - _BEFORE_NS) - begin_ns)
+        if self.length_ns:
+            end_ns = start_ns + self.length_ns
+        elif self.end:
+            end_ns = self.end.first(begin_ns + start_ns) - begin_ns
+            if end_ns <= 0:
+                raise ConfigError(
+                    f"--end {self.end.text} is before the capture, which begins at {_began(begin_ns)}"
+                )
+        return Period(start_ns, end_ns)
 
     @overload
     def holds(self, since_ns: int) -> bool: ...
     @overload
     def holds(self, since_ns: NDArray[np.int64]) -> NDArray[np.bool_]: ...
     def holds(self, since_ns: int | NDArray[np.int64]) -> bool | NDArray[np.bool_]:
-        """Return which times after the first datagram are in the period."""
+        """Return which times after the first datagram are in the period, as ``since`` returns it."""
+        assert self.start is self.end is None, "since() knows when the clock shows these times"
         after = (since_ns >= self.start_ns) | (not self.start_ns)
         return after & ((since_ns < self.end_ns) | (not self.end_ns))
+
+
+def outside(name: str, begin_ns: int, end_ns: int) -> CaptureError:
+    """Return the error that a capture has no datagram in the chosen time.
+
+    Args:
+        name: of the capture.
+        begin_ns: its first datagram.
+        end_ns: its last datagram.
+    """
+    lasts = f"its times go from 0 to {(end_ns - begin_ns) / SECOND:.3f} s, and 0 is {_began(begin_ns)}"
+    return CaptureError(f"{name}: nothing between --start and --end; {lasts}")
+
+
+def _began(begin_ns: int) -> str:
+    try:
+        return f"{datetime.fromtimestamp(begin_ns // SECOND, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (OverflowError, ValueError, OSError):
+        return f"{begin_ns / SECOND:.3f} s after 1970"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,26 +152,27 @@ class Selection:
 
     Attributes:
         links: only these links.
-        msg_ids: only these MsgIds.
-        topics: only these topics; shell patterns are allowed.
+        msg_ids: only these MsgIds, or what a name that tables show stands for.
+        topics: only these topics, shell patterns, or names that tables show.
         notable: only datagrams with one of these finding bits.
         where: only datagrams that pass this filter; it is applied by what :meth:`over` returns.
     """
 
     links: Sequence[Link] = ()
-    msg_ids: Sequence[int] = ()
+    msg_ids: Sequence[int | str] = ()
     topics: Sequence[str] = ()
     notable: int = 0
     where: str = ""
     _filter: Where | None = field(default=None, repr=False, compare=False)
-    _structs: Mapping[str, Sequence[Key]] = field(default_factory=dict, repr=False, compare=False)
+    _named: Sequence[Packets] = field(default=(), repr=False, compare=False)
+    _ready: bool = field(default=False, repr=False, compare=False)
 
     def __bool__(self) -> bool:
         return bool(self.links or self.msg_ids or self.topics or self.notable or self.where)
 
     def __str__(self) -> str:
         words = [f"link={link.label}" for link in self.links]
-        words += [f"msg_id=0x{item:04x}" for item in self.msg_ids]
+        words += [f"msg_id={f'0x{item:04x}' if isinstance(item, int) else item}" for item in self.msg_ids]
         words += [f"topic={item}" for item in self.topics]
         words += ["findings"] * bool(self.notable)
         return " ".join(words + [f"where={self.where}"] * bool(self.where))
@@ -89,49 +181,26 @@ class Selection:
         """Return the selection prepared for a workbench; errors in it are raised here.
 
         Raises:
-            RouteError: a topic pattern matches no configured topic.
+            RouteError: a topic pattern or a name matches nothing.
             ConfigError: the filter has an error.
         """
-        context, chosen = bench.columns.context, self
-        if self.topics:
-            structs = {
-                pattern: [item.key for item in context.structs.all if fits_topic(item.topic, pattern)]
-                + [Key(value) for value, name in MSG_ID_NAMES.items() if fnmatchcase(name, pattern)]
-                for pattern in self.topics
-            }
-            chosen = replace(self, _structs=structs)
-        chosen.check(bench.mission)
+        context = bench.columns.context
+        groups = [[hex(item) if isinstance(item, int) else item for item in self.msg_ids], self.topics]
+        named = [Packets.any(find_packets(name, context) for name in names) for names in groups if names]
+        chosen = replace(self, _named=named, _ready=True)
         if not self.where:
             return chosen
         from edoras_tools.decode.filters.filter import Where
 
         return replace(chosen, _filter=Where(self.where, context))
 
-    def check(self, mission: Mission) -> None:
-        """Check early whether a mission has the selected topics.
-
-        Raises:
-            RouteError: a topic pattern matches no configured topic.
-        """
-        self._routes(mission)
-
-    def mask(self, columns: Columns, mission: Mission) -> NDArray[np.bool_]:
-        """Return which rows are selected, without regard to the filter.
-
-        Raises:
-            RouteError: a topic pattern matches no configured topic.
-        """
+    def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+        """Return which rows are selected, without regard to the filter."""
         chosen = np.ones(len(columns), bool)
         if self.links:
             chosen &= np.isin(columns.link, [int(link) for link in self.links])
-        if self.msg_ids:
-            chosen &= np.isin(columns.msg_id, list(self.msg_ids))
-        if self.topics:
-            on_topic = np.isin(columns.route, self._routes(mission))
-            for key in (key for keys in self._structs.values() for key in keys):
-                code = key.function_code
-                on_topic |= (columns.msg_id == key.msg_id) & (code is None or columns.function_code == code)
-            chosen &= on_topic
+        for packets in self._named:
+            chosen &= packets.mask(columns, batch.length)
         if self.notable:
             chosen &= (columns.findings & np.uint32(self.notable)) != 0
         return chosen
@@ -143,44 +212,28 @@ class Selection:
             link: None if it is not about a single link.
             msg_id: None if it is not about a single MsgId.
             mission: for the topics.
-
-        Raises:
-            RouteError: a topic pattern matches no configured topic.
         """
         if self.links and link not in {item.label for item in self.links}:
             return False
-        if self.msg_ids and msg_id not in self.msg_ids:
-            return False
-        if not self.topics:
-            return True
-        ids = {mission.routes[index].msg_id for index in self._routes(mission)}
-        return msg_id in ids | {key.msg_id for keys in self._structs.values() for key in keys}
+        return all(msg_id in packets.msg_ids(mission) for packets in self._named)
 
-    def rows(self, batch: PacketBatch, columns: Columns, mission: Mission) -> NDArray[np.int64]:
-        """Return the indices of the selected rows."""
-        rows = np.flatnonzero(self.mask(columns, mission))
-        assert not self.where or self._filter is not None, "only what over() returns applies the filter"
+    def overlaps(self, packets: Packets, mission: Mission) -> bool:
+        """Return whether some packets can be among the selected ones, without regard to the filter."""
+        links = {mission.routes[index].link for index in packets.routes}
+        if self.links and links and links.isdisjoint(self.links):
+            return False
+        ids = packets.msg_ids(mission)
+        return all(ids & item.msg_ids(mission) or packets.kinds & item.kinds for item in self._named)
+
+    def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
+        """Return the indices of the selected rows; only what :meth:`over` returns can tell them."""
+        assert self._ready or not self, "over() finds what names stand for, and the filter"
+        rows = np.flatnonzero(self.mask(batch, columns))
         return rows if self._filter is None else rows[self._filter.mask(batch, columns, rows)]
 
-    def apply(self, batch: PacketBatch, columns: Columns, mission: Mission) -> tuple[PacketBatch, Columns]:
+    def apply(self, batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]:
         """Return the selected rows of both."""
         if not self:
             return batch, columns
-        rows = self.rows(batch, columns, mission)
+        rows = self.rows(batch, columns)
         return batch.take(rows), columns.take(rows)
-
-    def _routes(self, mission: Mission) -> list[int]:
-        routes = []
-        for pattern in self.topics:
-            fits = [index for index, route in enumerate(mission.routes) if fits_topic(route.topic, pattern)]
-            if not fits and not self._structs.get(pattern):
-                there = ", ".join(route.topic for route in mission.routes) or "none; name a mission with -c"
-                raise RouteError(f"no configured topic matches {pattern!r}; there are: {there}")
-            routes += fits
-        return routes
-
-
-def fits_topic(topic: str, pattern: str) -> bool:
-    """Return whether a topic matches a shell pattern, with or without its leading slash."""
-    wanted = pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
-    return fnmatchcase(topic, wanted)

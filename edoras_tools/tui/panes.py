@@ -15,6 +15,7 @@ from textual.widgets import ContentSwitcher, Footer, Static
 
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.pipelines.reading import Limits
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import TimeFormat
@@ -59,8 +60,7 @@ class ViewOptions:
         settings: for Wireshark's dissector.
         time_format: format of the time column.
         follow: stay at the end when packets arrive.
-        count: maximum number of packets; 0 for all.
-        duration_ns: how long to read; 0: to the end.
+        limits: which part of the source is read.
         verbose: show notes in the list too, not only warnings and errors.
         limit: maximum bytes of packets to keep.
     """
@@ -69,8 +69,7 @@ class ViewOptions:
     settings: Settings
     time_format: TimeFormat = TimeFormat.RELATIVE
     follow: bool = False
-    count: int = 0
-    duration_ns: int = 0
+    limits: Limits = Limits()  # noqa: RUF009  frozen
     verbose: bool = False
     limit: int = LIMIT
 

@@ -19,7 +19,6 @@ from edoras_tools.errors import EdorasError
 from edoras_tools.io.signals import ENDING
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.capture.conversation import Conversation
-from edoras_tools.pipelines.reading import Limits
 from edoras_tools.render.severity import Level
 from edoras_tools.tui.data import messages
 from edoras_tools.tui.data.feed import Feed
@@ -88,7 +87,7 @@ class Viewer(Navigation):
             replace(choice.selection, where=""),
             deliver=lambda block: self._post(messages.Arrived(block)),
             ended=lambda why, failed: self._post(messages.Ended(why, failed=failed)),
-            limits=Limits(choice.count, choice.duration_ns),
+            limits=choice.limits,
             size=0 if self.live else choice.limit,
         )
 

@@ -18,6 +18,7 @@ from edoras_tools.pipelines.check.expectations import LOSS_KEYS
 from edoras_tools.pipelines.check.observation import Subject
 from edoras_tools.pipelines.check.run import NOTABLE_FINDINGS, Figures
 from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.names import Packets
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -87,8 +88,8 @@ class Draft:
         for index in routes:
             topics.setdefault(self._mission.routes[index].topic, []).append(index)
         return [
-            *(Subject(topic, frozenset(own)) for topic, own in topics.items()),
-            *(Subject(f"0x{value:04x}", msg_ids=frozenset({value})) for value in others),
+            *(Subject(topic, Packets(frozenset(own))) for topic, own in topics.items()),
+            *map(Subject.of, others),
         ]
 
     def _topic(self, subject: Subject) -> Iterator[str]:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.syntax import WhereError
-from edoras_tools.mission.fields import suggestion
+from edoras_tools.errors import RouteError
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.pipelines.capture.info import Counting
-from edoras_tools.pipelines.selection import fits_topic
+from edoras_tools.pipelines.names import Packets, find_packets
+from edoras_tools.structs.shapes import Key
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
@@ -24,9 +25,9 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.io import Source
-    from edoras_tools.mission import Mission
     from edoras_tools.pipelines.check.expectations import Expectations, FieldExpectation
     from edoras_tools.pipelines.reading import ReadLoop
+    from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
 
 
@@ -36,51 +37,36 @@ class Subject:
 
     Attributes:
         name: as it is told.
-        routes: indices of the configured routes of a topic.
-        msg_ids: MsgIds, where it is no topic.
+        packets: which they are.
     """
 
     name: str
-    routes: frozenset[int] = frozenset()
-    msg_ids: frozenset[int] = frozenset()
+    packets: Packets
 
-    def takes(self, route: int, msg_id: int | None) -> bool:
-        """Return whether messages of a route, with a MsgId, are meant."""
-        return route in self.routes or msg_id in self.msg_ids
+    @classmethod
+    def of(cls, msg_id: int, name: str = "") -> Subject:
+        """Return the messages with a MsgId."""
+        return cls(name or f"0x{msg_id:04x}", Packets(keys=frozenset({Key(msg_id)})))
+
+    @classmethod
+    def named(cls, name: str, context: Context) -> Subject:
+        """Return what a name in a file of expectations stands for.
+
+        Raises:
+            RouteError: nothing; with what was perhaps meant.
+        """
+        packets, routes = find_packets(name, context), context.mission.routes
+        if packets.routes:
+            return cls(routes[min(packets.routes)].topic, packets)
+        number = name[:1].isdecimal()
+        return cls(f"0x{int(name, 0):04x}" if number else name, packets)
 
     def mask(self, rows: ColumnRows) -> NDArray[np.bool_]:
         """Return which rows are meant."""
-        return np.isin(rows.column("route"), list(self.routes)) | np.isin(
-            rows.column("msg_id"), list(self.msg_ids)
-        )
+        return self.packets.mask(rows.columns, rows.batch.length)[rows.indices()]
 
 
-EVENT_MESSAGES = Subject("events", msg_ids=frozenset({cfe.EVENT_MSG_ID}))
-
-
-def find_subject(name: str, mission: Mission) -> Subject:
-    """Return what a name in a file of expectations stands for.
-
-    Raises:
-        ValueError: nothing; with what was perhaps meant.
-    """
-    routes = frozenset(index for index, route in enumerate(mission.routes) if fits_topic(route.topic, name))
-    if routes:
-        return Subject(mission.routes[min(routes)].topic, routes)
-    named = frozenset(value for value, known in MSG_ID_NAMES.items() if known == name.upper())
-    if named:
-        return Subject(name.upper(), msg_ids=named)
-    try:
-        value = int(name, 0)
-    except ValueError:
-        value = -1
-    if 0 <= value <= 0xFFFF:
-        return Subject(f"0x{value:04x}", msg_ids=frozenset({value}))
-    known = [route.topic for route in mission.routes]
-    near = suggestion(name if name[:1] != "/" and name.isupper() else f"/{name.removeprefix('/')}", known)
-    near = near or suggestion(name.upper(), MSG_ID_NAMES.values())
-    there = f"there are {', '.join(known)}" if known else "topics need a mission: name it with -c"
-    raise ValueError(f"no topic, packet or MsgId of this name; {near or there}")
+EVENT_MESSAGES = Subject.of(cfe.EVENT_MSG_ID, "events")
 
 
 @dataclass(slots=True)
@@ -147,19 +133,26 @@ class Observation(Counting):
 
     def __init__(self, source: Source, bench: Workbench, expected: Expectations) -> None:
         super().__init__(source, bench)
+        self._expected = expected
         report, context = Mistakes(expected.file), bench.columns.context
         self.subjects: list[Subject] = []
         self.fields: list[list[FilterCount]] = []
         for topic in expected.topics:
             try:
-                subject = find_subject(topic.name, bench.mission)
-            except ValueError as error:
+                subject = Subject.named(topic.name, context)
+            except RouteError as error:
                 report.mistake(topic.line, topic.name, str(error))
                 continue
             self.subjects.append(subject)
             self.fields.append(list(_watches(subject, topic.fields, context, report)))
         self.events = [FilterCount(EVENT_MESSAGES, Where(item.where, context)) for item in expected.events]
         report.raise_all()
+
+    def about(self, selection: Selection) -> Expectations:
+        """Leave the topics out that a prepared selection leaves out; return the other expectations."""
+        taken = [selection.overlaps(item.packets, self.report.ledger.mission) for item in self.subjects]
+        self.subjects, self.fields = list(compress(self.subjects, taken)), list(compress(self.fields, taken))
+        return replace(self._expected, topics=tuple(compress(self._expected.topics, taken)))
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """Count the chosen rows of a batch; return those that count."""

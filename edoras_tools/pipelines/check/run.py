@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.balance import sent
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
+from edoras_tools.model import NO_ROUTE
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
 from edoras_tools.pipelines.check.observation import Observation
 from edoras_tools.pipelines.doctor.doctor import examine
@@ -124,7 +125,12 @@ class Figures:
     @classmethod
     def of(cls, subject: Subject, ledger: Ledger, diagnosis: Diagnosis) -> Figures:
         """Return the figures of a subject."""
-        own = [item for item in ledger.accounts.values() if subject.takes(item.route, item.msg_id)]
+        packets = subject.packets
+        own = [
+            item
+            for item in ledger.accounts.values()
+            if packets.takes(item.route, item.msg_id, (int(item.link), item.kind))
+        ]
         rates = [item.rate_hz for item in own if item.count > 1]
         silences = [
             max(item.longest_ns, item.first_ns - ledger.start_ns, ledger.end_ns - item.last_ns)
@@ -134,7 +140,7 @@ class Figures:
         waits = [item["latency"] for row in routes for item in row["crossings"]]
         waits += [row[name] for row in routes for name in ("to_robot", "delay")]
         worst = [item["p99_ms"] for item in waits if item]
-        rows = [row for row in diagnosis.balance if subject.takes(row.route, row.msg_id)]
+        rows = [row for row in diagnosis.balance if packets.takes(row.route, row.msg_id)]
         return cls(
             count=sum(item.count for item in own),
             rate=sum(rates) if rates else None,
@@ -170,7 +176,7 @@ def check(
         bench: mission, types and decoders.
         expected: the expectations.
         profile: the constants of the cFS on the link.
-        scope: which time of it is examined.
+        scope: what is examined; expectations of topics that it leaves out are left out.
         pace: for a live source.
         progress: updated while reading and judging.
 
@@ -185,6 +191,7 @@ def check(
     findings = examine(
         source, bench, profile=profile, scope=scope, pace=pace, progress=progress, counting=observed
     )
+    expected = observed.about(scope.selection.over(bench)) if scope else expected
     results = tuple(_results(expected, observed, findings))
     ledger = observed.report.ledger
     seconds = (ledger.end_ns - ledger.start_ns) / SECOND
@@ -309,5 +316,5 @@ def _losses(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def _is_about(row: dict[str, Any], subject: Subject, diagnosis: Diagnosis) -> bool:
-    topics = {diagnosis.topics[index] for index in subject.routes}
-    return row["topic"] in topics or int(row["msg_id"], 0) in subject.msg_ids
+    topics = {diagnosis.topics[index] for index in subject.packets.routes}
+    return row["topic"] in topics or subject.packets.takes(NO_ROUTE, int(row["msg_id"], 0))

@@ -87,7 +87,7 @@ def examine(
         scope: what is examined and shown; all by default.
         pace: for a live source.
         progress: updated after every batch, and while judging.
-        counting: counts the same datagrams while they are read.
+        counting: counts while they are read the datagrams that the scope selects.
         listing: also list every message that was lost.
 
     Raises:
@@ -131,14 +131,14 @@ def examine(
             if len(rows):
                 if faults:
                     begin_ns = loop.begin_ns or 0
-                    examination.faults = [
-                        item for item in faults if scope.period.holds(item.time_ns - begin_ns)
-                    ]
+                    period = scope.period.since(begin_ns)
+                    examination.faults = [item for item in faults if period.holds(item.time_ns - begin_ns)]
                     faults = []
                 examination.add(rows.batch, rows.columns)
                 chosen.add(rows.batch, rows.columns)
             if counting is not None:
-                counting.add(rows, loop)
+                some = rows.take(chosen.rows(rows.batch, rows.columns)) if scope.selection else rows
+                counting.add(some, loop)
             if progress is not None:
                 progress.read(source)
             now = pace.clock()

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.run import Progress
 
@@ -61,7 +62,13 @@ class Runs:
 
 
 def compare_runs(
-    good: Path, bad: Path, settings: Settings, *, tolerance: float, progress: Progress | None = None
+    good: Path,
+    bad: Path,
+    settings: Settings,
+    *,
+    tolerance: float,
+    scope: Scope | None = None,
+    progress: Progress | None = None,
 ) -> Runs:
     """Read two captures and compare them as runs of the same system.
 
@@ -70,21 +77,23 @@ def compare_runs(
         bad: the other run.
         settings: missions and decoding options, the same for both.
         tolerance: accepted relative difference of rates and latencies, e.g. 0.1.
+        scope: what of both is compared.
         progress: updated while they are read and judged.
 
     Raises:
         CaptureError: one of them cannot be read to its end, or contains no datagram.
     """
-    runs = _run(good, settings, progress), _run(bad, settings, progress)
+    good_run, bad_run = (_run(path, settings, scope, progress) for path in (good, bad))
     serious = {item.label for item in NOTABLE}
-    return Runs(*runs, run_differences(*runs, tolerance=tolerance, serious=serious))
+    changes = run_differences(good_run, bad_run, tolerance=tolerance, serious=serious)
+    return Runs(good_run, bad_run, changes)
 
 
-def _run(path: Path, settings: Settings, progress: Progress | None) -> Run:
+def _run(path: Path, settings: Settings, scope: Scope | None, progress: Progress | None) -> Run:
     source = open_files([path])
     bench = settings.workbench(source.info)
     counting = Counting(source, bench)
-    judged = examine(source, bench, progress=progress, counting=counting)
+    judged = examine(source, bench, scope=scope, progress=progress, counting=counting)
     if judged.failure is not None:
         raise judged.failure
     return Run(counting.report.summary(), judged.summary())

@@ -12,6 +12,8 @@ from edoras_tools.links import table
 from edoras_tools.pipelines.selection import Period, Selection
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
@@ -50,9 +52,13 @@ class Chosen:
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Add a batch; with a filter, routes are shown that have a packet which passes it."""
         if self._selection.where:
-            rows = self._selection.rows(batch, columns, self._mission)
+            rows = self.rows(batch, columns)
             key = columns.link[rows].astype(np.int64) << 32 | columns.msg_id[rows]
             self._seen |= {(table.link(item >> 32).label, item & 0xFFFF) for item in np.unique(key).tolist()}
+
+    def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
+        """Return which rows of a batch are selected."""
+        return self._selection.rows(batch, columns)
 
     def choice(self) -> Choice | None:
         """Return what is shown; None for all."""

@@ -166,11 +166,8 @@ class CaptureTopics(TopicSource):
             self.failure, self.interrupted = loop.failure, loop.interrupted
         rest = [self._streams.finish()] if statistics else []
         rest.append(self._streams.outages(self._source.statistics.outages))
-        faults = [
-            item
-            for item in recorded_faults(self._source)
-            if self._scope.period.holds(item.time_ns - self.zero_ns)
-        ]
+        period = self._scope.period.since(self.zero_ns)
+        faults = [item for item in recorded_faults(self._source) if period.holds(item.time_ns - self.zero_ns)]
         rest.append(fault_messages(faults, self._places.index(FAULTS)))
         for messages in rest:
             yield from self._blocks([messages], len(messages), wanted)
@@ -249,6 +246,7 @@ class BagTopics(TopicSource):
         self.topics = {topic: kind for topic, kind in there.items() if wrong[topic] is None}
         self._notes = [f"{topic} is left out: {why}" for topic, why in wrong.items() if why is not None]
         self.zero_ns = min(bag.start_ns() for bag in bags)
+        self._period = self._scope.period.since(self.zero_ns)
 
     @property
     def notes(self) -> list[str]:
@@ -274,7 +272,7 @@ class BagTopics(TopicSource):
     def _block(self, found: RecordedBlock) -> TopicBlock:
         kind = self.topics[found.topic]
         self.last_ns = max(self.last_ns, int(found.time_ns.max(initial=-1)))
-        rows = np.flatnonzero(self._scope.period.holds(found.time_ns - self.zero_ns))
+        rows = np.flatnonzero(self._period.holds(found.time_ns - self.zero_ns))
         valid = self._types.valid(kind, found.data, found.offset[rows], found.length[rows])
         self.left_out += len(rows) - int(valid.sum())
         rows = rows[valid]

@@ -11,8 +11,9 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.foxglove.playback import PlaybackState
+from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
-from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.selection import outside
 from edoras_tools.pipelines.workbench import open_files
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -82,7 +83,7 @@ class RecordingPlayer:
         reopen: opens the source; called for every seek, and once in the constructor to learn its duration.
         bench: mission, types and decoders.
         clock: monotonic time in ns.
-        selection: which datagrams; all by default.
+        scope: which datagrams, and which time of them; all by default.
         speed: initial speed, as a multiple of the recorded one.
         paused: start paused; otherwise playback starts when the first client has
             subscribed, or has been there for 5 s.
@@ -103,12 +104,14 @@ class RecordingPlayer:
         bench: Workbench,
         *,
         clock: Callable[[], int],
-        selection: Selection | None = None,
+        scope: Scope | None = None,
         speed: float = 1.0,
         paused: bool = False,
     ) -> None:
         self._reopen, self._bench, self._clock = reopen, bench, clock
-        self._selection = (selection or Selection()).over(bench)
+        scope = scope or Scope()
+        self._selection, self._period = scope.selection.over(bench), scope.period
+        self._begin_ns: int | None = None
         self.failure: EdorasError | None = None
         self.range_ns = self._measure()
         self._lock = threading.Lock()
@@ -222,9 +225,14 @@ class RecordingPlayer:
     def _measure(self) -> tuple[int, int]:
         """Read the recording once; return its start and end."""
         source = self._reopen()
-        first, last = 1 << 63, -1
+        first, last, last_ns = 1 << 63, -1, -1
         try:
             for batch in source.batches():
+                if len(batch):
+                    last_ns = max(last_ns, int(batch.time_ns.max()))
+                if len(batch) and self._begin_ns is None:
+                    self._begin_ns = int(batch.time_ns[0])
+                    self._period = self._period.since(self._begin_ns)
                 times = self._chosen(batch)[0].time_ns
                 if len(times):
                     first, last = min(first, int(times.min())), max(last, int(times.max()))
@@ -232,12 +240,18 @@ class RecordingPlayer:
             self.failure = error
         finally:
             source.close()
+        if last < 0 and self._period and self._begin_ns is not None and self.failure is None:
+            raise outside(source.info.name, self._begin_ns, last_ns)
         if last < 0:
             raise self.failure or CaptureError(f"{source.info.name}: it contains no selected datagram")
         return first, last
 
     def _chosen(self, batch: PacketBatch) -> _Piece:
-        return self._selection.apply(batch, self._bench.columns.decode(batch), self._bench.mission)
+        batch, columns = self._selection.apply(batch, self._bench.columns.decode(batch))
+        if not self._period or self._begin_ns is None:
+            return batch, columns
+        rows = np.flatnonzero(self._period.holds(batch.time_ns - self._begin_ns))
+        return batch.take(rows), columns.take(rows)
 
     def _read(self, start_ns: int, sink: FoxgloveSink) -> Generator[_Piece]:
         """Yield what was captured from a time on; first show the last earlier message of each topic."""

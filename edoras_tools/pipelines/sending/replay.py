@@ -82,7 +82,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     notes: list[str] = []
     wanted: set[int] = set()
     links = np.zeros(256, np.int64)
-    first_ns, left, size, there, period = -1, choice.count, 0, 0, choice.period
+    first_ns, left, size, there, period = -1, choice.count, 0, 0, Period()
     try:
         selection = choice.selection.over(bench)
         for batch in source.batches():
@@ -90,7 +90,9 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
                 continue
             columns = bench.columns.decode(batch)
             links += np.bincount(columns.link, minlength=256)
-            first_ns = first_ns if first_ns >= 0 else int(batch.time_ns[0])
+            if first_ns < 0:
+                first_ns = int(batch.time_ns[0])
+                period = choice.period.since(first_ns)
             towards = _towards(batch, columns, options, bench.mission)
             there += int(np.count_nonzero(towards))
             if options.has_session:
@@ -100,7 +102,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
             towards &= period.holds(elapsed)
             towards &= _routes(columns, choice.routes, bench.mission)
             rows = np.flatnonzero(towards)
-            chosen, columns = selection.apply(batch.take(rows), columns.take(rows), bench.mission)
+            chosen, columns = selection.apply(batch.take(rows), columns.take(rows))
             if choice.count:
                 chosen, columns = chosen.take(slice(0, left)), columns.take(slice(0, left))
                 left -= len(chosen)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.cfs.names import message_name
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.net.address import is_loopback
 from edoras_tools.model import NO_MSG_ID
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
 
 
 def names_of(msg_id: int, mission: Mission) -> list[str]:
-    """Return all names of a MsgId: hex, topics with and without the leading slash, keys."""
-    found = [f"0x{msg_id:04x}", f"0x{msg_id:x}"]
+    """Return all names of a MsgId: hex, cFE's, topics with and without the leading slash, keys."""
+    found = [f"0x{msg_id:04x}", f"0x{msg_id:x}", message_name(msg_id) or "-"]
     for route in mission.routes:
         if route.msg_id == msg_id:
             found += [route.topic, route.topic.removeprefix("/"), route.key]

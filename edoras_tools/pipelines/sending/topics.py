@@ -109,12 +109,17 @@ def load_topics(
     routes = {route.topic: route for route in routes_towards(options.to, mission)}
     if not routes:
         raise RouteError(f"--from-topics: no configured topic goes to {options.to}; name its mission with -c")
+    if choice.selection.where:
+        raise ConfigError("--where reads datagrams and has no effect with --from-topics: leave one out")
+    selection = choice.selection.over(bench)
     there = bag.topics()
     encoders: dict[str, Encoder] = {}
     for topic, name in there.items():
         wanted = "/" + rename.get(topic, topic).removeprefix("/")
         route = routes.get(wanted)
-        if route is None or not _chosen(route, choice, mission):
+        if route is None or not selection.about(route.link.label, route.msg_id, mission):
+            continue
+        if choice.routes and not any(fits(pattern, route.msg_id, mission) for pattern in choice.routes):
             continue
         if name != route.type:
             raise ConfigError(
@@ -127,10 +132,11 @@ def load_topics(
             f"configured are {', '.join(routes)}; --remap A:=B renames a topic"
         )
     packets, short = [], 0
-    first_ns = -1
+    first_ns, period = -1, choice.period
     for message in bag.messages(encoders):
-        first_ns = message.time_ns if first_ns < 0 else first_ns
-        if not choice.period.holds(message.time_ns - first_ns):
+        if first_ns < 0:
+            first_ns, period = message.time_ns, choice.period.since(message.time_ns)
+        if not period.holds(message.time_ns - first_ns):
             continue
         short += len(message.cdr) < 4
         packets.append(encoders[message.topic].packet(message.cdr, message.time_ns))
@@ -146,11 +152,3 @@ def load_topics(
         headers=bench.columns.context.options.headers,
     )
     return Loaded(out, notes=notes)
-
-
-def _chosen(route: Route, choice: ReplaySelection, mission: Mission) -> bool:
-    selection = choice.selection
-    if selection.msg_ids and route.msg_id not in selection.msg_ids:
-        return False
-    patterns = [*choice.routes, *selection.topics]
-    return not patterns or any(fits(pattern, route.msg_id, mission) for pattern in patterns)

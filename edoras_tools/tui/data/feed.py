@@ -80,7 +80,7 @@ class Feed(threading.Thread):
                 if self._stopping.is_set():
                     break
                 if len(rows):
-                    block = PacketBlock(*compact(*rows.alone()))
+                    block = PacketBlock(*compact(*rows.alone()), begin_ns=rows.begin_ns)
                     taken, size = taken + len(block), size + block.size
                     self._deliver(block)
                 if self._size and size >= self._size:

@@ -41,11 +41,13 @@ class PacketBlock:
         batch: the datagrams.
         columns: what was decoded from them.
         shown: rows that pass the filter; None if it has not run yet.
+        begin_ns: time of the capture's first datagram; None: that of the first packet.
     """
 
     batch: PacketBatch
     columns: Columns
     shown: Shown | None = None
+    begin_ns: int | None = None
 
     def __len__(self) -> int:
         return len(self.batch)
@@ -87,7 +89,7 @@ class Store:
         if not len(block):
             return 0
         if self.begin_ns is None:
-            self.begin_ns = int(block.batch.time_ns[0])
+            self.begin_ns = int(block.batch.time_ns[0]) if block.begin_ns is None else block.begin_ns
         if not self.filtered:
             block.shown = range(len(block))
         self.blocks.append(block)

@@ -10,6 +10,7 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from mcap.reader import make_reader
@@ -17,13 +18,15 @@ from places import ROOT
 
 from edoras_tools.cli import endings
 from edoras_tools.cli.endings import LOST
+from edoras_tools.decode import Options
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.mission import Mission
 from edoras_tools.pipelines.capture import record as module
+from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.record import Target, check_output, record
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.selection import Selection
-from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.pipelines.workbench import Settings, open_files
 
 
 class Sink:
@@ -331,3 +334,26 @@ def test_where_no_process_can_be_forked_it_records_all_the_same(bench, captures,
     assert report.ledger.datagrams == 1827
     with (tmp_path / "a.mcap").open("rb") as file:
         assert sum(1 for _ in make_reader(file).iter_messages(["/edoras/datagrams"])) == 1827
+
+
+@pytest.mark.parametrize("listened", [(), (39555,)])
+def test_a_recording_remembers_the_ports_that_were_listened_on(listened, made_up, batches, tmp_path):
+    to_ci = batches[0].take(np.flatnonzero(batches[0].destination_port == 1234))
+    ports = np.full(len(to_ci), 39555, np.uint16)
+    moved = replace(to_ci, source_port=ports, destination_port=ports, data=to_ci.data.copy())
+    heads = moved.offset[:, None] - 8 + np.arange(4)  # both ports, in front of length and checksum
+    moved.data[heads] = np.frombuffer((39555).to_bytes(2) * 2, np.uint8)
+    bench = Settings(options=Options(listened=listened)).workbench()
+    record(made_up([moved]), bench, Target(tmp_path / "a.mcap"))
+    source = open_files([tmp_path / "a.mcap"])
+    report = inspect(source, Settings().workbench(source.info))
+    assert report.ledger.datagrams == len(moved)
+    assert any("look like" in note for note in report.notes)
+    assert bool(report.unnamed) is not bool(listened)
+
+
+def test_times_before_and_after_the_year_2000_are_told(made_up, batches, bench, tmp_path):
+    unset = replace(batches[0], time_ns=batches[0].time_ns % 10**12)
+    report = record(made_up([unset, batches[1]]), bench, Target(tmp_path / "a.mcap"))
+    assert [note for note in report.notes if "a clock was not set" in note]
+    assert report.ledger.datagrams == len(unset) + len(batches[1])

@@ -223,10 +223,10 @@ def test_nothing_examined_fails(checked):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("topics: {/cmd_vle: {count: 1}}", "no topic, packet or MsgId of this name; did you mean /cmd_vel?"),
+        ("topics: {/cmd_vle: {count: 1}}", "no configured topic matches '/cmd_vle'; did you mean /cmd_vel?"),
         ("topics: {cmd_vle: {count: 1}}", "did you mean /cmd_vel?"),
         ("topics: {SB_HKK: {count: 1}}", "did you mean SB_HK?"),
-        ("topics: {0x12345: {count: 1}}", "there are /cmd_vel, /telemetry_pose"),
+        ("topics: {0x12345: {count: 1}}", "there are: /cmd_vel, /telemetry_pose"),
         ("topics: {/cmd_vel: {fields: [{always: linear.w > 1}]}}", "'linear.w' is not a field"),
         (
             "topics: {/cmd_vel: {fields: [{after: linear.x > 1, within: 1s, then: linear.w > 1}]}}",

@@ -19,9 +19,10 @@ from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.io.foxglove.playback import PlaybackRequest
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.capture.record import Target, record
+from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.live.player import RecordingPlayer, open_recording
 from edoras_tools.pipelines.live.run import attach
-from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 
 ANY = Endpoint("127.0.0.1", 0)
@@ -224,13 +225,25 @@ def test_statistics_begin_anew_where_playback_jumps_to():
         assert min(times(client, "/edoras/link_statistics")) > player.start + 30 * SECOND
 
 
+def test_a_chosen_time_is_played(truth):
+    zero = int(next(iter(open_files([ROVER]).batches())).time_ns[0])
+    times = [item - zero for item in truth["/cmd_vel"]]
+    period = Period(10 * 10**9, 20 * 10**9)
+    with deck(paused=True, scope=Scope(Selection(topics=("/cmd_vel",)), period)) as player:
+        start, end = player.player.range_ns
+    assert start - zero == min(item for item in times if item >= period.start_ns)
+    assert end - zero == max(item for item in times if item < period.end_ns)
+    with pytest.raises(CaptureError, match="its times go from 0 to 65"):
+        Deck(scope=Scope(period=Period(10**13)))
+
+
 def test_only_what_was_chosen_is_played(truth):
-    with deck(paused=True, selection=Selection(topics=("/telemetry_pose",))) as player:
+    with deck(paused=True, scope=Scope(Selection(topics=("/telemetry_pose",)))) as player:
         assert player.player.range_ns == (min(truth["/telemetry_pose"]), max(truth["/telemetry_pose"]))
     with pytest.raises(RouteError, match="no configured topic matches"):
-        Deck(selection=Selection(topics=("/nowhere",)))
+        Deck(scope=Scope(Selection(topics=("/nowhere",))))
     with pytest.raises(CaptureError, match="it contains no selected datagram"):
-        Deck(selection=Selection(msg_ids=(0x1FFF,)))
+        Deck(scope=Scope(Selection(msg_ids=(0x1FFF,))))
 
 
 def test_a_recording_that_is_cut_off_is_played_as_far_as_it_goes(tmp_path):

@@ -1,0 +1,132 @@
+"""What a name that tables show stands for: a topic, a C struct, a MsgId, or a link's own message."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.errors import RouteError
+from edoras_tools.links import table
+from edoras_tools.model import NO_MSG_ID
+from edoras_tools.structs.shapes import Key
+from edoras_tools.words import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns
+
+
+@dataclass(frozen=True, slots=True)
+class Packets:
+    """Some kinds of packets.
+
+    Attributes:
+        routes: indices of configured routes.
+        keys: MsgIds, and the function codes of commands.
+        kinds: a link's code, and its own message type, as ``links.table.message_kinds`` has it.
+    """
+
+    routes: frozenset[int] = frozenset()
+    keys: frozenset[Key] = frozenset()
+    kinds: frozenset[tuple[int, int]] = frozenset()
+
+    def __bool__(self) -> bool:
+        return bool(self.routes or self.keys or self.kinds)
+
+    @classmethod
+    def any(cls, several: Iterable[Packets]) -> Packets:
+        """Return what at least one of several stands for."""
+        found = list(several)
+        return cls(
+            frozenset().union(*(item.routes for item in found)),
+            frozenset().union(*(item.keys for item in found)),
+            frozenset().union(*(item.kinds for item in found)),
+        )
+
+    def mask(self, columns: Columns, length: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return which rows are meant.
+
+        Args:
+            columns: of a batch.
+            length: bytes of the payloads.
+        """
+        found = np.isin(columns.route, list(self.routes))
+        found |= np.isin(columns.msg_id, [key.msg_id for key in self.keys if key.function_code is None])
+        for key in self.keys:
+            if key.function_code is not None:
+                found |= (columns.msg_id == key.msg_id) & (columns.function_code == key.function_code)
+        if self.kinds:
+            own = table.message_kinds(columns, length)
+            for code, kind in self.kinds:
+                found |= (columns.link == code) & (own == kind) & (columns.msg_id == NO_MSG_ID)
+        return found
+
+    def takes(self, route: int, msg_id: int | None, kind: tuple[int, int] | None = None) -> bool:
+        """Return whether messages of a route, with a MsgId, or of a link's own type are meant."""
+        own = kind in self.kinds and msg_id in {None, NO_MSG_ID}
+        return route in self.routes or own or any(key.msg_id == msg_id for key in self.keys)
+
+    def msg_ids(self, mission: Mission) -> set[int]:
+        """Return the MsgIds that are meant."""
+        return {mission.routes[index].msg_id for index in self.routes} | {key.msg_id for key in self.keys}
+
+
+def fits_topic(topic: str, pattern: str) -> bool:
+    """Return whether a topic matches a shell pattern, with or without its leading slash."""
+    wanted = pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
+    return fnmatchcase(topic, wanted)
+
+
+def find_packets(pattern: str, context: Context) -> Packets:
+    """Return what a name stands for: a topic, a MsgId, or a name that tables show, e.g. ``SBN_HEARTBEAT``.
+
+    Args:
+        pattern: topics and names may be shell patterns.
+        context: knows the mission and the C structs.
+
+    Raises:
+        RouteError: it stands for nothing; with what was perhaps meant.
+    """
+    name, routes = pattern.upper(), context.mission.routes
+    keys = [item.key for item in context.structs.all if fits_topic(item.topic, pattern)]
+    keys += [Key(value) for value, known in MSG_ID_NAMES.items() if fnmatchcase(known, name)]
+    if (value := _number(pattern)) is not None:
+        keys.append(Key(value))
+    found = Packets(
+        frozenset(index for index, route in enumerate(routes) if fits_topic(route.topic, pattern)),
+        frozenset(keys),
+        frozenset(kind for known, kind in _own_names() if fnmatchcase(known, name)),
+    )
+    if found:
+        return found
+    topics = [route.topic for route in routes]
+    topics += [item.topic for item in context.structs.all]
+    names = [*MSG_ID_NAMES.values(), *(known for known, _ in _own_names() if "0X" not in known)]
+    near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1) or did_you_mean(pattern, names, 1)
+    there = ", ".join(route.topic for route in routes) or "none; name a mission with -c"
+    raise RouteError(f"no configured topic matches {pattern!r}; {near or f'there are: {there}'}")
+
+
+def _number(text: str) -> int | None:
+    try:
+        value = int(text, 0)
+    except ValueError:
+        return None
+    return value if 0 <= value <= 0xFFFF else None
+
+
+@cache
+def _own_names() -> tuple[tuple[str, tuple[int, int]], ...]:
+    """Return the names of the links' own messages, each with its link's code and type."""
+    named = ((item.message_name(kind), (int(item), kind)) for item in table.links() for kind in range(256))
+    return tuple((name.upper(), kind) for name, kind in named if name)
