@@ -234,7 +234,7 @@ def test_n3_a_cfs_that_is_killed_and_begins_again():
     assert len({item.source for item in beside.sent if item.destination.port == 1235}) == 2
 
 
-@pytest.mark.parametrize("seed", SEEDS[:3])
+@pytest.mark.parametrize("seed", SEEDS)
 def test_n5_applications_restart_stop_and_start(seed):
     beside = Beside("n5_app_restarts", seed).run()
     assert beside.reached == (174, pytest.approx(174, abs=0.03 * beside.commands))

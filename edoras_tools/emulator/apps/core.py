@@ -55,11 +55,12 @@ def _run(cfs: Cfs, core: CoreApp, pipe: Pipe) -> Task:
             yield Work(cfs.profile.housekeeping_work_ns)
             cfs.telemetry(core.telemetry, body(cfs, counters[0] & 0xFF, counters[1] & 0xFF), core.name)
         elif wanted == core.command:
+            # Longer than its sender takes to go round its loop: a name is looked up, a line is printed.
+            yield Work(cfs.profile.housekeeping_work_ns)
             accepted = _command(cfs, core, packet)
             counters[not accepted] += 1
             if core.name == software_bus.NAME:
                 cfs.bus.counters.commands, cfs.bus.counters.command_errors = counters
-            yield Work(cfs.profile.work_ns)
 
 
 def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
