@@ -32,6 +32,14 @@ RELOAD_VERB: Final = "Reload"
 
 BUILD: Final = EventText(NAME, 92, "Build {date} by {user}@{host}, config {config}")
 """It comes before the event of a no-op."""
+VERSIONS: Final = EventText(NAME, 2, "cFS Versions: {version}. cFE chksm {checksum:d}")
+MISSION: Final = EventText(NAME, 91, "Version Info: Mission {mission}, version {version}")
+MODULE: Final = EventText(NAME, 91, "Version Info: Module {module}, version {version}")
+MODULES: Final = (
+    *("CORE_API", "ES", "EVS", "FS", "SB", "TBL", "TIME", "OSAL", "PSP", "MSG", "SBR", "RESOURCEID"),
+    "CONFIG",
+)
+"""Of which modules it says the versions at the start, in order."""
 BAD_RESTART_TYPE: Final = EventText(NAME, 24, "Invalid cFE restart type: {kind:d}", EventType.ERROR)
 STARTED_APP: Final = EventText(NAME, STARTED, "Started {name} from {file}, AppID = {number:d}")
 NOT_STARTED: Final = EventText(

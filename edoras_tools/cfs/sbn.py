@@ -42,6 +42,48 @@ VERSION_MISMATCH: Final = EventText(
     "{failure}SBN protocol version mismatch with peer {peer}, my version={own:d}, peer version {version:d}",
     EventType.ERROR,
 )
+_LOADED: Final = (
+    "checking if module ({name}) already loded",
+    "symbol not yet loaded ({symbol})",
+    "loading module (Name={name}, File=/cf/{file}.so)",
+    "validating symbol load ({symbol})",
+    "initializing {kind} module",
+)
+STARTING: Final = (
+    *(EventText(NAME, 4, text) for text in _LOADED),
+    EventText(NAME, 4, "{kind} module initialized"),
+)
+"""What it says of a module that it loads; a filter's own line comes before the last one."""
+MODULES: Final = (
+    {"name": "UDP", "symbol": "SBN_UDP_Ops", "file": "sbn_udp", "kind": "protocol"},
+    {"name": "Remap", "symbol": "SBN_F_Remap", "file": "sbn_f_remap", "kind": "filter"},
+)
+FILTER_INITIALIZED: Final = EventText(NAME, 4096, "SBN_F_Remap Lib Initialized.")
+CONFIGURING: Final = EventText(NAME, 4, "configuring peer (SC={spacecraft_id:d}, CPU={processor_id:d})...")
+OWN_NET: Final = (
+    EventText(NAME, 4, "found new highest net id: 0"),
+    EventText(NAME, 4, "increasing net count to 1"),
+    EventText(NAME, 4, "peer is this processor: loading net 0"),
+    EventText(NAME, 258, "configuring net (NetData={net}, Address={address}:{port:d})"),
+)
+OTHER_PEER: Final = (
+    EventText(NAME, 4, "peer is other processor: loading peer onto net 0"),
+    EventText(
+        NAME,
+        258,
+        "configuring peer (SC={spacecraft_id:d}, CPU={processor_id:d}, Address={address}:{port:d})",
+    ),
+)
+ADDRESS: Final = (
+    EventText(NAME, 258, "addr host: '{address}'"),
+    EventText(NAME, 258, "addr port: '{port:d}'"),
+)
+NET_CONFIGURED: Final = EventText(NAME, 258, "configured (NetData={net})")
+PEER_CONFIGURED: Final = EventText(
+    NAME, 258, "configured peer (SC={spacecraft_id:d}, CPU={processor_id:d}, Address={address}:{port:d})"
+)
+STARTS_AFTER_NS: Final = 100 * MILLISECOND
+"""From its first event until it says these."""
 SUBSCRIBED_TO_COMMANDS: Final = EventText(
     NAME, 2, "SBN subscribed to command pipe SBN_CMD_MID 0x{msg_id:04X}"
 )

@@ -74,6 +74,7 @@ def sim(
         msg_max=msg_max,
         address=address,
         sbn_peers=peers,
+        sbn_says_start=True,
     )
     simulation = Simulation(
         profile, scenario.value, start_ns=time_ns(), bridges=bridges, command_rate_hz=rate, state_rate_hz=rate

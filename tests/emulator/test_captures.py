@@ -6,7 +6,7 @@ import re
 from collections import Counter
 
 import pytest
-from beside_real import Beside
+from beside_real import Beside, boots, console
 from places import ROOT
 
 from edoras_tools.cfs.profile import SimProfile
@@ -14,6 +14,8 @@ from edoras_tools.emulator import Simulation
 from edoras_tools.units import SECOND
 
 SEEDS = (1, 2, 3, 4, 5)
+EVENT = re.compile(r"EVS Port1 66/1/(\S+) (\d+): ")
+LOST_EVENT, SBN_LINE = ("CFE_SB", "17"), ("SBN", "258")
 LOST = "EVS Port1 66/1/CFE_SB 17: Msg Limit Err,MsgId 0x1827,pipe EDORAS_APP_PIPE,sender CI_LAB_APP"
 
 
@@ -25,6 +27,11 @@ def replay(rows, scenario, boot_s, seed=1):
         if row.destination_port in ports:
             simulation.feed(row.time_ns, ports[row.destination_port], row.payload)
     return simulation, list(simulation.run(rows[-1].time_ns))
+
+
+def seconds(line):
+    """The time of a line of a console; 0 where it has none."""
+    return float(found[0]) if (found := re.match(r"\d{9,}\.\d+", line)) else 0.0
 
 
 def to_ground(sent):
@@ -77,7 +84,7 @@ def test_b_arm_all_120_poses_arrive_and_joint_states_have_their_size(captured):
 def test_e_every_bad_command_has_its_event_and_its_count(captured):
     rows = captured("e_ci_errors")
     simulation, sent = replay(rows, "rover", 1795241796.469)
-    told = [text.partition("66/1/")[2].strip() for _, text in simulation.cfs.console][14:]
+    told = [text.partition("66/1/")[2].strip() for _, text in simulation.cfs.console][30:]
     version = "edoras-tools emulated cFS, not flight software"
     build = "CFE_ES 92: Build 000000000000 by edoras-tools@emulator, config emulated"
     enabled = "TO_LAB_APP 3: TO telemetry output enabled for IP 127."
@@ -248,6 +255,25 @@ def test_n5_applications_restart_stop_and_start(seed):
     assert "CFE_ES 8: Stop Application EDORAS_APP Completed." in told
     assert "CFE_ES 6: Started EDORAS_APP from /cf/edoras_app.so, AppID = 1114126" in told
     assert len({item.source for item in beside.sent if item.destination.port == 1235}) == 2
+
+
+@pytest.mark.parametrize("name", ["a_rover", "n1_to_remove_all", "n5_app_restarts", "f_sbn_disconnect"])
+def test_it_says_at_its_start_what_cfs_says(name):
+    def counted(lines):
+        return Counter(found.groups() for line in lines if (found := EVENT.search(line)))
+
+    began_s = boots(name)[0]
+    flight = [line for line in console(name)[0].splitlines() if began_s - 4 < seconds(line) < began_s + 0.5]
+    beside = Beside(name, sbn_says_start=True).run(int((began_s + 0.5) * SECOND))
+    real, ours = counted(flight), counted(text for _, text in beside.simulation.cfs.console)
+    # How many of SBN's lines pass the squelch, and how many are lost, depends on when tasks run.
+    assert (2 <= real[LOST_EVENT] <= 6, ours[LOST_EVENT]) == (True, 4)
+    assert (10 <= real[SBN_LINE] <= 11, ours[SBN_LINE]) == (True, 11)
+    assert {**ours, LOST_EVENT: 0, SBN_LINE: 0} == {**real, LOST_EVENT: 0, SBN_LINE: 0}
+    housekeeping = next(row.payload for row in beside.rows if row.payload[:2] == b"\x08\x03")
+    before, counters = int.from_bytes(housekeeping[30:32], "little"), beside.simulation.cfs.bus.counters
+    assert counters.msg_limits == 8
+    assert 4 <= before <= 12
 
 
 @pytest.mark.parametrize("seed", SEEDS[:3])

@@ -42,7 +42,19 @@ def start_core(cfs: Cfs) -> None:
         cfs.events.register(item.name, now=cfs.scheduler.now, stop_after=filters.get(item.name))
         pipe = cfs.create_pipe(item.pipe, item.command, item.request, *item.others)
         cfs.say(item.initialized, version=EMULATOR_VERSION)
+        if item.name == executive_services.NAME:
+            _say_versions(cfs)
         cfs.spawn(_run(cfs, item, pipe))
+
+
+def _say_versions(cfs: Cfs) -> None:
+    """Say what is built in, as Executive Services does at the start."""
+    version = {"version": EMULATOR_VERSION}
+    cfs.say(executive_services.VERSIONS, **version, checksum=0)
+    cfs.say(executive_services.MISSION, mission="emulated", **version)
+    for module in executive_services.MODULES:
+        cfs.say(executive_services.MODULE, module=module, **version)
+    cfs.say(executive_services.BUILD, **_BUILD)
 
 
 def _run(cfs: Cfs, core: CoreApp, pipe: Pipe) -> Task:

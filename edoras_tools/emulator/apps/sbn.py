@@ -6,6 +6,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import sbn as facts
+from edoras_tools.cfs.profile import SbnPeerConfig
 from edoras_tools.emulator.scheduler import Receive, Work
 from edoras_tools.emulator.services.sbn_node import Actions, SbnNode
 from edoras_tools.model import Endpoint
@@ -65,6 +66,24 @@ class SbnApp:
         cfs.spawn(self._main())
         if not cfs.profile.sbn_polls:
             cfs.spawn(self._receive())
+        if cfs.profile.sbn_says_start:
+            cfs.scheduler.call_at(cfs.scheduler.now + facts.STARTS_AFTER_NS, self._start)
+
+    def _start(self) -> None:
+        """Say what it loads and configures: more than Telemetry Output and the squelch let pass."""
+        say, profile = self._cfs.say, self._cfs.profile
+        for module in facts.MODULES:
+            *first, last = facts.STARTING
+            for event in (*first, *([facts.FILTER_INITIALIZED] if module["kind"] == "filter" else []), last):
+                say(event, **module)
+        own, net = SbnPeerConfig(profile.peer, profile.sbn_port, profile.address), {"net": "(nil)"}
+        for config in (own, *profile.sbn_peers):
+            values = config.peer._asdict() | net | {"address": config.address, "port": config.port}
+            say(facts.CONFIGURING, **values)
+            events = (facts.OTHER_PEER, facts.PEER_CONFIGURED)
+            begin, end = (facts.OWN_NET, facts.NET_CONFIGURED) if config is own else events
+            for event in (*begin, *facts.ADDRESS, end):
+                say(event, **values)
 
     def receive_datagram(self, data: bytes) -> None:
         """Put a datagram in the socket's queue."""
