@@ -28,6 +28,7 @@ class Argument(Enum):
     NONE = "no argument"
     MSG_ID = "a MsgId"
     APP = "the name of an application, as events print it"
+    START = "the name of an application, or NAME,FILE,ENTRY[,PRIORITY[,STACK]] as cfe_es_startup.scr has them"
     RESET = "processor or power-on"
 
 
@@ -69,11 +70,9 @@ class NamedCommand:
                 raise ConfigError(f"takes {self.argument.value}, e.g. 0x0827, not {text!r}")
             return number.to_bytes(4, "little") + (bytes([0, 0, limit, 0]) if self.has_limit else b"")
         if self.argument is Argument.APP:
-            name = text.encode()
-            if not 0 < len(name) < executive_services.APP_NAME_BYTES:
-                most = executive_services.APP_NAME_BYTES - 1
-                raise ConfigError(f"takes {self.argument.value}, {most} bytes at most, not {text!r}")
-            return name.ljust(executive_services.APP_NAME_BYTES, b"\0")
+            return self._text(text, executive_services.APP_NAME_BYTES)
+        if self.argument is Argument.START:
+            return self._start(text)
         if self.argument is Argument.RESET:
             if text not in _RESETS:
                 raise ConfigError(f"takes {self.argument.value}, not {text!r}")
@@ -81,6 +80,29 @@ class NamedCommand:
         if text:
             raise ConfigError(f"takes no argument; leave {text!r} out")
         return b""
+
+    def _start(self, text: str) -> bytes:
+        """Return the payload that starts an application: name, entry point, file, stack, priority."""
+        app, *rest = (item.strip() for item in text.split(","))
+        if not rest and app not in executive_services.STARTS:
+            known = ", ".join(executive_services.STARTS)
+            raise ConfigError(f"knows file and entry point of {known}; of {app!r} write NAME,FILE,ENTRY")
+        file, entry, *numbers = rest if rest[1:] else executive_services.STARTS.get(app, ("", ""))
+        values = [executive_services.USUAL_PRIORITY, executive_services.USUAL_STACK_BYTES]
+        values[: len(numbers)] = [_number(item) for item in numbers]
+        if len(rest) == 1 or len(values) > 2 or not (0 < values[0] < 256 and 0 < values[1] < 1 << 32):
+            raise ConfigError(f"takes {self.argument.value}, not {text!r}")
+        priority, stack = values
+        names = [self._text(item, executive_services.APP_NAME_BYTES) for item in (app, entry)]
+        path = self._text(file, executive_services.FILE_NAME_BYTES)
+        return b"".join([*names, path, stack.to_bytes(4, "little"), bytes(2), priority.to_bytes(2, "little")])
+
+    def _text(self, text: str, size: int) -> bytes:
+        """Return a text in a field of so many bytes, at least one NUL behind it."""
+        data = text.encode()
+        if not 0 < len(data) < size:
+            raise ConfigError(f"takes {self.argument.value}, {size - 1} bytes at most, not {text!r}")
+        return data.ljust(size, b"\0")
 
 
 def _number(text: str) -> int:
@@ -107,6 +129,7 @@ NAMED: Final[dict[str, NamedCommand]] = {
     "evs-reset-filters": NamedCommand(_EVS, event_services.RESET_ALL_FILTERS, Argument.APP),
     "evs-enable-app": NamedCommand(_EVS, event_services.ENABLE_APP, Argument.APP),
     "evs-disable-app": NamedCommand(_EVS, event_services.DISABLE_APP, Argument.APP),
+    "es-start-app": NamedCommand(_ES, executive_services.START_APP, Argument.START),
     "es-stop-app": NamedCommand(_ES, executive_services.STOP_APP, Argument.APP),
     "es-restart-app": NamedCommand(_ES, executive_services.RESTART_APP, Argument.APP),
     "es-restart": NamedCommand(_ES, executive_services.RESTART, Argument.RESET),

@@ -16,6 +16,16 @@ STARTED, STOPPED, RESTARTED, RELOADED = 6, 8, 10, 12
 """Events: ``Started NAME from FILE``, ``Stop Application NAME Completed.``, ``Restart Application NAME``."""
 APP_NAME_BYTES: Final = 20
 FILE_NAME_BYTES: Final = 64
+STARTS: Final = {
+    "CI_LAB_APP": ("/cf/ci_lab.so", "CI_LAB_AppMain"),
+    "TO_LAB_APP": ("/cf/to_lab.so", "TO_LAB_AppMain"),
+    "SCH_LAB_APP": ("/cf/sch_lab.so", "SCH_LAB_AppMain"),
+    "SBN": ("/cf/sbn.so", "SBN_AppMain"),
+    "EDORAS_APP": ("/cf/edoras_app.so", "EdorasAppMain"),
+}
+"""Application to its file and its entry point, as the usual ``cfe_es_startup.scr`` names them."""
+USUAL_STACK_BYTES: Final = 65536
+USUAL_PRIORITY: Final = 50
 RESTART_TYPES: Final = frozenset({1, 2})
 """Of the processor: a processor reset, a power-on reset."""
 

@@ -605,3 +605,27 @@ def test_every_rule_is_documented():
     page = (ROOT / "docs/rules/README.md").read_text()
     headings = re.findall(r"^### `(\w+)`", page, re.MULTILINE)
     assert sorted(headings) == sorted(IDS)
+
+
+@pytest.mark.parametrize(
+    ("events", "remedy"),
+    [
+        (
+            [(8, "Stop Application EDORAS_APP Completed.")],
+            "start it again: edoras inject es-start-app EDORAS_APP",
+        ),
+        (
+            [
+                (8, "Stop Application EDORAS_APP Completed."),
+                (6, "Started EDORAS_APP from /cf/edoras_app.so, AppID = 1114126"),
+            ],
+            "send nothing while an application is restarted",
+        ),
+        ([(8, "Stop Application OTHER Completed.")], "send nothing while an application is restarted"),
+    ],
+)
+def test_an_application_that_does_not_run_is_started_by_a_command_to_paste(lab, events, remedy):
+    sent, _ = lab.simulate(seconds=20)
+    told = [lab.event(12 + at, "CFE_ES", number, text, 2) for at, (number, text) in enumerate(events)]
+    found = [item for item in lab.examine(lab.merged(sent, *told)).verdicts if item.rule == "app_outage"]
+    assert {item.remedy for item in found} == {remedy}

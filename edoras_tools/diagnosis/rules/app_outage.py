@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
+from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.diagnosis.accounting.stops import outages
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
 from edoras_tools.diagnosis.verdict import Severity, Verdict
@@ -30,7 +31,7 @@ def judge(case: Case) -> Iterator[Verdict]:
                 loss,
                 f"{lost_at(case, loss, 'commands')}: {_KINDS[loss.kind]}",
                 link="ci" if loss.stream is None else loss.stream.link.label,
-                remedy="send nothing while an application is restarted; start it again if it is not there",
+                remedy=_remedy(case, loss.hop),
             )
     for item in outages(case.known):
         end_ns = item.end_ns if item.end_ns is not None else case.end_ns
@@ -51,5 +52,13 @@ def judge(case: Case) -> Iterator[Verdict]:
             evidence=(f"event {item.said}",),
             remedy=f"enable it again after it restarts: {case.inject(ENABLE_OUTPUT)}"
             if item.app.startswith("TO_")
-            else "none, where it was asked for",
+            else _remedy(case, item.app),
         )
+
+
+def _remedy(case: Case, app: str | None) -> str:
+    """Return what helps: to start it again where it still does not run."""
+    last = next((item for item in reversed(outages(case.known)) if item.app == app), None)
+    if app not in STARTS or last is None or last.end_ns is not None:
+        return "send nothing while an application is restarted"
+    return f"start it again: {case.inject('es-start-app', app)}"

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.cfs.sbn import NAME
 from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.units import SECOND
@@ -65,5 +66,6 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
             start_ns=when,
             end_ns=case.end_ns,
             evidence=(f"packet {rows.number[row]}: DISCONNECT from {who}",),
-            remedy="look at the events of SBN around that time; restart SBN, or cFS",
+            remedy="look at the events of SBN around that time; to restart it: "
+            f"{case.inject('es-restart-app', NAME)}",
         )

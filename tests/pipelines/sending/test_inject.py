@@ -95,6 +95,16 @@ def test_every_name_of_a_command_is_a_bare_header(made):
     assert {"to-enable", "noop", "to-add", "es-noop"} <= set(command_names())
 
 
+START_IN_FLIGHT = (
+    "1806 0000 0071 0400"
+    + b"EDORAS_APP".ljust(20, b"\0").hex()
+    + b"EdorasAppMain".ljust(20, b"\0").hex()
+    + b"/cf/edoras_app.so".ljust(64, b"\0").hex()
+    + "0000 0100 0000 3200"
+)
+"""The command that a real cFS started the application by (capture n5_app_restarts)."""
+
+
 @pytest.mark.parametrize(
     ("what", "payload"),
     [
@@ -104,6 +114,8 @@ def test_every_name_of_a_command_is_a_bare_header(made):
         (("TO_REMOVE", "2087"), "1880 0000 0005 0400 2708 0000"),
         (("evs-reset-filters", "CFE_SB"), "1801 0000 0015 0e00 4346 455f 5342" + "00" * 14),
         (("es-restart-app", "CI_LAB_APP"), "1806 0000 0015 0600 4349 5f4c 4142 5f41 5050" + "00" * 10),
+        (("es-start-app", "EDORAS_APP"), START_IN_FLIGHT),
+        (("es-start-app", "EDORAS_APP,/cf/edoras_app.so,EdorasAppMain,50,65536"), START_IN_FLIGHT),
         (("es-stop-app", "EDORAS_APP"), "1806 0000 0015 0500 4544 4f52 4153 5f41 5050" + "00" * 10),
         (("es-restart", "power-on"), "1806 0000 0003 0200 0200"),
         (("sbn", "noop"), "18fa 0000 0001 0000"),
@@ -209,6 +221,15 @@ def test_a_long_random_run_keeps_its_count(made, monkeypatch):
         (["to-remove", "0x10827"], {}, ConfigError, "to-remove takes a MsgId"),
         (["evs-reset-filters"], {}, ConfigError, "takes the name of an application"),
         (["es-restart-app", "A" * 20], {}, ConfigError, "19 bytes at most"),
+        (["es-start-app", "OTHER"], {}, ConfigError, "of 'OTHER' write NAME,FILE,ENTRY"),
+        (["es-start-app", "OTHER,/cf/other.so"], {}, ConfigError, "takes the name of an application, or"),
+        (
+            ["es-start-app", "OTHER,/cf/other.so,Main,300"],
+            {},
+            ConfigError,
+            "takes the name of an application",
+        ),
+        (["es-start-app", f"OTHER,/cf/{64 * 'x'},Main"], {}, ConfigError, "63 bytes at most"),
         (["es-restart", "now"], {}, ConfigError, "es-restart takes processor or power-on, not 'now'"),
         (["to-remove", "0x827"], {"limit": 3}, ConfigError, "--limit is of to-add"),
         ([CMD], {"limit": 3}, ConfigError, "--limit is of to-add"),
