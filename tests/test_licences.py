@@ -20,26 +20,26 @@ LICENCES = {
     "MIT": (
         "annotated-doc ast-serialize duckdb execnet foxglove-sdk iniconfig librt linkify-it-py "
         "markdown-it-py mcap mdit-py-plugins mdurl mypy mypy-extensions platformdirs pluggy polars "
-        "polars-runtime-32 pytest pytest-xdist pyparsing rich rich-click ruamel-yaml ruff setuptools "
-        "textual typer fonttools six"
+        "polars-runtime-32 pytest pytest-xdist rich rich-click ruamel-yaml ruff setuptools "
+        "textual typer six"
     ),
+    "MIT, in its file LICENSE": "resvg-py",
     "BSD": (
-        "click colorama contourpy cycler grimp import-linter kiwisolver lz4 numpy pandas pygments "
-        "python-dateutil websockets zstandard"
+        "click colorama grimp import-linter lz4 numpy pandas pygments python-dateutil websockets zstandard"
     ),
     "Apache-2.0": "junitparser pyarrow rosbags sortedcontainers tzdata",
     "Apache-2.0 or BSD": "packaging",
     "EPL-2.0, or Apache-2.0, or BSD": "cyclonedds eclipse-zenoh",
     "MPL-2.0": "hypothesis pathspec",
-    "PSF-2.0": "backports-zstd isal matplotlib typing-extensions",
+    "PSF-2.0": "backports-zstd isal typing-extensions",
     "ISC": "shellingham",
-    "MIT-CMU": "pillow",
     "any that OSI approves": "apsw",
     "public domain": "pyelftools",
     **{licence: name for name, licence in GPL.items()},
 }
 SAYS = {
     "MIT": r"MIT( License)?",
+    "MIT, in its file LICENSE": r"",
     "BSD": r"(BSD|0BSD).*",
     "Apache-2.0": r"Apache.*",
     "Apache-2.0 or BSD": r"(?=.*Apache)(?=.*BSD).*",
@@ -49,7 +49,6 @@ SAYS = {
     "ISC": r"ISC.*",
     "any that OSI approves": r"any-OSI.*",
     "public domain": r"[Pp]ublic [Dd]omain",
-    "MIT-CMU": r"MIT-CMU|HPND.*",
     **{licence: licence for licence in GPL.values()},
 }
 """What the packages write for each."""

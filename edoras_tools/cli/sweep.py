@@ -154,9 +154,9 @@ class ChartOptions(NamedTuple):
     """Files for the chart."""
 
     svg: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the chart as SVG.")] = None
-    png: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the chart as PNG; needs matplotlib.")
-    ] = None
+    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the chart as PNG; needs resvg.")] = (
+        None
+    )
 
 
 @options.grouped
@@ -183,14 +183,14 @@ def sweep(
     from edoras_tools.links.table import named
     from edoras_tools.pipelines.sweep.plan import route_of
     from edoras_tools.pipelines.sweep.run import sweep as carry_out
-    from edoras_tools.render import chart
+    from edoras_tools.render import svg
     from edoras_tools.render.sending import sweep as view
     from edoras_tools.render.terminal.console import output_console
 
     json, quiet = printing
     steps.check(how.target)
     if charts.png is not None:
-        chart.need_png()
+        svg.need_png()
     bench = decoding.settings().workbench()
     chosen = route_of(route, named(to.value) if to else None, bench.mission)
     send_options = how.send_options(chosen.link).placed(bench.mission)
@@ -223,20 +223,13 @@ def sweep(
 
 
 def _draw(summary: dict[str, Any], charts: ChartOptions) -> None:
-    from io import BytesIO
-
     from edoras_tools.io.outputs import write_bytes
     from edoras_tools.render import chart
     from edoras_tools.render.sending.sweep import threshold_line
+    from edoras_tools.render.svg import png
 
-    drawn = chart.Chart.of(summary)
-    subtitle = f"threshold {threshold_line(summary)}"
-    images: list[tuple[Path, bytes]] = []
+    picture = chart.svg(chart.Chart.of(summary), f"threshold {threshold_line(summary)}")
     if charts.svg is not None:
-        images.append((charts.svg, chart.svg(drawn, subtitle).encode()))
+        write_bytes(charts.svg, picture.encode())
     if charts.png is not None:
-        image = BytesIO()
-        chart.png(drawn, image, subtitle)
-        images.append((charts.png, image.getvalue()))
-    for path, content in images:
-        write_bytes(path, content)
+        write_bytes(charts.png, png(picture, 2 * chart.WIDTH))

@@ -1,26 +1,25 @@
-"""A chart of delivered against requested rate or size: for the terminal, as SVG, as PNG."""
+"""A chart of delivered against requested rate or size: for the terminal, as SVG."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from html import escape
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
 
-from edoras_tools.errors import ConfigError
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from io import BytesIO
 
 _MOST_TICKS: Final = 6
 _CLEAN, _LOSSY, _IDEAL = "●", "✗", "·"
-_WIDTH, _HEIGHT = 720, 420
+WIDTH: Final = 720
+"""Of the SVG's view box."""
+_HEIGHT: Final = 420
 _LEFT, _RIGHT, _TOP, _BOTTOM = 70, 20, 56, 56
 _COLOURS: Final = {"clean": "#1a7f37", "lossy": "#cf222e", "ideal": "#8c959f", "grid": "#d8dee4"}
 
@@ -81,12 +80,16 @@ _WIDEST: Final = 200
 
 def ticks(end: float, most: int = _MOST_TICKS) -> list[float]:
     """Return round numbers from 0 up to ``end``, at most ``most``."""
-    if end <= 0:
-        return [0.0]
-    rough = end / (most - 1)
+    return ticks_between(0, end, most) if end > 0 else [0.0]
+
+
+def ticks_between(low: float, high: float, most: int = _MOST_TICKS) -> list[float]:
+    """Return at most about ``most`` round numbers from ``low`` to ``high``, which is greater."""
+    rough = (high - low) / (most - 1)
     unit = 10.0 ** math.floor(math.log10(rough))
     step = next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= rough * (1 - 1e-9))
-    return [step * index for index in range(int(end / step + 1e-9) + 1)]
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [step * index for index in range(first, last + 1)]
 
 
 def terminal(chart: Chart, width: int) -> list[Text]:
@@ -142,7 +145,7 @@ def svg(chart: Chart, subtitle: str = "") -> str:
     end_x, end_y = chart.ends
 
     def at(x: float, y: float) -> tuple[float, float]:
-        across = _LEFT + x / end_x * (_WIDTH - _LEFT - _RIGHT)
+        across = _LEFT + x / end_x * (WIDTH - _LEFT - _RIGHT)
         return across, _HEIGHT - _BOTTOM - y / end_y * (_HEIGHT - _TOP - _BOTTOM)
 
     def line(a: tuple[float, float], b: tuple[float, float], colour: str, more: str = "") -> str:
@@ -155,8 +158,8 @@ def svg(chart: Chart, subtitle: str = "") -> str:
     middle, right, dashes = ' text-anchor="middle"', ' text-anchor="end"', ' stroke-dasharray="4 4"'
     font = 'font-family="sans-serif" font-size="13" fill="#24292f"'
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" {font}>',
-        f'<rect width="{_WIDTH}" height="{_HEIGHT}" fill="#ffffff"/>',
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {_HEIGHT}" {font}>',
+        f'<rect width="{WIDTH}" height="{_HEIGHT}" fill="#ffffff"/>',
         text(_LEFT, 22, chart.title, ' font-size="15" font-weight="bold"'),
         text(_LEFT, 42, subtitle),
     ]
@@ -172,51 +175,10 @@ def svg(chart: Chart, subtitle: str = "") -> str:
     for x, y, lossy in chart.points:
         kind, (across, up) = ("lossy" if lossy else "clean"), at(x, y)
         parts.append(f'<circle cx="{across:.1f}" cy="{up:.1f}" r="4.5" fill="{_COLOURS[kind]}"/>')
-    parts.append(text((_LEFT + _WIDTH - _RIGHT) / 2, _HEIGHT - 14, chart.across, middle))
+    parts.append(text((_LEFT + WIDTH - _RIGHT) / 2, _HEIGHT - 14, chart.across, middle))
     turned = f'{middle} transform="rotate(-90 18 {_HEIGHT / 2:.0f})"'
     parts += [text(18, _HEIGHT / 2, chart.up, turned), "</svg>"]
     return "\n".join(parts) + "\n"
-
-
-def need_png() -> Any:
-    """Return matplotlib's ``figure`` module, which draws PNG.
-
-    Raises:
-        ConfigError: matplotlib is not installed, or not wholly.
-    """
-    try:
-        return import_module("matplotlib.figure")
-    except ImportError as error:
-        why = f"which is not installed ({error})"
-        raise ConfigError(f"--png needs matplotlib, {why}; pip install matplotlib, or write --svg") from None
-
-
-def png(chart: Chart, file: BytesIO, subtitle: str = "") -> None:
-    """Draw a chart as PNG, by matplotlib.
-
-    Args:
-        chart: what to draw.
-        file: where to.
-        subtitle: one line below the title.
-
-    Raises:
-        ConfigError: matplotlib is not installed.
-    """
-    figure = need_png().Figure(figsize=(_WIDTH / 100, _HEIGHT / 100), dpi=200)
-    axes = figure.subplots()
-    axes.plot(*zip(*chart.ideal, strict=True), "--", color=_COLOURS["ideal"], linewidth=1)
-    if chart.threshold is not None:
-        axes.axvline(chart.threshold, linestyle="--", color=_COLOURS["clean"], linewidth=1)
-    for lossy, kind in ((False, "clean"), (True, "lossy")):
-        chosen = [(x, y) for x, y, lost in chart.points if lost == lossy]
-        if chosen:
-            axes.plot(*zip(*chosen, strict=True), "o", color=_COLOURS[kind])
-    axes.set(xlabel=chart.across, ylabel=chart.up, xlim=(0, None), ylim=(0, None))
-    axes.grid(color=_COLOURS["grid"])
-    figure.suptitle(chart.title, fontsize=11, fontweight="bold")
-    axes.set_title(subtitle, fontsize=8)
-    figure.tight_layout()
-    figure.savefig(file, format="png")
 
 
 def _figure(value: float) -> str:

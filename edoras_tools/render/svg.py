@@ -1,13 +1,16 @@
-"""Pictures of the views, for documentation."""
+"""Pictures of the views, for documentation; SVG as PNG."""
 
 from __future__ import annotations
 
 import io
 import re
-from typing import TYPE_CHECKING, Final
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 from rich.text import Text
+
+from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -39,3 +42,39 @@ def terminal_picture(views: Iterable[str | RenderableType], *, width: int, title
 def without_fonts(svg: str) -> str:
     """Return a picture that rich made so that it loads nothing from elsewhere."""
     return _FONTS.sub("", svg)
+
+
+def need_png() -> Any:
+    """Return the library that draws SVG as PNG, once it has drawn a letter.
+
+    Raises:
+        ConfigError: it is not installed, or this system has no font.
+    """
+    try:
+        resvg = import_module("resvg_py")
+    except ImportError:
+        raise ConfigError(
+            "PNG needs resvg, which is not installed: pip install 'edoras-tools[plot]', or write SVG"
+        ) from None
+    box = '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="20">{}</svg>'
+    blank, letter = (
+        resvg.svg_to_bytes(svg_string=box.format(inside)) for inside in ("", '<text y="15">W</text>')
+    )
+    if blank == letter:
+        raise ConfigError(
+            "PNG needs a font, and this system has none: install fonts-dejavu-core, or write SVG"
+        )
+    return resvg
+
+
+def png(svg: str, width: int) -> bytes:
+    """Return an SVG picture as PNG.
+
+    Args:
+        svg: the picture; its size is that of its view box.
+        width: pixels.
+
+    Raises:
+        ConfigError: see ``need_png``.
+    """
+    return bytes(need_png().svg_to_bytes(svg_string=svg, width=width))

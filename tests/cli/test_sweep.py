@@ -6,7 +6,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from edoras_tools.render import chart
+from edoras_tools.errors import ConfigError
+from edoras_tools.render import svg
 
 
 def test_json_has_the_promised_shape(call, missions):
@@ -82,10 +83,10 @@ def test_mistakes_are_one_clear_line(call, missions, options, code, words):
     assert words in done.err[0]
 
 
-def test_png_needs_matplotlib_and_says_so_before_the_sweep(call, missions, monkeypatch):
+def test_png_needs_resvg_and_says_so_before_the_sweep(call, missions, monkeypatch):
     def none():
-        raise chart.ConfigError("--png needs matplotlib")
+        raise ConfigError("PNG needs resvg")
 
-    monkeypatch.setattr(chart, "need_png", none)
+    monkeypatch.setattr(svg, "need_png", none)
     done = call("sweep", "/cmd_vel", *missions("rover_ground"), "--sim", "rover", "--png", "x.png")
-    assert (done.code, done.out, done.err) == (2, "", ["edoras: --png needs matplotlib"])
+    assert (done.code, done.out, done.err) == (2, "", ["edoras: PNG needs resvg"])

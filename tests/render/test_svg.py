@@ -1,11 +1,17 @@
 from __future__ import annotations
 
+import struct
+import sys
+from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
+import pytest
+
 from edoras_tools.decode.lines import line_of
+from edoras_tools.errors import ConfigError
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
-from edoras_tools.render.svg import terminal_picture
+from edoras_tools.render.svg import png, terminal_picture
 
 
 def test_a_picture_of_lines_and_tables(packets, summary):
@@ -26,3 +32,26 @@ def test_long_lines_are_cut():
     assert "x" * 20 in text
     assert "x" * 21 not in text
     assert "[red]y" in text
+
+
+BOX = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 30 20"><rect width="30" height="20"/></svg>'
+
+
+def test_png_has_the_width_that_is_asked_for():
+    pytest.importorskip("resvg_py", reason="the extra plot is not installed")
+    image = png(BOX, 60)
+    assert image[:8] == b"\x89PNG\r\n\x1a\n"
+    assert struct.unpack(">2I", image[16:24]) == (60, 40)
+
+
+@pytest.mark.parametrize(
+    ("library", "told"),
+    [
+        (None, r"pip install 'edoras-tools\[plot\]', or write SVG"),
+        (SimpleNamespace(svg_to_bytes=lambda **_: b"blank"), "install fonts-dejavu-core"),
+    ],
+)
+def test_png_without_its_library_or_without_a_font_says_what_to_do(monkeypatch, library, told):
+    monkeypatch.setitem(sys.modules, "resvg_py", library)
+    with pytest.raises(ConfigError, match=told):
+        png(BOX, 60)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import sys
-from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -12,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from edoras_tools.errors import ConfigError
 from edoras_tools.render import chart
 from edoras_tools.render.chart import Chart, terminal, ticks
 from edoras_tools.render.sending import sweep
@@ -137,28 +134,3 @@ def test_svg_stands_alone_and_is_escaped():
     assert len([item for item in root if item.tag.endswith("circle")]) == 3
     assert "href" not in text
     assert "@font-face" not in text
-
-
-def test_png_without_matplotlib_says_what_to_do(monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(ConfigError, match="pip install matplotlib, or write --svg"):
-        chart.png(Chart.of(SUMMARY), io.BytesIO())
-
-
-def test_png_by_matplotlib(monkeypatch):
-    """matplotlib need not be installed for that: what is asked of it counts."""
-    asked = []
-
-    class Anything:
-        def __getattr__(self, name):
-            def call(*arguments, **keywords):
-                asked.append((name, arguments, keywords))
-                return Anything()
-
-            return call
-
-    monkeypatch.setattr(chart, "need_png", lambda: SimpleNamespace(Figure=lambda **_: Anything()))
-    file = io.BytesIO()
-    chart.png(Chart.of(SUMMARY), file, "threshold")
-    assert asked[-1] == ("savefig", (file,), {"format": "png"})
-    assert ("plot", ((8,), (8.0,), "o"), {"color": "#1a7f37"}) in asked
