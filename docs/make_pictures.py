@@ -16,11 +16,15 @@ from textual.widgets import Input
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.sniff import decode_packet
+from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.plot.request import parse_request
+from edoras_tools.pipelines.plot.series import open_recordings, read_plot
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.render.capture import packet
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
+from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.svg import terminal_picture, without_fonts
 from edoras_tools.render.terminal import palette
 from edoras_tools.tui.viewer import Viewer, ViewOptions
@@ -147,10 +151,21 @@ def tui_small() -> str:
     return _three_panes((80, 24), "<colon>", "1197", "<enter>", "<enter>")
 
 
+def plot() -> str:
+    """Draw a plot of two fields."""
+    settings, path = _bench("a_rover", ["rover_ground"])
+    asked = [
+        parse_request("/cmd_vel.linear.x,/cmd_vel.angular.z"),
+        parse_request("/telemetry_pose.pose.position"),
+    ]
+    return plot_svg(read_plot(open_recordings([path], settings, Scope()), [path.name], asked, Scope()).figure)
+
+
 PICTURES: Final[dict[str, Callable[[], str]]] = {
     "sniff": sniff,
     "decode": decode,
     "info": info,
+    "plot": plot,
     "tui": tui,
     "tui_filter": tui_filter,
     "tui_routes": tui_routes,

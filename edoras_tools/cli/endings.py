@@ -24,10 +24,13 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.pipelines.bridge.run import Bridges
     from edoras_tools.pipelines.capture.record import CaptureReport
+    from edoras_tools.pipelines.export.sources import TopicSource
     from edoras_tools.pipelines.proxy.run import Proxy
 
 LOST = 3
 """Exit code: finished, but data was lost or found lost."""
+INTERRUPTED = 130
+"""Exit code of a program that Ctrl-C ended, as in shells."""
 
 
 def no_datagrams(source: Source) -> None:
@@ -109,6 +112,31 @@ def lost_outputs(losses: Sequence[OutputLoss]) -> None:
         tell(str(item))
     if losses:
         raise typer.Exit(LOST)
+
+
+def topics_read(source: TopicSource, result: str) -> None:
+    """End a command that read the topics of an input.
+
+    Args:
+        source: the input.
+        result: what was made of it, e.g. ``the tables contain``.
+
+    Raises:
+        EdorasError: the input ended early, or contained no UDP at all.
+        typer.Exit: with code 3, if the capture lost packets; with code 130 after Ctrl-C.
+    """
+    for note in source.notes:
+        tell(note)
+    if source.left_out:
+        tell(f"{source.left_out:,} messages are incomplete and were left out")
+    if source.failure is not None:
+        raise source.failure
+    if source.interrupted:
+        tell(f"interrupted; {result} what was read before")
+        raise typer.Exit(INTERRUPTED)
+    if source.source is not None:
+        no_datagrams(source.source)
+        lost(source.source)
 
 
 def finish_relay(

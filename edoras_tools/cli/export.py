@@ -8,9 +8,8 @@ from typing import Annotated, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.endings import lost, no_datagrams, tell
+from edoras_tools.cli.endings import topics_read
 from edoras_tools.cli.inputs import FileOptions
-from edoras_tools.cli.main import INTERRUPTED
 from edoras_tools.cli.output import print_json
 from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, TimeForm
 
@@ -105,15 +104,4 @@ def export(
         from edoras_tools.render.capture.exported import exported_lines
 
         sys.stderr.writelines(f"{line}\n" for line in exported_lines(report.summary()))
-    for note in source.notes:
-        tell(note)
-    if source.left_out:
-        tell(f"{source.left_out:,} messages are incomplete and were left out")
-    if source.failure is not None:
-        raise source.failure
-    if source.interrupted:
-        tell("interrupted; the tables contain what was read before")
-        raise typer.Exit(INTERRUPTED)
-    if source.source is not None:
-        no_datagrams(source.source)
-        lost(source.source)
+    topics_read(source, "the tables contain")

@@ -16,7 +16,7 @@ import typer.core
 
 from edoras_tools import __version__
 from edoras_tools.cli import settings
-from edoras_tools.cli.endings import tell
+from edoras_tools.cli.endings import INTERRUPTED, tell
 from edoras_tools.errors import EdorasError
 
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
@@ -24,9 +24,6 @@ _USAGE: Final[Any] = typer.BadParameter.__mro__[1]
 """Click's base class of usage errors; some versions of typer contain their own copy of click."""
 
 _VALUE_LEFT_OUT: Final = {"--sync": "--sync=1s"}
-
-INTERRUPTED: Final = 130
-"""Exit code of a program that Ctrl-C ended, as in shells."""
 
 _NO_MEMORY: Final = (
     *("can't start new thread", "failed to map segment", "Cannot allocate memory"),
@@ -36,7 +33,7 @@ _NO_MEMORY: Final = (
 """Texts of errors other than ``MemoryError`` that mean that memory is exhausted."""
 
 GROUPS: Final = {
-    "Look": ("sniff", "info", "decode", "live"),
+    "Look": ("sniff", "info", "decode", "live", "plot"),
     "Record": ("record", "recover", "export"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "sweep", "proxy"),

@@ -28,7 +28,7 @@ def _start(alone: str = "") -> NoReturn:
     gc.set_threshold(200_000)
     sys.setswitchinterval(_TURN_S)
     try:
-        from edoras_tools.cli import main
+        from edoras_tools.cli import endings, main
 
         named = sys.argv[1:2]
         if alone:
@@ -45,7 +45,7 @@ def _start(alone: str = "") -> NoReturn:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         main.run(made)
     except KeyboardInterrupt:
-        os._exit(main.INTERRUPTED)
+        os._exit(endings.INTERRUPTED)
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 0
         with suppress(OSError):

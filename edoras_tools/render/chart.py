@@ -92,6 +92,21 @@ def ticks_between(low: float, high: float, most: int = _MOST_TICKS) -> list[floa
     return [step * index for index in range(first, last + 1)]
 
 
+def scale_line(labels: Sequence[tuple[int, str]], room: int) -> str:
+    """Return the line below a horizontal axis.
+
+    Args:
+        labels: cell and text of each; one that would touch the one before it is left out.
+        room: cells.
+    """
+    scale = ""
+    for cell, text in labels:
+        at = min(max(0, cell - len(text) // 2), room - len(text))
+        if at > len(scale) or not scale:
+            scale = scale.ljust(at) + text
+    return scale
+
+
 def terminal(chart: Chart, width: int) -> list[Text]:
     """Draw a chart in terminal cells.
 
@@ -124,12 +139,7 @@ def terminal(chart: Chart, width: int) -> list[Text]:
         line.rstrip()
         lines.append(line)
     lines.append(Text(" " * margin + " └" + "─" * room, palette.DIM))
-    scale = ""
-    for value in ticks(end_x):
-        text = _figure(value)
-        at = min(max(0, place(value, 0)[0] - len(text) // 2), room - len(text))
-        if at > len(scale) or not scale:
-            scale = scale.ljust(at) + text
+    scale = scale_line([(place(value, 0)[0], _figure(value)) for value in ticks(end_x)], room)
     lines.append(Text(" " * (margin + 2) + scale, palette.DIM))
     lines.append(Text(chart.across.rjust(width), palette.DIM))
     return lines

@@ -24,7 +24,7 @@ LIBRARIES = ("pyarrow", "pandas", "duckdb", "polars")
 """Of the extra ``dev``: the page of each is run where all are installed."""
 COMMANDS = (
     *("sniff", "record", "info", "decode", "recover", "export", "sim", "demo", "doctor", "report", "compare"),
-    "check",
+    *("check", "plot"),
     *("replay", "inject", "sweep", "proxy", "wireshark", "live", "bridge", "codegen", "structs"),
 )
 

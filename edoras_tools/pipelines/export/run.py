@@ -16,8 +16,6 @@ from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.streams import FAULTS, OWN_TOPICS
 from edoras_tools.pipelines.export.judged import JUDGED
 from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen_topics
-from edoras_tools.units import SECOND
-from edoras_tools.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -170,7 +168,7 @@ def export(
                     head = TableHead(block.topic, block.message.type, _told(source, block.topic))
                     tables[block.topic] = TableFile(target.place(block.topic), make, head, columns, pool)
                 tables[block.topic].write(columns)
-            _check_found(source, tables, wanted)
+            source.check_found(tables, wanted)
             for table in tables.values():
                 table.close()
                 report.files.append(table)
@@ -207,21 +205,3 @@ def _writer(target: ExportTarget) -> Any:
 def _told(source: TopicSource, topic: str) -> dict[str, str]:
     """Return a table's metadata besides topic and type."""
     return {"edoras.source": source.name, "edoras.definition": source.definition(topic)}
-
-
-def _check_found(source: TopicSource, tables: Collection[str], wanted: Sequence[str]) -> None:
-    """Check that there is something to write.
-
-    Raises:
-        CaptureError: there is nothing.
-    """
-    if tables:
-        return
-    if source.failure is not None:
-        raise source.failure
-    after = ""
-    if source.last_ns >= 0:
-        after = f"; its times go from 0 to {(source.last_ns - source.zero_ns) / SECOND:.3f} s"
-    raise CaptureError(
-        f"{source.name}: no message on {listed(sorted(wanted)) or 'any topic'} in the selected part{after}"
-    )

@@ -28,6 +28,8 @@ from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import open_files
 from edoras_tools.ros import TypeStore
+from edoras_tools.units import SECOND
+from edoras_tools.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -102,6 +104,22 @@ class TopicSource(ABC):
             RouteError: the selection names a topic that is not configured.
             ConfigError: its filter has a mistake.
         """
+
+    def check_found(self, found: Collection[object], wanted: Collection[str]) -> None:
+        """Check, once the whole input was read, that there was a message on a wanted topic.
+
+        Raises:
+            CaptureError: there was none, and why.
+        """
+        if found:
+            return
+        if self.failure is not None:
+            raise self.failure
+        after = ""
+        if self.last_ns >= 0:
+            after = f"; its times go from 0 to {(self.last_ns - self.zero_ns) / SECOND:.3f} s"
+        topics = listed(sorted(wanted)) or "any topic"
+        raise CaptureError(f"{self.name}: no message on {topics} in the selected part{after}")
 
     def close(self) -> None:
         """Close the input; may be called twice."""

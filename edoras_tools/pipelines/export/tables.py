@@ -51,7 +51,7 @@ class TableForm:
         made = [
             column
             for place, column in enumerate(self._all(block, zero_ns))
-            if not place or not self.fields or any(_fits(column.name, item) for item in self.fields)
+            if not place or not self.fields or any(fits_field(column.name, item) for item in self.fields)
         ]
         return exploded(made) if self.explode else made
 
@@ -107,13 +107,13 @@ def check_fields(patterns: Sequence[str], there: Mapping[str, Sequence[str]]) ->
     """
     names = sorted({name for columns in there.values() for name in columns})
     for pattern in patterns:
-        if not any(_fits(name, pattern) for name in names):
+        if not any(fits_field(name, pattern) for name in names):
             hint = did_you_mean(pattern, names, cutoff=0.5) or f"there are {', '.join(names[:12])}"
             raise ConfigError(f"--fields: {pattern!r} is no field of {', '.join(sorted(there))}; {hint}")
     return [
         topic
         for topic, columns in there.items()
-        if not patterns or any(_fits(name, item) for name in columns for item in patterns)
+        if not patterns or any(fits_field(name, item) for name in columns for item in patterns)
     ]
 
 
@@ -167,5 +167,6 @@ def _free(name: str, taken: Mapping[str, object]) -> str:
     return name
 
 
-def _fits(name: str, pattern: str) -> bool:
+def fits_field(name: str, pattern: str) -> bool:
+    """Return whether a field, or one that it is inside, matches a shell pattern."""
     return fnmatchcase(name, pattern) or name.startswith(f"{pattern}.")

@@ -1,0 +1,145 @@
+"""``edoras plot``: fields over time, in the terminal or as a picture."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from edoras_tools.cli import options, recordings
+from edoras_tools.cli.endings import topics_read
+from edoras_tools.cli.output import print_json
+from edoras_tools.errors import ConfigError
+from edoras_tools.io.formats.table import FILE_SUFFIXES, READ_PACKED
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from edoras_tools.render.plot.figure import Figure
+
+_PICTURES = (".svg", ".png", ".html")
+_PACKED = (".gz", ".zst")
+
+
+def _is_file(text: str) -> bool:
+    """Return whether an argument is a file, not a field: it exists, or has the suffix of a capture."""
+    path = Path(text)
+    suffix = path.with_suffix("").suffix if path.suffix in _PACKED else path.suffix
+    return text == "-" or suffix in FILE_SUFFIXES or path.exists()
+
+
+@options.grouped
+def plot(
+    *,
+    arguments: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="FILE... FIELD...",
+            help=f"{READ_PACKED}; fields such as /cmd_vel.linear.x, rate:/cmd_vel, loss:/cmd_vel.",
+        ),
+    ] = None,
+    read: Annotated[
+        list[Path] | None,
+        typer.Option("--read", "-r", metavar="FILE", help="A file; same as without -r; repeatable."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            *("--output", "-o"),
+            metavar="FILE",
+            parser=recordings.recording_path,
+            help="Write a picture (.svg, .png) or a page with zoom (.html); default: in the terminal.",
+        ),
+    ] = None,
+    force: recordings.Force = False,
+    bare: Annotated[
+        bool, typer.Option("--bare", help="Without rates, losses and events beneath the fields.")
+    ] = False,
+    printing: options.PrintOptions,
+    part: options.ScopeOptions,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Plot fields over time, with rates, losses and events beneath.
+
+    A FIELD is /cmd_vel.linear.x, '/cmd_vel.linear.*' or /imu.covariance[4]; each has its own panel; with a
+    comma, two share one. Without FIELD: the rates of all topics. Several files are laid over each other.
+    """
+    from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
+    from edoras_tools.pipelines.plot.request import parse_request
+    from edoras_tools.pipelines.plot.series import open_recordings, read_plot
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+
+    given = arguments or []
+    files = [*(read or ()), *(Path(item) for item in given if _is_file(item))]
+    if not files:
+        raise ConfigError("name the input to plot: FILE... FIELD...")
+    asked = [parse_request(item) for item in given if not _is_file(item)]
+    if output is not None:
+        _check(output)
+        refuse_input(output, files)
+        if not force:
+            refuse_existing(in_the_way(output))
+    scope = part.scope()
+    sources = open_recordings(files, decoding.settings(), scope)
+    names = [file.name for file in files]
+    names = names if len({*names}) == len(names) else [str(file) for file in files]
+    quiet = printing.quiet or printing.json
+    with FileProgress(", ".join(names), console=error_console(), quiet=quiet) as bar:
+        report = read_plot(sources, names, asked, scope, bare=bare, progress=bar)
+    if output is not None:
+        size = _write(report.figure, output)
+    if printing.json:
+        print_json({**report.summary(), "output": None if output is None else str(output)})
+    elif output is None:
+        _print(report.figure)
+    elif not printing.quiet:
+        from edoras_tools.render import units
+
+        lines = sum(len(panel.lines) for panel in report.figure.panels)
+        sys.stderr.write(f"{output}: {report.figure.title}, {plural(lines, 'line')}, {units.size(size)}\n")
+    for source in sources:
+        topics_read(source, "the plot shows")
+
+
+def _check(output: Path) -> None:
+    """Check that a picture can be written.
+
+    Raises:
+        ConfigError: its suffix is unknown, or a library is not installed.
+    """
+    if output.suffix.lower() not in _PICTURES:
+        raise ConfigError(f"{output}: {output.suffix or 'no suffix'} is no picture; use .svg, .png or .html")
+    if output.suffix.lower() == ".png":
+        from edoras_tools.render.svg import need_png
+
+        need_png()
+
+
+def _write(figure: Figure, output: Path) -> int:
+    """Write a picture; return its size in bytes."""
+    from edoras_tools.io.outputs import write_bytes
+    from edoras_tools.render.plot.page import plot_page
+    from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg
+    from edoras_tools.render.svg import png
+
+    suffix = output.suffix.lower()
+    if suffix == ".html":
+        data = plot_page(figure).encode("utf-8", "replace")
+    else:
+        picture = plot_svg(figure)
+        data = png(picture, 2 * PLOT_WIDTH) if suffix == ".png" else picture.encode("utf-8", "replace")
+    write_bytes(output, data, folders=True)
+    return len(data)
+
+
+def _print(figure: Figure) -> None:
+    from edoras_tools.render.plot.terminal import plot_lines
+    from edoras_tools.render.terminal.console import output_console
+    from edoras_tools.render.terminal.terminal import FILE_WIDTH, look
+
+    seen = look(sys.stdout)
+    width = 100 if seen.width == FILE_WIDTH else seen.width
+    for line in plot_lines(figure, width, colour=seen.colour):
+        output_console().print(line, no_wrap=True, crop=False)

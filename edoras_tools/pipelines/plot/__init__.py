@@ -1,0 +1,1 @@
+"""Reads fields, rates, losses and events of recordings as lines over time."""

@@ -1,0 +1,411 @@
+"""Reads what a plot shows: fields over time, and beneath them rates, losses and events."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.io.formats.table import TimeForm
+from edoras_tools.pipelines.export.judged import LOST_TOPIC
+from edoras_tools.pipelines.export.sources import open_topics
+from edoras_tools.pipelines.export.tables import TableForm
+from edoras_tools.pipelines.plot.lines import RateCounts, Values, bar_seconds, numbers
+from edoras_tools.pipelines.plot.request import PlotRequest, Quantity
+from edoras_tools.render.plot.figure import EventMark, Figure, Panel, PlotLine
+from edoras_tools.words import listed, plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.export.block import TopicBlock
+    from edoras_tools.pipelines.export.sources import TopicSource
+    from edoras_tools.pipelines.selection import Period
+    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.render.terminal.run import Progress
+
+LARGE: Final = 16 << 20
+"""Bytes of a capture from which on an examination takes longer than people wait for a plot."""
+MOST_LINES: Final = 24
+MOST_MARKS: Final = 500
+"""Events of a recording that are drawn."""
+_ERROR: Final = 40
+"""Level of an error in a ``Log``."""
+_LOG: Final = "rcl_interfaces/msg/Log"
+_OWN: Final = "/edoras/"
+_PER_SECOND: Final = "messages/s"
+
+
+@dataclass(slots=True)
+class _Recording:
+    """What is collected of one recording.
+
+    Attributes:
+        source: the recording.
+        topics: of each request, its topics with the fields that are meant.
+        log_topics: topics of events.
+        fields: the values by topic, field and element.
+        rates: messages of topics.
+        losses: lost messages of topics.
+        marks: time, level and text of each event.
+        first: time of the earliest message, s.
+        large: losses are only looked for if they are asked for.
+    """
+
+    source: TopicSource
+    topics: dict[PlotRequest, dict[str, list[str]]]
+    log_topics: list[str] = field(default_factory=list)
+    fields: dict[tuple[str, str, int | None], Values] = field(default_factory=dict)
+    rates: dict[str, RateCounts] = field(default_factory=dict)
+    losses: dict[str, RateCounts] = field(default_factory=dict)
+    marks: list[tuple[float, int, str]] = field(default_factory=list)
+    first: float = 0.0
+    large: bool = False
+
+    @classmethod
+    def of(
+        cls, source: TopicSource, wanted: Sequence[PlotRequest], narrowed: Sequence[str], *, bare: bool
+    ) -> _Recording:
+        """Find out what is to be read.
+
+        Raises:
+            ConfigError: a field is not there, or holds no numbers.
+            RouteError: a topic is not there.
+        """
+        made = cls(source, {})
+        for item in wanted:
+            topics = item.topics(source, narrowed)
+            if item.quantity is Quantity.FIELD:
+                made.topics[item] = item.fields(source, topics)
+                continue
+            if any(sign in item.topic for sign in "*?["):
+                topics = [topic for topic in topics if not topic.startswith(_OWN)]
+            counts = made.rates if item.quantity is Quantity.RATE else made.losses
+            counts |= {topic: RateCounts() for topic in topics}
+            made.topics[item] = {topic: [] for topic in topics}
+        if made.losses and LOST_TOPIC not in source.topics:
+            raise ConfigError(f"{source.name}: losses are only known of captures that can be read twice")
+        if not bare:
+            plotted = {topic for item in made.topics.values() for topic, names in item.items() if names}
+            counted = sorted(topic for topic in plotted if not topic.startswith(_OWN))
+            made.rates |= {topic: RateCounts() for topic in counted if topic not in made.rates}
+            made.large = source.source is not None and source.source.statistics.total_bytes > LARGE
+            if LOST_TOPIC in source.topics and not made.large:
+                made.losses |= {topic: RateCounts() for topic in made.rates if topic not in made.losses}
+            made.log_topics = [topic for topic, kind in source.topics.items() if kind == _LOG]
+        return made
+
+    @property
+    def wanted(self) -> set[str]:
+        """The topics that must be read."""
+        named = {topic for item in self.topics.values() for topic, names in item.items() if names}
+        return named | {*self.rates, *self.log_topics} | ({LOST_TOPIC} if self.losses else set())
+
+    def take(self, block: TopicBlock) -> None:
+        """Add a block of messages."""
+        seconds = (block.time_ns - self.source.zero_ns) / 1e9
+        self.first = min(self.first, float(seconds.min()))
+        if block.topic in self.rates:
+            self.rates[block.topic].add(seconds)
+        if block.topic in self.log_topics:
+            told = (_array(block, name).tolist() for name in ("level", "name", "msg"))
+            self.marks += [
+                (moment, level, f"{name}: {text}")
+                for moment, level, name, text in zip(seconds.tolist(), *told, strict=True)
+            ]
+        if block.topic == LOST_TOPIC:
+            topics, counts = _array(block, "topic"), _array(block, "count")
+            for topic, losses in self.losses.items():
+                rows = np.flatnonzero(topics == topic)
+                losses.add(seconds[rows], counts[rows])
+        asked: dict[str, set[int | None]] = {}
+        for item, there in self.topics.items():
+            for name in there.get(block.topic, ()):
+                asked.setdefault(name, set()).add(item.index)
+        columns = {item.name: item for item in TableForm(time=TimeForm.NS).columns(block, 0)} if asked else {}
+        for name, elements in asked.items():
+            for index in {None} if None in elements else elements:
+                for element, rows, values in numbers(columns[name], index):
+                    self._values(block.topic, name, element).add(seconds[rows], values)
+
+    def _values(self, topic: str, name: str, element: int | None) -> Values:
+        key = topic, name, element
+        if key not in self.fields:
+            if len(self.fields) == MOST_LINES:
+                raise ConfigError(
+                    f"{topic}.{name} and others are more than {MOST_LINES} lines; "
+                    "name fewer fields, or elements of lists: /topic.field[0]"
+                )
+            self.fields[key] = Values()
+        return self.fields[key]
+
+    def span(self, period: Period) -> tuple[float, float]:
+        """Return the begin and end of what was read, s.
+
+        Args:
+            period: what was to be read, after the first datagram.
+        """
+        last = max(0.0, (self.source.last_ns - self.source.zero_ns) / 1e9)
+        return period.start_ns / 1e9 or self.first, min(last, period.end_ns / 1e9) if period.end_ns else last
+
+
+def _array(block: TopicBlock, name: str) -> NDArray[Any]:
+    values = block.message.fields[name]
+    assert isinstance(values, np.ndarray)
+    return values
+
+
+@dataclass(slots=True)
+class PlotReport:
+    """A plot, and how its inputs were read.
+
+    Attributes:
+        figure: the plot.
+        sources: the inputs.
+    """
+
+    figure: Figure
+    sources: Sequence[TopicSource]
+
+    def summary(self) -> dict[str, Any]:
+        """Return the report in the form of ``plot --json``."""
+        return {
+            "schema": 1,
+            "sources": [source.name for source in self.sources],
+            "panels": [
+                {
+                    "title": panel.title,
+                    "unit": panel.unit or None,
+                    "lines": [_told(self.figure, line) for line in panel.lines],
+                }
+                for panel in self.figure.panels
+            ],
+            "events": self.figure.events,
+            "left_out": sum(source.left_out for source in self.sources),
+            "warnings": [note for source in self.sources for note in source.notes],
+        }
+
+
+def _told(figure: Figure, line: PlotLine) -> dict[str, Any]:
+    some = len(line.values) > 0
+    return {
+        "label": line.label,
+        "recording": figure.recordings[line.recording],
+        "read": line.read,
+        "not_finite": line.not_finite,
+        "least": float(line.values.min()) if some else None,
+        "greatest": float(line.values.max()) if some else None,
+        "first_s": float(line.seconds[0]) if some else None,
+        "last_s": float(line.seconds[-1]) if some else None,
+    }
+
+
+def open_recordings(paths: Sequence[Path], settings: Settings, scope: Scope) -> list[TopicSource]:
+    """Open the inputs of a plot, each for itself.
+
+    Raises:
+        CaptureError: one cannot be opened.
+        ConfigError: the mission has mistakes.
+    """
+    part = replace(scope, selection=replace(scope.selection, topics=()))
+    with ExitStack() as opened:
+        sources = []
+        for path in paths:
+            sources.append(open_topics([path], settings, part))
+            opened.callback(sources[-1].close)
+        opened.pop_all()
+        return sources
+
+
+def read_plot(
+    sources: Sequence[TopicSource],
+    names: Sequence[str],
+    asked: Sequence[Sequence[PlotRequest]],
+    scope: Scope,
+    *,
+    bare: bool = False,
+    progress: Progress | None = None,
+) -> PlotReport:
+    """Read what a plot shows; the inputs are closed.
+
+    Args:
+        sources: the inputs; each is drawn from its own start on.
+        names: of the inputs, for legends.
+        asked: the requests of each panel; none for the rates of all topics.
+        scope: the topics to which requests are narrowed, and the time; all else the inputs apply themselves.
+        bare: without rates, losses and events beneath.
+        progress: updated while inputs are read.
+
+    Raises:
+        CaptureError: there is nothing to draw.
+        ConfigError: a field is not there, is no number, or there are too many.
+        RouteError: a topic is not there.
+    """
+    panels = asked or [[PlotRequest("rate:*", Quantity.RATE, "*")]]
+    wanted = [item for panel in panels for item in panel]
+    with ExitStack() as stack:
+        for source in sources:
+            stack.enter_context(closing(source))
+        read = [_Recording.of(source, wanted, scope.selection.topics, bare=bare) for source in sources]
+        for recording in read:
+            for block in filter(len, recording.source.blocks(recording.wanted, progress)):
+                recording.take(block)
+            if recording.source.interrupted:
+                break
+    return PlotReport(_Assembly(read, names, scope).figure(panels), sources)
+
+
+@dataclass(slots=True)
+class _Assembly:
+    """Makes the figure of what was read."""
+
+    read: Sequence[_Recording]
+    names: Sequence[str]
+    scope: Scope
+
+    def figure(self, asked: Sequence[Sequence[PlotRequest]]) -> Figure:
+        """Return the figure.
+
+        Raises:
+            CaptureError: there is nothing to draw.
+        """
+        panels = [self._panel(panel) for panel in asked]
+        named = [item for panel in asked for item in panel]
+        found = [line for panel in panels for line in panel.lines if line.read]
+        if all(item.quantity is not Quantity.LOSS for item in named):  # no loss is a result, too
+            for recording in self.read:
+                topics = {topic for item in recording.topics.values() for topic in item}
+                recording.source.check_found(found, topics)
+        beneath = self._rates(named)
+        marks = [mark for place in range(len(self.read)) for mark in self._marks(place)]
+        return Figure(
+            self.names,
+            [*panels, *([beneath] if beneath.lines else ())],
+            self._span(*self.read),
+            marks if any(item.log_topics for item in self.read) else None,
+            sum(len(item.marks) for item in self.read),
+            self._notes(panels, beneath),
+        )
+
+    def _span(self, *read: _Recording) -> tuple[float, float]:
+        """Return the time that is drawn of some recordings."""
+        ends = [item.span(self.scope.period.since(item.source.zero_ns)) for item in read]
+        begin, end = min(begin for begin, _ in ends), max(end for _, end in ends)
+        return begin, max(end, begin + 1e-3)
+
+    @property
+    def _width(self) -> float:
+        return bar_seconds(self._span(*self.read))
+
+    def _panel(self, wanted: Sequence[PlotRequest]) -> Panel:
+        """Return a panel that was asked for."""
+        made: list[tuple[str, PlotLine]] = []
+        for item in wanted:
+            for place, recording in enumerate(self.read):
+                made += [
+                    (name, line)
+                    for name, line in self._lines(item, place, recording)
+                    if line.read or len(wanted) == 1
+                ]
+        title = ", ".join(item.text for item in wanted)
+        if len(made) > MOST_LINES:  # only rates and losses; there may be hundreds of topics
+            made = sorted(made, key=lambda item: -item[1].read)[:MOST_LINES]
+            title += f", the {MOST_LINES} largest"
+        return _panel(title, made, self.names, _unit({item.quantity for item in wanted}))
+
+    def _lines(self, item: PlotRequest, place: int, recording: _Recording) -> Iterator[tuple[str, PlotLine]]:
+        for topic, names in recording.topics[item].items():
+            if item.quantity is not Quantity.FIELD:
+                counts = recording.rates if item.quantity is Quantity.RATE else recording.losses
+                named = topic if item.quantity is Quantity.RATE else f"{topic} lost"
+                if counts[topic].total or len(recording.topics[item]) == 1:
+                    yield named, counts[topic].line(place, self._span(recording), self._width)
+                continue
+            for (there, name, element), values in recording.fields.items():
+                if there == topic and name in names and item.index in {None, element}:
+                    full = f"{topic}.{name}"
+                    yield full if element is None else f"{full}[{element}]", values.line(place)
+
+    def _rates(self, named: Sequence[PlotRequest]) -> Panel:
+        """Return the rates and losses beneath."""
+        shown = {
+            (item.quantity, topic) for read in self.read for item in named for topic in read.topics[item]
+        }
+        made = []
+        for place, recording in enumerate(self.read):
+            span = self._span(recording)
+            for topic, counts in recording.rates.items():
+                if (Quantity.RATE, topic) not in shown:
+                    made.append((topic, counts.line(place, span, self._width)))
+            for topic, counts in recording.losses.items():
+                if (Quantity.LOSS, topic) not in shown and counts.total:
+                    made.append((f"{topic} lost", counts.line(place, span, self._width)))
+        return _panel("rates", made, self.names, _PER_SECOND, beneath=True)
+
+    def _marks(self, place: int) -> Iterator[EventMark]:
+        """Yield the events of a recording; of many close to each other the most severe one."""
+        recording = self.read[place]
+        found = sorted(recording.marks)
+        if len(found) > MOST_MARKS:
+            begin, end = self._span(recording)
+            worst: dict[int, tuple[float, int, str]] = {}
+            for item in found:
+                part = int((item[0] - begin) / (end - begin) * MOST_MARKS)
+                if part not in worst or item[1] > worst[part][1]:
+                    worst[part] = item
+            found = list(worst.values())
+        for moment, level, text in found:
+            yield EventMark(moment, place, level >= _ERROR, text)
+
+    def _notes(self, panels: Sequence[Panel], beneath: Panel) -> list[str]:
+        notes = [
+            f"{line.label}: {plural(line.not_finite, 'value')} NaN or infinite, not drawn"
+            for panel in panels
+            for line in panel.lines
+            if line.not_finite
+        ]
+        if beneath.lines or any(panel.unit == _PER_SECOND for panel in panels):
+            notes.append(f"rates: means over {self._width:g} s")
+        large = [self.names[place] for place, item in enumerate(self.read) if item.large and not item.losses]
+        if large:
+            notes.append(
+                f"losses: not looked for in {listed(large)}, a large file; loss:/topic asks for them"
+            )
+        judged = [topic for item in self.read for topic, counts in item.losses.items() if not counts.total]
+        if judged:
+            notes.append(f"no lost message is known of {listed(sorted(set(judged)), 4)}")
+        return notes
+
+
+def _unit(quantities: set[Quantity]) -> str:
+    return "" if Quantity.FIELD in quantities else _PER_SECOND
+
+
+def _panel(
+    title: str,
+    made: Sequence[tuple[str, PlotLine]],
+    names: Sequence[str],
+    unit: str,
+    *,
+    beneath: bool = False,
+) -> Panel:
+    """Return a panel; its legend leaves out what all lines share."""
+    full = list(dict.fromkeys(name for name, _ in made))
+    topics = {name.partition(".")[0] for name in full}
+    same = f"{topics.pop()}." if len(topics) == 1 and all("." in name for name in full) else ""
+    lines = []
+    for name, line in made:
+        words = [name.removeprefix(same)] if len(full) > 1 or len(names) == 1 else []
+        words += [names[line.recording]] if len(names) > 1 else []
+        lines.append(replace(line, label=" · ".join(words), colour=full.index(name)))
+    if len(full) == 1:
+        title = full[0]
+        lines = [replace(line, label=line.label if len(names) > 1 else title) for line in lines]
+    return Panel(title, lines, unit, beneath)

@@ -1,0 +1,1 @@
+"""Plots of fields over time: in the terminal, as SVG, as one HTML page."""

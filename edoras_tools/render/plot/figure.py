@@ -1,0 +1,181 @@
+"""The content of a plot: lines over time in panels that share their time axis, and events."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.render.chart import ticks_between
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+AXIS: Final = "seconds since the start of the capture"
+LIGHT_COLOURS: Final = ("#0072b2", "#c04a00", "#007f5f", "#a0437f", "#7a5c00", "#3d4a9e", "#4d4d4d")
+DARK_COLOURS: Final = ("#56b4e9", "#ff9e4a", "#2fcf9f", "#e79ac6", "#f0e442", "#aab4ff", "#c8c8c8")
+"""Colours of lines on a light and a dark ground, after Okabe and Ito, for the colour-blind, too."""
+DASHES: Final = ("", "7 4", "2 3", "10 3 2 3")
+"""Dashes of lines, by recording, so that colour does not tell alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlotLine:
+    """Values over time.
+
+    Attributes:
+        label: in the legend.
+        recording: place of its recording in ``Figure.recordings``.
+        seconds: f64, since the start of its recording; they never decrease.
+        values: f64, finite.
+        read: how many values, or messages of a rate, there were before any thinning.
+        not_finite: how many more were NaN or infinite; these are not drawn.
+        colour: number of its colour.
+    """
+
+    label: str
+    recording: int
+    seconds: NDArray[np.float64]
+    values: NDArray[np.float64]
+    read: int
+    not_finite: int = 0
+    colour: int = 0
+
+    def thinned(self, columns: int, span: tuple[float, float]) -> PlotLine:
+        """Return the line with at most two values in each column: the least and the greatest."""
+        kept = extremes(self.seconds, self.values, columns, span)
+        return replace(self, seconds=self.seconds[kept], values=self.values[kept])
+
+
+def extremes(
+    seconds: NDArray[np.float64], values: NDArray[np.float64], columns: int, span: tuple[float, float]
+) -> NDArray[np.intp]:
+    """Return the places of the least and the greatest value in each of ``columns`` equal parts of the time.
+
+    Args:
+        seconds: they never decrease.
+        values: as many.
+        columns: parts.
+        span: begin and end of all parts.
+    """
+    if len(seconds) <= 2 * columns:
+        return np.arange(len(seconds))
+    column = np.floor((seconds - span[0]) / ((span[1] - span[0]) or 1.0) * columns)
+    order = np.lexsort((values, column))
+    first = np.flatnonzero(np.diff(column[order], prepend=np.nan) != 0)
+    last = np.append(first[1:], len(order)) - 1
+    return np.unique(np.concatenate([order[first], order[last]]))
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """Lines that share an axis.
+
+    Attributes:
+        title: what is drawn.
+        lines: the lines.
+        unit: of the values, if it is known.
+        beneath: it is a smaller one, such as rates; its axis begins at 0.
+    """
+
+    title: str
+    lines: Sequence[PlotLine]
+    unit: str = ""
+    beneath: bool = False
+
+    @property
+    def heading(self) -> str:
+        """Title and unit."""
+        return f"{self.title}, {self.unit}" if self.unit else self.title
+
+    @property
+    def named(self) -> bool:
+        """Whether it needs a legend."""
+        return len(self.lines) > 1 or any(line.label != self.title for line in self.lines)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The least and the greatest value of its axis, with some room."""
+        low = min((float(line.values.min()) for line in self.lines if len(line.values)), default=0.0)
+        high = max((float(line.values.max()) for line in self.lines if len(line.values)), default=0.0)
+        low = min(low, 0.0) if self.beneath else low
+        room = (high - low) * 0.05 or abs(high) * 0.05 or 1.0
+        return low if self.beneath and not low else low - room, high + room
+
+
+@dataclass(frozen=True, slots=True)
+class EventMark:
+    """An event.
+
+    Attributes:
+        seconds: since the start of its recording.
+        recording: place of its recording in ``Figure.recordings``.
+        severe: it is an error.
+        text: who sent it, and what it says.
+    """
+
+    seconds: float
+    recording: int
+    severe: bool
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A plot.
+
+    Attributes:
+        recordings: their names.
+        panels: from top to bottom.
+        span: begin and end of the time axis, s.
+        marks: the events that are drawn; None if they are not asked for.
+        events: how many events there are; of many close to each other the most severe one is drawn.
+        notes: what else there is to say, a line each.
+    """
+
+    recordings: Sequence[str]
+    panels: Sequence[Panel]
+    span: tuple[float, float]
+    marks: Sequence[EventMark] | None = None
+    events: int = 0
+    notes: Sequence[str] = field(default_factory=tuple)
+
+    @property
+    def title(self) -> str:
+        """What is drawn."""
+        return ", ".join(panel.title for panel in self.panels if not panel.beneath) or "Rates"
+
+    @property
+    def subtitle(self) -> str:
+        """Of which recordings; several start at 0, each at its own beginning."""
+        names = " and ".join(self.recordings)
+        return f"{names}, each from its own start" if len(self.recordings) > 1 else names
+
+    @property
+    def event_title(self) -> str:
+        """Heading of the events."""
+        told = plural(self.events, "event")
+        return told if len(self.marks or ()) == self.events else f"{told}, {len(self.marks or ()):,} drawn"
+
+    def footnotes(self, columns: int) -> list[str]:
+        """Return the notes, and what thinning to so many columns left out."""
+        thinned = any(len(line.values) > 2 * columns for panel in self.panels for line in panel.lines)
+        told = [f"long lines: least and greatest value in each of {columns:,} columns of time"] * thinned
+        return [*self.notes, *told]
+
+
+def tick_texts(low: float, high: float, most: int) -> list[tuple[float, str]]:
+    """Return round numbers of an axis, and their texts."""
+    found = ticks_between(low, high, most)
+    step = found[1] - found[0] if len(found) > 1 else high - low
+    largest = max(abs(low), abs(high))
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    if largest >= 1e7 or decimals > 5:
+        digits = min(17, max(1, math.ceil(math.log10(largest / step))) + 1)
+        return [(value, f"{value:.{digits}g}") for value in found]
+    return [(value, f"{value if round(value, decimals) else 0.0:,.{decimals}f}") for value in found]

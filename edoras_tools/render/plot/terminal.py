@@ -1,0 +1,142 @@
+"""A plot in terminal cells: eight dots of Braille in each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from rich.text import Text
+
+from edoras_tools.render.chart import scale_line
+from edoras_tools.render.plot.figure import AXIS, tick_texts
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.text import clean, clip, wrap
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
+
+_STYLES: Final = ("cyan", "yellow", "magenta", "green", "blue", "red")
+_ROWS, _ROWS_BENEATH = 10, 5
+_WIDEST, _NARROWEST = 160, 40
+_BLANK: Final = 0x2800
+_DOTS: Final = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], np.uint8)
+"""The bit of each dot of a Braille character: four rows, from the top, of two."""
+
+
+def plot_lines(figure: Figure, width: int, *, colour: bool) -> list[Text]:
+    """Draw a plot.
+
+    Args:
+        figure: the plot.
+        width: columns of the terminal; at least 40 are used, at most 160.
+        colour: whether lines can be told apart by colour; if not, each has its own panel.
+    """
+    width = max(_NARROWEST, min(width, _WIDEST))
+    panels = figure.panels if colour else [single for panel in figure.panels for single in _split(panel)]
+    margin = max(len(text) for panel in panels for _, text in _levels(panel))
+    room = width - margin - 2
+    lines = [Text(clip(clean(figure.subtitle), width), palette.STRONG)]
+    for panel in panels:
+        lines += _heading(panel, width, colour=colour)
+        lines += _field(panel, figure.span, room, margin)
+    lines.append(Text(" " * margin + " └" + "─" * room, palette.DIM))
+    begin, end = figure.span
+    places = [
+        (round((value - begin) / (end - begin) * (room - 1)), text)
+        for value, text in tick_texts(begin, end, max(3, room // 12))
+    ]
+    lines.append(Text(" " * (margin + 2) + scale_line(places, room), palette.DIM))
+    lines += _events(figure, room, margin)
+    lines.append(Text(AXIS.rjust(width), palette.DIM))
+    for note in figure.footnotes(2 * room):
+        lines += [Text(part, palette.DIM) for part in wrap(clean(note), width)]
+    return lines
+
+
+def _split(panel: Panel) -> Iterator[Panel]:
+    for line in panel.lines:
+        title = line.label if line.label.startswith(panel.title) else f"{panel.title}: {line.label}"
+        yield type(panel)(title if panel.named else panel.title, [line], panel.unit, panel.beneath)
+
+
+def _heading(panel: Panel, width: int, *, colour: bool) -> list[Text]:
+    lines = [Text(clip(clean(panel.heading), width), palette.STRONG)]
+    if not colour or not panel.named:
+        return lines
+    legend = Text()
+    for place, line in enumerate(panel.lines):
+        label = clip(clean(line.label), width - 4)
+        if legend.cell_len and legend.cell_len + len(label) + 5 > width:
+            lines.append(legend)
+            legend = Text()
+        legend.append("  " * bool(legend.cell_len)).append(f"━ {label}", _style(place))
+    return [*lines, legend]
+
+
+def _style(place: int) -> str:
+    """Return the style of a line by its place in the panel: a terminal has no dashes for recordings."""
+    return _STYLES[place % len(_STYLES)]
+
+
+def _levels(panel: Panel) -> list[tuple[float, str]]:
+    return tick_texts(*panel.ends, 3 if panel.beneath else 5)
+
+
+def _field(panel: Panel, span: tuple[float, float], room: int, margin: int) -> Iterator[Text]:
+    """Yield the rows of a panel."""
+    rows = _ROWS_BENEATH if panel.beneath else _ROWS
+    dots = np.zeros((rows, room), np.uint8)
+    styles = np.zeros((rows, room), np.intp)
+    low, high = panel.ends
+    for place, line in enumerate(panel.lines):
+        y, x = _dots(line.thinned(2 * room, span), span, (low, high), 4 * rows - 1, 2 * room - 1)
+        np.bitwise_or.at(dots, (y // 4, x // 2), _DOTS[y % 4, x % 2])
+        styles[y // 4, x // 2] = place
+    labels = {round((high - value) / (high - low) * (rows - 1)): text for value, text in _levels(panel)}
+    for row in range(rows):
+        text = Text().append(
+            labels.get(row, "").rjust(margin) + (" ┤" if row in labels else " │"), palette.DIM
+        )
+        for dot, place in zip(dots[row].tolist(), styles[row].tolist(), strict=True):
+            text.append(chr(_BLANK + dot) if dot else " ", _style(place) if dot else "")
+        text.rstrip()
+        yield text
+
+
+def _dots(
+    line: PlotLine, span: tuple[float, float], ends: tuple[float, float], last_y: int, last_x: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the dots of a line and of the straight ways between its values; y counts from the top."""
+    x = (line.seconds - span[0]) / (span[1] - span[0]) * last_x
+    y = (ends[1] - line.values) / (ends[1] - ends[0]) * last_y
+    steps = np.ceil(np.maximum(np.abs(np.diff(x)), np.abs(np.diff(y)))).astype(np.intp) + 1
+    start = np.repeat(np.arange(len(steps)), steps)
+    share = (np.arange(len(start)) - np.repeat(np.cumsum(steps) - steps, steps)) / steps[start]
+    drawn = [
+        np.append(item[start] + np.diff(item)[start] * share, item[-1:]).round().astype(np.intp)
+        for item in (y, x)
+    ]
+    return drawn[0].clip(0, last_y), drawn[1].clip(0, last_x)
+
+
+def _events(figure: Figure, room: int, margin: int) -> list[Text]:
+    if figure.marks is None:
+        return []
+    lines = [Text(figure.event_title, palette.STRONG)]
+    begin, end = figure.span
+    for number, name in enumerate(figure.recordings):
+        cells: list[tuple[str, str]] = [(" ", "")] * room
+        for mark in sorted(figure.marks, key=lambda item: item.severe):
+            if mark.recording == number:
+                sign = ("✗", Level.ERROR.style) if mark.severe else ("│", "")
+                cells[round((mark.seconds - begin) / (end - begin) * (room - 1))] = sign
+        line = Text(" " * (margin + 2)).append_text(Text.assemble(*cells))
+        line.rstrip()
+        lines += [Text(clip(clean(name), room), palette.DIM)] if len(figure.recordings) > 1 else []
+        lines.append(line)
+    return lines if figure.marks else lines[:1]

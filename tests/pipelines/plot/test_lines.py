@@ -1,0 +1,88 @@
+"""Values and counts over time, beside plain loops."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edoras_tools.io.formats.columns import TableColumn
+from edoras_tools.pipelines.plot import lines
+from edoras_tools.pipelines.plot.lines import RateCounts, Values, bar_seconds, numbers
+from edoras_tools.ros.cdr.columns import Ragged
+
+RAGGED = Ragged(np.array([1, 2, 3, 4, 5]), np.array([0, 2, 2, 5]))
+
+
+@pytest.mark.parametrize(
+    ("values", "there", "index", "found"),
+    [
+        (np.array([7, 8, 9]), None, None, {None: [(0, 7), (1, 8), (2, 9)]}),
+        (np.array([7, 8, 9]), [True, False, True], None, {None: [(0, 7), (2, 9)]}),
+        (np.array([[1, 2], [3, 4]]), None, None, {0: [(0, 1), (1, 3)], 1: [(0, 2), (1, 4)]}),
+        (np.array([[1, 2], [3, 4]]), None, 1, {1: [(0, 2), (1, 4)]}),
+        (RAGGED, None, None, {0: [(0, 1), (2, 3)], 1: [(0, 2), (2, 4)], 2: [(2, 5)]}),
+        (RAGGED, None, 1, {1: [(0, 2), (2, 4)]}),
+        (RAGGED, None, 9, {9: []}),
+    ],
+)
+def test_numbers_of_columns_and_lists(values, there, index, found):
+    column = TableColumn("x", values, None if there is None else np.array(there))
+    read = {
+        place: list(zip(rows.tolist(), items.tolist(), strict=True))
+        for place, rows, items in numbers(column, index)
+    }
+    assert read == found
+
+
+def test_values_come_in_the_order_of_time_and_nan_is_counted():
+    made = Values()
+    made.add(np.array([3.0, 1.0]), np.array([30.0, np.nan]))
+    made.add(np.array([2.0, 0.5]), np.array([True, False]))
+    line = made.line(1)
+    assert (line.seconds.tolist(), line.values.tolist()) == ([0.5, 2.0, 3.0], [0.0, 1.0, 30.0])
+    assert (line.read, line.not_finite, line.recording) == (3, 1, 1)
+
+
+def test_long_lines_are_held_in_bounded_memory_and_keep_their_peaks(monkeypatch):
+    monkeypatch.setattr(lines, "_MOST", 1000)
+    monkeypatch.setattr(lines, "_COLUMNS", 50)
+    made = Values()
+    for start in range(0, 20_000, 500):
+        values = np.zeros(500)
+        values[77] = start
+        made.add(np.arange(start, start + 500) / 100, values)
+        assert made._held <= 1000
+    line = made.line(0)
+    assert line.read == 20_000
+    assert line.values.max() == 19_500
+
+
+@given(
+    st.lists(st.floats(0, 59.99), min_size=1, max_size=200),
+    st.sampled_from([(0.0, 60.0), (0.0, 61.5), (-0.3, 60.0), (10.75, 60.0)]),
+    st.sampled_from([0.1, 0.5, 1.0, 2.0]),
+)
+def test_rates_hold_every_message(seconds, span, width):
+    made = RateCounts()
+    half = len(seconds) // 2
+    for part in (seconds[:half], seconds[half:]):
+        made.add(np.array(part))
+    line = made.line(0, span, width)
+    assert made.total == line.read == len(seconds)
+    assert line.values.min() >= 0
+    shares = np.full(len(line.values), width)
+    shares[-1] = 2 * (span[1] - line.seconds[-1])
+    assert shares[-1] == pytest.approx(width, rel=0.51)
+    assert (line.values * shares).sum() == pytest.approx(len(seconds))
+
+
+def test_a_rate_counts_what_a_row_stands_for():
+    made = RateCounts()
+    made.add(np.array([0.0, 5.05]), np.array([10, 30]))
+    line = made.line(0, (0.0, 10.0), 1.0)
+    assert line.values.tolist() == [10, 0, 0, 0, 0, 30, 0, 0, 0, 0]
+
+
+@pytest.mark.parametrize(("end", "width"), [(0.001, 0.1), (9, 0.1), (65.3, 1), (125, 2), (86_400, 1000)])
+def test_rates_are_means_over_round_times(end, width):
+    assert bar_seconds((0, end)) == pytest.approx(width)

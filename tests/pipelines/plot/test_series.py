@@ -1,0 +1,138 @@
+"""Fields, rates, losses and events of the samples, beside what ``edoras_tools.read`` gives."""
+
+import numpy as np
+import pytest
+from places import ROOT
+
+import edoras_tools
+from edoras_tools.errors import CaptureError, ConfigError, RouteError
+from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.plot.request import parse_request
+from edoras_tools.pipelines.plot.series import MOST_MARKS, open_recordings, read_plot
+from edoras_tools.pipelines.selection import Period, Selection
+from edoras_tools.pipelines.workbench import Settings
+
+ROVER = ROOT / "samples/captures/a_rover.pcap"
+ERRORS = ROOT / "samples/captures/e_ci_errors.pcap"
+MISSION = ROOT / "samples/missions/rover_ground.yaml"
+
+
+def plotted(*asked, paths=(ROVER,), bare=False, topics=(), **period):
+    scope = Scope(Selection(topics=topics), Period(**period))
+    sources = open_recordings(paths, Settings((MISSION,)), scope)
+    return read_plot(
+        sources, [path.stem for path in paths], [parse_request(item) for item in asked], scope, bare=bare
+    ).figure
+
+
+@pytest.fixture(scope="module")
+def tables():
+    return edoras_tools.read(ROVER, config=MISSION, time="seconds")
+
+
+def test_a_field_with_rates_losses_and_events_beneath(tables):
+    figure = plotted("/cmd_vel.linear.x")
+    field, beneath = figure.panels
+    columns = tables["/cmd_vel"].to_numpy()
+    line = field.lines[0]
+    np.testing.assert_allclose(line.seconds, columns["time"])
+    np.testing.assert_array_equal(line.values, columns["linear.x"])
+    assert [item.label for item in beneath.lines] == ["/cmd_vel", "/cmd_vel lost"]
+    lost = tables.lost.to_numpy()
+    assert [item.read for item in beneath.lines] == [600, lost["count"][lost["topic"] == "/cmd_vel"].sum()]
+    assert figure.events == len(tables.events) == len(figure.marks)
+    levels = tables.events.to_numpy()["level"]
+    assert sum(mark.severe for mark in figure.marks) == (levels >= 40).sum() > 0
+    assert figure.footnotes(10_000) == ["rates: means over 1 s"]
+
+
+XYZ = ["x", "y", "z"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "panels"),
+    [
+        (["/cmd_vel.linear.*"], {"/cmd_vel.linear.*": [f"linear.{name}" for name in XYZ]}),
+        (
+            ["/cmd_vel.linear.x,rate:/cmd_vel"],
+            {"/cmd_vel.linear.x, rate:/cmd_vel": ["/cmd_vel.linear.x", "/cmd_vel"]},
+        ),
+        (
+            ["/cmd_vel.sequence", "cmd_vel.angular"],
+            {
+                "/cmd_vel.sequence": ["/cmd_vel.sequence"],
+                "cmd_vel.angular": [f"angular.{name}" for name in XYZ],
+            },
+        ),
+        (
+            ["/cfs/CFE_TIME_*.command_*"],
+            {"/cfs/CFE_TIME_*.command_*": ["command_counter", "command_error_counter"]},
+        ),
+        (["rate:/cmd_vel"], {"/cmd_vel": ["/cmd_vel"]}),
+        (["loss:/telemetry_pose"], {"/telemetry_pose lost": ["/telemetry_pose lost"]}),
+    ],
+)
+def test_requests_and_their_panels(asked, panels):
+    figure = plotted(*asked, bare=True)
+    assert figure.marks is None
+    assert {panel.title: [line.label for line in panel.lines] for panel in figure.panels} == panels
+
+
+def test_without_a_request_the_rates_of_all_topics(tables):
+    (panel,) = plotted(bare=True).panels
+    counts = {topic: rows for topic, rows in tables.topics.items() if not topic.startswith("/edoras/")}
+    assert {line.label: line.read for line in panel.lines} == counts
+
+
+def test_two_recordings_start_at_their_own_zero(tables):
+    figure = plotted("/cmd_vel.linear.x", paths=(ROVER, ERRORS))
+    lines = figure.panels[0].lines
+    assert [line.label for line in lines] == ["a_rover", "e_ci_errors"]
+    assert [line.recording for line in lines] == [0, 1]
+    assert {line.colour for line in lines} == {0}, "a field has one colour"
+    assert all(0 <= line.seconds[0] < 10 for line in lines)
+    np.testing.assert_array_equal(lines[0].values, tables["/cmd_vel"].to_numpy()["linear.x"])
+
+
+def test_a_part_of_the_time_is_drawn_alone():
+    figure = plotted("/cmd_vel.linear.x", start_ns=10 * 10**9, end_ns=20 * 10**9)
+    assert figure.span == (10, 20)
+    assert all(
+        10 <= line.seconds[0] <= line.seconds[-1] < 20 for panel in figure.panels for line in panel.lines
+    )
+    assert figure.panels[1].lines[0].values == pytest.approx(np.full(100, 10))
+
+
+@pytest.mark.parametrize(
+    ("asked", "keywords", "error", "words"),
+    [
+        ("/cmd_vel.linaer.x", {}, ConfigError, "'linaer.x' is no field of /cmd_vel; did you mean linear.x"),
+        ("/cmd_vle.linear.x", {}, RouteError, r"matches '/cmd_vle'; did you mean /cmd_vel\?"),
+        ("/edoras/events.msg", {}, ConfigError, "msg of /edoras/events holds text, not numbers"),
+        ("/cmd_vel.linear.x[2]", {}, ConfigError, r"linear.x is one number; leave out \[2\]"),
+        ("/cmd_vel.linear.x", {"start_ns": 10**11}, CaptureError, "its times go from 0 to 65.270 s"),
+        ("/cmd_vel.linear.x", {"topics": ("/telemetry_pose",)}, RouteError, "--topic leaves out /cmd_vel"),
+        ("/cfs/CFE_ES_HousekeepingTlm", {}, ConfigError, "more than 24 lines"),
+    ],
+)
+def test_mistakes_say_what_to_do(asked, keywords, error, words):
+    with pytest.raises(error, match=words):
+        plotted(asked, **keywords)
+
+
+def test_of_many_events_the_most_severe_are_drawn(monkeypatch):
+    monkeypatch.setattr("edoras_tools.pipelines.plot.series.MOST_MARKS", 5)
+    figure = plotted("/cmd_vel.linear.x")
+    assert MOST_MARKS > 5 >= len(figure.marks) > 0
+    assert figure.event_title == f"{figure.events} events, {len(figure.marks)} drawn"
+    assert any(mark.severe for mark in figure.marks)
+
+
+def test_losses_of_a_large_capture_are_looked_for_when_asked_for(monkeypatch):
+    monkeypatch.setattr("edoras_tools.pipelines.plot.series.LARGE", 1000)
+    figure = plotted("/cmd_vel.linear.x")
+    assert [line.label for line in figure.panels[1].lines] == ["/cmd_vel"]
+    assert any("not looked for in a_rover, a large file; loss:/topic asks" in note for note in figure.notes)
+    figure = plotted("/cmd_vel.linear.x", "loss:/cmd_vel")
+    assert figure.panels[1].lines[0].read == 92
+    assert not any("not looked for" in note for note in figure.notes)
