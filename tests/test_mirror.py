@@ -10,7 +10,14 @@ PACKAGE = ROOT / "edoras_tools"
 TESTS = ROOT / "tests"
 
 NO_BEHAVIOUR = (
-    *("units.py", "cfs/command_ingest.py", "cfs/core.py", "cfs/edoras_app.py", "cfs/executive_services.py"),
+    *(
+        "units.py",
+        "__main__.py",
+        "cfs/command_ingest.py",
+        "cfs/core.py",
+        "cfs/edoras_app.py",
+        "cfs/executive_services.py",
+    ),
     *("cfs/limits.py", "cfs/names.py", "cfs/sbn.py", "cfs/software_bus.py", "cfs/telemetry_output.py"),
     "cfs/time_services.py",
     *("io/signals.py", "io/topics/names.py", "links/protocol.py", "middleware/graph.py"),

@@ -43,6 +43,7 @@ class Ros(StrEnum):
     LOCAL = "local"
 
 
+@options.headed("Packets to cFS")
 class RosOptions(NamedTuple):
     """How to connect to the ROS 2 graph."""
 
@@ -99,7 +100,9 @@ def bridge(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Bridge ROS 2 and cFS from the files of the ground and flight bridges, without an installed ROS 2.
+    """Bridge ROS 2 and cFS with the files of EDORAS's own bridges.
+
+    No installed ROS 2 is needed.
 
     Every bridge of every file runs, in one process: edoras bridge -c ground.yaml -c flight.yaml
     """

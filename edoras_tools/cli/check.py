@@ -46,7 +46,9 @@ def check(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Check a capture against expectations: edoras check FILE... EXPECT.yaml; --init FILE... drafts them.
+    """Check a capture against expectations, or draft them.
+
+    edoras check FILE... EXPECT.yaml checks; edoras check --init FILE... drafts.
 
     Expectations are bounds of rates, counts, sizes, losses and latencies, what must hold of fields, and which
     events, findings and verdicts may appear. Exit code 3: one of them is not met.

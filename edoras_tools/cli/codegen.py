@@ -69,7 +69,7 @@ def codegen(
     definitions: options.TypeOptions,
     quiet: options.Quiet = False,
 ) -> None:
-    """Write messages in C for flight software: structs and CDR functions; needs no ROS and no heap.
+    """Write messages in C for flight software: no ROS, no heap.
 
     For example: edoras codegen -c MISSION --bound sensor_msgs/msg/JointState.name=16 -o fsw/src/edoras_msgs
     """

@@ -28,7 +28,9 @@ def compare(
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Compare two runs, route by route: rates, loss, latency, sizes, findings, verdicts.
+    """Compare two runs, route by route: is the second one worse?
+
+    Compared are rates, loss, latency, sizes, findings and verdicts.
 
     Exit code 3 means that the second run is worse. To compare two captures of the same traffic, use doctor
     --against.

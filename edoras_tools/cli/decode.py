@@ -34,7 +34,7 @@ def decode(
     json: options.Json = False,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Show one packet in full: every layer and field, and their bytes."""
+    """Show one packet in full: every layer, field and byte."""
     from edoras_tools.pipelines.capture.packet_json import as_json
     from edoras_tools.pipelines.capture.sniff import decode_packet
 

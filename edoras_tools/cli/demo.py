@@ -141,7 +141,7 @@ def demo(
     demos: DemoOptions,
     printing: options.PrintOptions,
 ) -> None:
-    """Show the main features on loopback with an emulated cFS, or run a demo of the paper with both bridges.
+    """Show the main features, or run a demo of the paper.
 
     For example: edoras demo two-rovers --live
     """

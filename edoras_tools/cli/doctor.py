@@ -77,7 +77,7 @@ def doctor(
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Find what is wrong on a link, where and why: losses per hop, evidence, and what to change.
+    """Find what was lost or is wrong, where and why.
 
     With -i it shows a table of verdicts that is updated live. Exit code 3: a loss or an error was found.
     """

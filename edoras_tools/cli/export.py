@@ -72,7 +72,7 @@ def export(
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Export topics as tables: Parquet, Arrow, CSV or JSON Lines, a row for each message.
+    """Export topics as tables: Parquet, Arrow, CSV or JSON Lines.
 
     The topics are those of a recording: of the mission, of C structs, and /edoras/events,
     /edoras/link_statistics and so on; in a folder each has its own file. Only with --topic:

@@ -28,7 +28,7 @@ def info(
     chosen: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Show what a capture contains: routes, counts, rates, jitter, gaps, sizes and findings."""
+    """Show what is in a capture: routes, rates, gaps, findings."""
     paths = files.named()
     limits = part.limits(paths)
     if verify:

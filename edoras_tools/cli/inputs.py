@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from edoras_tools.cli import options
 from edoras_tools.cli.endings import tell
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.formats.table import READ_PACKED
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from edoras_tools.render.terminal.run import Progress
 
 
+@options.headed("Live traffic")
 class LiveOptions(NamedTuple):
     """Live traffic: packets on an interface, or datagrams sent to a port."""
 

@@ -80,6 +80,7 @@ Token = Annotated[
 ]
 
 
+@options.headed("Outputs")
 class RelayOutputOptions(NamedTuple):
     """Where a command that relays traffic also writes it: to a recording, and to Foxglove."""
 
@@ -214,7 +215,7 @@ def live(
     chosen: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Show a link or a recording in Foxglove: topics, events, statistics, diagnostics.
+    """Show a link or a recording in Foxglove.
 
     For example: edoras live -i lo -c rover.yaml; or edoras live --sim two-rovers
     """

@@ -9,7 +9,7 @@ from contextlib import suppress
 from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import typer
 import typer.core
@@ -17,7 +17,11 @@ import typer.core
 from edoras_tools import __version__
 from edoras_tools.cli import settings
 from edoras_tools.cli.endings import INTERRUPTED, tell
+from edoras_tools.cli.usage import command_help
 from edoras_tools.errors import EdorasError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
 _USAGE: Final[Any] = typer.BadParameter.__mro__[1]
@@ -38,19 +42,56 @@ GROUPS: Final = {
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "sweep", "proxy"),
     "Connect": ("bridge", "mission", "codegen", "structs", "wireshark"),
-    "Try": ("demo", "sim"),
+    "Try": ("demo", "sim", "samples", "help"),
 }
 """The commands of each group; each is a function, or a group of commands, in a module of the same name."""
 COMMANDS: Final = {name: group for group, names in GROUPS.items() for name in names}
 """The group of each command."""
 
 
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"edoras-tools {__version__}")
+        raise typer.Exit
+
+
+def _set_colour(when: str | None) -> None:
+    """Set the variables that every view asks; see ``render.terminal.terminal``."""
+    if when in {"always", "never"}:
+        os.environ.pop("FORCE_COLOR", None)
+        os.environ.pop("NO_COLOR", None)
+        os.environ["FORCE_COLOR" if when == "always" else "NO_COLOR"] = "1"
+    elif when not in {"auto", None}:
+        raise typer.BadParameter(f"{when!r} is not auto, always or never")
+
+
+def _eager(name: str, text: str, call: Callable[[Any], None], **keywords: Any) -> Any:
+    """Make an option that acts before the others, and of which commands know nothing."""
+    return typer.core.TyperOption(
+        param_decls=[name],
+        help=text,
+        callback=lambda _ctx, _option, value: call(value),
+        expose_value=False,
+        is_eager=True,
+        **keywords,
+    )
+
+
 class Command(typer.core.TyperCommand):
     """A command. ``edoras.toml`` holds defaults of its options; ``--sync`` is ``--sync=1s``."""
 
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        self.params.append(_colour_option())
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002  an override
+        """Print the help text."""
+        typer.echo(command_help(self, ctx), nl=False, color=True)
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments."""
-        file = None if {"-h", "--help"}.intersection(args) else settings.found()
+        asked = ctx.resilient_parsing or not {"-h", "--help", "--version"}.isdisjoint(args)
+        file = None if asked or ctx.info_name == "help" else settings.found()
         if file is not None and file.left_out:
             tell(_harmless(f"{file.path} is not used: {file.left_out}"))
         elif file is not None:
@@ -74,6 +115,33 @@ class Command(typer.core.TyperCommand):
         return rest
 
 
+def _colour_option() -> Any:
+    told = "Use colours and styles: auto, always or never."
+    return _eager("--color", told, _set_colour, metavar="WHEN", rich_help_panel="Printing")
+
+
+class Program(Command):
+    """The only command of a program."""
+
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        self.params.append(_version_option())
+
+
+def _version_option() -> Any:
+    return _eager("--version", "Show the version and exit.", _show_version, is_flag=True)
+
+
+class Group(typer.core.TyperGroup):
+    """Several commands."""
+
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        self.params.append(_colour_option())
+
+    format_help = Command.format_help
+
+
 def _is_given(ctx: Any, option: str) -> bool:
     """Whether an option's value comes from the command line or the environment."""
     return getattr(ctx.get_parameter_source(option), "name", "") in {"COMMANDLINE", "ENVIRONMENT"}
@@ -88,48 +156,44 @@ def _name(ctx: Any) -> str:
     return str(names[-2] if len(names) > 1 else names[0].removeprefix("edoras-"))
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"edoras-tools {__version__}")
-        raise typer.Exit
+class _Edoras(Group):
+    """``edoras`` itself."""
+
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        self.params.append(_version_option())
 
 
-def _edoras(
-    _version: Annotated[
-        bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
-    ] = False,
-) -> None:
-    """Options of ``edoras`` itself."""
-
-
-def program(*names: str) -> typer.Typer:
+def program(*names: str, completes: bool = False) -> typer.Typer:
     """Make the ``edoras`` command line.
 
     Args:
         names: commands to add; all if empty. Adding a command takes time, and most are not run.
+        completes: a shell asks what can follow on its command line.
     """
     made = typer.Typer(
         name="edoras",
+        cls=_Edoras,
         help="Capture, decode, record, replay and diagnose ROS 2 traffic through NASA's cFS.",
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=completes or not names,
         pretty_exceptions_enable=False,
         context_settings=_SETTINGS,
-        epilog="Start with: edoras demo",
+        epilog="Start with: edoras demo. All options of a command: edoras help COMMAND",
     )
-    made.callback()(_edoras)
+    made.callback()(lambda: None)
     for name in names or COMMANDS:
         command = _command(name)
         if isinstance(command, typer.Typer):
             made.add_typer(command, rich_help_panel=COMMANDS[name])
         else:
-            made.command(cls=Command, rich_help_panel=COMMANDS[name])(command)
+            made.command(name, cls=Command, rich_help_panel=COMMANDS[name])(command)
     return made
 
 
 def _command(name: str) -> Any:
-    return getattr(import_module(f"edoras_tools.cli.{name}"), name)
+    module = import_module(f"edoras_tools.cli.{name}")
+    return getattr(module, name, None) or getattr(module, f"{name}_")  # `help` is a word of Python
 
 
 def alone(name: str) -> typer.Typer:
@@ -140,7 +204,7 @@ def alone(name: str) -> typer.Typer:
         pretty_exceptions_enable=False,
         context_settings=_SETTINGS,
     )
-    made.command(cls=Command)(_command(name))
+    made.command(cls=Program)(_command(name))
     return made
 
 

@@ -10,10 +10,11 @@ import typer
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.main import Command
+from edoras_tools.cli.main import Command, Group
 
 mission = typer.Typer(
     name="mission",
+    cls=Group,
     help="Draft a mission file from what is in a capture.",
     no_args_is_help=True,
     add_completion=False,

@@ -9,10 +9,11 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from enum import StrEnum
 from functools import cache, partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeVar, get_args, get_type_hints
 
 import typer
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.selection import Moment, Period, Selection
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.sessions.faults.machine import FaultPlan
+
+_Group = TypeVar("_Group", bound=type)
 
 LINKS = (*ROWS, "other")
 
@@ -228,11 +231,46 @@ def name_value(text: str) -> tuple[str, str]:
     return name, value
 
 
+def _named_links(incomplete: str) -> list[str]:
+    return [name for name in LINKS if name.startswith(incomplete)]
+
+
+def _named_messages(incomplete: str) -> list[str]:
+    from edoras_tools.cfs.names import MSG_ID_NAMES
+
+    return sorted(name for name in MSG_ID_NAMES.values() if name.startswith(incomplete))
+
+
+def _named_topics(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the topics of the missions on the command line, or in ``edoras.toml``."""
+    from edoras_tools.cli.settings import in_effect
+    from edoras_tools.mission import load
+
+    try:
+        file = in_effect()
+        paths = ctx.params.get("config") or (
+            file.defaults("", {"config": True}).get("config") if file else ()
+        )
+        return [item.topic for item in load(paths or ()).routes if item.topic.startswith(incomplete)]
+    except ConfigError:  # a shell that completes a line has no place for it
+        return []
+
+
+def headed(text: str) -> Callable[[_Group], _Group]:
+    """Give a group of options a heading of its own in help texts; groups inside it have the same."""
+
+    def mark(group: _Group) -> _Group:
+        group.heading = text  # type: ignore[attr-defined]
+        return group
+
+    return mark
+
+
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Let a command take options in groups: a parameter whose type is a ``NamedTuple`` stands for its fields.
 
     Typer sees an option for each field, in place of the parameter, with the field's name, type and default. A
-    field may itself be a group.
+    field may itself be a group. Help texts show its options under the group's heading, if it has one.
     """
     options = list(_options(command))
 
@@ -245,11 +283,17 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     return call
 
 
-def _options(holder: Callable[..., Any]) -> Iterator[inspect.Parameter]:
+def _options(holder: Callable[..., Any], heading: str = "") -> Iterator[inspect.Parameter]:
     """Yield the options of a command or a group; nested groups are replaced by their options."""
+    heading = getattr(holder, "heading", heading)
     for item in _parameters(holder):
         if _is_group(item.annotation):
-            yield from _options(item.annotation)
+            yield from _options(item.annotation, heading)
+        elif heading:
+            kind, option = get_args(item.annotation)
+            option = copy(option)
+            option.rich_help_panel = heading
+            yield item.replace(annotation=Annotated[kind, option])
         else:
             yield item
 
@@ -324,6 +368,7 @@ DISTRO: Final = "jazzy"
 """``ros.store.USUAL_DISTRO``, said again: importing that would import numpy."""
 
 
+@headed("Decoding")
 class TypeOptions(NamedTuple):
     """Where the definitions of ROS messages come from."""
 
@@ -339,6 +384,7 @@ class TypeOptions(NamedTuple):
     ] = None
 
 
+@headed("Decoding")
 class DecodingOptions(NamedTuple):
     """Missions, types, and how packets are decoded."""
 
@@ -399,6 +445,7 @@ class DecodingOptions(NamedTuple):
         )
 
 
+@headed("Selection")
 class SelectionOptions(NamedTuple):
     """Which datagrams to select."""
 
@@ -408,6 +455,7 @@ class SelectionOptions(NamedTuple):
             "--link",
             metavar="LINK",
             parser=link,
+            autocompletion=_named_links,
             help=f"Only {', '.join(LINKS)} or an installed link; repeatable.",
         ),
     ] = None
@@ -417,6 +465,7 @@ class SelectionOptions(NamedTuple):
             "--msg-id",
             metavar="ID",
             parser=packets,
+            autocompletion=_named_messages,
             help="Only this MsgId, or a name that tables show, e.g. 0x827 or TO_CMD; repeatable.",
         ),
     ] = None
@@ -425,6 +474,7 @@ class SelectionOptions(NamedTuple):
         typer.Option(
             "--topic",
             metavar="PATTERN",
+            autocompletion=_named_topics,
             help="Only topics, or names that tables show, that match, e.g. '/robot_*'; repeatable.",
         ),
     ] = None
@@ -456,6 +506,7 @@ def check_duration(duration_ns: int | None, files: Sequence[Path]) -> None:
         raise ConfigError("--duration ends live traffic; of a file, --end selects a part")
 
 
+@headed("Selection")
 class TimeOptions(NamedTuple):
     """Which time of the input is used."""
 
@@ -520,6 +571,7 @@ class ScopeOptions(NamedTuple):
         return Scope(self.chosen.selection(), self.times.period())
 
 
+@headed("Selection")
 class PartOptions(NamedTuple):
     """Which part of the input is read."""
 
@@ -544,6 +596,7 @@ class PartOptions(NamedTuple):
         return Limits(self.datagrams or 0, self.duration or 0, period=self.times.period())
 
 
+@headed("Printing")
 class PrintOptions(NamedTuple):
     """What is reported, and how."""
 
@@ -551,6 +604,7 @@ class PrintOptions(NamedTuple):
     quiet: Quiet = False
 
 
+@headed("Faults")
 class FaultOptions(NamedTuple):
     """Faults that are injected on purpose."""
 

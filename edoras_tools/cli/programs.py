@@ -30,11 +30,10 @@ def _start(alone: str = "") -> NoReturn:
     try:
         from edoras_tools.cli import endings, main
 
-        named = sys.argv[1:2]
-        if alone:
-            made = main.alone(alone)
-        else:
-            made = main.program(*named) if named and named[0] in main.COMMANDS else main.program()
+        line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
+        completes = "_EDORAS_COMPLETE" in os.environ
+        named = [item for item in (line.split() if completes else sys.argv)[1:2] if item in main.COMMANDS]
+        made = main.alone(alone) if alone else main.program(*named, completes=completes)
     except ModuleNotFoundError:
         raise
     except (OSError, MemoryError, ImportError) as error:  # too many open files, or no memory

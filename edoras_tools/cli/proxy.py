@@ -107,7 +107,9 @@ def proxy(
     faults: options.FaultOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Relay CI, TO or SBN: unchanged, recorded, with limited rates, to several stations, or with faults.
+    """Relay a link: recorded, with limited rates, or with faults.
+
+    Several stations can be served at once.
 
     Programs send to the proxy instead of the target. Keys 1 to 9 switch faults on and off, q quits.
     """

@@ -71,7 +71,7 @@ def record(
     chosen: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Record CI, TO and SBN traffic: every complete datagram, and every ROS message on its topic.
+    """Record every datagram, and every ROS message on its topic.
 
     Several inputs become one recording in time order. It can be converted back: record -r a.mcap -o b.pcap.
     """

@@ -25,7 +25,10 @@ def recover(
     unproved: options.Unproved = False,
     json: options.Json = False,
 ) -> None:
-    """Repair a recording that is cut off or damaged: keep what a checksum proves, count the rest."""
+    """Repair a recording that was cut off or damaged.
+
+    It keeps what a checksum proves, and counts the rest.
+    """
     from edoras_tools.io.formats.mcap.recover import recover as run
 
     target = output or file.parent / f"{file.stem}.recovered.mcap"

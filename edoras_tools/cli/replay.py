@@ -25,6 +25,7 @@ def pair(text: str) -> tuple[str, str]:
     return old, new
 
 
+@options.headed("Selection")
 class SourceOptions(NamedTuple):
     """What is sent, and where."""
 
@@ -122,7 +123,9 @@ def replay(
     chosen: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Send a recording again: to CI, as an SBN peer, or to a ground bridge; unchanged, faster, or changed.
+    """Send a recording again: unchanged, faster, or changed.
+
+    It is sent to CI, as an SBN peer, or to a ground bridge.
 
     Bytes stay as captured unless an option changes them. In a terminal: space pauses, n sends the
     next datagram, q quits.

@@ -31,7 +31,7 @@ def report(
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Write the doctor's findings as one HTML page: verdicts, then plots. The page needs no network.
+    """Write the doctor's findings as one HTML page with plots.
 
     Exit code 3: a loss or an error was found. With --json the diagnosis is also printed on stdout.
     """

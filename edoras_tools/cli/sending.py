@@ -112,6 +112,7 @@ Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send to another machine 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Print what would be sent; send nothing.")]
 
 
+@options.headed("Sending")
 class SendingOptions(NamedTuple):
     """How to send, and which faults to inject."""
 

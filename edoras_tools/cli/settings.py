@@ -34,7 +34,7 @@ PATHS: Final = ("config", "msg-path", "structs")
 SETTABLE: Final = (
     *PATHS,
     *("distro", "port", "envelope", "extended-header", "telemetry-header", "set"),
-    *("ros", "domain", "ros-option", "tolerance", "max-loss", "quiet", "verbose"),
+    *("ros", "domain", "ros-option", "tolerance", "max-loss", "quiet", "verbose", "color"),
 )
 """Names of the options that a file can set."""
 COMMAND_LINE_ONLY: Final = (

@@ -49,7 +49,7 @@ def sim(
     duration: options.Duration = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Run an emulated cFS: CI, TO, SBN and a robot app on loopback, with the limits of the real one.
+    """Run an emulated cFS on loopback, with the real one's limits.
 
     Its console is printed on stdout. Watch it from another terminal: edoras sniff -i lo
     """

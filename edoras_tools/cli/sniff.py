@@ -27,7 +27,7 @@ def sniff(
     chosen: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Show CI, TO and SBN traffic, one line per packet, live or from files.
+    """Show traffic, one line per packet, live or from files.
 
     Colours show the link and problems. With -v, notes are shown too, such as a checksum that is not set.
     """

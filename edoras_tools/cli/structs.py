@@ -72,7 +72,9 @@ def structs(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
 ) -> None:
-    """Turn C structs of flight software into ROS messages, from debug information or headers.
+    """Turn C structs of flight software into ROS messages.
+
+    They are read from debug information or headers.
 
     Give the result to sniff, record and other commands with --structs DIR.
     """

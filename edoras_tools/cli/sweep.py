@@ -176,7 +176,9 @@ def sweep(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Raise a route's rate or size until messages are lost, to find the limit, its hop and its cause.
+    """Raise a route's rate or size until messages are lost.
+
+    The limit, its hop and its cause are told.
 
     For example: edoras sweep /cmd_vel -c rover.yaml, or with an emulated cFS: --sim rover
     """

@@ -10,19 +10,21 @@ import typer
 
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import tell
-from edoras_tools.cli.main import Command
+from edoras_tools.cli.main import Command, Group
 from edoras_tools.io.formats.table import READ
 
 To = Annotated[Path | None, typer.Option("--to", metavar="DIR", help="A folder other than Wireshark's own.")]
 
 wireshark = typer.Typer(
     name="wireshark",
-    help="Decode the links in Wireshark and tshark: headers, findings and ROS fields.",
+    cls=Group,
+    help="Decode the links in Wireshark and tshark, down to ROS fields.",
     no_args_is_help=True,
     add_completion=False,
 )
 extcap = typer.Typer(
     name="extcap",
+    cls=Group,
     help="EDORAS CI, TO and SBN as capture interfaces of Wireshark.",
     no_args_is_help=True,
     add_completion=False,

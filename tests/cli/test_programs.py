@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import typer
+from places import ROOT
 
+from edoras_tools import __version__
 from edoras_tools.cli.main import INTERRUPTED, run
 from edoras_tools.errors import ConfigError
 
@@ -56,3 +60,65 @@ def test_ctrl_c_in_a_command(capfd, monkeypatch):
         run(made)
     assert end.value.code == INTERRUPTED
     assert capfd.readouterr().err.strip() == ""
+
+
+@pytest.mark.parametrize("name", ["edoras", "edoras-sniff", "edoras-record", "edoras-replay", "edoras-proxy"])
+def test_every_program_has_a_version(name):
+    program = str(Path(sys.executable).with_name(name))
+    done = subprocess.run([program, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"edoras-tools {__version__}\n"
+
+
+def test_the_package_is_a_program():
+    line = [sys.executable, "-m", "edoras_tools", "--version"]
+    done = subprocess.run(line, capture_output=True, text=True, check=True)
+    assert done.stdout == f"edoras-tools {__version__}\n"
+
+
+CAPTURE = str(ROOT / "samples/captures/a_rover.pcap")
+
+
+@pytest.mark.parametrize(
+    ("when", "environ", "coloured"),
+    [
+        ("always", {}, True),
+        ("always", {"NO_COLOR": "1"}, True),
+        ("never", {"FORCE_COLOR": "1"}, False),
+        ("auto", {}, False),
+        ("auto", {"FORCE_COLOR": "1"}, True),
+    ],
+)
+def test_colour_is_asked_for(when, environ, coloured, edoras):
+    plain = {name: value for name, value in os.environ.items() if name not in {"FORCE_COLOR", "NO_COLOR"}}
+    for line in (("info", CAPTURE, "--color", when), ("--color", when, "sniff", CAPTURE, "-n", 3)):
+        done = edoras(*line, env={**plain, **environ})
+        assert done.returncode == 0
+        assert (b"\x1b[" in done.stdout) == coloured
+
+
+def test_an_unknown_colour(call):
+    done = call("info", CAPTURE, "--color", "yes")
+    assert (done.code, "'yes' is not auto, always or never" in done.err[0]) == (2, True)
+
+
+MISSION = str(ROOT / "samples/missions/rover_ground.yaml")
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("edoras sn", {"sniff"}),
+        ("edoras sniff --tel", {"--telemetry-header"}),
+        ("edoras wireshark pa", {"path"}),
+        ("edoras mission ", {"draft"}),
+        ("edoras sniff --link s", {"sbn"}),
+        ("edoras sniff --msg-id TO_C", {"TO_CMD"}),
+        (f"edoras sniff -c {MISSION} --topic /c", {"/cmd_vel"}),
+        ("edoras sniff -c nowhere.yaml --topic /", set()),
+    ],
+)
+def test_a_shell_completes(line, told, edoras):
+    words = {"COMP_WORDS": line, "COMP_CWORD": str(line.count(" ")), "_EDORAS_COMPLETE": "complete_bash"}
+    done = edoras(env={**os.environ, **words})
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert set(done.stdout.decode().split()) == told

@@ -157,7 +157,7 @@ MISTAKES = [
     ("listen = ['5000']", "listen: only for the command line"),
     ("[live]\nallow-publish = ['*']", "live.allow-publish: only for the command line"),
     ("confg = 'x'", "confg: not known here; did you mean config?"),
-    ("nothing_like_it = 1", "nothing_like_it: not known here; known are config, distro, "),
+    ("nothing_like_it = 1", "nothing_like_it: not known here; known are color, config, distro, "),
     ("[sniffle]\nquiet = true", "[sniffle]: no such command; did you mean sniff?"),
     ("quiet = [true]", "quiet: one value is needed"),
     ("config = [['a']]", "config: a text or a list of texts is needed"),
@@ -199,3 +199,4 @@ def test_a_variable_that_names_no_file(name, project, call, monkeypatch):
 def test_help_needs_no_settings(project, call, monkeypatch):
     monkeypatch.setenv("EDORAS_CONFIG", "nowhere.toml")
     assert call("info", "--help").code == 0
+    assert call("help", "info").code == 0

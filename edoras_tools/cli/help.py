@@ -1,0 +1,73 @@
+"""``edoras help``: all options of a command, page by page, and the manual pages."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from edoras_tools.cli.usage import command_help
+from edoras_tools.errors import ConfigError
+from edoras_tools.words import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def help_(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[COMMAND]...", help="E.g. sniff, or wireshark run.")
+    ] = None,
+    man: Annotated[
+        Path | None,
+        typer.Option("--man", metavar="DIR", help="Write all manual pages to a folder, e.g. man1."),
+    ] = None,
+) -> None:
+    """Explain all options of a command, or write manual pages."""
+    from edoras_tools.cli.main import program
+
+    root = typer.main.get_command(program())
+    context = root.make_context("edoras", [], resilient_parsing=True)
+    if man is not None:
+        _write_pages(root, context, man)
+        return
+    command: Any = root
+    for name in names or ():
+        known = getattr(command, "commands", {})
+        if name not in known:
+            hint = did_you_mean(name, known) or f"see {context.command_path} -h"
+            raise ConfigError(f"{context.command_path} has no command {name!r}; {hint}")
+        command = known[name]
+        context = command.make_context(name, [], parent=context, resilient_parsing=True)
+    text = command_help(command, context, everything=True) + "\n"
+    if sys.stdout.isatty() and text.count("\n") > shutil.get_terminal_size().lines:
+        from pydoc import pager
+
+        os.environ.setdefault("LESS", "-R")  # it shows bold text
+        pager(text)
+    else:
+        typer.echo(text, nl=False, color=True)
+
+
+def _write_pages(root: Any, context: Any, folder: Path) -> None:
+    from edoras_tools.cli.man import page
+    from edoras_tools.io.outputs import write_bytes
+    from edoras_tools.words import plural
+
+    written = 0
+    for command, ctx in _tree(root, context):
+        name = f"{ctx.command_path.replace(' ', '-')}.1"
+        write_bytes(folder / name, page(command, ctx).encode(), folders=True)
+        written += 1
+    typer.echo(f"{folder}: {plural(written, 'manual page')}; man -l {folder / 'edoras.1'} shows the first")
+
+
+def _tree(command: Any, ctx: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield a command and all below it, with their contexts."""
+    yield command, ctx
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from _tree(inner, inner.make_context(name, [], parent=ctx, resilient_parsing=True))

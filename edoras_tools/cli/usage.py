@@ -1,0 +1,169 @@
+"""Help texts: a screen of them on a terminal; all of them in a pipe, and with ``edoras help``."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+import textwrap
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from edoras_tools.render.terminal.terminal import look
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+OWN: Final = "Options"
+"""Heading of a command's own options."""
+_WIDEST: Final = 100
+_NAMES: Final = 26
+"""Columns for the names of options."""
+_RESERVE: Final = 2
+"""Lines for the shell's prompt below a help text."""
+
+
+class Entry(NamedTuple):
+    """One line of a help text: an option, an argument or a command."""
+
+    names: str
+    help: str
+
+
+def command_help(command: Any, ctx: Any, *, everything: bool = False) -> str:
+    """Return the help text of a command or a group of commands.
+
+    Where the text would be longer than the screen, options that belong together are listed by their names
+    only: the last ones first. A command's own options, and the commands of a group, are always explained.
+
+    Args:
+        command: click's object.
+        ctx: its context.
+        everything: show all options in full.
+    """
+    terminal = look(sys.stdout)
+    width = min(terminal.width, _WIDEST)
+    height = shutil.get_terminal_size().lines - _RESERVE
+    groups = sections(command, ctx)
+    inner = _inner(command)
+    left = [name for name in groups if (groups[name][0].names not in inner if inner else name != OWN)]
+    folded: list[str] = []
+    while True:
+        lines = list(_lines(command, ctx, groups, folded, width))
+        if everything or not terminal.interactive or len(lines) <= height or not left:
+            break
+        folded.append(left.pop())
+    if not terminal.colour:
+        return "\n".join(lines)
+    pattern = "|".join(map(re.escape, [_more(ctx), *groups]))
+    return re.sub(rf"^({pattern})(?=$| )", "\x1b[1m\\1\x1b[0m", "\n".join(lines), flags=re.MULTILINE)
+
+
+def sections(command: Any, ctx: Any) -> Mapping[str, list[Entry]]:
+    """Return what a command takes by heading: its own options first, those of a group of commands last."""
+    found: dict[str, list[Entry]] = {OWN: []}
+    for item in command.get_params(ctx):
+        if item.param_type_name == "argument":
+            name = item.make_metavar(ctx)
+            if item.help:
+                found[OWN].append(Entry(name, _sentence(item.help)))
+        elif not item.hidden:
+            heading = getattr(item, "rich_help_panel", None) or OWN
+            found.setdefault(heading, []).append(Entry(names(item, ctx), _option_help(item)))
+    for name in getattr(command, "list_commands", lambda _: ())(ctx):
+        inner = command.get_command(ctx, name)
+        if not inner.hidden:
+            heading = inner.rich_help_panel or "Commands"
+            found.setdefault(heading, []).append(Entry(name, first_line(inner)))
+    own = found.pop(OWN) + found.pop("Printing", []) if _inner(command) else []
+    found |= {OWN: own} if own else {}
+    return {heading: entries for heading, entries in found.items() if entries}
+
+
+def first_line(command: Any) -> str:
+    """Return what a command does, in a line."""
+    return " ".join(command.help.partition("\n\n")[0].split())
+
+
+def names(option: Any, ctx: Any) -> str:
+    """Return the names of an option, short ones first, and what its value is called."""
+    shown = sorted(option.opts, key=len) + option.secondary_opts
+    value = "" if option.is_flag or option.count else f" {option.make_metavar(ctx)}"
+    return f"{', '.join(shown)}{value}"
+
+
+def _option_help(option: Any) -> str:
+    text = _sentence(option.help or "")
+    if option.envvar:
+        text += f" [{option.envvar}]"
+    default = option.default
+    if option.show_default and not (option.is_flag or default is None or callable(default)):
+        text += f" [default: {getattr(default, 'value', default)}]"
+    return text
+
+
+def _sentence(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _lines(
+    command: Any, ctx: Any, groups: Mapping[str, list[Entry]], folded: list[str], width: int
+) -> Iterator[str]:
+    usage = " ".join([ctx.command_path, *command.collect_usage_pieces(ctx)])
+    yield from textwrap.wrap(f"Usage: {usage}", width, subsequent_indent="  ")
+    for paragraph in (command.help or "").split("\n\n"):
+        yield ""
+        yield from textwrap.wrap(" ".join(paragraph.split()), width)
+    commands = {name: group for name, group in groups.items() if group[0].names in _inner(command)}
+    if commands:
+        yield ""
+        yield from _command_lines(commands, width)
+    for heading in [name for name in groups if name not in {*commands, *folded}]:
+        yield ""
+        yield heading
+        yield from chain.from_iterable(_entry(item, _NAMES, width) for item in groups[heading])
+    if folded:
+        yield ""
+        yield from [] if commands else [_more(ctx)]
+        column = 8 if commands else 15
+        for heading in [name for name in groups if name in folded]:
+            short = ", ".join(item.names.partition(", ")[0].partition(" ")[0] for item in groups[heading])
+            start = f"{'' if commands else '  '}{heading} "
+            yield from textwrap.wrap(f"{start:<{column}}{short}", width, subsequent_indent=" " * column)
+    if command.epilog:
+        yield from [] if folded else [""]
+        yield from textwrap.wrap(command.epilog, width)
+
+
+def _inner(command: Any) -> Mapping[str, Any]:
+    """Return the commands of a group; none of a command."""
+    inner: Mapping[str, Any] = getattr(command, "commands", {})
+    return inner
+
+
+def _command_lines(groups: Mapping[str, list[Entry]], width: int) -> Iterator[str]:
+    """Yield commands with what they do; the group stands in front of its first one."""
+    first = max(map(len, groups)) + 1
+    second = first + max(len(entry.names) for group in groups.values() for entry in group) + 1
+    for heading, entries in groups.items():
+        for place, entry in enumerate(entries):
+            start = f"{'' if place else heading:<{first}}{entry.names}"
+            text = textwrap.wrap(entry.help, max(20, width - second))
+            yield f"{start:<{second}}{text[0] if text else ''}".rstrip()
+            yield from (f"{'':{second}}{line}" for line in text[1:])
+
+
+def _more(ctx: Any) -> str:
+    root, _, path = ctx.command_path.partition(" ")
+    return f"More options: {f'{root} help {path}'.strip()} explains them"
+
+
+def _entry(entry: Entry, column: int, width: int) -> Iterator[str]:
+    """Yield the names, and the help text beside them, or below where they are too long for their column."""
+    text = textwrap.wrap(entry.help, max(20, width - column)) or [""]
+    if len(entry.names) + 4 <= column:
+        yield f"  {entry.names:<{column - 2}}{text.pop(0)}".rstrip()
+    else:
+        yield f"  {entry.names}"
+    for line in text:
+        yield f"{'':{column}}{line}"

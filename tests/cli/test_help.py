@@ -1,0 +1,65 @@
+"""``edoras help`` and the manual pages."""
+
+import shutil
+import subprocess
+
+import pytest
+
+from edoras_tools.cli.man import page
+
+
+def test_help_of_a_command_is_all_of_it(call):
+    assert call("help", "record").out.rstrip() == call("record", "--help").out.rstrip()
+    assert call("help").out.rstrip() == call("--help").out.rstrip()
+    assert "edoras wireshark extcap install" in call("help", "wireshark", "extcap", "install").out
+
+
+def test_an_unknown_command(call):
+    done = call("help", "recrd")
+    assert done.code == 2
+    assert done.err == ["edoras: edoras has no command 'recrd'; did you mean record or recover?"]
+    assert call("help", "wireshark", "path", "x").code == 2
+
+
+def test_manual_pages_are_roff_without_warnings(call, tmp_path):
+    done = call("help", "--man", tmp_path / "man1")
+    pages = sorted((tmp_path / "man1").iterdir())
+    assert f"{len(pages)} manual pages" in done.out
+    assert {"edoras.1", "edoras-record.1", "edoras-wireshark-run.1"} <= {path.name for path in pages}
+    groff = shutil.which("groff")
+    if groff is None:
+        pytest.skip("groff is not installed")
+    for path in pages:
+        told = subprocess.run(
+            [groff, "-ww", "-man", "-Tascii", "-P-cbou", path], capture_output=True, text=True, check=True
+        )
+        assert told.stderr == ""
+        assert path.stem.upper() in told.stdout
+    assert (
+        "--split-size SIZE"
+        in subprocess.run(
+            [groff, "-man", "-Tascii", "-P-cbou", tmp_path / "man1/edoras-record.1"],
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+    )
+
+
+def test_text_is_no_request_of_roff():
+    class Command:
+        help = ".so /etc/passwd\n\n'tis a \\backslash"
+        params = ()
+
+        def get_params(self, _):
+            return []
+
+        def collect_usage_pieces(self, _):
+            return []
+
+    class Context:
+        command_path, parent = "edoras x", None
+
+    lines = page(Command(), Context()).splitlines()
+    assert "\\&.so /etc/passwd" in lines
+    assert "\\&'tis a \\ebackslash" in lines

@@ -1,0 +1,94 @@
+"""Help texts: at most a screen on a terminal, everything elsewhere."""
+
+import os
+import re
+
+import pytest
+import typer
+
+from edoras_tools.cli import main, usage
+from edoras_tools.render.terminal.terminal import Terminal
+
+ROWS, COLUMNS = 40, 80
+
+
+def tree(command, context):
+    yield command, context
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from tree(inner, inner.make_context(name, [], parent=context, resilient_parsing=True))
+
+
+ROOT = typer.main.get_command(main.program())
+TREE = {
+    context.command_path: (command, context)
+    for command, context in tree(ROOT, ROOT.make_context("edoras", [], resilient_parsing=True))
+}
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """A function: the lines of a command's help on a stream."""
+
+    def lines(path, *, interactive, everything=False):
+        monkeypatch.setattr(usage, "look", lambda _: Terminal(COLUMNS, colour=False, interactive=interactive))
+        monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((COLUMNS, ROWS)))
+        command, context = TREE[path]
+        return usage.command_help(command, context, everything=everything).splitlines()
+
+    return lines
+
+
+def options(path):
+    command, context = TREE[path]
+    return {name for item in command.get_params(context) if not item.hidden for name in item.opts}
+
+
+def named(lines):
+    return {word.strip("(,.;):") for line in lines for word in line.split() if word.startswith("-")}
+
+
+@pytest.mark.parametrize("path", TREE)
+def test_at_most_a_screen_on_a_terminal(path, shown):
+    lines = shown(path, interactive=True)
+    assert len(lines) < ROWS
+    assert max(map(len, lines)) <= COLUMNS
+
+
+@pytest.mark.parametrize("path", TREE)
+def test_every_option_is_explained_in_a_pipe_and_by_help(path, shown):
+    lines = shown(path, interactive=False)
+    starts = named(re.match(r" {2}(\S.*?)(?= {2}|$)", line)[1] for line in lines if re.match(r" {2}\S", line))
+    assert {name for name in options(path) if name.startswith("-")} <= starts
+    assert shown(path, interactive=True, everything=True) == lines
+
+
+@pytest.mark.parametrize("path", TREE)
+def test_no_option_is_missing_on_a_terminal(path, shown):
+    """Those that are not explained are named, by one of their names."""
+    command, context = TREE[path]
+    there = named(shown(path, interactive=True))
+    for item in command.get_params(context):
+        assert item.param_type_name == "argument" or there.intersection(item.opts), item.name
+
+
+def test_commands_stand_in_their_groups(shown):
+    lines = shown("edoras", interactive=True)
+    column = max(map(len, main.GROUPS)) + 1
+    groups, found = {}, None
+    for line in lines[
+        : lines.index("Start with: edoras demo. All options of a command: edoras help COMMAND")
+    ]:
+        heading, name = line[:column].strip(), line[column:].partition(" ")[0]
+        found = (
+            groups.setdefault(heading, set()) if heading in main.GROUPS else found if not heading else None
+        )
+        if found is not None and name:
+            found.add(name)
+    assert groups == {group: set(names) for group, names in main.GROUPS.items()}
+
+
+def test_what_is_left_out_is_said_and_where_it_is(shown):
+    assert "More options: edoras help wireshark run explains them" not in shown(
+        "edoras wireshark run", interactive=False
+    )
+    assert "More options: edoras help replay explains them" in shown("edoras replay", interactive=True)
