@@ -59,6 +59,10 @@ class Ports:
     peer: int
 
 
+GENERATOR_MSG_ID: Final = 0x18F0
+"""Usual MsgId of the commands of the telemetry generator."""
+
+
 @dataclass(frozen=True, slots=True)
 class SimProfile:
     """What a cFS instance is made of.
@@ -101,6 +105,7 @@ class SimProfile:
         event_rate: events per second that it may send in the long run.
         housekeeping_ns: period of the housekeeping requests.
         wakeup_ns: period of the wake-up that the two-robot application sends its commands on.
+        generator_msg_id: MsgId of the telemetry generator's commands; 0 where there is no generator.
         boot_ns: from the start of the processor until all applications run.
         app_start_ns: from the start of an application until it runs.
         app_kill_ns: how long an application may take to end that is told to.
@@ -118,6 +123,8 @@ class SimProfile:
     spacecraft_id: int = 0x42
     processor_id: int = 1
     address: str = "127.0.0.1"
+
+    generator_msg_id: int = GENERATOR_MSG_ID
 
     ci_port: int = 1234
     ci_buffer: int = 768

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -57,28 +57,58 @@ def codegen(
         list[str] | None,
         typer.Argument(
             metavar="[TYPE]...",
-            help="Message types, e.g. geometry_msgs/msg/Twist; a package name stands for all its types.",
+            help="Message types, e.g. geometry_msgs/msg/Twist; a package name stands for all its types. "
+            "Or generator: a cFS app that publishes on command, for edoras sweep.",
         ),
     ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the files.")
-    ] = Path("edoras_msgs"),
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="DIR", help="Folder for the files; default: edoras_msgs, or edoras_gen."
+        ),
+    ] = None,
     config: options.Config = None,
     bounds: BoundOptions,
     core: CoreOptions,
     definitions: options.TypeOptions,
+    command_mid: Annotated[
+        Any,
+        typer.Option(
+            metavar="ID", parser=options.msg_id, help="generator: MsgId of its command; default 0x18F0."
+        ),
+    ] = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Write messages in C for flight software: no ROS, no heap.
 
     For example: edoras codegen -c MISSION --bound sensor_msgs/msg/JointState.name=16 -o fsw/src/edoras_msgs
     """
-    from edoras_tools.codegen import BoundRule, Bounds, LibraryOrder, generate, summary
+    from edoras_tools.cfs.profile import GENERATOR_MSG_ID
+    from edoras_tools.codegen import (
+        BoundRule,
+        Bounds,
+        LibraryOrder,
+        app_summary,
+        generate,
+        generator_app,
+        summary,
+    )
+    from edoras_tools.errors import ConfigError
     from edoras_tools.mission import load
     from edoras_tools.pipelines.codegen import write_folder
     from edoras_tools.ros import TypeStore
     from edoras_tools.wire.envelope import EnvelopeFormat
 
+    if types == ["generator"] and not config:
+        output = output or Path("edoras_gen")
+        made_app = generator_app(GENERATOR_MSG_ID if command_mid is None else command_mid)
+        removed = write_folder(output, made_app)
+        if not quiet:
+            sys.stdout.write("".join(f"{line}\n" for line in app_summary(made_app, output)))
+        return
+    if command_mid is not None:
+        raise ConfigError("--command-mid is an option of 'edoras codegen generator'")
+    output = output or Path("edoras_msgs")
     store = TypeStore(definitions.distro, definitions.msg_path or ())
     mission = load(config or (), check_type=store.check)
     rules = tuple(BoundRule.read(text) for text in bounds.bound or ())

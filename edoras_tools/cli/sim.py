@@ -6,7 +6,7 @@ import sys
 from dataclasses import replace
 from enum import StrEnum
 from time import time_ns
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -23,20 +23,15 @@ class Scenario(StrEnum):
     TWO_ARMS = "two-arms"
 
 
-def sim(
-    scenario: Annotated[Scenario, typer.Argument(help="The EDORAS demo to emulate.")] = Scenario.ROVER,
-    bridges: Annotated[
-        bool, typer.Option(help="Also emulate the operator, the bridges and the robots.")
-    ] = True,
-    rate: Annotated[
-        float, typer.Option("--hz", metavar="HZ", min=0.01, max=1000, help="Commands per second.")
-    ] = 5.0,
+class FlightOptions(NamedTuple):
+    """How the emulated cFS is configured."""
+
     limit: Annotated[
         int,
         typer.Option(
             metavar="N", min=1, max=255, help="Telemetry Output: messages of one MsgId that may wait."
         ),
-    ] = 4,
+    ] = 4
     msg_max: Annotated[
         int,
         typer.Option(
@@ -44,7 +39,28 @@ def sim(
             min=0,
             help="The host's fs.mqueue.msg_max, which cuts every pipe; 10 where nobody raised it, 0: no cut.",
         ),
-    ] = 0,
+    ] = 0
+    generator: Annotated[
+        Any,
+        typer.Option(
+            metavar="ID",
+            parser=options.msg_id,
+            help="MsgId of the commands of the telemetry generator, default 0x18F0; 0: there is none.",
+        ),
+    ] = None
+
+
+@options.grouped
+def sim(
+    *,
+    scenario: Annotated[Scenario, typer.Argument(help="The EDORAS demo to emulate.")] = Scenario.ROVER,
+    bridges: Annotated[
+        bool, typer.Option(help="Also emulate the operator, the bridges and the robots.")
+    ] = True,
+    rate: Annotated[
+        float, typer.Option("--hz", metavar="HZ", min=0.01, max=1000, help="Commands per second.")
+    ] = 5.0,
+    flight: FlightOptions,
     host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address to bind.")] = "127.0.0.1",
     duration: options.Duration = None,
     quiet: options.Quiet = False,
@@ -63,6 +79,7 @@ def sim(
     # When bound to every address, the parts still use loopback among themselves.
     address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  the user asked for it
     profile = SimProfile()
+    limit = flight.limit
     peers = tuple(replace(peer, address=address) for peer in profile.sbn_peers)
     limits = {
         msg_id: limit if room == profile.to_default_limit else room for msg_id, room in TO_TABLE.items()
@@ -71,7 +88,8 @@ def sim(
         profile,
         to_default_limit=limit,
         to_limits=limits,
-        msg_max=msg_max,
+        msg_max=flight.msg_max,
+        generator_msg_id=profile.generator_msg_id if flight.generator is None else flight.generator,
         address=address,
         sbn_peers=peers,
         sbn_says_start=True,

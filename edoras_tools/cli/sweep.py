@@ -75,6 +75,14 @@ class StepOptions(NamedTuple):
             help="With --sim: messages of the route that may wait in its pipe.",
         ),
     ] = None
+    generator: Annotated[
+        Any,
+        typer.Option(
+            metavar="ID",
+            parser=options.msg_id,
+            help="MsgId of the commands of the app that 'edoras codegen generator' writes; default 0x18F0.",
+        ),
+    ] = None
     watch: Annotated[bool, typer.Option("--watch", help="Publish nothing; only measure what arrives.")] = (
         False
     )
@@ -106,6 +114,7 @@ class StepOptions(NamedTuple):
 
     def plan(self, route: Route, send_options: SendOptions) -> SweepPlan:
         """Return these options in the form that pipelines take."""
+        from edoras_tools.cfs.profile import GENERATOR_MSG_ID
         from edoras_tools.pipelines.sweep.plan import SweepPlan
 
         return SweepPlan(
@@ -118,6 +127,7 @@ class StepOptions(NamedTuple):
             self.limit,
             self.watch,
             self.duration or 60 * SECOND,
+            self.generator or GENERATOR_MSG_ID,
         )
 
 

@@ -3,11 +3,21 @@
 ``bounds`` says how long sequences and strings may be, ``plan`` what types look like in C (``sizes``: how long
 their longest CDR is), ``header``, ``codec``, ``tables`` and ``mission`` write one kind of file each,
 ``generation`` puts the files of a library together with those of ``runtime/``, which are C as it is;
-``summary`` says what they are.
+``summary`` says what they are. ``generator`` is a whole cFS app, for ``edoras sweep``.
 """
 
 from edoras_tools.codegen.bounds import BoundRule, Bounds
 from edoras_tools.codegen.generation import Generated, LibraryOrder, generate
-from edoras_tools.codegen.summary import summary
+from edoras_tools.codegen.generator import generator_app
+from edoras_tools.codegen.summary import app_summary, summary
 
-__all__ = ["BoundRule", "Bounds", "Generated", "LibraryOrder", "generate", "summary"]
+__all__ = [
+    "BoundRule",
+    "Bounds",
+    "Generated",
+    "LibraryOrder",
+    "app_summary",
+    "generate",
+    "generator_app",
+    "summary",
+]

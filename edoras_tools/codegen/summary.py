@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from edoras_tools.codegen.generator import STARTUP
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from edoras_tools.codegen.generation import Generated
@@ -35,6 +37,17 @@ def summary(made: Generated, folder: Path, removed: Sequence[str]) -> list[str]:
     if removed:
         lines.append(f"removed, of an earlier library: {', '.join(removed)}")
     return lines
+
+
+def app_summary(files: Iterable[str], folder: Path) -> list[str]:
+    """Return the lines for the generator app: its files, and how it is built into a cFS."""
+    return [
+        *(f"{folder / name}" for name in files),
+        "",
+        f"in targets.cmake:          list(APPEND MISSION_GLOBAL_APPLIST {folder.name})",
+        f"in cfe_es_startup.scr:     {STARTUP}",
+        "in to_lab_sub.c:           the MsgIds that it is to publish, if the ground is to get them",
+    ]
 
 
 def _bounded(message: Message, prefix: str) -> Iterator[str]:

@@ -41,7 +41,7 @@ class Apps:
             (command_ingest.NAME, "ci_lab", self._ci),
             (telemetry_output.NAME, "to_lab", lambda: ToLab(cfs, self.edoras.telemetry)),
             (edoras_app.NAME, "edoras_app", lambda: self.edoras.start(cfs)),
-            (generator.NAME, "edoras_gen", lambda: Generator(cfs)),
+            *[(generator.NAME, "edoras_gen", lambda: Generator(cfs))] * bool(cfs.profile.generator_msg_id),
             (lab.SCHEDULER, "sch_lab", lambda: SchLab(cfs, self.edoras)),
         ):
             cfs.executive.load(name, f"/cf/{file}.so", begin)

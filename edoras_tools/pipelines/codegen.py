@@ -56,4 +56,4 @@ def _ours(path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        return file.readline(200).startswith(f"/* {MARK}".encode())
+        return MARK.encode() in file.readline(200)

@@ -405,11 +405,10 @@ def test_a_mission_compiles_with_cfe(cc, tools, tmp_path):
     source.write_text(
         """\
 #include "edoras_mission/packets.h"
-typedef struct { uint8_t Priority; uint8_t Reliability; } Qos;
-typedef struct { CFE_SB_MsgId_t Stream; Qos Flags; uint16_t BufLimit; } Sub;
+typedef struct { CFE_SB_MsgId_t Stream; CFE_SB_Qos_t Flags; uint16_t BufLimit; } Sub;
 const Sub subscriptions[] = {
 #include "edoras_mission/to_lab_subs.inc"
-    {0, {0, 0}, 0}};
+    {{0}, {0, 0}, 0}};
 const uint16_t received[] = EDORAS_MISSION_SUBSCRIPTIONS;
 const size_t sizes[] = {sizeof(EdorasMissionPoseTlm1Ground_t), sizeof(EdorasMissionTwistCmd2Flight_t)};
 """
@@ -419,5 +418,5 @@ const size_t sizes[] = {sizeof(EdorasMissionPoseTlm1Ground_t), sizeof(EdorasMiss
         str(cc(tmp_path / "app.so", f"-I{tmp_path}", f"-I{tools.HERE / 'c'}", source, flags=flags))
     )
     assert list((ctypes.c_uint16 * 4).in_dll(made, "received")) == [0x1827, 0x1828, 0x1829, 0x182A]
-    assert list((ctypes.c_uint16 * 9).in_dll(made, "subscriptions"))[::3] == [0x0828, 0x0829, 0]
+    assert list((ctypes.c_uint32 * 6).in_dll(made, "subscriptions"))[::2] == [0x0828, 0x0829, 0]
     assert list((ctypes.c_size_t * 2).in_dll(made, "sizes")) == [16 + 16 + 140, 16 + 16 + 52]

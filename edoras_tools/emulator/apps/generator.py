@@ -1,6 +1,7 @@
 """The telemetry generator (``EDORAS_GEN``): publishes a message at a rate, to measure how many arrive.
 
-Command 0x18F0, function code 2, payload little-endian: slot u16, MsgId u16, rate u16 (Hz, 0 stops), kind u16
+``edoras codegen generator`` writes it for a real cFS. Its command: MsgId 0x18F0 (``SimProfile``), function
+code 2, payload little-endian: slot u16, MsgId u16, rate u16 (Hz, 0 stops), kind u16
 (3 is a PoseStamped in its envelope, all others zeros), length u16 of the message behind the header.
 """
 
@@ -10,6 +11,7 @@ import struct
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs.event_services import EventText
+from edoras_tools.cfs.profile import GENERATOR_MSG_ID
 from edoras_tools.emulator.messages import FixedStruct, pose_stamped
 from edoras_tools.emulator.scheduler import Receive, SleepUntil, Work
 from edoras_tools.errors import WireError
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
 NAME: Final = "EDORAS_GEN"
 TASK: Final = "EDORAS_GEN.EDORAS_GEN_T"
-COMMAND_MSG_ID: Final = 0x18F0
+COMMAND_MSG_ID: Final = GENERATOR_MSG_ID
 SET: Final = 2
 POSE_STAMPED_KIND: Final = 3
 _INITIALIZED: Final = EventText(NAME, 1, "EDORAS_GEN initialized, command MID 0x{msg_id:04X}")
@@ -45,8 +47,8 @@ class Generator:
         self._cfs = cfs
         self._round: dict[int, int] = {}
         cfs.events.register(NAME, now=cfs.scheduler.now)
-        self._pipe = cfs.create_pipe("EDORAS_GEN_PIPE", COMMAND_MSG_ID)
-        cfs.say(_INITIALIZED, msg_id=COMMAND_MSG_ID)
+        self._pipe = cfs.create_pipe("EDORAS_GEN_PIPE", cfs.profile.generator_msg_id)
+        cfs.say(_INITIALIZED, msg_id=cfs.profile.generator_msg_id)
         cfs.spawn(self._run())
 
     def _run(self) -> Task:

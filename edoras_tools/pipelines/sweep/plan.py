@@ -53,6 +53,7 @@ class SweepPlan:
         limit: how many messages may wait in the emulated cFS's pipe; None: the real limit.
         watch: publish nothing, only measure what arrives.
         watch_ns: for this time.
+        generator: MsgId of the commands of the app that publishes telemetry.
     """
 
     route: Route
@@ -64,6 +65,7 @@ class SweepPlan:
     limit: int | None = None
     watch: bool = False
     watch_ns: int = 60 * SECOND
+    generator: int = generator.COMMAND_MSG_ID
 
     @property
     def by_size(self) -> bool:
@@ -118,7 +120,7 @@ class SweepPlan:
         if self.to_cfs:
             found.append(message(self.route, bench, self.sizes[0]))
         elif not self.watch:
-            found.append(generator_command(self.route, 0, 0))
+            found.append(generator_command(self, 0, 0))
         if self.is_echoed:
             found += echo(self.route.msg_id)
         return found
@@ -203,14 +205,15 @@ def message(route: Route, bench: Workbench, size: int) -> bytes:
     return with_length(packet, size).ljust(size, bytes([_FILL]))
 
 
-def generator_command(route: Route, rate_hz: int, size: int) -> bytes:
-    """Return the command that makes the generator publish a route at a rate; 0 stops it."""
+def generator_command(plan: SweepPlan, rate_hz: int, size: int) -> bytes:
+    """Return the command that makes the generator publish the route of a plan at a rate; 0 stops it."""
+    route = plan.route
     length = max(0, size - cfe.TELEMETRY_HEADER_BYTES)
     is_pose = route.type == messages.POSE_STAMPED and length >= _POSE_BYTES
     payload = generator.set_command(
         route.msg_id, rate_hz, length=length, kind=generator.POSE_STAMPED_KIND if is_pose else 0
     )
-    return cfe.emit_command(generator.COMMAND_MSG_ID, generator.SET, payload)
+    return cfe.emit_command(plan.generator, generator.SET, payload)
 
 
 def echo(msg_id: int) -> tuple[bytes, bytes]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.cfs.limits import BRIDGE_BUFFER
+from edoras_tools.cfs import software_bus
+from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
 from edoras_tools.emulator.apps import generator
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import Listener, Transmitter
@@ -23,10 +24,10 @@ from edoras_tools.pipelines.sweep.simulated import emulated, profile_of
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.units import SECOND
-from edoras_tools.wire import cfe
+from edoras_tools.wire import cfe, sbn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from edoras_tools.io.net.wire import Wire
     from edoras_tools.model import Endpoint, Link
@@ -142,10 +143,11 @@ class _Sweeper:
         """Run the sweep."""
         self.line.open(self._conditions, self.plan.options.timeout_ns)
         self.line.command(reset_filters())
-        if not self.plan.to_cfs and (self.plan.watch or not self._has_generator()):
+        if self.plan.watch and not self.plan.to_cfs:
             self._watch()
             return
         if not self.plan.to_cfs:
+            self._need_generator()
             self._measure_background()
         if self.plan.is_echoed:
             add, remove = packets.echo(self.plan.route.msg_id)
@@ -198,33 +200,38 @@ class _Sweeper:
         observer.expected_size = size if plan.by_size else 0
         before = observer.mark()
         asked = max(0, rate - self._background)
-        line.command(packets.generator_command(plan.route, asked, size))
-        self._undo[:] = [packets.generator_command(plan.route, 0, size)]
+        line.command(packets.generator_command(plan, asked, size))
+        self._undo[:] = [packets.generator_command(plan, 0, size)]
         line.listen(plan.step_ns - COMMAND_NS)
-        line.command(packets.generator_command(plan.route, 0, size))
+        line.command(packets.generator_command(plan, 0, size))
         after = line.settle()
         least = asked * max(0, plan.step_ns - _SLACK_NS) // SECOND
         asked = max(least, asked * plan.step_ns // SECOND)
         return self._judge.telemetry(observer, before, after, least=least, asked=asked)
 
-    def _has_generator(self) -> bool:
-        """Send the telemetry generator a stop command; its event shows that it exists."""
+    def _need_generator(self) -> None:
+        """Send the telemetry generator a stop command; its event shows that it exists.
+
+        Raises:
+            CaptureError: it does not.
+        """
+        event = software_bus.EVENTS[software_bus.NO_SUBSCRIBERS].text.partition(",")[0]
+        nobody = event.format(msg_id=self.plan.generator)
+        seen = self.observer.seen
 
         def answers() -> int:
-            return sum(
-                item.count for item in self.observer.seen.events.values() if item.app == generator.NAME
-            )
+            return sum(item.count for item in seen.events.values() if item.app == generator.NAME)
 
         before = answers()
-        self.line.command(packets.generator_command(self.plan.route, 0, 0))
-        if self.line.until(lambda: answers() > before, _GENERATOR_NS):
-            return True
-        if not self.line.stopped.is_set():
-            self.found.note(
-                f"no telemetry generator answers on 0x{generator.COMMAND_MSG_ID:04x}: sweep can only measure "
-                "what is published; change the rate at the publisher"
+        self.line.command(packets.generator_command(self.plan, 0, 0))
+        self.line.until(lambda: answers() > before or seen.says(nobody), _GENERATOR_NS)
+        if answers() == before and not self.line.stopped.is_set():
+            why = f"cFS says: {nobody}" if seen.says(nobody) else f"within {_GENERATOR_NS // SECOND} s"
+            raise CaptureError(
+                f"no telemetry generator answers on 0x{self.plan.generator:04x} ({why}): add the app that "
+                "'edoras codegen generator' writes to this cFS, name its MsgId with --generator, or measure "
+                "what others publish with --watch"
             )
-        return False
 
     def _measure_background(self) -> None:
         """Measure whether the route is already published; if so, the generator only adds the rest."""
@@ -272,13 +279,38 @@ class _Sweeper:
             self.found.note(
                 "no 0x0803 came: without the software bus's counters, only events show losses inside cFS"
             )
-        if self.plan.by_size and not self.plan.to_cfs and self.plan.sizes[1] > BRIDGE_BUFFER:
-            self.found.note(
+        if self.plan.by_size:
+            for text in _size_notes(self.plan):
+                self.found.note(text)
+
+
+def _size_notes(plan: SweepPlan) -> Iterator[str]:
+    """Yield what a sweep of sizes does not see: what the bridge that it replaces does with them."""
+    first, last = plan.sizes
+    if plan.to_cfs:
+        if plan.route.link.peers:
+            yield "messages of an SBN peer are not echoed: a cut in them would not be seen"
+        return
+    if not plan.route.link.peers:
+        if last > BRIDGE_BUFFER:
+            yield (
                 f"the ground bridge receives into {BRIDGE_BUFFER:,} bytes: longer messages arrive here, but "
                 "are garbage there"
             )
-        if self.plan.by_size and self.plan.to_cfs and self.plan.route.link.peers:
-            self.found.note("messages of an SBN peer are not echoed: a cut in them would not be seen")
+        return
+    # A datagram is dropped if its length in a byte is shorter than its SBN header.
+    header = sbn.HEADER.size
+    window = -(-(first + 1) // BRIDGE_LENGTH_MODULUS) * BRIDGE_LENGTH_MODULUS
+    if window - header <= last:
+        yield (
+            f"the flight bridge keeps lengths in one byte: it drops packets of {window - header:,} to "
+            f"{window - 1:,} bytes, and so again every {BRIDGE_LENGTH_MODULUS}; here they arrive"
+        )
+    if last + header > FLIGHT_BRIDGE_BUFFER:
+        yield (
+            f"the flight bridge receives into {FLIGHT_BRIDGE_BUFFER:,} bytes, SBN header included: longer "
+            "messages arrive here, but are cut there"
+        )
 
 
 def _nothing_came(session: SbnConnection, local: Endpoint, seconds: float) -> str:

@@ -96,6 +96,6 @@ PUBLIC_BRIDGE: Final = Habits(
     heartbeat_ns=None,
     timeout_ns=None,
     ignores=frozenset(Trigger) - {Trigger.HEARD},
-    reading=PolledReading(100 * MILLISECOND, 4096, limits.BRIDGE_LENGTH_MODULUS),
+    reading=PolledReading(100 * MILLISECOND, limits.FLIGHT_BRIDGE_BUFFER, limits.BRIDGE_LENGTH_MODULUS),
 )
 """The public EDORAS flight bridge with its bugs: it repeats its SUB and answers every datagram with PROTO."""

@@ -13,10 +13,10 @@ static void put16(uint8_t *bytes, uint32_t value)
     bytes[1] = (uint8_t)value;
 }
 
-CFE_Status_t CFE_MSG_Init(CFE_MSG_Message_t *MsgPtr, CFE_SB_MsgId_t MsgId, size_t Size)
+CFE_Status_t CFE_MSG_Init(CFE_MSG_Message_t *MsgPtr, CFE_SB_MsgId_t MsgId, CFE_MSG_Size_t Size)
 {
     memset(MsgPtr, 0, Size);
-    put16(&MsgPtr->Byte[0], MsgId);
+    put16(&MsgPtr->Byte[0], MsgId.Value);
     put16(&MsgPtr->Byte[2], 0xC000U);
     put16(&MsgPtr->Byte[4], (uint32_t)(Size - 7U));
     return CFE_SUCCESS;

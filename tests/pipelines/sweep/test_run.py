@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 from dataclasses import replace
@@ -20,6 +21,7 @@ from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.sending.options import SendOptions
 from edoras_tools.pipelines.sweep import plan as sweep_plan
+from edoras_tools.pipelines.sweep import run as sweep_run
 from edoras_tools.pipelines.sweep import simulated as sweep_simulated
 from edoras_tools.pipelines.sweep.plan import (
     SweepPlan,
@@ -29,7 +31,7 @@ from edoras_tools.pipelines.sweep.plan import (
     natural_size,
     route_of,
 )
-from edoras_tools.pipelines.sweep.run import sweep
+from edoras_tools.pipelines.sweep.run import _size_notes, sweep
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe, sbn
@@ -218,13 +220,46 @@ def test_ctrl_c_in_the_middle_keeps_the_steps_that_are_whole(bench):
     assert [step.rate_hz for step in found.steps] == [1, 2]
 
 
-def test_without_a_generator_it_says_that_it_can_only_watch(bench, monkeypatch):
-    monkeypatch.setattr(sweep_plan, "generator_command", lambda *_: cfe.emit_command(0x18EE, 0))
-    summary = run(bench(*ROVER), "/telemetry_pose", "rover", watch_ns=24 * SECOND)
+def test_without_a_generator_it_says_so_at_once(bench, monkeypatch):
+    def without(plan, mission):
+        return replace(sweep_simulated.profile_of(plan, mission), generator_msg_id=0)
+
+    monkeypatch.setattr(sweep_run, "profile_of", without)
+    found = sweep(plan_of(bench(*ROVER), "/telemetry_pose", "rover", generator=0x18EE), bench(*ROVER))
+    assert found.steps == []
+    said = r"\(cFS says: No subscribers for MsgId 0x18ee\): .*'edoras codegen generator'.*--watch"
+    assert re.match(f"no telemetry generator answers on 0x18ee {said}", str(found.failure))
+
+
+def test_a_generator_of_another_msg_id(bench):
+    summary = run(bench(*TWO), "/robot_1/ground/pose", "two-rovers", generator=0x18F4, rates=(8, 9))
+    assert [(step["rate_hz"], step["lost"]) for step in summary["steps"]] == [(8, 0), (9, 7)]
+
+
+def test_watching_what_is_published(bench):
+    summary = run(bench(*ROVER), "/telemetry_pose", "rover", watch=True, watch_ns=24 * SECOND)
     assert summary["watched"]
-    assert "can only measure" in summary["notes"][0]
     assert [(step["rate_hz"], step["lost"]) for step in summary["steps"]] == [(1.0, 0)] * 3
     assert summary["steps"][0]["size"] == 116
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "notes"),
+    [
+        ("/robot_1/ground/pose", (116, 1000), []),
+        ("/robot_1/ground/pose", (116, 1100), ["the ground bridge receives into 1,024 bytes"]),
+        ("/robot_1/cmd_vel", (100, 240), []),
+        ("/robot_1/cmd_vel", (100, 250), ["keeps lengths in one byte: it drops packets of 245 to 255 bytes"]),
+        ("/robot_1/cmd_vel", (255, 300), ["keeps lengths in one byte: it drops packets of 245 to 255 bytes"]),
+        ("/robot_1/cmd_vel", (256, 500), []),
+        ("/robot_1/cmd_vel", (256, 4086), ["drops packets of 501 to 511 bytes", "receives into 4,096 bytes"]),
+        ("/robot_1/pose", (200, 5000), ["messages of an SBN peer are not echoed"]),
+    ],
+)
+def test_notes_on_sizes_name_the_bridge_of_the_link(bench, name, sizes, notes):
+    told = list(_size_notes(plan_of(bench(*TWO), name, "two-rovers", sizes=sizes)))
+    assert len(told) == len(notes)
+    assert all(note in text for note, text in zip(notes, told, strict=True))
 
 
 def test_watching_what_somebody_else_publishes_too_fast(bench, monkeypatch):
