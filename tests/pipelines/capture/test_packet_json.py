@@ -73,23 +73,27 @@ def odd(values):
 
 def test_every_type_is_told_alike(one, monkeypatch):
     """Those that hold lists of messages with lists are dissected, and no others."""
-    alone = 0
-    for name in TYPES.types():
+    routes, packets, nested = [], [], set()
+    for msg_id, name in enumerate(TYPES.types(), 0x1A00):
         dice = Random(name)
         messages = [{}, {}, *(arbitrary(TYPES, name, dice) for _ in range(3))]
         messages.append(odd(messages[-1]))
         cdrs = [TYPES.encode(name, values, big_endian=big) for values in messages for big in (False, True)]
-        batch = batch_of(one, [cfe.emit_command(0x1827, 1, DEFAULT.emit(cdr)) for cdr in cdrs])
-        context = Context(Mission(routes=(Route("/%s", name, 0x1827, CI, "command"),)), TYPES)
-        rows = ColumnRows(context, 0, batch, ColumnDecoder(context).decode(batch))
-        texts, seen = counted(monkeypatch, rows)
-        told = [as_json(Dissector(context).dissect(batch[row])) for row in range(len(batch))]
-        assert texts == [json.dumps(item, ensure_ascii=False, separators=(",", ":")) for item in told], name
-        assert all(item["message"] is not None for item in told), name
+        packets += [cfe.emit_command(msg_id, 1, DEFAULT.emit(cdr)) for cdr in cdrs]
+        routes.append(Route("/%s", name, msg_id, CI, "command"))
         steps = [step for step in TYPES.plan(name)[1].steps if isinstance(step, Repeat)]
-        assert bool(seen) == any(step.plan.lists and not step.plan.single for step in steps), name
-        alone += bool(seen)
-    assert 0 < alone < len(TYPES.types()) / 5
+        if any(step.plan.lists and not step.plan.single for step in steps):
+            nested.update(packets[-len(cdrs) :])
+    batch, context = batch_of(one, packets), Context(Mission(routes=tuple(routes)), TYPES)
+    rows = ColumnRows(context, 0, batch, ColumnDecoder(context).decode(batch))
+    dissector = Dissector(context, detail=False)
+    texts, seen = counted(monkeypatch, rows)
+    for row, text in enumerate(texts):
+        told = as_json(dissector.dissect(batch[row]))
+        assert text == json.dumps(told, ensure_ascii=False, separators=(",", ":"))
+        assert told["message"] is not None, told
+    assert seen.keys() == nested
+    assert 0 < len(nested) < len(packets) / 5
 
 
 def test_packets_that_columns_tell_are_not_dissected(monkeypatch):
