@@ -403,7 +403,7 @@ class RosMessage:
     Attributes:
         type: ROS type name, as ``geometry_msgs/msg/Twist``.
         topic: the configured topic.
-        values: plain dict of the fields, nested.
+        values: plain dict of the fields, nested, as ``TypeStore.decode`` gives them.
         cdr: the bytes, encapsulation included, padding cut.
     """
 

@@ -188,7 +188,7 @@ def _says_something(value: Any) -> bool:
 def _short(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, (list, tuple, bytes)):
         return _listed([_short(item) for item in value[:_MOST_ITEMS]], len(value))
     if isinstance(value, dict):
         return "{" + short_values(value) + "}"

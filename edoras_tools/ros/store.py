@@ -107,6 +107,9 @@ class TypeStore:
     def decode(self, type_name: str, cdr: bytes) -> dict[str, Any]:
         """Return a message as plain values: dicts, lists, int, float, bool, str.
 
+        A sequence of ``uint8``, ``byte`` or ``char``, such as the data of an image, is ``bytes`` that
+        equal the list of their numbers.
+
         Args:
             type_name: what the message is.
             cdr: encapsulation and body, either byte order.

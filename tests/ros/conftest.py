@@ -84,7 +84,7 @@ def exact(value):
     """The value with floats as bits, so that NaN equals itself and -0.0 does not equal 0.0."""
     if isinstance(value, dict):
         return {key: exact(item) for key, item in value.items()}
-    if isinstance(value, list):
+    if isinstance(value, (list, bytes)):
         return [exact(item) for item in value]
     return struct.pack("<d", value) if isinstance(value, float) else (type(value), value)
 

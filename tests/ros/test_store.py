@@ -406,3 +406,12 @@ def test_garbage_values(store, values):
         assert store.valid(
             name, np.frombuffer(cdr, np.uint8), np.zeros(1, np.int64), np.array([len(cdr)], np.int32)
         ).all()
+
+
+def test_a_sequence_of_octets_is_bytes_and_equals_its_numbers(store):
+    values = store.decode("sensor_msgs/msg/Image", store.encode("sensor_msgs/msg/Image", {"data": [1, 255]}))
+    assert isinstance(values["data"], bytes)
+    assert values == {**values, "data": [1, 255]}
+    assert {**values, "data": [1, 255]} == values
+    assert values["data"] not in ([1], [255, 1], b"", (1, 255))
+    assert {values["data"]: 1} == {b"\1\xff": 1}

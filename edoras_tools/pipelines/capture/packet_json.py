@@ -10,7 +10,6 @@ differ. The rules that this file keeps:
 
 from __future__ import annotations
 
-import math
 from itertools import groupby, pairwise
 from json import dumps
 from typing import TYPE_CHECKING, Any, Final
@@ -20,7 +19,7 @@ import numpy as np
 from edoras_tools.decode.contents import Contents, endpoints, links_of, messages_of, read_whole
 from edoras_tools.decode.filters.layers import slot_values
 from edoras_tools.decode.summary import Group, grouped
-from edoras_tools.io.formats.jsonl.texts import NOT_FINITE, value_texts
+from edoras_tools.io.formats.jsonl.texts import plain, value_texts
 from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE, Finding
@@ -62,10 +61,10 @@ _INSIDE: Final = (
 
 
 def as_json(decoded: Decoded) -> dict[str, Any]:
-    """Return a packet in the shape of ``sniff --json``: plain values, bytes as hex, NaN as a text."""
+    """Return a packet in the shape of ``sniff --json``: plain values, bytes of headers as hex."""
     packet = decoded.layer("ccsds")
     message = decoded.message
-    record = {
+    return {
         "number": decoded.datagram.number,
         "time_ns": decoded.datagram.time_ns,
         "link": decoded.link.label,
@@ -73,29 +72,17 @@ def as_json(decoded: Decoded) -> dict[str, Any]:
         "destination": str(decoded.datagram.destination),
         "length": len(decoded.datagram.payload),
         "layers": {
-            layer.name: layer.values() for layer in decoded.layers if layer.name not in {"ros", "cfs"}
+            layer.name: plain(layer.values(), octets=bytes.hex)
+            for layer in decoded.layers
+            if layer.name not in {"ros", "cfs"}
         },
         "msg_id": f"0x{packet.values()['msg_id']:04x}" if packet else None,
         "topic": message.topic if message else None,
         "type": message.type if message else None,
-        "message": message.values if message else None,
+        "message": plain(message.values) if message else None,
         "findings": decoded.findings.labels,
         "stop": str(decoded.stop) if decoded.stop else None,
     }
-    plain: dict[str, Any] = _plain(record)
-    return plain
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (bytes, bytearray)):
-        return value.hex()
-    if isinstance(value, float) and not math.isfinite(value):
-        return NOT_FINITE[repr(value)]
-    return value
 
 
 class PacketTexts:

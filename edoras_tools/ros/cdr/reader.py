@@ -20,6 +20,17 @@ _ORDERS: Final = {CDR_LE: 0, CDR_BE: 1}
 _COUNTS: Final = struct.Struct("<I"), struct.Struct(">I")
 
 
+class Octets(bytes):
+    """The elements of a sequence of octets, as the data of an image; equal to the list of its numbers."""
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        return list(self) == other if isinstance(other, list) else super().__eq__(other)
+
+    __hash__ = bytes.__hash__
+
+
 class ValueSpan(NamedTuple):
     """A value of a message and where it is.
 
@@ -158,10 +169,10 @@ def _read_repeat(step: Repeat, order: int, body: bytes, position: int, values: l
     return end
 
 
-def _elements(plan: CdrPlan, run: PrimitiveRun, order: int, data: bytes) -> list[Any]:
+def _elements(plan: CdrPlan, run: PrimitiveRun, order: int, data: bytes) -> list[Any] | bytes:
     """Read elements without gaps between them."""
     if plan.element is not None:
-        return _numbers(plan.element.code, order, data)
+        return Octets(data) if plan.element.code == "B" else _numbers(plan.element.code, order, data)
     return [plan.build(iter(flat)) for flat in run.structs[order].iter_unpack(data)]
 
 

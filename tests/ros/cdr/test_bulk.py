@@ -71,7 +71,7 @@ def flattened(value, path=""):
     if isinstance(value, dict):
         for key, item in value.items():
             yield from flattened(item, f"{path}.{key}" if path else key)
-    elif isinstance(value, list):
+    elif isinstance(value, (list, bytes)):
         for item in value:
             yield from flattened(item, path)
     else:

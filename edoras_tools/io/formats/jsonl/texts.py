@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from itertools import pairwise
 from json import dumps
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from edoras_tools.io.formats.columns import TableColumn
@@ -26,6 +29,24 @@ def json_texts(column: TableColumn) -> list[str]:
     if column.there is None:
         return texts
     return [text if there else "null" for text, there in zip(texts, column.there.tolist(), strict=True)]
+
+
+def plain(value: Any, octets: Callable[[bytes], Any] = list) -> Any:
+    """Return a value as JSON takes it: numbers that it does not know as texts.
+
+    Args:
+        value: of a message or a header, nested.
+        octets: what becomes of bytes; a list of numbers if not given.
+    """
+    if isinstance(value, dict):
+        return {name: plain(item, octets) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item, octets) for item in value]
+    if isinstance(value, (bytes, bytearray)):
+        return octets(bytes(value))
+    if isinstance(value, float) and not isfinite(value):
+        return NOT_FINITE[repr(value)]
+    return value
 
 
 def number_texts(values: NDArray[Any]) -> list[str]:
