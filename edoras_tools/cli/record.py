@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from time import strftime
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -13,7 +14,17 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import finish, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import print_json
+from edoras_tools.cli.snapshots import SnapshotOptions
 from edoras_tools.errors import ConfigError
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.capture.record import Target
+    from edoras_tools.pipelines.capture.snapshot import SnapshotPlan
+    from edoras_tools.pipelines.reading import Limits
+    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.workbench import Workbench
 
 
 class TargetOptions(NamedTuple):
@@ -70,11 +81,15 @@ def record(
     printing: options.PrintOptions,
     chosen: options.SelectionOptions,
     decoding: options.DecodingOptions,
+    snapshots: SnapshotOptions,
 ) -> None:
     """Record every datagram, and every ROS message on its topic.
 
     Several inputs become one recording in time order. It can be converted back: record -r a.mcap -o b.pcap.
     """
+    if snapshots.fire:
+        _fire(snapshots.fire)
+        return
     from edoras_tools.pipelines.capture.record import Target, check_output
     from edoras_tools.pipelines.capture.record import record as run
     from edoras_tools.render.capture.watch import watcher
@@ -82,7 +97,10 @@ def record(
     live, limits = not given.paths, stop.limits(given.paths)
     if every and not given.live.interface:
         raise ConfigError("--all chooses what -i IFACE captures; files and --listen are recorded whole")
-    path = files.output or Path(strftime("edoras_%Y%m%d_%H%M%S") + ("" if files.rosbag2 else ".mcap"))
+    snapshots.check(splits=bool(files.split_size or files.split_time or files.split_count))
+    plan = snapshots.plan()
+    usual = "snapshot" if plan else strftime("edoras_%Y%m%d_%H%M%S")
+    path = files.output or Path(usual + ("" if files.rosbag2 else ".mcap"))
     target = Target(
         path,
         rosbag2=files.rosbag2,
@@ -95,8 +113,13 @@ def record(
         replace=files.force,
         told=tell,
     )
-    check_output(target, given.paths)
+    if plan and files.rosbag2:
+        raise ConfigError("--snapshot writes files, and --rosbag2 a directory: leave one of them out")
+    check_output(target, given.paths, snapshots=plan is not None)
     source, bench = open_input(given, decoding.settings(), every_port=every, output=path)
+    if plan:
+        _record_snapshots(source, bench, target, plan, snapshots, chosen.selection(), limits, printing)
+        return
     with watcher(source, path, quiet=printing.quiet or printing.json, live=live) as watch:
         report = run(
             source,
@@ -119,4 +142,57 @@ def record(
         from edoras_tools.render.capture.watch import recorded
 
         sys.stderr.write(recorded(report.summary(), report.outputs, report.keep) + "\n")
+    finish(report, live=live)
+
+
+def _fire(path: Path) -> None:
+    from edoras_tools.pipelines.capture.triggers import ask
+
+    typer.echo(ask(path))
+
+
+def _record_snapshots(
+    source: Source,
+    bench: Workbench,
+    target: Target,
+    plan: SnapshotPlan,
+    asked: SnapshotOptions,
+    selection: Selection,
+    limits: Limits,
+    printing: options.PrintOptions,
+) -> None:
+    from edoras_tools.io.capture.device import DeviceSource
+    from edoras_tools.pipelines.capture.snapshot import record_snapshots
+    from edoras_tools.render.capture.watch import watcher
+
+    live = isinstance(source, DeviceSource)
+    with ExitStack() as stack:
+        stack.callback(source.close)
+        triggers = asked.triggers(stack)
+        watch = stack.enter_context(
+            watcher(source, target.path, quiet=printing.quiet or printing.json, live=live)
+        )
+        report, sink = record_snapshots(
+            source,
+            bench,
+            target,
+            plan,
+            selection=selection,
+            limits=limits,
+            watcher=watch,
+            triggers=triggers,
+        )
+    if printing.json:
+        print_json(
+            {
+                **report.summary(),
+                "outputs": [str(item) for item in report.outputs],
+                "snapshots": [item.as_json() for item in sink.snapshots],
+                "dropped": sink.dropped,
+                "deleted": {"files": report.keep.deleted, "datagrams": report.keep.datagrams},
+            }
+        )
+    elif not printing.quiet:
+        files = plural(len(sink.snapshots), "snapshot") if sink.snapshots else "no trigger fired, no file"
+        sys.stderr.write(f"{files}; {report.ledger.datagrams:,} datagrams were seen\n")
     finish(report, live=live)

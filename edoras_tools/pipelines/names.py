@@ -112,7 +112,8 @@ def find_packets(pattern: str, context: Context) -> Packets:
     topics = [route.topic for route in routes]
     topics += [item.topic for item in context.structs.all]
     names = [*MSG_ID_NAMES.values(), *(known for known, _ in _own_names() if "0X" not in known)]
-    near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1) or did_you_mean(pattern, names, 1)
+    near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1, 0.8)
+    near = near or (did_you_mean(pattern, names, 1, 0.8) if pattern[0] != "/" else "")
     there = ", ".join(route.topic for route in routes) or "none; name a mission with -c"
     raise RouteError(f"no configured topic matches {pattern!r}; {near or f'there are: {there}'}")
 

@@ -126,8 +126,13 @@ class CaptureReport:
         }
 
 
-def check_output(target: Target, inputs: Sequence[Path]) -> None:
+def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = False) -> None:
     """Check a target before anything is opened: its format, and that it overwrites nothing.
+
+    Args:
+        target: what will be written.
+        inputs: files that are read.
+        snapshots: each file gets a name of its own that is free.
 
     Raises:
         ConfigError: the suffix is unknown, or something would be overwritten.
@@ -135,17 +140,26 @@ def check_output(target: Target, inputs: Sequence[Path]) -> None:
     if target.format is None:
         raise ConfigError(f"{target.path}: unknown suffix; use {', '.join(FILE_SUFFIXES)}, or --rosbag2")
     split = bool(target.split_bytes or target.split_ns or target.split_count)
-    if (target.keep_files or target.keep_bytes) and not split:
+    if (target.keep_files or target.keep_bytes) and not (split or snapshots):
         raise ConfigError("--keep and --keep-size delete the oldest files: split too, e.g. --split-time 10m")
     if 0 < target.keep_bytes < target.split_bytes:
         raise ConfigError("--keep-size is smaller than --split-size: no complete file would be kept")
     refuse_input(target.path, inputs)
-    if not target.replace and not target.rosbag2:
+    if not target.replace and not target.rosbag2 and not snapshots:
         refuse_existing(in_the_way(target.path, split=split))
 
 
-def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str = "") -> WatchedSink | Apart:
+def open_sink(
+    target: Target, source: Source, bench: Workbench, *, chosen: str = "", apart: bool = True
+) -> WatchedSink | Apart:
     """Open a sink for a target that was checked.
+
+    Args:
+        target: what to write.
+        source: what is read.
+        bench: mission, types and decoders.
+        chosen: the selection, in words.
+        apart: a second process may write a large file; it lends the memory that the source reads into.
 
     Raises:
         CaptureError: it cannot be written.
@@ -183,7 +197,7 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
 
     sync_s, keep = target.sync_ns / 1e9, Keep(target.keep_files, target.keep_bytes)
     sink = WatchedSink(target.path, begin, target.told, source.statistics, sync_s=sync_s, keep=keep)
-    return _apart(sink, source, target.path) if format_ is MCAP else sink
+    return _apart(sink, source, target.path) if apart and format_ is MCAP else sink
 
 
 def _apart(sink: WatchedSink, source: Source, path: Path) -> WatchedSink | Apart:

@@ -7,13 +7,13 @@ a result, so that the list grows from its top while the filter runs.
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from edoras_tools.model import Columns, PacketBatch, concatenate
-from edoras_tools.wire.window import copy_rows
+from edoras_tools.pipelines.capture.compact import OFFSETS, ROW_BYTES
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,13 +24,8 @@ if TYPE_CHECKING:
     """Rows of a block, in order."""
     Part = tuple["PacketBlock", int, Shown]
 
-_OFFSETS: Final = ("packet_offset", "cdr_offset")
-_ROW_BYTES: Final = 128
-"""Approximate bytes that the columns of one packet take."""
 _SMALL: Final = 16_384
 """Blocks of a live capture are joined up to this many packets."""
-_SPARE: Final = 64
-"""Bytes after the last packet, for readers of whole words."""
 
 
 @dataclass(slots=True, eq=False)
@@ -55,7 +50,7 @@ class PacketBlock:
     @property
     def size(self) -> int:
         """Approximate bytes in memory."""
-        return self.batch.data.nbytes + _ROW_BYTES * len(self)
+        return self.batch.data.nbytes + ROW_BYTES * len(self)
 
 
 class Store:
@@ -206,7 +201,7 @@ def join_blocks(first: PacketBlock, second: PacketBlock) -> PacketBlock:
     columns: dict[str, Any] = {}
     for item in fields(Columns):
         left, right = getattr(first.columns, item.name), getattr(second.columns, item.name)
-        if item.name in _OFFSETS:
+        if item.name in OFFSETS:
             right = np.where(right >= 0, right + shift, right)
         columns[item.name] = np.concatenate([left, right])
     shown: Shown | None = None
@@ -215,29 +210,3 @@ def join_blocks(first: PacketBlock, second: PacketBlock) -> PacketBlock:
     elif first.shown is not None and second.shown is not None:
         shown = np.concatenate([np.asarray(first.shown), np.asarray(second.shown) + len(first)])
     return PacketBlock(concatenate([first.batch, second.batch]), Columns(**columns), shown)
-
-
-def compact(batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]:
-    """Return the same packets over a smaller buffer, if most of the buffer is unused."""
-    outside = (batch.offset < batch.frame_offset) | (
-        batch.offset + batch.length > batch.frame_offset + batch.frame_length
-    )
-    extra = np.where(outside, batch.length, 0)
-    sizes = batch.frame_length.astype(np.int64) + extra
-    total = int(sizes.sum())
-    if 2 * total >= len(batch.data) or not len(batch):
-        return batch, columns
-    starts = np.cumsum(sizes) - sizes
-    data = np.zeros(total + _SPARE, np.uint8)
-    copy_rows(data, starts, batch.data, batch.frame_offset, batch.frame_length)
-    # A payload that was reassembled from fragments is copied to a place after its frame.
-    offset = np.where(outside, starts + batch.frame_length, starts + batch.offset - batch.frame_offset)
-    rows = np.flatnonzero(outside)
-    copy_rows(data, offset[rows], batch.data, batch.offset[rows], batch.length[rows])
-    shift = offset - batch.offset
-    moved = {
-        name: np.where(column >= 0, column + shift, column)
-        for name in _OFFSETS
-        for column in (getattr(columns, name),)
-    }
-    return replace(batch, data=data, frame_offset=starts, offset=offset), replace(columns, **moved)

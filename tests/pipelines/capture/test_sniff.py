@@ -3,12 +3,14 @@
 import itertools
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edoras_tools.decode import Context
 from edoras_tools.errors import CaptureError, RouteError, TruncatedError
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
@@ -34,6 +36,11 @@ ROUTES = tuple(
     Route(topic, "geometry_msgs/msg/Twist", 0x1827 + index, CI, "command")
     for index, topic in enumerate(["/robot_1/cmd_vel", "/robot_2/cmd_vel", "/arm/target"])
 )
+
+
+def bench_of(*routes):
+    """What a selection needs of a workbench, for a mission with these routes."""
+    return SimpleNamespace(columns=SimpleNamespace(context=Context(Mission(routes=routes))))
 
 
 @pytest.fixture
@@ -131,9 +138,9 @@ def test_selections(selection, wanted, as_batch, row):
         row(link=OTHER, msg_id=-1, findings=int(Finding.TRUNCATED)),
     ]
     batch, columns = as_batch(rows)
-    mission = Mission(routes=ROUTES)
-    assert selection.mask(columns, mission).tolist() == wanted
-    chosen, chosen_columns = selection.apply(batch, columns, mission)
+    ready = selection.over(bench_of(*ROUTES))
+    assert ready.mask(batch, columns).tolist() == wanted
+    chosen, chosen_columns = ready.apply(batch, columns)
     assert len(chosen) == len(chosen_columns) == sum(wanted)
     assert bool(selection) is not all(wanted)
 
@@ -142,9 +149,9 @@ def test_a_topic_that_is_not_there():
     with pytest.raises(
         RouteError, match="matches '/robot'; there are: /robot_1/cmd_vel, /robot_2/cmd_vel, /arm/target"
     ):
-        Selection(topics=["/robot"]).check(Mission(routes=ROUTES))
+        Selection(topics=["/robot"]).over(bench_of(*ROUTES))
     with pytest.raises(RouteError, match="name a mission with -c"):
-        Selection(topics=["/robot"]).check(Mission())
+        Selection(topics=["/robot"]).over(bench_of())
 
 
 SCALARS = (

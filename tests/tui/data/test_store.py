@@ -9,8 +9,9 @@ from places import ROOT
 
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.model import Columns
+from edoras_tools.pipelines.capture.compact import compact
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.tui.data.store import PacketBlock, Store, compact, join_blocks
+from edoras_tools.tui.data.store import PacketBlock, Store, join_blocks
 
 BENCH = Settings([ROOT / "samples/missions/two_rovers_ground.yaml"]).workbench()
 WHOLE = next(iter(open_files([ROOT / "samples/captures/f_sbn_disconnect.pcap"]).batches()))

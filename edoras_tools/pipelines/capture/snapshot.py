@@ -1,0 +1,429 @@
+"""Keeps the last seconds of a source in memory, and writes them, with what follows, where a trigger fires.
+
+Rules that it keeps:
+
+1. Batches are kept by reference, with the columns that the read loop decoded anyway; nothing is written, and
+   nothing else is decoded, before a trigger fires.
+2. A trigger at time t asks for the datagrams from t - before to t + after. One that fires before an earlier
+   one's end extends that one; any other gets a file of its own, with all of its time before.
+3. What was kept is written a little at a time, between two batches, so that a live source is read on in time.
+4. What is kept needs at most a given size. Then the oldest datagrams are dropped first, which is counted and
+   said; those that a trigger asked for are written at once instead.
+5. At the end, at Ctrl-C too, everything that was asked for and has come is written.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.decode.filters.filter import Where
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.capture.device import DeviceSource
+from edoras_tools.io.formats.watched import Keep
+from edoras_tools.io.outputs import path_beside
+from edoras_tools.model import Finding
+from edoras_tools.pipelines.capture.compact import ROW_BYTES, compact
+from edoras_tools.pipelines.capture.record import open_sink, pour
+from edoras_tools.pipelines.capture.triggers import RuleTrigger, Triggers
+from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.io import Source
+    from edoras_tools.io.formats.mcap.process import Apart
+    from edoras_tools.io.formats.watched import OutputLoss, WatchedSink
+    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
+    from edoras_tools.pipelines.capture.record import CaptureReport, Target
+    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.run import Watcher
+
+_TURN_NS: Final = 50 * MILLISECOND
+"""Longest time that is spent on writing what was kept, before the source is read again."""
+_QUIET_NS: Final = SECOND
+"""A source that gave nothing for this time has nothing more of a time that is over."""
+_APART_NS: Final = 100 * MILLISECOND
+"""Datagrams that fire a trigger are looked at in steps of this time."""
+_MOST_REASONS: Final = 10
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotPlan:
+    """When what is written.
+
+    Attributes:
+        before_ns: time before a trigger.
+        after_ns: time after it.
+        before_bytes: about the most bytes that are kept in memory.
+        findings: bits of the findings that fire.
+        where: filters; a packet that passes one fires.
+        rules: rules of the doctor; a verdict of one fires.
+        any_rule: a verdict of any rule fires that is an error.
+    """
+
+    before_ns: int = 30 * SECOND
+    after_ns: int = 10 * SECOND
+    before_bytes: int = 512 << 20
+    findings: int = 0
+    where: tuple[str, ...] = ()
+    rules: frozenset[str] = frozenset()
+    any_rule: bool = False
+
+
+@dataclass(slots=True)
+class Snapshot:
+    """One file, and why it was written.
+
+    Attributes:
+        reasons: what fired, in order; the first few.
+        trigger_ns: time of the first trigger.
+        start_ns: first time that is asked for.
+        until_ns: last time that is asked for.
+        path: the file; None before it is begun.
+        datagrams: how many were written.
+        before_ns: how long before the trigger its first datagram is; 0 without any.
+        cut: whether older datagrams had been dropped because of the size.
+        next: number of the kept batch that is written next.
+        sink: writes the file; None before it is begun.
+    """
+
+    reasons: list[str]
+    trigger_ns: int
+    start_ns: int
+    until_ns: int
+    path: Path | None = None
+    datagrams: int = 0
+    before_ns: int = 0
+    cut: bool = False
+    next: int = field(default=0, repr=False)
+    sink: WatchedSink | Apart | None = field(default=None, repr=False)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``record --snapshot --json``."""
+        return {
+            "path": str(self.path),
+            "reasons": self.reasons,
+            "trigger_ns": self.trigger_ns,
+            "until_ns": self.until_ns,
+            "datagrams": self.datagrams,
+            "before_ns": self.before_ns,
+            "cut": self.cut,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Piece:
+    """A batch that is kept."""
+
+    batch: PacketBatch
+    columns: Columns
+    first_ns: int
+    last_ns: int
+
+    @property
+    def size(self) -> int:
+        return self.batch.data.nbytes + ROW_BYTES * len(self.batch)
+
+
+class SnapshotSink:
+    """A sink that keeps what it is given, and writes what triggers ask for.
+
+    Args:
+        plan: when what is written.
+        source: what is read; a live one is read on while files are written.
+        context: for filters and rules.
+        target: the output: each file has the trigger's time behind its name.
+        begin: opens a sink at a path.
+        triggers: of this machine: a signal, a key, a socket.
+        clock: monotonic time in ns.
+
+    Attributes:
+        snapshots: those that are written or being written.
+        losses: files that were removed while they were written.
+        keep: how many files are kept, and what was deleted.
+        dropped: datagrams that were younger than the time before, and were dropped because of the size.
+
+    Raises:
+        ConfigError: a filter has an error.
+    """
+
+    def __init__(
+        self,
+        plan: SnapshotPlan,
+        source: Source,
+        context: Context,
+        target: Target,
+        begin: Callable[[Path], WatchedSink | Apart],
+        *,
+        triggers: Triggers | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.snapshots: list[Snapshot] = []
+        self.losses: list[OutputLoss] = []
+        self.keep = Keep(target.keep_files, target.keep_bytes)
+        self.dropped = 0
+        self._plan, self._target, self._begin = plan, target, begin
+        self._triggers = triggers or Triggers()
+        self._live, self._clock = isinstance(source, DeviceSource), clock
+        self._statistics = source.statistics
+        self._where = [Where(text, context) for text in plan.where]
+        self._rules = RuleTrigger(context, plan.rules, any_error=plan.any_rule, apart=self._live)
+        self._pieces: deque[_Piece] = deque()
+        self._first = 0  # number of the oldest piece
+        self._size = 0
+        self._newest_ns = 0
+        self._came_ns = clock()
+        self._dropped_ns = -1
+        self._open: deque[Snapshot] = deque()
+        self._closed = False
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files that were written."""
+        return [item.path for item in self.snapshots if item.path is not None]
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Keep a batch; write what triggers asked for, for a short time.
+
+        Raises:
+            CaptureError: a file cannot be written.
+        """
+        piece = _Piece(*compact(batch, columns), int(batch.time_ns.min()), int(batch.time_ns.max()))
+        self._pieces.append(piece)
+        self._size += piece.size
+        self._newest_ns, self._came_ns = max(self._newest_ns, piece.last_ns), self._clock()
+        for time_ns, reason in self._found(piece):
+            self.fire(time_ns, reason)
+        self._look()
+        self._forget()
+
+    def flush(self) -> None:
+        """Look whether a trigger fired, and write what is left to write.
+
+        Raises:
+            CaptureError: a file cannot be written.
+        """
+        self._look()
+        for item in self._open:
+            if item.sink is not None:
+                item.sink.flush()
+
+    def fire(self, time_ns: int, reason: str) -> None:
+        """Ask for the datagrams around a time, which is not before the newest datagram."""
+        plan = self._plan
+        last = self._open[-1] if self._open else None
+        if last is not None and time_ns <= last.until_ns:
+            last.until_ns = max(last.until_ns, time_ns + plan.after_ns)
+            if reason not in last.reasons and len(last.reasons) < _MOST_REASONS:
+                last.reasons.append(reason)
+            return
+        start_ns = time_ns - plan.before_ns
+        self._open.append(Snapshot([reason], time_ns, start_ns, time_ns + plan.after_ns, next=self._first))
+
+    def close(self, statistics: SourceStatistics) -> None:  # noqa: ARG002  those of the source
+        """Write everything that was asked for and has come.
+
+        Raises:
+            CaptureError: a file cannot be written.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self._rules.end()
+        for time_ns, reason in self._rules.found():
+            self.fire(time_ns, reason)
+        while self._open:
+            self._advance(None)
+            self._complete(self._open.popleft())
+
+    def _found(self, piece: _Piece) -> Iterator[tuple[int, str]]:
+        """Yield when datagrams of a batch fire, and why."""
+        hits = []
+        if self._plan.findings:
+            bits = piece.columns.findings & np.uint32(self._plan.findings)
+            if bits.any():
+                told = Finding(int(np.bitwise_or.reduce(bits)))
+                hits.append((bits != 0, f"finding {', '.join(item.label for item in told)}"))
+        hits += [(where.mask(piece.batch, piece.columns), str(where)) for where in self._where]
+        for hit, reason in hits:
+            times = np.sort(piece.batch.time_ns[hit])
+            if len(times):
+                steps = np.append(True, np.diff(times // _APART_NS) > 0)
+                steps[-1] = True
+                yield from ((time_ns, reason) for time_ns in times[steps].tolist())
+
+    def _look(self) -> None:
+        """Look at the triggers that are no datagrams, and write for a short time."""
+        now_ns = time.time_ns() if self._live else self._newest_ns
+        for reason in self._triggers.fired():
+            self.fire(now_ns, reason)
+        self._rules.look(((item.batch, item.columns) for item in self._pieces), self._newest_ns)
+        for time_ns, reason in self._rules.found():
+            self.fire(time_ns, reason)
+        self._advance(self._clock() + _TURN_NS if self._live else None)
+        if self._open and self._live and self._clock() - self._came_ns > _QUIET_NS:
+            one = self._open[0]
+            if now_ns > one.until_ns + _QUIET_NS and one.next >= self._first + len(self._pieces):
+                self._complete(self._open.popleft())
+
+    def _advance(self, until: int | None) -> None:
+        """Write what is asked for, until it is written or a monotonic time has come."""
+        while self._open:
+            one = self._open[0]
+            while one.next < self._first + len(self._pieces):
+                piece = self._pieces[max(one.next, self._first) - self._first]
+                one.next = max(one.next, self._first) + 1
+                self._write(one, piece)
+                if until is not None and self._clock() > until:
+                    return
+            if self._newest_ns <= one.until_ns or self._closed:
+                return
+            self._complete(self._open.popleft())
+
+    def _write(self, one: Snapshot, piece: _Piece) -> None:
+        """Write the datagrams of a batch that a snapshot asks for."""
+        if piece.last_ns < one.start_ns or piece.first_ns > one.until_ns:
+            return
+        batch, columns = piece.batch, piece.columns
+        if piece.first_ns < one.start_ns or piece.last_ns > one.until_ns:
+            rows = np.flatnonzero((batch.time_ns >= one.start_ns) & (batch.time_ns <= one.until_ns))
+            if not len(rows):
+                return
+            batch, columns = batch.take(rows), columns.take(rows)
+        sink = one.sink or self._started(one)
+        if not one.datagrams:
+            one.before_ns = max(0, one.trigger_ns - int(batch.time_ns.min()))
+        sink.write(batch, columns)
+        one.datagrams += len(batch)
+
+    def _started(self, one: Snapshot) -> WatchedSink | Apart:
+        name = self._target.path
+        when = time.strftime("%Y%m%d_%H%M%S", time.localtime(one.trigger_ns // SECOND))
+        path = name.with_name(f"{name.stem}_{when}{name.suffix}")
+        one.path = path_beside(path) if path.exists() else path
+        one.cut = self._dropped_ns >= one.start_ns
+        one.sink = self._begin(one.path)
+        self.snapshots.append(one)
+        self._triggers.answer(f"{one.path}: {one.reasons[0]}")
+        return one.sink
+
+    def _complete(self, one: Snapshot) -> None:
+        sink = one.sink
+        if sink is None:
+            self._triggers.answer(f"nothing was captured around the trigger ({one.reasons[0]})")
+            return
+        sink.close(self._statistics)
+        self.losses += sink.losses
+        self._target.told(told(one, self._plan))
+        self._delete_oldest()
+
+    def _delete_oldest(self) -> None:
+        """Delete complete files until what is left is as much as is to be kept."""
+        keep = self.keep
+        there = [item for item in self.snapshots if item.path is not None and item.path.exists()]
+        sizes = [item.path.stat().st_size for item in there if item.path is not None]
+        for place, item in enumerate(there[:-1]):
+            count, size = len(there) - place, sum(sizes[place:])
+            if not ((keep.files and count > keep.files) or (keep.size and size > keep.size)):
+                return
+            assert item.path is not None
+            try:
+                item.path.unlink()
+            except OSError as error:
+                raise CaptureError(f"{item.path}: cannot be deleted: {error.strerror or error}") from error
+            self.snapshots.remove(item)
+            keep.deleted += 1
+            keep.datagrams += item.datagrams
+
+    def _forget(self) -> None:
+        """Drop what is too old, or too much."""
+        horizon = self._newest_ns - self._plan.before_ns
+        while self._pieces:
+            oldest, excess = self._pieces[0], self._size > self._plan.before_bytes
+            if oldest.last_ns >= horizon and not excess:
+                return
+            if any(one.next <= self._first and oldest.last_ns >= one.start_ns for one in self._open):
+                if not excess:
+                    return
+                self._advance(None)
+            if oldest.last_ns >= horizon:
+                self._drop(oldest)
+            self._pieces.popleft()
+            self._first += 1
+            self._size -= oldest.size
+
+    def _drop(self, oldest: _Piece) -> None:
+        """Note that a batch is dropped because of the size; say so the first time."""
+        if not self.dropped:
+            holds = (self._newest_ns - oldest.first_ns) / SECOND
+            self._target.told(
+                f"--before-size {self._plan.before_bytes >> 20} MiB holds the last {holds:.1f} s of this "
+                f"traffic, not {self._plan.before_ns / SECOND:g} s; older datagrams are dropped first"
+            )
+        self.dropped += len(oldest.batch)
+        self._dropped_ns = max(self._dropped_ns, oldest.last_ns)
+
+
+def told(one: Snapshot, plan: SnapshotPlan) -> str:
+    """Return the line that says what a file holds, and why it was written."""
+    more = f" and {len(one.reasons) - 1} more" if len(one.reasons) > 1 else ""
+    after = (one.until_ns - one.trigger_ns) / SECOND
+    less = f" (--before-size held no more of the {plan.before_ns / SECOND:g} s)" if one.cut else ""
+    return (
+        f"snapshot {one.path}: {plural(one.datagrams, 'datagram')}, from {one.before_ns / SECOND:.1f} s "
+        f"before{less} to {after:.1f} s after: {one.reasons[0]}{more}"
+    )
+
+
+def record_snapshots(
+    source: Source,
+    bench: Workbench,
+    target: Target,
+    plan: SnapshotPlan,
+    *,
+    selection: Selection | None = None,
+    limits: Limits = Limits(),  # noqa: B008  frozen
+    watcher: Watcher[CaptureReport] | None = None,
+    triggers: Triggers | None = None,
+) -> tuple[CaptureReport, SnapshotSink]:
+    """Read a source until it ends, Ctrl-C, or a limit; write what triggers ask for.
+
+    Args:
+        source: where datagrams come from; it is closed.
+        bench: mission, types and decoders.
+        target: what to write; its name gets the time of the trigger.
+        plan: when what is written.
+        selection: which datagrams are kept, and can fire; all by default.
+        limits: when to end.
+        watcher: called with the report after every batch.
+        triggers: of this machine; closed by whoever opened them.
+
+    Returns:
+        What was read, and the sink, which has the snapshots.
+
+    Raises:
+        CaptureError: a file cannot be written.
+        RouteError: the selection names a topic that is not configured.
+        ConfigError: a filter has an error.
+    """
+    with reading(source, bench, selection, limits, keeps_failure=True) as loop:
+        about = str(loop.selection)
+
+        def begin(path: Path) -> WatchedSink | Apart:
+            # Kept batches must not lie in memory that a second process lends and takes back.
+            return open_sink(replace(target, path=path), source, bench, chosen=about, apart=False)
+
+        sink = SnapshotSink(plan, source, bench.columns.context, target, begin, triggers=triggers)
+        report = pour(loop, sink, watcher=watcher)
+    report.outputs, report.losses, report.keep = sink.paths, sink.losses, sink.keep
+    return report, sink

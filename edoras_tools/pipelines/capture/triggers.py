@@ -1,0 +1,237 @@
+"""What fires a snapshot, beside datagrams: a signal, a key, a command on a socket, a rule of the doctor."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import stat
+import threading
+import time
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Final, Protocol
+
+from edoras_tools.diagnosis.case import Capture
+from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.diagnosis.verdict import Severity
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.model import Columns, PacketBatch
+
+_SIGNAL: Final = getattr(signal, "SIGUSR1", None)
+_MOST_BYTES: Final = 256
+_ANSWER_S: Final = 5.0
+_JUDGE_NS: Final = SECOND
+"""Least time between two looks of the doctor."""
+_JUDGE_TIMES: Final = 5
+"""The doctor takes at most one in so many parts of the time."""
+_JUDGE_ROWS: Final = 200_000
+"""The doctor looks at so many of the newest datagrams at most."""
+
+
+class Keyboard(Protocol):
+    """Where keys come from; see ``pipelines.sending.keys``."""
+
+    def pressed(self) -> str:
+        """Return the keys that were pressed since the last call."""
+
+
+class Triggers:
+    """Those of this machine; by default none.
+
+    Args:
+        keys: the keyboard: ``t`` and Enter fire.
+        listener: a bound socket, on which every datagram fires.
+    """
+
+    def __init__(self, keys: Keyboard | None = None, listener: socket.socket | None = None) -> None:
+        self._keys, self._listener = keys, listener
+        self._signals: list[str] = []
+        self._asked: list[str] = []
+
+    def signalled(self, *_: object) -> None:
+        """Fire; for a signal handler."""
+        self._signals.append("signal USR1")
+
+    def fired(self) -> list[str]:
+        """Return why a snapshot was asked for since the last call, once each."""
+        reasons, self._signals = self._signals, []
+        if self._keys is not None and set(self._keys.pressed()) & set("t\r\n"):
+            reasons.append("a key")
+        while self._listener is not None:
+            try:
+                text, sender = self._listener.recvfrom(_MOST_BYTES)
+            except OSError:
+                break
+            words = " ".join(text.decode(errors="replace").split())
+            reasons.append(f"asked for: {words}" if words else "asked for on the socket")
+            if sender:
+                self._asked.append(sender)
+        return reasons
+
+    def answer(self, text: str) -> None:
+        """Answer those who asked on the socket."""
+        asked, self._asked = self._asked, []
+        for sender in asked:
+            with suppress(OSError):
+                assert self._listener is not None, "it was asked there"
+                self._listener.sendto(text.encode(), sender)
+
+
+@contextmanager
+def listening(keys: Keyboard | None = None, path: Path | None = None) -> Iterator[Triggers]:
+    """Open the triggers of this machine: SIGUSR1, and keys and a socket if they are given.
+
+    Args:
+        keys: the keyboard.
+        path: where a Unix socket is made, for this user alone; it is removed at the end.
+
+    Raises:
+        CaptureError: it cannot be made, or another program has it.
+    """
+    listener = _bound(path) if path is not None else None
+    made = Triggers(keys, listener)
+    handled = _SIGNAL is not None and threading.current_thread() is threading.main_thread()
+    before = signal.signal(_SIGNAL, made.signalled) if handled and _SIGNAL is not None else None
+    try:
+        yield made
+    finally:
+        if handled and _SIGNAL is not None:
+            signal.signal(_SIGNAL, before)
+        if listener is not None and path is not None:
+            listener.close()
+            path.unlink(missing_ok=True)
+
+
+def ask(path: Path, text: str = "") -> str:
+    """Ask the recorder that listens on a socket for a snapshot; return its answer.
+
+    Raises:
+        CaptureError: no recorder listens there, or none answers.
+    """
+    with _unix() as asking:
+        asking.settimeout(_ANSWER_S)
+        try:
+            asking.bind("")  # the system chooses a name that the answer is sent to
+            asking.connect(str(path))
+            asking.send(text.encode()[:_MOST_BYTES])
+            return asking.recv(4096).decode(errors="replace")
+        except TimeoutError:
+            raise CaptureError(f"{path}: the recorder did not answer within {_ANSWER_S:g} s") from None
+        except OSError as error:
+            raise CaptureError(
+                f"{path}: no recorder listens there ({error.strerror}); start one with record --snapshot "
+                f"--socket {path}"
+            ) from error
+
+
+def _unix() -> socket.socket:
+    if not hasattr(socket, "AF_UNIX"):
+        raise ConfigError("--socket and --fire need Unix sockets, which this system does not have")
+    return socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+
+
+def _bound(path: Path) -> socket.socket:
+    if path.exists() and _answers(path):
+        raise CaptureError(f"{path}: another recorder listens there; name another socket")
+    listener = _unix()
+    try:
+        if path.exists() and stat.S_ISSOCK(path.lstat().st_mode):
+            path.unlink()  # of a recorder that was killed
+        before = os.umask(0o177)
+        try:
+            listener.bind(str(path))
+        finally:
+            os.umask(before)
+    except OSError as error:
+        listener.close()
+        raise CaptureError(f"{path}: cannot listen there: {error.strerror or error}") from error
+    listener.setblocking(False)
+    return listener
+
+
+def _answers(path: Path) -> bool:
+    with _unix() as there:
+        try:
+            there.connect(str(path))
+        except OSError:
+            return False
+        return True
+
+
+class RuleTrigger:
+    """Fires when the doctor finds something in the newest datagrams that it did not find before.
+
+    Args:
+        context: what packets are decoded with.
+        rules: the rules whose verdicts fire.
+        any_error: any verdict fires that is an error.
+        apart: judge in a thread, so that a live source is read on.
+    """
+
+    def __init__(self, context: Context, rules: frozenset[str], *, any_error: bool, apart: bool) -> None:
+        self._context, self._rules, self._any = context, rules, any_error
+        self._apart = apart
+        self._thread: threading.Thread | None = None
+        self._due_ns = 0
+        self._judged_ns = 0
+        self._known: set[tuple[str, str | None, int | None]] = set()
+        self._found: list[tuple[int, str]] = []
+
+    def found(self) -> list[tuple[int, str]]:
+        """Return what fired since the last call: the time, and why."""
+        fired, self._found = self._found, []
+        return fired
+
+    def look(self, kept: Iterable[tuple[PacketBatch, Columns]], newest_ns: int) -> None:
+        """Start to judge what is kept, if it is time.
+
+        Args:
+            kept: batches, the oldest first.
+            newest_ns: time of the newest datagram; what is found counts from then.
+        """
+        if not (self._rules or self._any) or (self._thread and self._thread.is_alive()):
+            return
+        now = time.monotonic_ns() if self._apart else newest_ns
+        if now < self._due_ns or newest_ns == self._judged_ns:
+            return
+        taken: list[tuple[PacketBatch, Columns]] = []
+        rows = 0
+        for batch, columns in reversed(list(kept)):
+            rows += len(batch)
+            if taken and rows > _JUDGE_ROWS:
+                break
+            taken.append((batch, columns))
+        self._judged_ns, self._due_ns = newest_ns, now + _JUDGE_NS
+        if not self._apart:
+            self._judge(taken[::-1], newest_ns)
+            return
+        self._thread = threading.Thread(target=self._judge, args=(taken[::-1], newest_ns), daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Wait for what is being judged."""
+        if self._thread is not None:
+            self._thread.join()
+
+    def _judge(self, taken: list[tuple[PacketBatch, Columns]], newest_ns: int) -> None:
+        began = time.monotonic_ns()
+        examination = Examination(self._context)
+        for batch, columns in taken:
+            examination.add(batch, columns)
+        found = {
+            (item.rule, item.link, item.msg_id): item.reason
+            for item in examination.diagnose(Capture()).verdicts
+            if item.rule in self._rules or (self._any and item.severity >= Severity.ERROR)
+        }
+        fired = [f"rule {key[0]}: {reason}" for key, reason in found.items() if key not in self._known]
+        self._known = set(found)
+        self._found += [(newest_ns, reason) for reason in fired]
+        if self._apart:
+            self._due_ns = time.monotonic_ns() + max(_JUDGE_NS, _JUDGE_TIMES * (time.monotonic_ns() - began))
