@@ -634,6 +634,10 @@ class FaultOptions(NamedTuple):
 
     def plan(self) -> FaultPlan:
         """Return these options in the form that pipelines take."""
+        if not self.fault and not self.profile and self.scenario is None:
+            from edoras_tools.sessions.faults.machine import FaultPlan
+
+            return FaultPlan(seed=self.seed or 0)
         from edoras_tools.pipelines.faults.scenario import fault_plan
 
         return fault_plan(self.fault or (), self.profile, self.scenario, self.seed)

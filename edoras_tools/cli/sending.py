@@ -222,18 +222,20 @@ def carry_out(
         EdorasError: it could not be sent.
         typer.Exit: with code 3, if a datagram was certainly lost, or the recording was removed.
     """
-    from edoras_tools.pipelines.faults.where import compiler
-    from edoras_tools.render.sending import replay as view
-    from edoras_tools.render.terminal.console import error_console, output_console
+    from edoras_tools.render.sending.status import send_status
 
     send_options, (json, quiet) = transmission.options, ending.printing
-    machine = faults.start(where=compiler(bench)) if faults else None
+    machine = None
+    if faults:
+        from edoras_tools.pipelines.faults.where import compiler
+
+        machine = faults.start(where=compiler(bench))
     if ending.dry_run:
         plan = {**transmission.plan(), "faults": [str(rule) for rule in faults.rules]}
         if json:
             print_json(plan)
         else:
-            output_console().print(view.plan(plan))
+            _print(plan)
         return
     assert send_options.target is not None
     asks = confirm_targets(send_options.target, confirmed=send_options.confirmed)
@@ -250,18 +252,29 @@ def carry_out(
         from edoras_tools.pipelines.sending.keys import Keys
 
         keys = Keys()
-    with view.send_status(transmission.total, quiet=quiet, keys=keys is not None) as watcher:
+    with send_status(transmission.total, quiet=quiet, keys=keys is not None) as watcher:
         report = transmission.run(faults=machine, keys=keys, watcher=watcher, recording=recording)
     summary = report.summary()
     if json:
         print_json(summary)
     elif not quiet:
-        error_console().print(view.outcome(summary, str(send_options.target)))
+        _print(summary, str(send_options.target))
     if report.failure is not None:
         raise report.failure
     lost_outputs(report.losses)
     if report.lost:
         raise typer.Exit(LOST)
+
+
+def _print(summary: dict[str, Any], target: str = "") -> None:
+    """Print what would be sent; or what was sent to a target, once it is."""
+    from edoras_tools.render.sending import replay as view
+    from edoras_tools.render.terminal.console import error_console, output_console
+
+    if target:
+        error_console().print(view.outcome(summary, target))
+    else:
+        output_console().print(view.plan(summary))
 
 
 def confirm_targets(*targets: Endpoint, confirmed: bool) -> bool:

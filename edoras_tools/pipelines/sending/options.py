@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import LOOPBACK, is_loopback, own_address
 from edoras_tools.links.table import carrying
@@ -17,6 +15,7 @@ from edoras_tools.sessions.outgoing import ChecksumRule, SequenceRule
 from edoras_tools.sessions.pacing import Pacing
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.cfe import STANDARD, Headers
+from edoras_tools.wire.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -192,7 +191,7 @@ class SendOptions:
         """
         assert self.target is not None
         cap = self.max_rate_hz or (0.0 if is_loopback(self.target.address) else CAP_HZ)
-        there = [item for item in np.unique(out.msg_id).tolist() if item != NO_MSG_ID]
+        there = sorted(set(out.msg_id[numbered(out.msg_id)[0]].tolist()) - {NO_MSG_ID})
         streams: dict[int, float] = {}
         total = 0.0
         for pattern, rate in self.rates:

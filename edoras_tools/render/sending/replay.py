@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-import time
-from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Group
 from rich.table import Table
@@ -15,71 +12,14 @@ from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import plain
-from edoras_tools.render.terminal.terminal import look
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from contextlib import AbstractContextManager
-    from typing import TextIO
 
     from rich.console import RenderableType
 
-_REFRESH_S: Final = 0.2
 _MOST_EVENTS: Final = 20
-_KEYS: Final = "space pauses, n next, q ends"
-
-
-class _Sending(Protocol):
-    """A replay or inject that is under way."""
-
-    sent: int
-
-    @property
-    def achieved_hz(self) -> float | None:
-        """Datagrams per second so far."""
-        ...
-
-
-class StatusLine:
-    """One line on standard error that shows the progress; nothing if standard error is not a terminal.
-
-    Args:
-        out: where to.
-        total: datagrams to send; None for no end.
-        keys: whether keys control it.
-    """
-
-    def __init__(self, out: TextIO, total: int | None, *, keys: bool) -> None:
-        self._out = out
-        self._total = total
-        self._keys = keys
-        self._drawn = time.monotonic()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._out.write("\r\x1b[K")
-        self._out.flush()
-
-    def update(self, report: _Sending) -> None:
-        """Draw, five times a second at most."""
-        now = time.monotonic()
-        if now - self._drawn < _REFRESH_S:
-            return
-        self._drawn = now
-        of = f" of {self._total:,}" if self._total else ""
-        rate = f"   {units.rate(report.achieved_hz)}" if report.achieved_hz else ""
-        self._out.write(f"\r\x1b[Ksent {report.sent:,}{of}{rate}{f'   {_KEYS}' if self._keys else ''}")
-        self._out.flush()
-
-
-def send_status(total: int | None, *, quiet: bool, keys: bool) -> AbstractContextManager[StatusLine | None]:
-    """Return the view of a running replay, or None."""
-    if quiet or not look(sys.stderr).interactive:
-        return nullcontext()
-    return StatusLine(sys.stderr, total, keys=keys)
 
 
 def plan(summary: Mapping[str, Any]) -> RenderableType:

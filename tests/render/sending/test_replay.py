@@ -1,13 +1,11 @@
 from __future__ import annotations
 
 import io
-from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
 from edoras_tools.render.sending import replay
-from edoras_tools.render.terminal.terminal import Terminal
 
 PLAN = {
     "to": "ci",
@@ -145,24 +143,3 @@ def test_many_events_are_cut():
     event = OUTCOME["seen"]["events"][0]
     seen = {**OUTCOME["seen"], "events": [event] * 25}
     assert "event     and 5 more" in printed(replay.outcome({**OUTCOME, "seen": seen}, "there"))
-
-
-@pytest.mark.parametrize("interactive", [True, False])
-def test_a_terminal_has_a_status_line(interactive, monkeypatch):
-    out = io.StringIO()
-    monkeypatch.setattr("sys.stderr", out)
-    monkeypatch.setattr(replay, "look", lambda _: Terminal(80, colour=False, interactive=interactive))
-    ticks = iter([0.0, 0.1, 0.3, 0.4])
-    monkeypatch.setattr(replay, "time", SimpleNamespace(monotonic=lambda: next(ticks)))
-    with replay.send_status(1000, quiet=False, keys=True) as watcher:
-        if interactive:
-            for sent in (1, 2, 3):
-                watcher.update(SimpleNamespace(sent=sent, achieved_hz=10.0))
-    drawn = "\r\x1b[Ksent 2 of 1,000   10.0 Hz   space pauses, n next, q ends\r\x1b[K"
-    assert out.getvalue() == (drawn if interactive else "")
-
-
-def test_quiet_shows_nothing(monkeypatch):
-    monkeypatch.setattr(replay, "look", lambda _: Terminal(80, colour=False, interactive=True))
-    with replay.send_status(None, quiet=True, keys=False) as watcher:
-        assert watcher is None
