@@ -479,6 +479,54 @@ class InterfaceOutage:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class SocketCounters:
+    """A UDP socket as the kernel counts it.
+
+    Attributes:
+        port: where it listens.
+        address: where it listens, in text form.
+        inode: tells it from an earlier socket of the same port.
+        queued: bytes that wait in it, the kernel's own overhead included.
+        drops: datagrams dropped since it was opened because it was full.
+    """
+
+    port: int
+    address: str
+    inode: int
+    queued: int
+    drops: int
+
+
+@dataclass(frozen=True, slots=True)
+class HostCounters:
+    """What the kernel of a host counts; None where it cannot be read.
+
+    Attributes:
+        time_ns: ns since 1970.
+        sockets: those of the links' ports.
+        receive_buffer_errors: UDP datagrams dropped by full sockets since the start, IPv4 and IPv6.
+        reassembly_failures: IP packets whose fragments did not all come, since the start.
+        interface_drops: frames that interfaces dropped on receipt, since the start.
+        cpu_ticks: processor time of all kinds since the start, in clock ticks.
+        steal_ticks: the part of it in which the machine waited for its own host.
+        msg_max: ``fs.mqueue.msg_max``: how deep a pipe of cFS can be at most.
+        rmem_default: ``net.core.rmem_default``, bytes that a socket holds unless it asks for more.
+        rmem_max: ``net.core.rmem_max``, the most that it can ask for.
+    """
+
+    time_ns: int
+    sockets: tuple[SocketCounters, ...] = ()
+    receive_buffer_errors: int | None = None
+    reassembly_failures: int | None = None
+    interface_drops: int | None = None
+    cpu_ticks: int | None = None
+    steal_ticks: int | None = None
+    msg_max: int | None = None
+    rmem_default: int | None = None
+    rmem_max: int | None = None
+
+
 @dataclass(slots=True)
 class SourceStatistics:
     """What a source counts as it goes; read at any time.

@@ -37,7 +37,7 @@ _NO_MEMORY: Final = (
 """Texts of errors other than ``MemoryError`` that mean that memory is exhausted."""
 
 GROUPS: Final = {
-    "Look": ("sniff", "info", "decode", "live", "plot"),
+    "Look": ("sniff", "info", "decode", "live", "plot", "host"),
     "Record": ("record", "recover", "export"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "sweep", "proxy"),

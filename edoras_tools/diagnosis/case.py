@@ -22,6 +22,7 @@ from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.counters import Track, tracks
 from edoras_tools.diagnosis.evidence.events import Culprit, Said, culprits
 from edoras_tools.diagnosis.evidence.holes import find_holes
+from edoras_tools.diagnosis.evidence.host import HostDrops, host_drops
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.diagnosis.verdict import Verdict
     from edoras_tools.mission import Mission, Route
-    from edoras_tools.model import InterfaceOutage
+    from edoras_tools.model import HostCounters, InterfaceOutage
 
 _MOST: Final = 0.5
 
@@ -60,6 +61,7 @@ class Capture:
         zero_ns: its first datagram, where what is judged begins later; None where that is the first.
         cut: datagrams that were left out for their time.
         outages: when the interface was away.
+        host: what the kernel of the recording host counted, oldest first.
     """
 
     drops: int = 0
@@ -67,6 +69,7 @@ class Capture:
     zero_ns: int | None = None
     cut: int = 0
     outages: tuple[InterfaceOutage, ...] = ()
+    host: tuple[HostCounters, ...] = ()
 
     @property
     def away(self) -> list[tuple[int, int]]:
@@ -346,6 +349,11 @@ class Case:
         if len(set(systems)) < 2 or len({systems[index] for index in into}) != 1:
             return None
         return self.label(into[0])
+
+    @cached_property
+    def host(self) -> HostDrops:
+        """What the kernel of the recording host dropped while the capture ran."""
+        return host_drops(self.capture.host, self.start_ns, self.end_ns)
 
     def drops_text(self) -> tuple[str, ...]:
         """Return what has to be said before cFS is blamed."""

@@ -97,7 +97,7 @@ class Lab:
         )
         return list(sent), counters
 
-    def examine(self, sent, config=(), *, drops=0, profile=None, faults=(), outages=()):
+    def examine(self, sent, config=(), *, drops=0, profile=None, faults=(), outages=(), host=()):
         """Return the diagnosis of some datagrams, in the order given."""
         bench = Settings(configs=list(config)).workbench()
         examination = Examination(bench.columns.context, profile)
@@ -106,7 +106,7 @@ class Lab:
         for at in range(0, len(sent), chunk):
             batch = demux.demux(frames_of(sent[at : at + chunk], at + 1))
             examination.add(batch, bench.columns.decode(batch))
-        return examination.diagnose(Capture(drops, outages=tuple(outages)))
+        return examination.diagnose(Capture(drops, outages=tuple(outages), host=tuple(host)))
 
     def read(self, path, config=()):
         """Return the diagnosis of a capture."""

@@ -14,7 +14,7 @@ from edoras_tools.diagnosis.rules import RULES
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.emulator import messages
 from edoras_tools.links.to import TO
-from edoras_tools.model import Endpoint, Peer
+from edoras_tools.model import Endpoint, HostCounters, Peer, SocketCounters
 from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.faults.machine import Fault
 from edoras_tools.wire import cfe, envelope, sbn
@@ -204,6 +204,26 @@ def app_outage(lab, tmp_path, msg_id):
     sent, _ = lab.simulate(seconds=20)
     stopped = lab.event(12, "CFE_ES", 8, "Stop Application EDORAS_APP Completed.", 2)
     return lab.examine(lab.merged(sent, stopped))
+
+
+@case
+def host_drops(lab, tmp_path, msg_id):
+    """A bridge that reads slowly: nothing on the link shows it, only its kernel's counter."""
+    sent, _ = lab.simulate(seconds=20)
+    return lab.examine(sent, host=readings(sent, {1235: 7}))
+
+
+def readings(sent, drops, **later):
+    """The counters of the kernel before and after some datagrams; what sockets dropped meanwhile, by port."""
+
+    def reading(time_ns, share, **counters):
+        sockets = [
+            SocketCounters(port, "127.0.0.1", port, 0, 40 + share * count) for port, count in drops.items()
+        ]
+        return HostCounters(time_ns, tuple(sockets), **counters)
+
+    before = {"reassembly_failures": 3, "interface_drops": 9}
+    return reading(sent[0].time_ns, 0, **before), reading(sent[-1].time_ns, 1, **before | later)
 
 
 @case
@@ -629,3 +649,28 @@ def test_an_application_that_does_not_run_is_started_by_a_command_to_paste(lab, 
     told = [lab.event(12 + at, "CFE_ES", number, text, 2) for at, (number, text) in enumerate(events)]
     found = [item for item in lab.examine(lab.merged(sent, *told)).verdicts if item.rule == "app_outage"]
     assert {item.remedy for item in found} == {remedy}
+
+
+def test_what_the_kernel_dropped_is_told_by_socket_and_host(lab):
+    sent, _ = lab.simulate(seconds=20)
+    counted = readings(sent, {1234: 5, 2234: 0, 9999: 2}, reassembly_failures=4, interface_drops=11)
+    found = [item for item in lab.examine(sent, host=counted).verdicts if item.rule == "host_drops"]
+    to_ci = sum(item.destination.port == 1234 for item in sent)
+    assert [(item.lost, item.of, item.hop) for item in found] == [
+        (5, to_ci, "socket of UDP port 1234"),
+        (2, None, "socket of UDP port 9999"),
+        (None, None, "host"),
+        (None, None, "host"),
+    ]
+    assert found[0].reason.startswith(f"5 datagrams of {to_ci} dropped in CI's socket (UDP port 1234)")
+    assert [item.reason.split()[0] for item in found[2:]] == ["1", "2"]
+    unchanged = readings(sent, {1234: 0})
+    assert not [item for item in lab.examine(sent, host=unchanged).verdicts if item.rule == "host_drops"]
+
+
+def test_a_full_socket_of_ci_is_said_once_with_the_kernel_s_count(lab):
+    sent, _ = lab.simulate(seconds=40, hz=60.0, count=1200)
+    diagnosis = lab.examine(sent, host=readings(sent, {1234: 321}))
+    assert not [item for item in diagnosis.verdicts if item.rule == "host_drops"]
+    (backlog,) = [item for item in diagnosis.verdicts if item.rule == "ci_backlog"]
+    assert "321 dropped in CI's socket, UDP port 1234 (kernel counter)" in backlog.evidence

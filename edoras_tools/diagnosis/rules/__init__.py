@@ -28,6 +28,7 @@ from edoras_tools.diagnosis.rules import (
     event_suppression,
     flight_bridge_length,
     ground_bridge_buffer,
+    host_drops,
     identity_from_two_addresses,
     lost_after_cfs,
     lost_before_ci,
@@ -76,6 +77,7 @@ if TYPE_CHECKING:
 RULES: Final[tuple[ModuleType, ...]] = (
     not_examined,
     capture_drops,
+    host_drops,
     cut_frames,
     not_cfs,
     captured_twice,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
 from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.ci import CI
+from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
@@ -27,7 +29,8 @@ def judge(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         if loss.kind == "socket":
             reason = f"{lost_at(case, loss, 'commands')}: {reads}, and its socket was full"
-            yield loss_verdict(case, ID, loss, reason, link="ci", remedy=remedy)
+            evidence = (*loss.evidence, *_counted(case))
+            yield loss_verdict(case, ID, loss, reason, link="ci", remedy=remedy, evidence=evidence)
     for account in case.ingests:
         if account.waiting > profile.ci_datagrams_per_wake:
             yield Verdict(
@@ -44,3 +47,11 @@ def judge(case: Case) -> Iterator[Verdict]:
                 remedy=remedy,
                 confidence="medium",
             )
+
+
+def _counted(case: Case) -> Iterator[str]:
+    """Yield what the kernel of the recording host counted in CI's sockets, if it was recorded."""
+    for port in sorted(case.host.ports):
+        if case.context.ports[CI][port] and not case.context.ports[TO][port]:
+            count = case.host.by_port.get(port, 0)
+            yield f"{count:,} dropped in CI's socket, UDP port {port} (kernel counter)"

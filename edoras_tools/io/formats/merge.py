@@ -18,12 +18,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io import Source
+    from edoras_tools.model import HostCounters
     from edoras_tools.sessions.faults.machine import Fault
 
 
 def recorded_faults(source: Source) -> list[Fault]:
     """Return the faults that a proxy or a replay injected, if the source is a recording that has them."""
     told: Callable[[], list[Fault]] | None = getattr(source, "faults", None)
+    return told() if told else []
+
+
+def recorded_host(source: Source) -> list[HostCounters]:
+    """Return what the kernel of the recording host counted, if the source is a recording that has it."""
+    told: Callable[[], list[HostCounters]] | None = getattr(source, "host", None)
     return told() if told else []
 
 
@@ -75,6 +82,11 @@ class MergedSource:
     def faults(self) -> list[Fault]:
         """Return the injected faults of all recordings."""
         return [fault for source in self._sources for fault in recorded_faults(source)]
+
+    def host(self) -> list[HostCounters]:
+        """Return the kernel's counters of the host of all recordings, if they are of one."""
+        told = [item for source in self._sources if (item := recorded_host(source))]
+        return told[0] if len(told) == 1 else []
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams in order of time; see ``Source.batches``.

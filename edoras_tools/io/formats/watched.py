@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.io.outputs import OutputFile
-    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
+    from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceStatistics
     from edoras_tools.sessions.faults.machine import Fault
 
 _LOOK_S: Final = 1.0
@@ -174,6 +174,12 @@ class WatchedSink:
         take = getattr(self._sink, "write_faults", None)
         if take is not None:
             take(faults)
+
+    def write_host(self, host: HostCounters) -> None:
+        """Write the kernel's counters of this host, if the format stores them."""
+        take = getattr(self._sink, "write_host", None)
+        if take is not None:
+            take(host)
 
     def flush(self) -> None:
         """Write everything received so far to the file."""

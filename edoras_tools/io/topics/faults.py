@@ -5,21 +5,19 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from edoras_tools.errors import WireError
-from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record
+from edoras_tools.io.topics.rows import bodies_of
 from edoras_tools.links import table
 from edoras_tools.sessions.faults.machine import Fault
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from edoras_tools.io.topics.rows import Messages
 
 FAULTS_TOPIC: Final = "/edoras/faults"
 FAULTS_TYPE: Final = "edoras_msgs/msg/Fault"
 
-_HEAD: Final = np.dtype([*RECORD, ("encapsulation", "<u4")])
 _FIXED: Final = struct.Struct("<iIiB?2x")
 """stamp, msg_id, link, to_cfs, and the padding before the length of the first string."""
 
@@ -31,16 +29,7 @@ def fault_messages(faults: Sequence[Fault], channel_id: int) -> Messages:
         faults: with times in ns since 1970.
         channel_id: MCAP channel.
     """
-    bodies = [_body(fault) for fault in faults]
-    length = np.array([len(body) for body in bodies], dtype=np.int64)
-    heads = np.zeros(len(faults), dtype=_HEAD)
-    time_ns = np.array([fault.time_ns for fault in faults], dtype=np.int64)
-    fill_record(heads, channel_id, length, 0, time_ns, time_ns)
-    heads["encapsulation"] = CDR_LE_WORD
-    pool = np.frombuffer(b"".join(bodies), dtype=np.uint8)
-    rows = np.arange(len(faults))
-    offset = np.cumsum(length) - length
-    return Messages(rows, channel_id, time_ns, heads.itemsize, heads.__getitem__, pool, offset, length)
+    return bodies_of([_body(fault) for fault in faults], [fault.time_ns for fault in faults], channel_id)
 
 
 def _body(fault: Fault) -> bytes:

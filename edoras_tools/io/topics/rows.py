@@ -29,6 +29,8 @@ OPCODE_MESSAGE = 0x05
 CDR_LE_WORD = 0x00000100
 """The CDR encapsulation ``00 01 00 00`` (little-endian CDR, no options) as a little-endian u32."""
 
+_WHOLE = np.dtype([*RECORD, ("encapsulation", "<u4")])
+
 
 @dataclass(frozen=True, slots=True)
 class Messages:
@@ -85,6 +87,25 @@ def fill_record(
     heads["sequence"] = sequence
     heads["log_time"] = log_time
     heads["publish_time"] = publish_time
+
+
+def bodies_of(bodies: Sequence[bytes], times_ns: Sequence[int], channel_id: int) -> Messages:
+    """Return whole messages, each in its own row.
+
+    Args:
+        bodies: CDR, little-endian, without the encapsulation.
+        times_ns: of each, ns since 1970.
+        channel_id: MCAP channel.
+    """
+    length = np.array([len(body) for body in bodies], dtype=np.int64)
+    heads = np.zeros(len(bodies), dtype=_WHOLE)
+    time_ns = np.array(times_ns, dtype=np.int64)
+    fill_record(heads, channel_id, length, 0, time_ns, time_ns)
+    heads["encapsulation"] = CDR_LE_WORD
+    pool = np.frombuffer(b"".join(bodies), dtype=np.uint8)
+    offset = np.cumsum(length) - length
+    rows = np.arange(len(bodies))
+    return Messages(rows, channel_id, time_ns, heads.itemsize, heads.__getitem__, pool, offset, length)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from edoras_tools.io.topics.cfe import event_messages, outage_messages, software
 from edoras_tools.io.topics.clock import MissionClock
 from edoras_tools.io.topics.datagrams import DatagramWriter, ros_messages, without_trailing
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, FAULTS_TYPE
+from edoras_tools.io.topics.host import HOST_TOPIC, HOST_TYPE
 from edoras_tools.io.topics.latched import LatchedTopics
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.statistics import LinkStatistics
@@ -56,6 +57,8 @@ OWN_TOPICS: Final = (
 """The topics of this package; those of the mission's routes follow."""
 FAULTS: Final = Topic(FAULTS_TOPIC, FAULTS_TYPE)
 """Injected faults; only if there are any."""
+HOST_COUNTERS: Final = Topic(HOST_TOPIC, HOST_TYPE)
+"""The kernel's counters of this host; only where datagrams are captured live."""
 
 
 class Streams:

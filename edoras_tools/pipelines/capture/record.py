@@ -16,6 +16,7 @@ from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, ROSBAG2, Fo
 from edoras_tools.io.formats.watched import Keep, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing
+from edoras_tools.pipelines.capture.host import HostWatch
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Limits, reading
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Sink, Source
     from edoras_tools.io.formats.capture_file import CaptureFileSink
     from edoras_tools.io.formats.watched import FileSink, OutputLoss
-    from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.model import Columns, HostCounters, PacketBatch
     from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
@@ -273,14 +274,21 @@ def pour(
     report = CaptureReport(Ledger(bench.mission), source, notes=bench.columns.context.notes)
     live = not source.statistics.total_bytes  # without flushes, a file always gives the same recording
     flushing = Flushing(sink, loop.limits.clock, time_ns if isinstance(source, DeviceSource) else None)
+    host = None
     if isinstance(source, DeviceSource):
         source.gather_s = FLUSH_NS / 1e9
+        host = HostWatch(set(bench.columns.context.capture_ports()))
+    note: Callable[[HostCounters], None] | None = getattr(sink, "write_host", None)
     try:
+        if host and note:
+            note(host.now())
         for rows in loop:
             batch, columns = rows.alone()
             if len(batch):
                 sink.write(batch, columns)
                 flushing.took(batch)
+            if host and note and (counters := host.due()):
+                note(counters)
             if live:
                 flushing.look()  # first, because the rest can wait
             if len(batch):
@@ -292,6 +300,8 @@ def pour(
                     tap(batch, columns)
             if watcher is not None:
                 watcher.update(report)
+        if host and note:
+            note(host.now())
         report.interrupted, report.failure = loop.interrupted, loop.failure
     finally:
         source.close()

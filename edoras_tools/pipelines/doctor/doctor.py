@@ -10,7 +10,7 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.errors import ConfigError, EdorasError
-from edoras_tools.io.formats.merge import recorded_faults
+from edoras_tools.io.formats.merge import recorded_faults, recorded_host
 from edoras_tools.pipelines.doctor.clocks import OneByOne
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.reading import Limits, reading
@@ -105,12 +105,14 @@ def examine(
         source.close()
         raise
     pace = pace or Pace(lambda: 0)
+    host = tuple(recorded_host(source))
 
     def diagnose() -> Diagnosis:
         statistics = source.statistics
         warnings = *bench.columns.context.notes, *statistics.warnings
         capture = Capture(
-            statistics.kernel_drops, warnings, examination.zero_ns, loop.outside, tuple(statistics.outages)
+            *(statistics.kernel_drops, warnings, examination.zero_ns, loop.outside),
+            *(tuple(statistics.outages), host),
         )
         found, choice = examination.diagnose(capture), chosen.choice()
         return found.limited(choice) if choice else found

@@ -12,7 +12,7 @@ import struct
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -27,18 +27,22 @@ from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, chunk_head,
 from edoras_tools.io.frames.linklayer import Demux, FrameBatch, joined_frames
 from edoras_tools.io.topics.datagrams import DATAGRAM
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, fault_of
+from edoras_tools.io.topics.host import HOST_TOPIC, host_counters_of
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC, MAGIC, OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.rows import CDR_LE_WORD
 from edoras_tools.model import InterfaceOutage, SourceInfo, SourceStatistics
+from edoras_tools.ros import TypeStore
 from edoras_tools.wire.window import read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import PacketBatch
+    from edoras_tools.model import HostCounters, PacketBatch
     from edoras_tools.sessions.faults.machine import Fault
+
+T = TypeVar("T")
 
 METADATA_NAMES = ("edoras_opening", "edoras")
 """The later one has more values; it is missing if a recording was cut off."""
@@ -145,12 +149,21 @@ class McapSource:
 
     def faults(self) -> list[Fault]:
         """Return the faults that a proxy or a replay injected, as far as the recording is readable."""
-        if FAULTS_TOPIC not in self._topics.values():
+        return self._extras(FAULTS_TOPIC, fault_of)
+
+    def host(self) -> list[HostCounters]:
+        """Return what the kernel of the recording host counted, as far as the recording is readable."""
+        types = TypeStore()
+        return self._extras(HOST_TOPIC, lambda cdr: host_counters_of(cdr, types))
+
+    def _extras(self, topic: str, read: Callable[[bytes], T]) -> list[T]:
+        """Return the messages of a topic of ours that not every recording has."""
+        if topic not in self._topics.values():
             return []
         found = []
         with Path(self._name).open("rb") as file, suppress(McapError, WireError, EOFError, struct.error):
-            for _, _, message in make_reader(file).iter_messages([FAULTS_TOPIC], log_time_order=False):
-                found.append(fault_of(message.data))
+            for _, _, message in make_reader(file).iter_messages([topic], log_time_order=False):
+                found.append(read(message.data))
         return found
 
     def close(self) -> None:

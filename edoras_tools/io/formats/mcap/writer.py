@@ -16,8 +16,9 @@ from edoras_tools.io.formats.mcap.file import McapFile
 from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.io.formats.split import part_path
 from edoras_tools.io.topics.faults import fault_messages
+from edoras_tools.io.topics.host import host_messages
 from edoras_tools.io.topics.names import OUTAGE_METADATA_NAME
-from edoras_tools.io.topics.streams import FAULTS, Streams, Topic
+from edoras_tools.io.topics.streams import FAULTS, HOST_COUNTERS, Streams, Topic
 from edoras_tools.model import Finding
 
 if TYPE_CHECKING:
@@ -25,7 +26,14 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.outputs import OutputFile
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceInfo, SourceStatistics
+    from edoras_tools.model import (
+        Columns,
+        HostCounters,
+        InterfaceOutage,
+        PacketBatch,
+        SourceInfo,
+        SourceStatistics,
+    )
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.faults.machine import Fault
 
@@ -90,7 +98,7 @@ class McapSink:
             structs=options.structs,
             add=self._add_topic,
         )
-        self._faults_id = 0
+        self._extras: dict[str, int] = {}
         self._noted: list[InterfaceOutage] = []
         self._count = 0
         self._number = 0
@@ -129,9 +137,19 @@ class McapSink:
     def write_faults(self, faults: Sequence[Fault]) -> None:
         """Write injected faults, with times in ns since 1970; creates the topic if it does not exist."""
         with self._failing():
-            if not self._faults_id:
-                self._faults_id = self._add_topic(FAULTS)
-            self._chunks.append([fault_messages(faults, self._faults_id)], len(faults))
+            self._chunks.append([fault_messages(faults, self._extra(FAULTS))], len(faults))
+
+    def write_host(self, host: HostCounters) -> None:
+        """Write what the kernel of this host counts now; creates the topic if it does not exist."""
+        with self._failing():
+            self._attach(host.time_ns)
+            self._chunks.append([host_messages(host, self._extra(HOST_COUNTERS), self._types)], 1)
+
+    def _extra(self, topic: Topic) -> int:
+        """Return the channel of a topic of ours that not every recording has."""
+        if topic.name not in self._extras:
+            self._extras[topic.name] = self._add_topic(topic)
+        return self._extras[topic.name]
 
     def flush(self) -> None:
         """End and write the current chunk: if the process is killed, only later messages are lost."""
@@ -219,7 +237,8 @@ class McapSink:
 
     def _begin(self, file: McapFile) -> None:
         """Write what precedes the messages."""
-        self._count = self._faults_id = 0
+        self._count = 0
+        self._extras = {}
         streams = self._streams
         schemas = {name: file.add_schema(name, text) for name, text in streams.definitions.items()}
         streams.number(

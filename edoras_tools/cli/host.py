@@ -1,0 +1,38 @@
+"""``edoras host``: what this machine's kernel drops, and the limits that make cFS lose messages."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import asdict
+
+import typer
+
+from edoras_tools.cli import options
+from edoras_tools.cli.endings import LOST
+from edoras_tools.cli.output import print_json
+
+
+@options.grouped
+def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> None:
+    """Show what the kernel of this machine dropped of the links' datagrams, and what to change.
+
+    The ports are those of the links, of the mission files (-c) and of --port. No privilege is needed.
+    """
+    from edoras_tools.io.host import read_host
+    from edoras_tools.pipelines.capture.host import advice, steal
+    from edoras_tools.render.capture.host import host_lines
+
+    context = decoding.settings().workbench().columns.context
+    links = {
+        port: "/".join(link.label for link in context.claimants[context.claim[port]])
+        for port in context.capture_ports()
+    }
+    found = read_host(links, time.time_ns())
+    told, share = list(advice(found)), steal(found)
+    if json:
+        print_json({"schema": 1, **asdict(found), "steal": share, "advice": told})
+    else:
+        sys.stdout.writelines(f"{line}\n" for line in host_lines(found, links, share, told))
+    if any(item.drops for item in found.sockets):
+        raise typer.Exit(LOST)

@@ -1,0 +1,102 @@
+"""What the kernel of this machine counts of the links' sockets, and the limits that lose messages.
+
+Everything is read from ``/proc``; no privilege is needed. The sockets are those of this network namespace.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+from ipaddress import ip_address
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.model import HostCounters, SocketCounters
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator
+
+PROC: Final = Path("/proc")
+_DROPS: Final = 12
+"""Column of ``/proc/net/udp``; the inode is three before it."""
+_INTERFACE_DROPS: Final = 3
+_STEAL: Final = 7
+
+
+def read_host(ports: Container[int], time_ns: int, proc: Path = PROC) -> HostCounters:
+    """Return the kernel's counters now.
+
+    Args:
+        ports: UDP ports whose sockets are wanted.
+        time_ns: the time now, ns since 1970.
+        proc: where the kernel's files are.
+    """
+    snmp, snmp6 = _pairs(_text(proc / "net/snmp")), _text(proc / "net/snmp6").split()
+    later = dict(zip(snmp6[::2], snmp6[1::2], strict=False))
+    ticks = [int(item) for item in _text(proc / "stat").partition("\n")[0].split()[1:]]
+    return HostCounters(
+        time_ns,
+        tuple(item for name in ("udp", "udp6") for item in _sockets(_text(proc / "net" / name), ports)),
+        receive_buffer_errors=_sum(snmp.get("Udp.RcvbufErrors"), later.get("Udp6RcvbufErrors")),
+        reassembly_failures=_sum(snmp.get("Ip.ReasmFails"), later.get("Ip6ReasmFails")),
+        interface_drops=_interface_drops(_text(proc / "net/dev")),
+        cpu_ticks=sum(ticks[: _STEAL + 1]) if ticks else None,
+        steal_ticks=ticks[_STEAL] if len(ticks) > _STEAL else None,
+        msg_max=_number(proc / "sys/fs/mqueue/msg_max"),
+        rmem_default=_number(proc / "sys/net/core/rmem_default"),
+        rmem_max=_number(proc / "sys/net/core/rmem_max"),
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return ""
+
+
+def _number(path: Path) -> int | None:
+    text = _text(path).strip()
+    return int(text) if text.isdecimal() else None
+
+
+def _sum(*values: str | None) -> int | None:
+    known = [int(item) for item in values if item is not None]
+    return sum(known) if known else None
+
+
+def _pairs(text: str) -> dict[str, str]:
+    """Return the counters of ``/proc/net/snmp``, where a line of names precedes each line of values."""
+    lines = [line.split() for line in text.splitlines()]
+    return {
+        names[0].replace(":", ".") + name: value
+        for names, values in zip(lines[::2], lines[1::2], strict=False)
+        for name, value in zip(names[1:], values[1:], strict=False)
+    }
+
+
+def _sockets(text: str, ports: Container[int]) -> Iterator[SocketCounters]:
+    for line in text.splitlines()[1:]:
+        cells = line.split()
+        if len(cells) <= _DROPS:
+            continue
+        address, _, port = cells[1].partition(":")
+        if int(port, 16) in ports:
+            yield SocketCounters(
+                int(port, 16),
+                _address(address),
+                inode=int(cells[_DROPS - 3]),
+                queued=int(cells[4].partition(":")[2], 16),
+                drops=int(cells[_DROPS]),
+            )
+
+
+def _address(text: str) -> str:
+    """Return an address of ``/proc/net/udp``: words of 32 bits, each as this machine orders bytes."""
+    words = struct.pack(f"={len(text) // 8}I", *(int(text[at : at + 8], 16) for at in range(0, len(text), 8)))
+    return str(ip_address(socket.inet_ntoa(words) if len(words) == 4 else words))
+
+
+def _interface_drops(text: str) -> int | None:
+    rows = [line.partition(":")[2].split() for line in text.splitlines() if ":" in line]
+    return sum(int(row[_INTERFACE_DROPS]) for row in rows if len(row) > _INTERFACE_DROPS) if rows else None

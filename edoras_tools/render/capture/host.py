@@ -1,0 +1,56 @@
+"""The kernel's counters of this host, for people."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from edoras_tools.render import units
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from edoras_tools.model import HostCounters
+
+
+def host_lines(
+    host: HostCounters, links: Mapping[int, str], steal: float | None, advice: Sequence[str]
+) -> Iterator[str]:
+    """Yield the sockets, the counters and the limits, then what to change.
+
+    Args:
+        host: what the kernel counts.
+        links: port to the links that use it.
+        steal: share of processor time.
+        advice: what to change, a line each.
+    """
+    if host.sockets:
+        rows = [
+            (
+                str(item.port),
+                links.get(item.port, ""),
+                item.address,
+                units.size(item.queued),
+                f"{item.drops:,}",
+            )
+            for item in sorted(host.sockets, key=lambda item: (item.port, item.address))
+        ]
+        head = ("port", "link", "address", "waiting", "dropped")
+        widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+        for row in (head, *rows):
+            left = f"{row[0]:>{widths[0]}}  {row[1]:<{widths[1]}}  {row[2]:<{widths[2]}}"
+            yield f"{left}  {row[3]:>{widths[3]}}  {row[4]:>{widths[4]}}"
+    else:
+        yield "no program here listens on a UDP port of the links"
+    yield ""
+    for name, value in (
+        ("UDP datagrams dropped by full sockets, of all programs", host.receive_buffer_errors),
+        ("IP packets whose fragments did not all come", host.reassembly_failures),
+        ("frames dropped by interfaces", host.interface_drops),
+        ("net.core.rmem_default", host.rmem_default),
+        ("net.core.rmem_max", host.rmem_max),
+        ("fs.mqueue.msg_max", host.msg_max),
+    ):
+        yield f"{units.count(value) if value is not None else '-':>12}  {name}"
+    share = f"{steal:.1%}" if steal is not None else "-"
+    yield f"{share:>12}  processor time that this machine's host kept (steal)"
+    yield from ("", *advice) if advice else ()
