@@ -9,7 +9,7 @@ QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis rend
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \
 	$(addprefix io/formats/,mcap/test_recover.py test_split.py))
 
-.PHONY: help venv demo test check long lint format bench kill explore fuzz soak lock sbom judges ros foxglove clean
+.PHONY: help venv demo test check long lint format bench kill explore fuzz soak lock sbom judges ros foxglove docs clean
 
 help:  ## Show what there is to make.
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -78,6 +78,9 @@ lock: venv  ## Lock the versions and hashes of all that is installed by LOCKED=1
 	$(BIN)/pip install --quiet --disable-pip-version-check uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --extra all --extra dev --generate-hashes \
 		--no-emit-index-url --custom-compile-command 'make lock' --upgrade -o requirements.lock pyproject.toml
+
+docs: venv  ## Build the pages as a site, with search, in dist/site; dead links are errors.
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 sbom: venv  ## List all that is installed, with versions and licences, in dist/edoras-tools.cdx.json (CycloneDX).
 	$(BIN)/python .ci/make_sbom.py dist/edoras-tools.cdx.json

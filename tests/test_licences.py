@@ -21,16 +21,18 @@ LICENCES = {
         "annotated-doc ast-serialize duckdb execnet foxglove-sdk iniconfig librt linkify-it-py "
         "markdown-it-py mcap mdit-py-plugins mdurl mypy mypy-extensions platformdirs pluggy polars "
         "polars-runtime-32 pytest pytest-xdist rich rich-click ruamel-yaml ruff setuptools "
-        "textual typer six"
+        "textual typer six backrefs charset-normalizer mergedeep mkdocs-get-deps mkdocs-material "
+        "mkdocs-material-extensions paginate pymdown-extensions pyyaml pyyaml-env-tag urllib3"
     ),
     "MIT, in its file LICENSE": "resvg-py",
     "BSD": (
-        "click colorama grimp import-linter lz4 numpy pandas pygments python-dateutil websockets zstandard"
+        "click colorama grimp import-linter lz4 numpy pandas pygments python-dateutil websockets zstandard "
+        "babel idna jinja2 markdown markupsafe mkdocs"
     ),
-    "Apache-2.0": "junitparser pyarrow rosbags sortedcontainers tzdata",
+    "Apache-2.0": "ghp-import requests watchdog junitparser pyarrow rosbags sortedcontainers tzdata",
     "Apache-2.0 or BSD": "packaging",
     "EPL-2.0, or Apache-2.0, or BSD": "cyclonedds eclipse-zenoh",
-    "MPL-2.0": "hypothesis pathspec",
+    "MPL-2.0": "certifi hypothesis pathspec",
     "PSF-2.0": "backports-zstd isal typing-extensions",
     "ISC": "shellingham",
     "any that OSI approves": "apsw",
