@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
+from shutil import get_terminal_size
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -21,15 +23,17 @@ from edoras_tools.cli.sim import Scenario
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.emulator.source import RealTimeSource
     from edoras_tools.errors import EdorasError
     from edoras_tools.io.capture.device import DeviceSource
     from edoras_tools.io.foxglove.origins import OriginCheck
+    from edoras_tools.io.foxglove.playback import PlaybackState
     from edoras_tools.io.foxglove.sink import FoxgloveSink
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.capture.record import CaptureReport, Target
+    from edoras_tools.pipelines.live.player import RecordingPlayer
     from edoras_tools.pipelines.live.publish import CommandPublisher, Send
     from edoras_tools.pipelines.reading import Limits
     from edoras_tools.pipelines.selection import Selection
@@ -158,7 +162,13 @@ class PlaybackOptions(NamedTuple):
         float | None,
         _playback(metavar="X", parser=sending.positive, help="Start at X times the recorded speed."),
     ] = None
-    paused: Annotated[bool, _playback("--paused", help="Start paused; press play in Foxglove.")] = False
+    paused: Annotated[
+        bool, _playback("--paused", help="Start paused; press play in Foxglove, or space here.")
+    ] = False
+    loop: Annotated[bool, _playback("--loop", help="Start again at the end.")] = False
+    wait: Annotated[
+        bool, _playback("--wait/--no-wait", help="Start when the first client has subscribed, or at once.")
+    ] = True
 
 
 class PublishingOptions(NamedTuple):
@@ -232,8 +242,12 @@ def live(
         raise ConfigError(
             "--allow-publish, -o, -a and -n can only be used with live traffic, not with a recording"
         )
-    if not files and any(playback):
-        raise ConfigError("--speed and --paused can only be used with a recording, not with live traffic")
+    if not files and playback != PlaybackOptions():
+        raise ConfigError(
+            "--speed, --paused, --loop and --no-wait can only be used with a recording, not with live traffic"
+        )
+    if playback.paused and not playback.wait:
+        raise ConfigError("--no-wait starts at once, and --paused does not start: use one of them")
     goal = recordings.recording_target(outputs.output, force=outputs.force)
     settings, selection = decoding.settings(), chosen.selection()
     serve = partial(
@@ -280,28 +294,56 @@ def _play(
     """Play a recording; return a summary, and the error if the recording is cut off."""
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.pipelines.live.player import RecordingPlayer, open_recording
+    from edoras_tools.pipelines.live import player as playing
     from edoras_tools.render import units
 
-    info, bench, reopen = open_recording(files, settings)
-    player = RecordingPlayer(
+    info, bench, reopen = playing.open_recording(files, settings)
+    player = playing.RecordingPlayer(
         reopen,
         bench,
         clock=monotonic_ns,
         scope=Scope(selection, limits.period),
-        speed=playback.speed or 1.0,
-        paused=playback.paused,
+        options=playing.PlaybackOptions(playback.speed or 1.0, playback.paused, playback.wait, playback.loop),
     )
     start_ns, end_ns = player.range_ns
     sink = serve(bench, info, player=player)
     with on_interrupt(player.stop):
         _say(info.name, sink)
         if not quiet:
-            begins = "play is pressed in Foxglove" if playback.paused else "a client connects"
-            _write(f"plays {units.duration((end_ns - start_ns) / 1e9)} when {begins}; Ctrl-C ends")
-        player.run(sink, duration_ns=limits.duration_ns)
+            begins = "when play is pressed" if playback.paused else "when a client has subscribed"
+            begins = begins if playback.wait else "now"
+            _write(f"plays {units.duration((end_ns - start_ns) / 1e9)} {begins}; Ctrl-C ends")
+        with _keyboard(player, sink, quiet=quiet) as (keys, show):
+            player.run(sink, duration_ns=limits.duration_ns, keys=keys, show=show)
     summary = {"source": info.name, "kind": info.kind, "start_ns": start_ns, "end_ns": end_ns}
     return {**summary, "foxglove": sink.summary()}, player.failure
+
+
+@contextmanager
+def _keyboard(
+    player: RecordingPlayer, sink: FoxgloveSink, *, quiet: bool
+) -> Iterator[tuple[Callable[[], str], Callable[[PlaybackState], None]]]:
+    """Give the functions that read keys and show the state; they do nothing where there is no terminal."""
+    here = sys.stdin.isatty() and sys.stderr.isatty()
+    if quiet or not here or os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp():  # not a job in the background
+        yield str, lambda _: None
+        return
+    from edoras_tools.pipelines.live.keys import HELP
+    from edoras_tools.pipelines.sending.keys import Keys
+    from edoras_tools.render.bridge.playback import playback_line
+
+    def show(state: PlaybackState) -> None:
+        line = playback_line(state, player.range_ns, len(sink.server.clients), waiting=player.waiting)
+        now = line, monotonic_ns() // 1_000_000_000  # again each second: a message may stand in its place
+        if now not in shown:
+            shown[:] = [now]
+            sys.stderr.write(f"\x1b[K{line}  {HELP}"[: get_terminal_size().columns + 2] + "\r")
+            sys.stderr.flush()
+
+    shown: list[tuple[str, int]] = []
+    with Keys() as keyboard:
+        yield keyboard.pressed, show
+    sys.stderr.write("\x1b[K")
 
 
 def _show(
@@ -367,13 +409,15 @@ def _write(line: str) -> None:
 
 
 def _say(name: str, sink: FoxgloveSink, publishes: Sequence[str] = ()) -> None:
-    """Print the address first, because scripts wait for this line; then who may connect."""
+    """Print the address first, because scripts wait for this line; then our own page, and who may connect."""
     server, may = sink.server, "watch"
     if publishes:
         may += f" and publish {', '.join(publishes)} into cFS"
     if server.asks_token:
         _write(f"{name} in Foxglove: open a connection to {server.url}/?token=... with your token")
+        _write(f"or in a browser: {server.page_url}?token=...")
         tell_reach(server.endpoint, may, who="every client that can reach it and has the token")
     else:
         _write(f"{name} in Foxglove: {server.app_url}")
+        _write(f"or in a browser: {server.page_url}")
         tell_reach(server.endpoint, may, instead="with --token, clients must give a token")

@@ -35,6 +35,7 @@ def started(command):
             r"https://app\.foxglove\.dev/\?ds=foxglove-websocket&ds\.url=(ws://127\.0\.0\.1:\d+)$", told
         )
         assert found, told + process.stderr.read()
+        assert process.stderr.readline() == f"or in a browser: http{found[1].removeprefix('ws')}/\n"
         return process, found[1]
 
     yield start
@@ -165,6 +166,7 @@ def test_a_proxy_is_looked_at_while_it_relays(command, missions):
         )
         try:
             url = process.stderr.readline().rpartition("ds.url=")[2].strip()
+            assert process.stderr.readline() == f"or in a browser: http{url.removeprefix('ws')}/\n"
             port = int(re.match(r"relaying ci 127\.0\.0\.1:(\d+)", process.stderr.readline())[1])
             with peer.Client(url, 7) as client:
                 client.subscribe("/cmd_vel")
@@ -192,6 +194,8 @@ def test_a_proxy_is_looked_at_while_it_relays(command, missions):
         (("a.pcap", "--sim", "rover"), "name one source"),
         (("a.pcap", "--allow-publish", "*"), "can only be used with live traffic"),
         (("--sim", "rover", "--speed", "2"), "can only be used with a recording"),
+        (("--sim", "rover", "--no-wait"), "can only be used with a recording"),
+        (("a.pcap", "--paused", "--no-wait"), "use one of them"),
         (("nowhere.pcap",), "nowhere.pcap: "),
         (("-",), "-: playback reads it several times"),
         (("--sim", "rover", "--allow-publish", "/nowhere"), "'/nowhere' matches no topic that goes to cFS"),

@@ -17,14 +17,16 @@ import json
 import logging
 from collections import deque
 from dataclasses import dataclass
+from http import HTTPStatus
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import parse_qs
 
 import numpy as np
+from websockets.datastructures import Headers
 from websockets.exceptions import NegotiationError
 from websockets.frames import Frame, Opcode
-from websockets.http11 import Request
+from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
@@ -36,9 +38,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
-    from websockets.http11 import Response
     from websockets.typing import Subprotocol
 
+    from edoras_tools.io.foxglove.page import Answer
     from edoras_tools.io.topics.rows import Records
     from edoras_tools.model import Endpoint
 
@@ -159,6 +161,13 @@ class FoxgloveClient:
         self._websocket.send_response(self._websocket.reject(status, f"{text}\n"))
         self._collect()
 
+    def serve(self, page: Answer) -> None:
+        """Answer it with a page instead of a WebSocket."""
+        self._answered = True
+        reason = HTTPStatus(page.status).phrase
+        self._websocket.send_response(Response(page.status, reason, Headers(page.headers), page.body))
+        self._collect()
+
     def close(self) -> None:
         """Send a close frame, after everything that waits."""
         if self.connected:
@@ -268,10 +277,16 @@ class FoxgloveClient:
         """Handle a request or a frame; yield what only the server can answer."""
         if isinstance(item, Request):
             self._response = self._websocket.accept(item)
-            if self._response.status_code == 101:
+            if self._response.status_code in {HTTPStatus.SWITCHING_PROTOCOLS, HTTPStatus.UPGRADE_REQUIRED}:
                 # ws://HOST:PORT/?token=...: in the handshake a web page can only choose the URL.
-                given = parse_qs(item.path.partition("?")[2]).get("token", [""])
-                yield protocol.Opening(item.headers.get("Origin"), given[-1])
+                path, _, query = item.path.partition("?")
+                self._answered = True
+                yield protocol.Opening(
+                    " ".join(item.headers.get_all("Origin")) or None,
+                    parse_qs(query).get("token", [""])[-1],
+                    " ".join(item.headers.get_all("Host")),
+                    "" if self._response.status_code == HTTPStatus.SWITCHING_PROTOCOLS else path,
+                )
             else:
                 self._websocket.send_response(self._response)  # the error is in handshake_exc
         elif (

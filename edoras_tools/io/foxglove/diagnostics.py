@@ -42,6 +42,9 @@ class Diagnostics:
         name: of the source that is diagnosed.
         levels: the level of each finding: OK, WARN or ERROR.
         statistics: of the source, for losses of the capture itself.
+
+    Attributes:
+        latest: the statuses of the last message, by name.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class Diagnostics:
         self._drops = statistics.kernel_drops if statistics else 0
         self._counts: dict[tuple[int, int], NDArray[np.int64]] = {}
         self._until = 0
+        self.latest: dict[str, dict[str, Any]] = {}
 
     def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
         """Add a batch of at least one row; return the message of a second, if the batch completes one."""
@@ -92,6 +96,7 @@ class Diagnostics:
         if self._statistics is not None:
             statuses.insert(0, self._capture(self._statistics))
         self._counts.clear()
+        self.latest = {item["name"]: item for item in statuses}
         values = {
             "header": {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": ""},
             "status": statuses,

@@ -52,6 +52,21 @@ class OriginCheck:
         allowed = (*_FOXGLOVE, *map(str.lower, self.origins))
         return any(origin == item or fnmatchcase(origin, item) for item in allowed) or _is_here(origin)
 
+    def admits_host(self, host: str) -> bool:
+        """Return whether our own page may be opened with this host, as the browser sends it (``Host``).
+
+        An address may, and a name whose pages may connect. Any other name can be that of a stranger who lets
+        it lead to this machine, so that the browser takes our page for one of his (DNS rebinding).
+        """
+        return self.admits(f"http://{host}") or _is_address(host)
+
+
+def _is_address(host: str) -> bool:
+    try:
+        return bool(ip_address(urlsplit(f"http://{host}").hostname or ""))
+    except ValueError:
+        return False
+
 
 def _is_here(origin: str) -> bool:
     try:

@@ -51,6 +51,11 @@ class Player(Protocol):
         """The current state."""
         ...
 
+    @property
+    def waiting(self) -> bool:
+        """Whether it waits for the first client."""
+        ...
+
     def control(self, request: PlaybackRequest) -> PlaybackState:
         """Apply a request soon; from any thread; return the state that follows."""
         ...

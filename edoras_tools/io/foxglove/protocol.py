@@ -111,10 +111,19 @@ class Control(NamedTuple):
 
 
 class Opening(NamedTuple):
-    """Ask for admission, with a web page's origin (None: not a web page) and the token in the URL."""
+    """Ask for admission.
+
+    Attributes:
+        origin: of the web page that asks; None: not a web page.
+        token: the one in the URL.
+        host: what it calls the server.
+        path: asks for this page of the server, instead of a WebSocket; empty: for a WebSocket.
+    """
 
     origin: str | None
     token: str
+    host: str = ""
+    path: str = ""
 
 
 class Refused(NamedTuple):

@@ -18,13 +18,15 @@ import threading
 import time
 from collections import Counter, deque
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlencode
 
+import numpy as np
+
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.io.foxglove import protocol
+from edoras_tools.io.foxglove import page, protocol
 from edoras_tools.io.foxglove.origins import OriginCheck
 from edoras_tools.model import Endpoint
 
@@ -113,6 +115,7 @@ class FoxgloveServer:
 
     Attributes:
         endpoint: the address that it listens on.
+        link_state: returns what its page shows of a link; None: the page counts the topics' messages.
 
     Raises:
         CaptureError: the address cannot be used.
@@ -134,6 +137,8 @@ class FoxgloveServer:
         self._channels = [
             protocol.channel(place, topic, definition(topic.type)) for place, topic in enumerate(topics)
         ]
+        self._counts = np.zeros(len(topics), np.int64)
+        self.link_state: Callable[[], dict[str, Any]] | None = None
         self._session = secrets.token_hex(8)
         self._lock = threading.Lock()
         self._connections: dict[socket.socket, _Connection] = {}
@@ -165,6 +170,11 @@ class FoxgloveServer:
         return bool(self._options.token)
 
     @property
+    def page_url(self) -> str:
+        """The URL of the server's own page."""
+        return f"http{self.url.removeprefix('ws')}/"
+
+    @property
     def app_url(self) -> str:
         """The URL that opens Foxglove with this server; without the token, which its site would see."""
         return "https://app.foxglove.dev/?" + urlencode(
@@ -182,6 +192,7 @@ class FoxgloveServer:
         with self._lock:
             place = len(self._channels)
             self._channels.append(protocol.channel(place, topic, definition))
+            self._counts = np.append(self._counts, 0)
             for client in self.clients:
                 client.add_topic()
                 client.tell(protocol.advertise(self._channels[place:]))
@@ -199,6 +210,9 @@ class FoxgloveServer:
 
     def publish(self, records: Records) -> None:
         """Queue messages for their subscribers; never waits for a client."""
+        counts = np.bincount(records.channel_id)
+        with self._lock:
+            self._counts[: len(counts)] += counts
         self._each(lambda client: client.give(records))
 
     def tell_time(self, time_ns: int) -> None:
@@ -334,22 +348,29 @@ class FoxgloveServer:
                             other.tell(told)
             case protocol.Refused(why):
                 self._tell(f"a client at {client.address.address} was refused: {_readable(why)}")
-            case protocol.Opening(origin, token):
-                self._admit(connection, origin, token)
+            case protocol.Opening():
+                self._admit(connection, event)
 
-    def _admit(self, connection: _Connection, origin: str | None, token: str) -> None:
+    def _admit(self, connection: _Connection, asked: protocol.Opening) -> None:
+        origin, token, host, path = asked
         options, client, player = self._options, connection.client, self._options.player
         state = [] if player is None else [protocol.playback_state(player.state)]
         here, told = f"a client at {client.address.address} was refused", ""
         with self._lock:
             if origin is not None and not options.origins.admits(origin):
                 client.refuse(403, "Pages of this origin may not connect; --allow-origin allows them.")
-                page = _readable(origin, "!")[:100]
-                told = f"a web page of {page} was refused as a client; --allow-origin {page} allows it"
+                shown = _readable(origin, "!")[:100]
+                told = f"a web page of {shown} was refused as a client; --allow-origin {shown} allows it"
             elif options.token and not _same(token, options.token):
                 client.refuse(401, "A token is required: connect to this address with ?token=... at its end.")
                 wrong = "wrong" if token else "missing"
                 told = f"{here}: its token is {wrong}; give ?token=... in the address"
+            elif path and not options.origins.admits_host(host):
+                client.refuse(403, "Open this page by the server's address; --allow-origin allows this name.")
+                name = _readable(host, "!")[:100]
+                told = f"a page of http://{name} was refused; --allow-origin http://{name} allows that name"
+            elif path:
+                client.serve(page.answer(path, self._page_state))
             elif len(self._open) >= MOST_CLIENTS:
                 client.refuse(503, f"{MOST_CLIENTS} clients are connected, which is the maximum.")
                 told = f"{here}: {MOST_CLIENTS} clients are connected, which is the maximum"
@@ -366,6 +387,34 @@ class FoxgloveServer:
                 connection.until = math.inf
         if told:
             self._tell(told)
+
+    def _page_state(self) -> dict[str, Any]:
+        """Return what the page shows."""
+        player, clients = self._options.player, [client.summary() for client in self.clients]
+        playback = None
+        if player is not None:
+            start_ns, end_ns = player.range_ns
+            playback = {
+                **asdict(player.state),
+                "start_ns": start_ns,
+                "end_ns": end_ns,
+                "waiting": player.waiting,
+            }
+        topics = zip(self._channels, self._counts.tolist(), strict=False)
+        return {
+            "schema": 1,
+            "name": self._name,
+            "url": self.url,
+            "app_url": self.app_url,
+            "clients": len(clients),
+            **{name: sum(item[name] for item in clients) for name in _SUMS},
+            "playback": playback,
+            "link": self.link_state() if self.link_state else None,
+            "topics": [
+                {"topic": item["topic"], "type": item["schemaName"], "messages": count}
+                for item, count in topics
+            ],
+        }
 
     def _tell(self, told: str) -> None:
         tell = self._options.origins.tell

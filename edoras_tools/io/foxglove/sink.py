@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.io.foxglove.diagnostics import DIAGNOSTICS, Diagnostics
+from edoras_tools.io.foxglove.link_state import LinkState
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.rows import lay_out
-from edoras_tools.io.topics.streams import FAULTS, Streams, Topic
+from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, Streams, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -72,6 +73,7 @@ class FoxgloveSink:
             },
         }
         self.server = FoxgloveServer(f"edoras: {info.name}", topics, definitions.__getitem__, options)
+        self.server.link_state = lambda: self._link.summary()  # noqa: PLW0108  there is a new one after a jump
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Send a batch to clients."""
@@ -79,7 +81,10 @@ class FoxgloveSink:
             return
         # Whole datagrams are the first topic, and the most expensive.
         streams = self._streams.messages(batch, columns, datagrams=self.server.wanted(0))
+        own = {item.channel_id: item for item in streams if isinstance(item.channel_id, int)}
         streams.append(self._diagnostics.messages(batch, columns, self._places[DIAGNOSTICS.name]))
+        counts, events = (own[self._places[name]] for name in (STATISTICS_TOPIC, EVENTS_TOPIC))
+        self._link.add(batch, counts, events, self._diagnostics.latest)
         if self.server.clients:
             self.server.publish(lay_out(streams, len(batch)))
             self.show_time(int(batch.time_ns[-1]))
@@ -116,6 +121,7 @@ class FoxgloveSink:
             structs=self._structs,
             add=lambda topic: self._places[topic.name],
         )
+        self._link = LinkState(self._types, self._counted)
         self._diagnostics = Diagnostics(
             self._mission, self._types, self._info.name, self._levels, self._counted
         )

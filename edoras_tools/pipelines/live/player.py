@@ -13,6 +13,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.foxglove.playback import PlaybackState
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.live.keys import request_of, split_keys
 from edoras_tools.pipelines.selection import outside
 from edoras_tools.pipelines.workbench import open_files
 from edoras_tools.units import MILLISECOND, SECOND
@@ -38,6 +39,23 @@ _SLOWEST: Final = 1e-3
 _FASTEST: Final = 1e4
 
 _Piece = tuple["PacketBatch", "Columns"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackOptions:
+    """How playback begins and ends.
+
+    Attributes:
+        speed: initial speed, as a multiple of the recorded one.
+        paused: start paused.
+        wait: otherwise start when the first client has subscribed, or has been there for 5 s; else at once.
+        loop: start again at the end.
+    """
+
+    speed: float = 1.0
+    paused: bool = False
+    wait: bool = True
+    loop: bool = False
 
 
 @dataclass(slots=True)
@@ -84,9 +102,7 @@ class RecordingPlayer:
         bench: mission, types and decoders.
         clock: monotonic time in ns.
         scope: which datagrams, and which time of them; all by default.
-        speed: initial speed, as a multiple of the recorded one.
-        paused: start paused; otherwise playback starts when the first client has
-            subscribed, or has been there for 5 s.
+        options: how playback begins and ends.
 
     Attributes:
         range_ns: when the recording starts and ends, ns since 1970.
@@ -105,10 +121,9 @@ class RecordingPlayer:
         *,
         clock: Callable[[], int],
         scope: Scope | None = None,
-        speed: float = 1.0,
-        paused: bool = False,
+        options: PlaybackOptions = PlaybackOptions(),
     ) -> None:
-        self._reopen, self._bench, self._clock = reopen, bench, clock
+        self._reopen, self._bench, self._clock, self._options = reopen, bench, clock, options
         scope = scope or Scope()
         self._selection, self._period = scope.selection.over(bench), scope.period
         self._begin_ns: int | None = None
@@ -117,14 +132,20 @@ class RecordingPlayer:
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._stopping = False
-        self._playback = _Playback(not paused, speed, self.range_ns[0], clock(), self.range_ns[0])
-        self._held = True  # nothing is played yet, not even the message at the start
+        start_ns = self.range_ns[0]
+        self._playback = _Playback(not options.paused, options.speed, start_ns, clock(), start_ns)
+        self._held = options.wait or options.paused  # nothing is played, not even the message at the start
 
     @property
     def state(self) -> PlaybackState:
         """The current state of playback."""
         with self._lock:
             return self._state(self._clock())
+
+    @property
+    def waiting(self) -> bool:
+        """Whether it waits for the first client."""
+        return self._held and self._playback.playing
 
     def control(self, request: PlaybackRequest) -> PlaybackState:
         """Apply a client's request; return the state that follows."""
@@ -149,12 +170,21 @@ class RecordingPlayer:
         self._stopping = True
         self._wake.set()
 
-    def run(self, sink: FoxgloveSink, *, duration_ns: int = 0) -> bool:
+    def run(
+        self,
+        sink: FoxgloveSink,
+        *,
+        duration_ns: int = 0,
+        keys: Callable[[], str] = str,
+        show: Callable[[PlaybackState], None] = lambda _: None,
+    ) -> bool:
         """Play until ``stop``, Ctrl-C or the duration; return whether it was Ctrl-C. The sink is closed.
 
         Args:
             sink: from ``attach``, with this as its player.
             duration_ns: stop after this time by the clock; 0: never.
+            keys: returns the keys that were pressed since the last call, in lower case.
+            show: called with the state several times a second.
         """
         until = self._clock() + duration_ns if duration_ns else 1 << 63
         pieces, piece = self._read(0, sink), None
@@ -179,12 +209,23 @@ class RecordingPlayer:
                     if not held:
                         piece = self._play(sink, pieces, piece, position)
                     self._tell(sink, position, over=not held and piece is None)
+                    for key in split_keys(keys()):
+                        self._press(key, sink)
+                    show(self.state)
                     self._wake.wait(_TICK_S)
                     self._wake.clear()
         finally:
             pieces.close()
             sink.server.close()
         return asked.is_set()
+
+    def _press(self, key: str, sink: FoxgloveSink) -> None:
+        """Do what a key asks for, and tell the clients."""
+        request = request_of(key, self.state, self.range_ns[0])
+        if request is not None:
+            sink.server.tell_state(self.control(request))
+        elif key == "q":
+            self.stop()
 
     def _play(
         self, sink: FoxgloveSink, pieces: Generator[_Piece], piece: _Piece | None, position: int
@@ -205,7 +246,10 @@ class RecordingPlayer:
         with self._lock:
             playback = self._playback
             ends = over and playback.seek_ns is None and position >= self.range_ns[1] and not playback.ended
-            if ends:
+            if ends and self._options.loop:
+                playback.at_ns = playback.seek_ns = self.range_ns[0]
+                playback.since_ns = self._clock()
+            elif ends:
                 playback.ended, playback.playing, playback.at_ns = True, False, self.range_ns[1]
             state = self._state(self._clock())
         sink.show_time(state.time_ns)

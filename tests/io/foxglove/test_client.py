@@ -90,7 +90,7 @@ class Wire:
 
 def test_a_client_asks_and_is_let_in():
     wire = Wire()
-    assert wire.asked == protocol.Opening(None, "")
+    assert wire.asked == protocol.Opening(None, "", "here")
     assert not wire.client.connected
     assert wire.open().client.connected
 

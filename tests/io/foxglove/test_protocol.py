@@ -124,6 +124,7 @@ def test_another_websocket_reads_the_frames(lengths, data):
 class Player:
     range_ns = (1_000_000_001, 5_000_000_000)
     state = PlaybackState("Paused", 1_000_000_001, 1.5)
+    waiting = False
 
     def control(self, request):
         return PlaybackState("Playing", request.seek_ns, request.speed, seeked=True)

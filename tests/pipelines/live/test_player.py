@@ -20,7 +20,7 @@ from edoras_tools.io.foxglove.playback import PlaybackRequest
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.scope import Scope
-from edoras_tools.pipelines.live.player import RecordingPlayer, open_recording
+from edoras_tools.pipelines.live.player import PlaybackOptions, RecordingPlayer, open_recording
 from edoras_tools.pipelines.live.run import attach
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -51,15 +51,15 @@ def truth():
 class Deck:
     """A player in a thread, by a clock that the test moves."""
 
-    def __init__(self, files=(ROVER,), *, real=False, **options):
+    def __init__(self, files=(ROVER,), *, real=False, scope=None, keys=str, **options):
         self.now = 0
         info, bench, reopen = open_recording(files, SETTINGS)
-        self.player = RecordingPlayer(
-            reopen, bench, clock=monotonic_ns if real else lambda: self.now, **options
-        )
+        clock = monotonic_ns if real else lambda: self.now
+        chosen = PlaybackOptions(**options)
+        self.player = RecordingPlayer(reopen, bench, clock=clock, scope=scope, options=chosen)
         self.start, self.end = self.player.range_ns
         self.sink = attach(bench, info, listen=ANY, player=self.player)
-        self._thread = threading.Thread(target=self.player.run, args=(self.sink,))
+        self._thread = threading.Thread(target=self.player.run, args=(self.sink,), kwargs={"keys": keys})
         self._thread.start()
 
     def client(self):
@@ -320,3 +320,30 @@ def test_who_subscribes_at_once_loses_nothing(subprotocol, tmp_path):
                 assert {topic: item["messages"][topic] for topic in recorded} == recorded
             assert sum(player.sink.summary()["dropped"] for player in decks) == 0
         clients.stdin.close()
+
+
+def test_keys_steer_and_clients_are_told():
+    typed = []
+    with deck(keys=lambda: typed.pop() if typed else "", paused=True) as player, player.client() as client:
+        typed.append(" ")
+        client.until(lambda: client.states and client.states[-1].status == "playing")
+        typed.append("\x1b[c\x1b[c+")
+        client.until(lambda: client.states[-1][1:3] == (player.start + 10 * SECOND, 2.0))
+        typed.append("q")
+        player._thread.join(peer.PATIENCE_S)
+        assert not player._thread.is_alive()
+
+
+def test_without_waiting_it_plays_at_once_and_a_loop_starts_again(truth):
+    with deck(wait=False, loop=True) as player:
+        assert not player.player.waiting
+        player.now = player.end - player.start
+        peer.wait(lambda: player.player.state.time_ns == player.start)
+        with player.client() as client:
+            player.subscribe(client)
+            assert player.player.state.status == "Playing"
+            player.now += 3 * SECOND
+            due = [time for time in truth["/cmd_vel"] if time <= player.start + 3 * SECOND]
+            client.until(lambda: times(client, "/cmd_vel")[-1:] == due[-1:])
+    with deck() as player:
+        assert player.player.waiting

@@ -1,0 +1,61 @@
+"""Draws the picture of the page of ``edoras live``: a recording, played, as Chromium shows it.
+
+python docs/make_page_picture.py [OUTPUT [WIDTH [light | dark]]]
+"""  # noqa: INP001  a script beside the pages, no package
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from edoras_tools.model import Endpoint
+from edoras_tools.pipelines.live.player import PlaybackOptions, RecordingPlayer, open_recording
+from edoras_tools.pipelines.live.run import attach
+from edoras_tools.pipelines.workbench import Settings
+
+SAMPLES: Final = Path(__file__).resolve().parents[1] / "samples"
+PICTURE: Final = Path(__file__).parent / "pictures/live_page.png"
+_MISSIONS: Final = ("two_rovers_ground", "two_rovers_flight")
+_SPEED: Final = 40.0
+"""As fast as Chromium's own clock goes in a picture, about."""
+
+
+def draw(path: Path, width: int, theme: str) -> None:
+    """Play a recording, and take a picture of the page after 50 s of it."""
+    settings = Settings(tuple(SAMPLES / f"missions/{name}.yaml" for name in _MISSIONS))
+    info, bench, reopen = open_recording([SAMPLES / "captures/f_sbn_disconnect.pcap"], settings)
+    options = PlaybackOptions(speed=_SPEED, wait=False, loop=True)
+    player = RecordingPlayer(reopen, bench, clock=time.monotonic_ns, options=options)
+    sink = attach(
+        bench, replace(info, name=Path(info.name).name), listen=Endpoint("127.0.0.1", 0), player=player
+    )
+    thread = threading.Thread(target=player.run, args=(sink,))
+    thread.start()
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))))
+    colour = 0 if theme == "dark" else 1
+    browser = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--screenshot={path}")
+    page = (f"--blink-settings=preferredColorScheme={colour}", f"--window-size={width},860")
+    try:
+        subprocess.run(  # noqa: S603  the system's browser
+            [chromium, *browser, *page, "--virtual-time-budget=50000", sink.server.page_url],
+            check=True,
+            capture_output=True,
+        )
+    finally:
+        player.stop()
+        thread.join()
+
+
+if __name__ == "__main__":
+    given = sys.argv[1:]
+    draw(
+        Path(given[0]) if given else PICTURE,
+        int(given[1]) if given[1:] else 1000,
+        (given[2:] or ["light"])[0],
+    )

@@ -1,0 +1,67 @@
+"""The server's own page: one HTML file that shows the link, and the JSON that it reads once a second."""
+
+from __future__ import annotations
+
+import json
+import re
+from base64 import b64encode
+from functools import cache
+from hashlib import sha256
+from importlib.resources import files
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+_STATE: Final = "/live.json"
+_BLOCK: Final = r"<{0}>(.*?)</{0}>"
+
+
+class Answer(NamedTuple):
+    """An HTTP answer: status, headers, body."""
+
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+
+def answer(path: str, state: Callable[[], Mapping[str, object]]) -> Answer:
+    """Return the answer to a request.
+
+    Args:
+        path: without the query.
+        state: returns what is shown, as JSON knows it.
+    """
+    if path in {"/", "/index.html"}:
+        text, policy = _page()
+        return _answer(200, "text/html", text, {"Content-Security-Policy": policy})
+    if path == _STATE:
+        return _answer(200, "application/json", json.dumps(state()), {})
+    return _answer(404, "text/plain", f"There is / for people and {_STATE} for programs.\n", {})
+
+
+def _answer(status: int, kind: str, text: str, headers: Mapping[str, str]) -> Answer:
+    body = text.encode()
+    always = {
+        "Content-Type": f"{kind}; charset=utf-8",
+        "Content-Length": str(len(body)),
+        "Cache-Control": "no-store",
+        "Connection": "close",
+        "Referrer-Policy": "no-referrer",  # the address may have the token
+        "X-Content-Type-Options": "nosniff",
+    }
+    return Answer(status, {**always, **headers}, body)
+
+
+@cache
+def _page() -> tuple[str, str]:
+    """Return the page, and the policy that lets a browser load nothing but what is in it and its JSON."""
+    text = files("edoras_tools.io.foxglove").joinpath("page.html").read_text("utf-8")
+    hashes = []
+    for name in ("style", "script"):
+        found = re.search(_BLOCK.format(name), text, re.DOTALL)
+        assert found is not None, "the page has both"
+        hashes.append(b64encode(sha256(found[1].encode()).digest()).decode())
+    style, script = hashes
+    allowed = f"style-src 'sha256-{style}'; script-src 'sha256-{script}'; connect-src 'self'; img-src data:"
+    return text, f"default-src 'none'; {allowed}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+import urllib.request
+from urllib.error import HTTPError
+
+import pytest
+
+from edoras_tools.io.foxglove import page
+from edoras_tools.io.foxglove.origins import OriginCheck
+from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
+from edoras_tools.io.topics.streams import Topic
+from edoras_tools.model import Endpoint
+
+STRING = "std_msgs/msg/String"
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
+ROW = {
+    "link": "to",
+    "msg_id": "0x0827",
+    "name": None,
+    "count": 7_654,
+    "bytes": 1,
+    "gaps": 12,
+    "largest": 136,
+    "rate_hz": 5.0,
+    "level": 2,
+    "message": "truncated",
+}
+LINK = {
+    "silent_s": 0.1,
+    "datagrams": 7_654,
+    "gaps": 12,
+    "rate_hz": 5.0,
+    "bytes_per_s": 680,
+    "kernel_drops": None,
+    "routes": [{**ROW, "topic": "/pose<b>"}],
+    "events": [{"time_ns": 10**18, "level": 40, "app": "CI_LAB_APP", "text": "<script>alert(1)</script>"}],
+}
+
+
+@pytest.fixture
+def serve(types):
+    servers = []
+
+    def start(**options):
+        options = ServerOptions(Endpoint("127.0.0.1", 0), **options)
+        servers.append(FoxgloveServer("a <b>link</b>", [Topic("/a", STRING)], types.definition, options))
+        return servers[-1]
+
+    yield start
+    for server in servers:
+        server.close()
+
+
+def get(server, path="", **headers):
+    """What a browser gets: status, body."""
+    request = urllib.request.Request(server.page_url + path, headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=30) as answer:
+            return answer.status, answer.read().decode()
+    except HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def test_it_is_one_file_that_loads_nothing_else():
+    answer = page.answer("/", dict)
+    text = answer.body.decode()
+    assert answer.status == 200
+    assert not re.findall(r"(?:src|href)\s*=\s*[\"'](?!data:)|@import|url\(", text)
+    policy = answer.headers["Content-Security-Policy"]
+    for name in ("style", "script"):
+        (block,) = re.findall(rf"<{name}>(.*?)</{name}>", text, re.DOTALL)
+        digest = base64.b64encode(hashlib.sha256(block.encode()).digest()).decode()
+        assert f"{name}-src 'sha256-{digest}'" in policy
+    assert "unsafe" not in policy
+
+
+def test_what_there_is(serve):
+    told = []
+    server = serve(origins=OriginCheck((), told.append))
+    assert get(server)[1].startswith("<!doctype html>")
+    status, body = get(server, "live.json")
+    state = json.loads(body)
+    assert (status, state["schema"], state["name"], state["link"]) == (200, 1, "a <b>link</b>", None)
+    assert state["topics"] == [{"topic": "/a", "type": STRING, "messages": 0}]
+    assert get(server, "nowhere") == (404, "There is / for people and /live.json for programs.\n")
+    assert server.summary()["connections"] == 0
+    assert told == []
+
+
+@pytest.mark.parametrize(
+    ("headers", "query", "status"),
+    [
+        ({}, "?token=long+enough", 200),
+        ({}, "", 401),
+        ({}, "?token=other", 401),
+        ({"Origin": "https://evil.example"}, "?token=long+enough", 403),
+        ({"Origin": "http://localhost:3000"}, "?token=long+enough", 200),
+        ({"Host": "evil.example:8765"}, "?token=long+enough", 403),
+        ({"Host": "robot.lab"}, "?token=long+enough", 200),
+        ({"Host": "192.0.2.7:8765"}, "?token=long+enough", 200),
+        ({"Host": "[::1]:8765"}, "?token=long+enough", 200),
+    ],
+)
+@pytest.mark.parametrize("path", ["", "live.json"])
+def test_it_has_the_rules_of_the_websocket(serve, path, headers, query, status):
+    told = []
+    server = serve(token="long enough", origins=OriginCheck(("http://robot.lab",), told.append))
+    assert get(server, path + query, **headers)[0] == status
+    assert len(told) == (status != 200)
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="no Chromium")
+def test_a_browser_shows_it_and_takes_nothing_for_markup(serve):
+    server = serve()
+    server.link_state = lambda: LINK
+    options = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000", "--dump-dom")
+    shown = subprocess.run(
+        [CHROMIUM, *options, server.page_url],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=True,
+    ).stdout
+    assert "<title>a &lt;b&gt;link&lt;/b&gt;</title>" in shown
+    assert re.search(r'id="state"[^>]*>live<', shown)
+    assert "/pose&lt;b&gt;" in shown
+    assert re.search(r'<small class="level2">truncated</small>', shown)
+    assert '<td class="lost">12</td>' in shown
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in shown
+    assert "<span>lost by this capture</span>" not in shown, "not known"
