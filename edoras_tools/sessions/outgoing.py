@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
+from edoras_tools.cfs import edoras_app
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link, Peer
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe, sbn
@@ -215,7 +216,8 @@ class Changes:
     """What is changed in the datagrams before they are sent; nothing by default.
 
     Attributes:
-        msg_ids: MsgId to its replacement.
+        msg_ids: MsgId to its replacement; of another type (command, telemetry) only where all packets have
+            extended headers, whose lengths are equal: the function code is then 1, the time 0.
         sequence: of every space packet.
         checksum: of every command; computed after all other changes.
         restamp: bool (routes,), routes whose messages start with a ``std_msgs/Header``: its stamp becomes the
@@ -247,6 +249,8 @@ class Changes:
                 rows = np.flatnonzero(out.msg_id == old)
                 put_rows(out.data, out.packet_offset[rows], np.full(len(rows), new, ">u2"))
                 msg_id[rows] = new
+                if cfe.is_command(old) != cfe.is_command(new):
+                    _put_other_header(out, rows[out.packet_length[rows] >= out.header_length[rows]], new)
             out = replace(out, msg_id=msg_id)
         return out if self.differ else self.each(out)
 
@@ -279,6 +283,18 @@ class Changes:
         slot = sbn.HEADER.by_name["processor_id"]
         identity = np.array([sender.processor_id, sender.spacecraft_id], ">u4").view("V8")
         put_rows(out.data, whole + slot.start, np.repeat(identity, len(whole)))
+
+
+def _put_other_header(out: Outgoing, rows: NDArray[np.intp], msg_id: int) -> None:
+    """Write the header of a command or of telemetry behind extended headers, where the other one is."""
+    headers = cfe.WITH_EXTENDED
+    values = {"function_code": edoras_app.SET} if cfe.is_command(msg_id) else {}
+    header = (headers.command if values else headers.telemetry).emit(values)
+    put_rows(
+        out.data,
+        out.packet_offset[rows] + headers.start,
+        np.full(len(rows), np.void(header), f"V{len(header)}"),
+    )
 
 
 def _stamp(out: Outgoing, rows: NDArray[np.intp], time_ns: NDArray[np.int64]) -> None:

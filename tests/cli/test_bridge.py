@@ -128,7 +128,6 @@ WRONG = {
     ("-c", "MISSION", "--max-rate", "/pose=3"): (1, "/pose is not bridged; there are /cmd_vel, "),
     ("-c", "MISSION", "--ros-option", "x"): (2, "'x' is not NAME=VALUE"),
     ("-c", "MISSION", "--ros-option", "x=1"): (2, "--ros local has no option 'x'"),
-    ("-c", "MISSION", "--extended-header"): (2, "cannot write extended headers"),
     ("-c", "MISSION", "-o", "a.txt"): (2, "unknown suffix"),
     ("-c", "MISSION", "-o", "/proc/no/where.mcap"): (1, "/proc/no/where.mcap"),
     ("air", "-c", "MISSION"): (2, "air"),

@@ -142,3 +142,20 @@ def test_a_packet_without_a_whole_header_is_let_be(rule):
     out = outgoing(command())
     cut = replace(out, packet_length=np.array([7], np.int32), length=np.array([7], np.int32))
     assert Changes(checksum=rule).once(cut)[0] == command()[:7]
+
+
+@pytest.mark.parametrize(("old", "new"), [(0x1827, 0x0827), (0x0827, 0x1827)])
+def test_a_command_becomes_telemetry_behind_an_extended_header(old, new):
+    """Their headers are equally long there: what follows stays, the header is a new one."""
+    payload = bytes(range(40))
+
+    def packet(msg_id):
+        made = {"sequence_flags": 0, "headers": cfe.WITH_EXTENDED}
+        if cfe.is_command(msg_id):
+            return cfe.emit_command(msg_id, 1, payload, with_checksum=False, **made)
+        return cfe.emit_telemetry(msg_id, payload, **made)
+
+    out = Outgoing.packets(CI, [Packet(packet(old)), Packet(packet(old)[:9])], headers=cfe.WITH_EXTENDED)
+    changed = Changes({old: new}).once(out)
+    assert changed[0] == packet(new)
+    assert changed[1] == packet(new)[:9]

@@ -137,8 +137,6 @@ def plan_bridges(settings: Settings, request: BridgeRequest) -> BridgePlan:
         ConfigError: a file has errors, nothing is left to bridge, or a bridge would send to itself.
         RouteError: a rate limit names a topic that is not bridged.
     """
-    if settings.options.extended_header:
-        raise ConfigError("a bridge cannot write extended headers; leave --extended-header out")
     if not settings.configs:
         raise ConfigError("a bridge needs a mission file of the public bridges: -c FILE")
     types = TypeStore(settings.distro, settings.msg_paths)

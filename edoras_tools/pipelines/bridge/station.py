@@ -241,8 +241,8 @@ class Station:
 
     def _machine(self, routes: list[Route], whole: BridgePlan, request: BridgeRequest) -> BridgeSession:
         bridge, options, now = self.plan.bridge, whole.settings.options, time.monotonic_ns()
-        header = (options.headers or cfe.STANDARD).telemetry_bytes
-        writer = PacketWriter(checksum=request.checksum, sequence=request.sequence, telemetry_header=header)
+        headers = options.headers or cfe.STANDARD
+        writer = PacketWriter(checksum=request.checksum, sequence=request.sequence, headers=headers)
         back = [route for route in routes if not route.to_cfs]
         link: LinkSession
         if isinstance(bridge.link, GroundLink):
@@ -256,7 +256,7 @@ class Station:
             peer = Peer(far.peer_spacecraft_id, far.peer_processor_id)
             link = FlightSession(own, peer, [route.msg_id for route in back], now=now)
         bridge_options = BridgeOptions(
-            header, options.envelope or str(DEFAULT), bridge.max_size or largest, bridge.max_rate_total
+            headers, options.envelope or str(DEFAULT), bridge.max_size or largest, bridge.max_rate_total
         )
         return BridgeSession(routes, link, writer, bridge_options, sizes_of(whole.types, routes))
 

@@ -204,16 +204,19 @@ def _is_stamped(types: TypeStore, name: str) -> bool:
 def remapped(pairs: Sequence[tuple[str, str]], mission: Mission, *, extended: bool = False) -> dict[int, int]:
     """Return pairs of MsgIds for pairs of MsgIds, topics or keys.
 
+    Args:
+        pairs: old and new.
+        mission: knows topics and keys.
+        extended: whether all packets have extended headers, which are as long in commands as in telemetry.
+
     Raises:
-        ConfigError: a command would become telemetry or the reverse; their headers differ.
+        ConfigError: a command would become telemetry or the reverse, whose header has another length.
         RouteError: a topic is not configured.
     """
     found: dict[int, int] = {}
     for old, new in pairs:
         before, after = _msg_id(old, mission), _msg_id(new, mission)
-        if extended:
-            raise ConfigError("--remap cannot write extended headers; leave --remap or --extended-header out")
-        if cfe.is_command(before) != cfe.is_command(after):
+        if not extended and cfe.is_command(before) != cfe.is_command(after):
             raise ConfigError(
                 f"--remap {old}:={new}: of {called(before, mission)} and {called(after, mission)} one is a "
                 "command, one telemetry; their headers differ"

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from edoras_tools.cfs import limits
 from edoras_tools.sessions.bridge.limit import Limit, Limiter
 from edoras_tools.sessions.bridge.packets import Envelope, PacketWriter, find_packet
-from edoras_tools.wire import sbn
+from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.cdr import ENCAPSULATION
 from edoras_tools.wire.envelope import EnvelopeFormat
 
@@ -81,13 +81,13 @@ class BridgeOptions:
     """How a bridge writes and reads packets.
 
     Attributes:
-        telemetry_header: bytes of cFE's telemetry header.
+        headers: those of the cFE at the other end.
         envelope: format where a route names none; ``auto`` tells it from the bytes.
         max_size: largest packet in bytes that cFS accepts.
         max_rate_total: most messages a second to cFS; None for no limit.
     """
 
-    telemetry_header: int = 16
+    headers: cfe.Headers = cfe.STANDARD
     envelope: str = "8/8 le"
     max_size: int = SBN_LARGEST
     max_rate_total: float | None = None
@@ -156,7 +156,7 @@ class BridgeSession:
         self.limiter: Limiter[bytes] = Limiter(
             chosen, options.max_rate_total, [route.to_cfs for route in routes]
         )
-        self._writer, self._telemetry_header = writer, options.telemetry_header
+        self._writer, self._headers = writer, options.headers
         self._envelopes = [
             Envelope(_format(route.envelope or options.envelope), sizes.get(route.type), route.type)
             for route in routes
@@ -197,7 +197,7 @@ class BridgeSession:
             self.outbox += answers
         if at < 0:
             return None
-        place = find_packet(data, at, self._telemetry_header)
+        place = find_packet(data, at, self._headers)
         if place is None:
             self.unreadable += 1
             return None

@@ -17,7 +17,6 @@ from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION
 if TYPE_CHECKING:
     from edoras_tools.wire.envelope import EnvelopeFormat
 
-_COMMAND: Final = struct.Struct(">HHHBB")
 _PRIMARY: Final = struct.Struct(">HHH")
 _WORDS: Final = {8: "Q", 4: "I", 1: "B"}
 _UNSEGMENTED: Final = ccsds.UNSEGMENTED << 14
@@ -36,17 +35,22 @@ class PacketWriter:
     Args:
         checksum: write the checksum of commands.
         sequence: count the packets of each MsgId, as cFE does.
-        telemetry_header: bytes of a telemetry header.
+        headers: those of the cFE that reads them.
     """
 
-    def __init__(self, *, checksum: bool = False, sequence: bool = False, telemetry_header: int = 16) -> None:
-        self._checksum, self._sequence = checksum, sequence
-        self._rest = bytes(telemetry_header - ccsds.PRIMARY.size)
+    def __init__(
+        self, *, checksum: bool = False, sequence: bool = False, headers: cfe.Headers = cfe.STANDARD
+    ) -> None:
+        self._checksum, self._sequence, self._headers = checksum, sequence, headers
+        self._gap = bytes(headers.start - ccsds.PRIMARY.size)
+        self._spare = bytes(headers.command_bytes - headers.start - 2)
+        self._rest = bytes(headers.telemetry_bytes - ccsds.PRIMARY.size)
         self._counts: dict[int, int] = {}
 
     def overhead(self, msg_id: int) -> int:
         """Return the bytes of the header that a MsgId has."""
-        return _COMMAND.size if msg_id & cfe.COMMAND_BIT else ccsds.PRIMARY.size + len(self._rest)
+        headers = self._headers
+        return headers.command_bytes if msg_id & cfe.COMMAND_BIT else headers.telemetry_bytes
 
     def write(self, msg_id: int, payload: bytes, code: int = edoras_app.SET) -> bytes:
         """Return a packet. A telemetry MsgId gets the telemetry header with time 0, and no function code."""
@@ -58,10 +62,12 @@ class PacketWriter:
         if not msg_id & cfe.COMMAND_BIT:
             rest = self._rest + payload
             return _PRIMARY.pack(msg_id, word, len(rest) - 1) + rest
-        packet = _COMMAND.pack(msg_id, word, len(payload) + 1, code, 0) + payload
+        rest = self._gap + bytes((code, 0)) + self._spare + payload
+        packet = _PRIMARY.pack(msg_id, word, len(rest) - 1) + rest
         if not self._checksum:
             return packet
-        return packet[:7] + bytes((cfe.checksum(packet),)) + payload
+        at = self._headers.start + cfe.CHECKSUM_BYTE
+        return packet[:at] + bytes((cfe.checksum(packet),)) + packet[at + 1 :]
 
 
 class Envelope:
@@ -137,11 +143,11 @@ class PacketPlace:
     end: int
 
 
-def find_packet(data: bytes, at: int, telemetry_header: int = 16) -> PacketPlace | None:
+def find_packet(data: bytes, at: int, headers: cfe.Headers = cfe.STANDARD) -> PacketPlace | None:
     """Return the space packet that starts somewhere in a datagram; None where its header is not whole."""
     if len(data) - at < ccsds.PRIMARY.size:
         return None
     msg_id = data[at] << 8 | data[at + 1]
-    header = _COMMAND.size if msg_id & cfe.COMMAND_BIT else telemetry_header
+    header = headers.command_bytes if msg_id & cfe.COMMAND_BIT else headers.telemetry_bytes
     end = min(len(data), at + (data[at + 4] << 8 | data[at + 5]) + ccsds.LENGTH_BIAS)
     return PacketPlace(msg_id, at + header, end) if at + header <= end else None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from places import MISSIONS
 
-from edoras_tools.decode import Options
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.middleware import Qos
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges, qos_of
@@ -103,8 +102,6 @@ def test_nothing_left_is_a_mistake(changed):
         plan(GROUND, kind="flight")
     with pytest.raises(ConfigError, match="-c FILE"):
         plan()
-    with pytest.raises(ConfigError, match="extended headers"):
-        plan_bridges(Settings((GROUND,), options=Options(extended_header=True)), BridgeRequest())
 
 
 def test_all_mistakes_of_all_files_are_told_at_once(changed):

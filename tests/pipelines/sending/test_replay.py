@@ -165,8 +165,8 @@ def test_remapping_by_msg_id_topic_and_key(two_rovers):
             remapped([pair], mission)
     with pytest.raises(RouteError, match="'/nowhere'"):
         remapped([("/nowhere", "0x1827")], mission)
-    with pytest.raises(ConfigError, match="extended headers"):
-        remapped([("0x1827", "0x1828")], mission, extended=True)
+    pairs = [("0x1827", "0x1828"), ("0x1829", "0x0828")]
+    assert remapped(pairs, mission, extended=True) == {0x1827: 0x1828, 0x1829: 0x0828}
 
 
 def test_restamp_knows_which_types_begin_with_a_header(two_rovers, rover):

@@ -30,15 +30,23 @@ def test_real_checksums_and_counts_where_they_are_wanted():
     assert last[2:4].hex() == "c000"  # 14 bits, then from the beginning
 
 
-@pytest.mark.parametrize("size", [16, 12])
-def test_a_telemetry_msg_id_has_the_telemetry_header(size):
-    writer = PacketWriter(telemetry_header=size, checksum=True)
-    packet = writer.write(0x0827, CDR)
-    assert len(packet) == writer.overhead(0x0827) + len(CDR) == size + len(CDR)
-    place = find_packet(packet, 0, size)
-    assert (place.msg_id, place.body, place.end) == (0x0827, size, len(packet))
-    if size == 16:
-        assert packet == cfe.emit_telemetry(0x0827, CDR, sequence_flags=0)
+@pytest.mark.parametrize("headers", cfe.HEADERS, ids=lambda item: item.name)
+@pytest.mark.parametrize("checksum", [True, False])
+def test_packets_have_the_headers_of_their_cfe(headers, checksum):
+    """The same bytes as wire.cfe writes; their sizes are those of cFE's own structs."""
+    writer = PacketWriter(headers=headers, checksum=checksum)
+    for msg_id, made in (
+        (0x0827, cfe.emit_telemetry(0x0827, CDR, sequence_flags=0, headers=headers)),
+        (0x1827, cfe.emit_command(0x1827, 1, CDR, sequence_flags=0, with_checksum=checksum, headers=headers)),
+    ):
+        packet = writer.write(msg_id, CDR)
+        assert packet == made
+        size = writer.overhead(msg_id)
+        assert size == len(packet) - len(CDR)
+        place = find_packet(packet, 0, headers)
+        assert (place.msg_id, place.body, place.end) == (msg_id, size, len(packet))
+    extended = PacketWriter(headers=cfe.WITH_EXTENDED)
+    assert [extended.overhead(msg_id) for msg_id in (0x1827, 0x0827)] == [16, 16]
 
 
 @pytest.mark.parametrize("form", [*envelope.ENVELOPE_FORMATS, None], ids=str)
