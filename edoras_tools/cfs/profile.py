@@ -106,6 +106,7 @@ class SimProfile:
         housekeeping_ns: period of the housekeeping requests.
         wakeup_ns: period of the wake-up that the two-robot application sends its commands on.
         generator_msg_id: MsgId of the telemetry generator's commands; 0 where there is no generator.
+        extended_header: whether cFE is built with the extended header; MsgIds are the first word also then.
         boot_ns: from the start of the processor until all applications run.
         app_start_ns: from the start of an application until it runs.
         app_kill_ns: how long an application may take to end that is told to.
@@ -125,6 +126,7 @@ class SimProfile:
     address: str = "127.0.0.1"
 
     generator_msg_id: int = GENERATOR_MSG_ID
+    extended_header: bool = False
 
     ci_port: int = 1234
     ci_buffer: int = 768

@@ -48,6 +48,9 @@ class FlightOptions(NamedTuple):
             help="MsgId of the commands of the telemetry generator, default 0x18F0; 0: there is none.",
         ),
     ] = None
+    extended_header: Annotated[
+        bool, typer.Option("--extended-header", help="A cFE built with the extended header.")
+    ] = False
 
 
 @options.grouped
@@ -89,6 +92,7 @@ def sim(
         to_default_limit=limit,
         to_limits=limits,
         msg_max=flight.msg_max,
+        extended_header=flight.extended_header,
         generator_msg_id=profile.generator_msg_id if flight.generator is None else flight.generator,
         address=address,
         sbn_peers=peers,

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sweep.plan import SweepPlan
+    from edoras_tools.wire.cfe import Headers
 
 _LEAST_STEP_NS = 2_000_000_000
 
@@ -142,10 +143,16 @@ class SendingOptions(NamedTuple):
     unlimited: sending.Unlimited = False
     yes: sending.Yes = False
 
-    def send_options(self, link: Link) -> SendOptions:
-        """Return these options in the form that pipelines take, for a route of this link."""
+    def send_options(self, link: Link, headers: Headers | None) -> SendOptions:
+        """Return these options in the form that pipelines take, for a route of this link.
+
+        Args:
+            link: of the route.
+            headers: those of the cFE; None for the usual ones.
+        """
         from edoras_tools.pipelines.sending.options import SendOptions
         from edoras_tools.pipelines.sweep.plan import command_receiver
+        from edoras_tools.wire.cfe import STANDARD
 
         return SendOptions(
             to=command_receiver(link),
@@ -157,6 +164,7 @@ class SendingOptions(NamedTuple):
             allow=tuple(self.allow or ()),
             unlimited=self.unlimited,
             confirmed=self.yes,
+            headers=headers or STANDARD,
         )
 
 
@@ -205,7 +213,8 @@ def sweep(
         svg.need_png()
     bench = decoding.settings().workbench()
     chosen = route_of(route, named(to.value) if to else None, bench.mission)
-    send_options = how.send_options(chosen.link).placed(bench.mission)
+    headers = bench.columns.context.options.headers
+    send_options = how.send_options(chosen.link, headers).placed(bench.mission)
     plan = steps.plan(chosen, send_options)
     plan.check(bench)
     if dry_run:

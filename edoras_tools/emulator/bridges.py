@@ -28,10 +28,11 @@ _ENABLE_AFTER_NS: Final = SECOND // 2
 _POLL_NS: Final = 100 * MILLISECOND
 
 
-def command_packet(msg_id: int, cdr: bytes) -> bytes:
+def command_packet(msg_id: int, cdr: bytes, headers: cfe.Headers = cfe.STANDARD) -> bytes:
     """Return a command as the bridges send it: sequence word 0, checksum 0."""
+    body = envelope.DEFAULT.emit(cdr)
     return cfe.emit_command(
-        msg_id, edoras_app.SET, envelope.DEFAULT.emit(cdr), sequence_flags=0, with_checksum=False
+        msg_id, edoras_app.SET, body, sequence_flags=0, with_checksum=False, headers=headers
     )
 
 
@@ -68,7 +69,10 @@ class GroundBridge:
         endpoint: its one socket: TO's destination, and where its commands come from.
         received: MsgId to packets that arrived.
         sent: commands sent.
+        headers: of its packets. The public bridges know the usual ones alone.
     """
+
+    headers = cfe.STANDARD
 
     def __init__(
         self, scheduler: Scheduler, endpoint: Endpoint, ci: Endpoint, operator: GroundOperator, send: SendFrom
@@ -96,12 +100,13 @@ class GroundBridge:
             address,
             sequence_flags=0,
             with_checksum=False,
+            headers=self.headers,
         )
         self._send(self.endpoint, self._ci, command)
 
     def _command(self, index: int) -> None:
         for robot, msg_id in enumerate(self._operator.msg_ids):
-            packet = command_packet(msg_id, self._operator.cdr(index, robot))
+            packet = command_packet(msg_id, self._operator.cdr(index, robot), self.headers)
             self._send(self.endpoint, self._ci, packet)
             self.sent += 1
         if self._operator.count is None or index + 1 < self._operator.count:
@@ -116,7 +121,10 @@ class FlightBridge:
         endpoint: its one socket.
         received: MsgId to packets that arrived.
         sent: robot states sent.
+        headers: as those of the ground bridge.
     """
+
+    headers = cfe.STANDARD
 
     def __init__(
         self,
@@ -179,7 +187,7 @@ class FlightBridge:
 
     def _state(self, index: int) -> None:
         for (state, _), robot in self._robots.items():
-            packet = command_packet(state, robot.state(now=self._scheduler.now))
+            packet = command_packet(state, robot.state(now=self._scheduler.now), self.headers)
             self._send(self.endpoint, self._sbn, self._connection.frame(packet))
             self.sent += 1
         due = self._first_ns + int((index + 1) * SECOND / self._rate_hz)

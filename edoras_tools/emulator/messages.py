@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.errors import FieldError, WireError
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
-from edoras_tools.wire import envelope
+from edoras_tools.wire import cfe, envelope
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from edoras_tools.cfs.profile import SimProfile
 
 TWIST: Final = "geometry_msgs/msg/Twist"
 POSE: Final = "geometry_msgs/msg/Pose"
@@ -23,6 +25,26 @@ JOINT_STATE: Final = "sensor_msgs/msg/JointState"
 @cache
 def _types() -> TypeStore:
     return TypeStore()
+
+
+def headers_of(profile: SimProfile) -> cfe.Headers:
+    """Return the headers of packets on the links. On the emulated bus they are always the usual ones."""
+    return cfe.WITH_EXTENDED if profile.extended_header else cfe.STANDARD
+
+
+def from_link(packet: bytes, profile: SimProfile) -> bytes:
+    """Return a packet of a link as it is on the bus."""
+    return cfe.converted(packet, headers_of(profile), cfe.STANDARD)
+
+
+def to_link(packet: bytes, profile: SimProfile) -> bytes:
+    """Return a packet of the bus as it is on a link."""
+    return cfe.converted(packet, cfe.STANDARD, headers_of(profile))
+
+
+def command_length(size: int, profile: SimProfile) -> int:
+    """Return the bytes on a link of a command that has ``size`` on the bus, as events tell them."""
+    return size + headers_of(profile).command_bytes - cfe.COMMAND_HEADER_BYTES
 
 
 class FixedStruct:

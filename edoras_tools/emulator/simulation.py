@@ -10,6 +10,7 @@ from edoras_tools.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
 from edoras_tools.emulator.boot import Apps
 from edoras_tools.emulator.bridges import FlightBridge, GroundBridge, GroundOperator
 from edoras_tools.emulator.cfs import Cfs
+from edoras_tools.emulator.messages import headers_of
 from edoras_tools.emulator.robots import Arm, Rover
 from edoras_tools.emulator.scheduler import Scheduler
 from edoras_tools.errors import ConfigError
@@ -101,8 +102,10 @@ class Simulation:
             operator = GroundOperator(command_type, commands, command_rate_hz, count=command_count)
             ground = Endpoint(profile.address, profile.to_port)
             self.ground = GroundBridge(self._scheduler, ground, self.cfs.ci_endpoint, operator, self._send)
+            self.ground.headers = headers_of(profile)
             if "two" in scenario:
                 self.flight = self._flight(profile, state_rate_hz)
+                self.flight.headers = headers_of(profile)
 
     def _flight(self, profile: SimProfile, rate_hz: float) -> FlightBridge:
         peer = next((item for item in profile.sbn_peers if item.peer == FLIGHT_BRIDGE), None)

@@ -236,6 +236,26 @@ def emit_telemetry(
     return head + headers.telemetry.emit({"seconds": seconds, "subseconds": subseconds}) + payload
 
 
+def converted(packet: bytes, old: Headers, new: Headers) -> bytes:
+    """Return a packet with the headers of another build: function code or time and what follows stay.
+
+    A checksum that was right is right again. A packet shorter than its headers is returned as it is.
+    """
+    command = bool(packet) and is_command(packet[0] << 8)
+    size, wanted = (item.command_bytes if command else item.telemetry_bytes for item in (old, new))
+    if old is new or len(packet) < size:
+        return packet
+    shared = COMMAND.size if command else TELEMETRY_SHORT.size
+    length = (int.from_bytes(packet[4:6], "big") + wanted - size) & 0xFFFF
+    head = packet[:4] + length.to_bytes(2, "big") + (EXTENDED.emit({}) if new.extended else b"")
+    made = (head + packet[old.start : old.start + shared]).ljust(wanted, b"\0") + packet[size:]
+    at = new.start + CHECKSUM_BYTE
+    if command and checksum(packet) == 0:
+        made = made[:at] + b"\0" + made[at + 1 :]
+        made = made[:at] + bytes([checksum(made)]) + made[at + 1 :]
+    return made
+
+
 def mission_time_ns(seconds: int, subseconds: int) -> int:
     """Return a telemetry header's time in ns since the mission's epoch."""
     return seconds * 1_000_000_000 + (subseconds * 1_000_000_000 >> 16)

@@ -285,3 +285,20 @@ def test_c3_every_pipe_is_cut_where_the_host_allows_ten(seed):
     assert ours == real
     uncut = Beside("c3_mqueue10", seed).run().simulation.cfs.bus.counters
     assert uncut.pipe_overflows == 0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_cfe_with_extended_headers(seed):
+    """What it was sent goes in as it was sent; as many are lost, and packets as long come out."""
+    beside = Beside("p6b_extended_header", seed, extended_header=True).run()
+    assert beside.commands == 300
+    assert beside.reached == (277, pytest.approx(277, abs=0.03 * 300))
+    real, ours = beside.events()
+    assert set(real) == set(ours)
+    ground = [row.payload for row in beside.rows if row.destination_port == 1235]
+    emulated = [item.payload for item in beside.sent if item.destination.port == 1235]
+    real, ours = (Counter((data[:2].hex(), len(data)) for data in sent) for sent in (ground, emulated))
+    del real["080b", 200]  # the app information that ES was asked for once
+    changing = ("0808", 172)
+    assert ours.pop(changing) == pytest.approx(real.pop(changing), abs=6)  # an event each 16 losses at most
+    assert ours == real

@@ -157,3 +157,28 @@ def test_ranges_are_folded_like_the_loop_would(data, draw):
     assert [0xFF ^ int(x) for x in window.xor_bytes(array, offset, length)] == [
         cfe.checksum(p) for p in pieces
     ]
+
+
+@given(
+    word=st.sampled_from([0x1827, 0x0827]),
+    rest=st.binary(min_size=10, max_size=60),
+    old=st.sampled_from(cfe.HEADERS),
+    new=st.sampled_from(cfe.HEADERS),
+)
+def test_headers_of_another_build_and_back(word, rest, old, new):
+    """What follows the headers, function code or time, and a right checksum stay."""
+    if cfe.is_command(word):
+        packet = cfe.emit_command(word, rest[0] & 0x7F, rest, headers=old)
+        made = cfe.emit_command(word, rest[0] & 0x7F, rest, headers=new)
+    else:
+        time = {"seconds": int.from_bytes(rest[:4], "big"), "subseconds": rest[4]}
+        packet, made = (cfe.emit_telemetry(word, rest, headers=item, **time) for item in (old, new))
+    assert cfe.converted(packet, old, new) == made
+    assert cfe.converted(made, new, old) == packet
+
+
+@given(data=st.binary(max_size=40), old=st.sampled_from(cfe.HEADERS), new=st.sampled_from(cfe.HEADERS))
+def test_headers_of_any_bytes(data, old, new):
+    """No bytes are refused; a packet that is shorter than its headers stays as it is."""
+    made = cfe.converted(data, old, new)
+    assert made == data or len(made) >= min(new.command_bytes, new.telemetry_bytes)

@@ -10,6 +10,7 @@ from edoras_tools.cfs.event_services import EventType
 from edoras_tools.cfs.executive_services import ENDING_COMMANDS
 from edoras_tools.cfs.names import COMMANDS
 from edoras_tools.emulator.cfs import EMULATOR_VERSION
+from edoras_tools.emulator.messages import command_length
 from edoras_tools.emulator.scheduler import Receive, Work
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
@@ -84,7 +85,8 @@ def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
     if function_code == 0:
         if size != cfe.COMMAND_HEADER_BYTES:
             if core.bad_length is not None:
-                cfs.say(core.bad_length, msg_id=core.command, code=0, length=size)
+                length = command_length(size, cfs.profile)
+                cfs.say(core.bad_length, msg_id=core.command, code=0, length=length)
             return False
         if core.name == executive_services.NAME:
             cfs.say(executive_services.BUILD, **_BUILD)

@@ -56,8 +56,10 @@ def _accepted(cfs: Cfs, packet: bytes) -> bool:
     if function_code != facts.NO_OP:
         cfs.say(facts.BAD_FUNCTION_CODE, code=function_code)
     elif size != cfe.COMMAND_HEADER_BYTES:
-        expected = cfe.COMMAND_HEADER_BYTES
-        cfs.say(facts.BAD_LENGTH, msg_id=msg_id_of(packet), code=facts.NO_OP, length=size, expected=expected)
+        length, expected = (messages.command_length(n, cfs.profile) for n in (size, cfe.COMMAND_HEADER_BYTES))
+        cfs.say(
+            facts.BAD_LENGTH, msg_id=msg_id_of(packet), code=facts.NO_OP, length=length, expected=expected
+        )
     return False
 
 

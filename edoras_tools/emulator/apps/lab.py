@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs import command_ingest, software_bus, telemetry_output
 from edoras_tools.cfs.core import CORE
+from edoras_tools.emulator.messages import to_link
 from edoras_tools.emulator.scheduler import Receive, Sleep, SleepUntil, Work
 from edoras_tools.emulator.services.command_ingest import CommandIngest
 from edoras_tools.emulator.services.telemetry_output import TelemetryOutput
@@ -92,7 +93,8 @@ class ToLab:
             more, data = output.forward()
             while more:
                 if data is not None and output.destination is not None:
-                    cfs.send(cfs.to_endpoint, Endpoint(output.destination, profile.to_port), data)
+                    ground = Endpoint(output.destination, profile.to_port)
+                    cfs.send(cfs.to_endpoint, ground, to_link(data, profile))
                 yield Work(profile.work_ns)
                 more, data = output.forward()
             while (packet := self._commands.get()) is not None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import command_ingest as facts
+from edoras_tools.emulator.messages import command_length, from_link, headers_of
 from edoras_tools.emulator.services.events import Event
 from edoras_tools.wire import cfe
 from edoras_tools.wire.packet import function_code_of, length_of
@@ -72,7 +73,7 @@ class CommandIngest:
         self._buffer[: len(data)] = data
         if not data:
             return Ingested()
-        if len(data) < cfe.COMMAND_HEADER_BYTES:
+        if len(data) < headers_of(self.profile).command_bytes:
             self.ingest_errors += 1
             word, second = self._buffer[0] << 8 | self._buffer[1], self._buffer[2] << 8 | self._buffer[3]
             return Ingested(
@@ -80,7 +81,7 @@ class CommandIngest:
             )
         self.ingest_packets += 1
         held = max(len(data), length_of(data))
-        return Ingested(packet=bytes(self._buffer[:held]))
+        return Ingested(packet=from_link(bytes(self._buffer[:held]), self.profile))
 
     def refused(self, status: int) -> Event:
         """Return the event for a packet that the software bus refused."""
@@ -97,8 +98,8 @@ class CommandIngest:
                 facts.BAD_LENGTH,
                 msg_id=facts.COMMAND_MSG_ID,
                 code=function_code,
-                length=size,
-                expected=cfe.COMMAND_HEADER_BYTES,
+                length=command_length(size, self.profile),
+                expected=headers_of(self.profile).command_bytes,
             )
         if function_code == 0:
             self.commands += 1

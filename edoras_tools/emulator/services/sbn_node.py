@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs import sbn as facts
+from edoras_tools.emulator.messages import from_link, to_link
 from edoras_tools.emulator.services.events import Event
 from edoras_tools.model import Peer
 from edoras_tools.sessions.sbn.connection import SbnConnection
@@ -168,7 +169,7 @@ class SbnNode:
     def _serve(self, state: PeerState, actions: Actions, now: int) -> None:
         connection = state.connection
         while state.pipe is not None and (packet := state.pipe.get()) is not None:
-            data = whole_packet(packet)
+            data = to_link(whole_packet(packet), self.profile)
             if len(data) <= sbn.LARGEST_PAYLOAD:
                 self._send(state, [connection.frame(data)], actions)
                 connection.sent(now=now)
@@ -213,7 +214,7 @@ class SbnNode:
                     actions.fail(facts.BAD_MSG_ID, facts.MESSAGE_FAILED)
                     return
                 size = max(length_of(packet), carried, cfe.COMMAND_HEADER_BYTES)
-                actions.publish.append(packet[:size])
+                actions.publish.append(from_link(packet[:size], self.profile))
             case UnknownType(msg_type):
                 actions.fail(
                     facts.UNKNOWN_TYPE, facts.MESSAGE_FAILED, failure=facts.NOT_PROCESSED, msg_type=msg_type

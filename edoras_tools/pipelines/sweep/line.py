@@ -172,6 +172,6 @@ class Line:
         return now
 
 
-def reset_filters() -> bytes:
+def reset_filters(headers: cfe.Headers) -> bytes:
     """Return the command that resets the event filters: after 16 of a kind, the bus sends no more events."""
-    return cfe.emit_command(0x1801, 14, b"CFE_SB".ljust(20, b"\0"))
+    return cfe.emit_command(0x1801, 14, b"CFE_SB".ljust(20, b"\0"), headers=headers)

@@ -68,6 +68,11 @@ class SweepPlan:
     generator: int = generator.COMMAND_MSG_ID
 
     @property
+    def headers(self) -> cfe.Headers:
+        """Those of the cFE."""
+        return self.options.headers
+
+    @property
     def by_size(self) -> bool:
         """Whether sizes are swept."""
         return self.sizes[0] != self.sizes[1]
@@ -116,13 +121,13 @@ class SweepPlan:
 
     def packets(self, bench: Workbench) -> list[bytes]:
         """Return one of each kind of packet that the sweep sends."""
-        found = [reset_filters()]
+        found = [reset_filters(self.headers)]
         if self.to_cfs:
             found.append(message(self.route, bench, self.sizes[0]))
         elif not self.watch:
             found.append(generator_command(self, 0, 0))
         if self.is_echoed:
-            found += echo(self.route.msg_id)
+            found += echo(self.route.msg_id, self.headers)
         return found
 
     def as_json(self, bench: Workbench) -> dict[str, Any]:
@@ -184,7 +189,8 @@ def command_receiver(link: Link) -> Receiver:
 
 def natural_size(route: Route, bench: Workbench) -> int:
     """Return the size in bytes of a route's space packet with default values."""
-    header = cfe.COMMAND_HEADER_BYTES if cfe.is_command(route.msg_id) else cfe.TELEMETRY_HEADER_BYTES
+    headers = bench.columns.context.options.headers or cfe.STANDARD
+    header = headers.command_bytes if cfe.is_command(route.msg_id) else headers.telemetry_bytes
     if not route.type:
         return header
     if route.type == messages.POSE_STAMPED and not cfe.is_command(route.msg_id):
@@ -196,10 +202,15 @@ def message(route: Route, bench: Workbench, size: int) -> bytes:
     """Return a route's packet towards cFS, padded to a size; 0 for its own size."""
     if route in bench.mission.routes:
         packet = Encoder.of(route, bench).packet(bench.types.encode(route.type, {}), 0).packet
-    elif cfe.is_command(route.msg_id):
-        packet = cfe.emit_command(route.msg_id, edoras_app.SET, sequence_flags=0, with_checksum=False)
     else:
-        packet = cfe.emit_telemetry(route.msg_id, sequence_flags=0)
+        headers = bench.columns.context.options.headers or cfe.STANDARD
+        packet = (
+            cfe.emit_command(
+                route.msg_id, edoras_app.SET, sequence_flags=0, with_checksum=False, headers=headers
+            )
+            if cfe.is_command(route.msg_id)
+            else cfe.emit_telemetry(route.msg_id, sequence_flags=0, headers=headers)
+        )
     if size <= len(packet):
         return packet
     return with_length(packet, size).ljust(size, bytes([_FILL]))
@@ -208,20 +219,19 @@ def message(route: Route, bench: Workbench, size: int) -> bytes:
 def generator_command(plan: SweepPlan, rate_hz: int, size: int) -> bytes:
     """Return the command that makes the generator publish the route of a plan at a rate; 0 stops it."""
     route = plan.route
-    length = max(0, size - cfe.TELEMETRY_HEADER_BYTES)
+    length = max(0, size - plan.headers.telemetry_bytes)
     is_pose = route.type == messages.POSE_STAMPED and length >= _POSE_BYTES
     payload = generator.set_command(
         route.msg_id, rate_hz, length=length, kind=generator.POSE_STAMPED_KIND if is_pose else 0
     )
-    return cfe.emit_command(plan.generator, generator.SET, payload)
+    return cfe.emit_command(plan.generator, generator.SET, payload, headers=plan.headers)
 
 
-def echo(msg_id: int) -> tuple[bytes, bytes]:
+def echo(msg_id: int, headers: cfe.Headers = cfe.STANDARD) -> tuple[bytes, bytes]:
     """Return the commands that make Telemetry Output also send a MsgId to the ground, and stop it again."""
     add = struct.pack("<IBBBx", msg_id, 0, 0, _ECHO_LIMIT)
+    wanted = telemetry_output.COMMAND_MSG_ID
     return (
-        cfe.emit_command(telemetry_output.COMMAND_MSG_ID, telemetry_output.ADD_PACKET, add),
-        cfe.emit_command(
-            telemetry_output.COMMAND_MSG_ID, telemetry_output.REMOVE_PACKET, struct.pack("<I", msg_id)
-        ),
+        cfe.emit_command(wanted, telemetry_output.ADD_PACKET, add, headers=headers),
+        cfe.emit_command(wanted, telemetry_output.REMOVE_PACKET, struct.pack("<I", msg_id), headers=headers),
     )

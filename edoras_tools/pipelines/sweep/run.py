@@ -142,7 +142,7 @@ class _Sweeper:
     def run(self) -> None:
         """Run the sweep."""
         self.line.open(self._conditions, self.plan.options.timeout_ns)
-        self.line.command(reset_filters())
+        self.line.command(reset_filters(self.plan.headers))
         if self.plan.watch and not self.plan.to_cfs:
             self._watch()
             return
@@ -150,7 +150,7 @@ class _Sweeper:
             self._need_generator()
             self._measure_background()
         if self.plan.is_echoed:
-            add, remove = packets.echo(self.plan.route.msg_id)
+            add, remove = packets.echo(self.plan.route.msg_id, self.plan.headers)
             self._undo.append(remove)
             self.line.command(add)
         self._search()
@@ -183,7 +183,7 @@ class _Sweeper:
         observer.begin()
         observer.expected = packet if plan.is_echoed else None
         before = observer.mark()
-        line.command(reset_filters())
+        line.command(reset_filters(self.plan.headers))
         sent = line.evenly(packet, rate, max(1, rate * plan.step_ns // SECOND))
         began = line.now()
         after = line.settle()
@@ -195,7 +195,7 @@ class _Sweeper:
 
     def _telemetry(self, rate: int, size: int) -> StepOutcome:
         line, observer, plan = self.line, self.observer, self.plan
-        line.command(reset_filters())
+        line.command(reset_filters(self.plan.headers))
         observer.begin()
         observer.expected_size = size if plan.by_size else 0
         before = observer.mark()
@@ -254,7 +254,7 @@ class _Sweeper:
             observer.go_on(self.line.epoch())
             before = observer.mark()
             self._trying(0, 0)
-            self.line.command(reset_filters())
+            self.line.command(reset_filters(self.plan.headers))
             self.line.listen(plan.step_ns - COMMAND_NS)
             if self.line.stopped.is_set():
                 return

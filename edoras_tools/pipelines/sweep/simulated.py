@@ -73,7 +73,7 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
         mission: provides the SBN identity.
     """
     options, route, limit = plan.options, plan.route, plan.limit
-    profile = SimProfile(generator_msg_id=plan.generator)
+    profile = SimProfile(generator_msg_id=plan.generator, extended_header=plan.headers.extended)
     if plan.scenario is None:
         return profile
     assert options.target is not None

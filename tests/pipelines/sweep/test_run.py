@@ -13,6 +13,7 @@ from places import MISSIONS
 from waiting import HOST, free_ports
 
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
+from edoras_tools.decode import Options
 from edoras_tools.emulator import Served, Simulation
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.links.ci import CI
@@ -387,3 +388,26 @@ def test_a_dry_run_names_everything_that_would_be_sent(bench):
     summary = plan_of(bench(*ROVER), "/cmd_vel", rates=(2, 2), sizes=(76, 800)).as_json(bench(*ROVER))
     assert summary["sends"] == ["0x1801", "0x1827", "0x1880"]
     assert (summary["sizes"], summary["rates_hz"], summary["target"]) == ([76, 800], [2, 2], f"{HOST}:1234")
+
+
+EXTENDED = {"options": SendOptions(headers=cfe.WITH_EXTENDED)}
+
+
+@pytest.mark.parametrize(
+    ("name", "rates", "threshold"),
+    [
+        ("/robot_1/ground/pose", (4, 12), 8),
+        ("/robot_1/cmd_vel", (32, 44), 39),
+        ("/robot_1/ground/cmd_vel", (6, 10), 8),
+    ],
+)
+def test_a_cfe_with_extended_headers_has_the_same_limits(name, rates, threshold):
+    settings = Settings([MISSIONS / f"{file}.yaml" for file in TWO], options=Options(extended_header=True))
+    summary = run(settings.workbench(), name, "two-rovers", rates=rates, **EXTENDED)
+    assert summary["threshold_hz"] == threshold
+
+
+def test_ci_cuts_at_the_same_size_behind_extended_headers():
+    settings = Settings([MISSIONS / "rover_ground.yaml"], options=Options(extended_header=True))
+    summary = run(settings.workbench(), "/cmd_vel", "rover", rates=(2, 2), sizes=(84, 900), **EXTENDED)
+    assert (summary["threshold_bytes"], summary["limiting_hop"]) == (768, "CI_LAB_APP")
