@@ -27,7 +27,7 @@ KEYS: Final = (
     ),
     (
         "Finding",
-        ("f", "filter: Tab completes, Enter applies, Esc cancels"),
+        ("f", "filter: ↑ ↓ choose a completion, Tab accepts it, Enter applies, Esc cancels"),
         ("=", "make a filter from the selected field"),
         ("/", "search: text, bytes (0x0b0c), or a comparison"),
         ("n N", "next match, previous match"),
@@ -47,6 +47,7 @@ KEYS: Final = (
         ("< >", "more space below, more space for the list"),
         ("T", "dark or light theme"),
         ("w", "open in Wireshark, at the same packet"),
+        ("W", "save the packets of the list to a file"),
         ("q ^c", "quit"),
     ),
 )

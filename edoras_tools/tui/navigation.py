@@ -1,27 +1,32 @@
-"""Ways to find a packet in the list: search, packet number, marks."""
+"""Ways to find packets of the list, and to keep them: search, packet number, marks, save."""
 
 from __future__ import annotations
 
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from textual import on, work
 from textual.binding import Binding
 from textual.worker import get_current_worker
 
+from edoras_tools.errors import EdorasError
+from edoras_tools.io.formats.table import WRITTEN
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.tui.data import messages
 from edoras_tools.tui.data.search import matcher, next_number
 from edoras_tools.tui.panes import Panes
 from edoras_tools.tui.prompts import Prompt
+from edoras_tools.tui.save import save_packets
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from textual.message import Message
 
 
 class Navigation(Panes):
-    """The panes, with search, go to packet, and marks."""
+    """The panes, with search, go to packet, marks, and save."""
 
     BINDINGS: ClassVar[list[Any]] = [
         Binding("n", "again(False)", "Next found", show=False),
@@ -29,6 +34,7 @@ class Navigation(Panes):
         Binding("right_square_bracket", "to_mark(False)", "Next mark", show=False),
         Binding("left_square_bracket", "to_mark(True)", "Mark before", show=False),
         Binding("colon", "number", "Go to", show=False),
+        Binding("W", "save", "Save", show=False),
     ]
     _searched = ""
 
@@ -47,11 +53,31 @@ class Navigation(Panes):
         """Ask for a packet's number."""
         self.prompt.ask("number", "Go to packet", "its number")
 
+    def action_save(self) -> None:
+        """Ask for a file for the packets of the list."""
+        if len(self.store):
+            what = plural(len(self.store), "packet")
+            self.prompt.ask("save", f"Save {what} to", f"a new file: {WRITTEN}")
+        else:
+            self._notice("there is no packet to save yet")
+
+    @work(thread=True, exclusive=True, group="save")
+    def _save(self, path: Path, chosen: str) -> None:
+        try:
+            count = save_packets(self.store.parts(), path, self._source.info, self._bench, chosen)
+        except EdorasError as error:
+            self._post(messages.Notice(clean(str(error)), Level.WARNING))
+        else:
+            self._post(messages.Notice(f"{clean(str(path))}: {plural(count, 'packet')}"))
+
     @on(Prompt.Given)
     def _answer(self, event: Prompt.Given) -> None:
         self.packets.focus()
         text = event.text.strip()
         if not text:
+            return
+        if event.kind == "save":
+            self._save(Path(text).expanduser(), self.filter_line.input.value)
             return
         if event.kind == "search":
             self._searched = text

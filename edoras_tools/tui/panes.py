@@ -118,6 +118,7 @@ class Panes(App[None]):
         self.reading = True
         self.decoded: Decoded | None = None
         self._source = source
+        self._bench = bench
         self._decoding = bench.columns.context
         self._said = ("", Level.NOTE)
         self._said_until = 0.0

@@ -3,49 +3,108 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from rich.text import Text
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
 from textual.message import Message
-from textual.suggester import Suggester
 from textual.widgets import Input, Static
 
 from edoras_tools.decode.filters.filter import Where
-from edoras_tools.decode.filters.names import Names
+from edoras_tools.decode.filters.names import Names, Unknown
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean, wrap
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from textual.app import ComposeResult
 
     from edoras_tools.decode.context import Context
 
 _LAST_WORD: Final = re.compile(r"(?:^|[\s(])([a-z_][\w.]*)$", re.ASCII)
+_LAST_VALUE: Final = re.compile(
+    r"([a-z_][\w.]*)\s*(?:[!=]=|in\s*\{(?:[^{}]*,)?)\s*([^\s,{}()\"']*)$", re.ASCII
+)
 _KEYWORDS: Final = ("and", "or", "not", "in", "contains", "matches", "any", "all", "len")
+_OFFERED: Final = 6
+"""Completions that are shown at a time."""
 
 
-class _Fields(Suggester):
-    """Completes field names."""
+class Completions(Static):
+    """What the last word of a filter can become: names of fields, or the values of a field; one is chosen.
+
+    Args:
+        context: gives the fields.
+
+    Attributes:
+        words: what the last word can become; empty while nothing is offered.
+        chosen: place of the one that Tab accepts.
+    """
 
     def __init__(self, context: Context) -> None:
-        super().__init__(case_sensitive=True)
+        super().__init__(id="filter-completions")
         self._decoding = context
-        self._names: list[str] = []
+        self._names: Names | None = None
+        self._fields: list[str] = []
+        self._start = 0
+        self.words: list[str] = []
+        self.chosen = 0
 
-    async def get_suggestion(self, value: str) -> str | None:
-        """Return the value with its last word completed to the shortest field name that begins with it."""
+    def offer(self, value: str) -> None:
+        """Offer what the last word of a filter can become."""
+        self._start, found = self._find(value)
+        typed = value[self._start :].lower()
+        self.words = [word for word in found if word.lower().startswith(typed)]
+        if typed in map(str.lower, self.words):
+            self.words = []  # it is complete
+        self.chosen = 0
+        self._draw()
+
+    def move(self, by: int) -> None:
+        """Choose another one."""
+        self.chosen = (self.chosen + by) % len(self.words)
+        self._draw()
+
+    def accept(self, value: str) -> str:
+        """Return the filter with the chosen one as its last word."""
+        return value[: self._start] + self.words[self.chosen]
+
+    def hide(self) -> None:
+        """Offer nothing."""
+        self.words = []
+        self._draw()
+
+    def _find(self, value: str) -> tuple[int, Sequence[str]]:
+        """Return where the last word begins, and all words that could stand there."""
+        if self._names is None:
+            self._names = Names(self._decoding)
+            self._fields = sorted(set(self._names.all()), key=lambda name: (name.count("."), len(name), name))
+        if (found := _LAST_VALUE.search(value)) is not None:
+            with suppress(Unknown):
+                fields = self._names.find(found[1])
+                return found.start(2), [
+                    word for field in fields for word in (*field.names.values(), *field.choices)
+                ]
+            return len(value), ()
         found = _LAST_WORD.search(value)
         if found is None or found[1] in _KEYWORDS:
-            return None
-        if not self._names:
-            self._names = sorted(
-                set(Names(self._decoding).all()), key=lambda name: (name.count("."), len(name), name)
-            )
-        name = next((name for name in self._names if name.startswith(found[1]) and name != found[1]), None)
-        return None if name is None else value[: found.start(1)] + name
+            return len(value), ()
+        return found.start(1), self._fields
+
+    def _draw(self) -> None:
+        self.display = bool(self.words)
+        first = max(0, min(self.chosen - _OFFERED + 1, len(self.words) - _OFFERED))
+        lines = [
+            Text(f" {clean(word)} ", "reverse" if first + place == self.chosen else "")
+            for place, word in enumerate(self.words[first : first + _OFFERED])
+        ]
+        more = len(self.words) - len(lines)
+        hint = f" {more:,} more · " * bool(more) + "Tab accepts · ↑ ↓ choose"
+        self.update(Text("\n").join([*lines, Text(hint if more else f" {hint}", "dim")]))
 
 
 class FilterLine(Vertical):
@@ -56,6 +115,7 @@ class FilterLine(Vertical):
     Attributes:
         input: the text field.
         count: how many packets pass.
+        completions: what the last word can become.
         wrong: the caret and the error.
     """
 
@@ -69,9 +129,10 @@ class FilterLine(Vertical):
     def __init__(self, context: Context) -> None:
         super().__init__(id="filter-line")
         self._decoding = context
+        self.completions = Completions(context)
         self.input: Input = _Line(
             placeholder="msg_id == 0x827 and pose.position.x > 1",
-            suggester=_Fields(context),
+            completions=self.completions,
             id="filter",
             compact=True,
             select_on_focus=False,
@@ -85,6 +146,7 @@ class FilterLine(Vertical):
             yield Static("Filter ", id="filter-label")
             yield self.input
             yield self.count
+        yield self.completions
         yield self.wrong
 
     def show_count(self, text: str) -> None:
@@ -108,6 +170,7 @@ class FilterLine(Vertical):
             self._show(error)
             return False
         self._show(None)
+        self.completions.hide()
         self.post_message(self.Applied(where))
         return True
 
@@ -123,11 +186,18 @@ class FilterLine(Vertical):
             self.input.set_class(False, "-wrong")
             self.input.set_class(bool(event.value.strip()), "-right")
         self.wrong.display = False
+        if self.input.has_focus and self.input.cursor_at_end:
+            self.completions.offer(event.value)
+
+    def on_descendant_blur(self) -> None:
+        """Offer nothing any more."""
+        self.completions.hide()
 
     def _show(self, error: WhereError | None) -> None:
         self.wrong.display = error is not None
         if error is None:
             return
+        self.completions.hide()
         field = self.input
         before = field.region.x - self.region.x
         place = before + error.at - round(field.scroll_x)
@@ -197,18 +267,50 @@ class Prompt(Horizontal):
 
 
 class _Line(Input):
-    """A line of text: Tab accepts the completion, Escape and Down go back to the list."""
+    """A line of text: Tab accepts a completion, Up and Down choose one; else Down and Escape leave the line.
+
+    Args:
+        completions: what is offered; None for nothing.
+        options: of ``Input``.
+    """
 
     BINDINGS: ClassVar[list[Any]] = [
         Binding("enter", "submit", "Apply"),
         Binding("tab", "complete", "Complete"),
-        Binding("escape,down", "app.leave", "Back", key_display="esc"),
+        Binding("down", "choose(1)", "Next", show=False),
+        Binding("up", "choose(-1)", "Previous", show=False),
+        Binding("escape", "leave", "Back", key_display="esc"),
     ]
+
+    def __init__(self, *, completions: Completions | None = None, **options: Any) -> None:
+        super().__init__(**options)
+        self._completions = completions
+
+    @property
+    def _offered(self) -> Completions | None:
+        return self._completions if self._completions is not None and self._completions.words else None
 
     def action_complete(self) -> None:
         """Accept the completion; without one, go back to the list."""
-        if self._suggestion:
-            self.value = self._suggestion
+        if self._offered:
+            self.value = self._offered.accept(self.value)
             self.cursor_position = len(self.value)
         else:
-            self.app.action_leave()  # type: ignore[attr-defined]  # a method of the viewer
+            self._leave()
+
+    def action_choose(self, by: int) -> None:
+        """Choose another completion; without one, Down goes back to the list."""
+        if self._offered:
+            self._offered.move(by)
+        elif by > 0:
+            self._leave()
+
+    def action_leave(self) -> None:
+        """Offer nothing any more; if nothing is offered, go back to the list."""
+        if self._offered:
+            self._offered.hide()
+        else:
+            self._leave()
+
+    def _leave(self) -> None:
+        self.app.action_leave()  # type: ignore[attr-defined]  # a method of the viewer

@@ -84,6 +84,7 @@ Lines {
     &.-wrong { background: $error 26%; }
 }
 #filter-count { width: auto; padding: 0 1; color: $secondary; }
+#filter-completions { height: auto; display: none; background: $surface; padding: 0 0 0 7; }
 #filter-wrong { height: auto; display: none; background: $panel; }
 
 HeaderLine { background: $surface; }

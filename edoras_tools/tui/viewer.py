@@ -72,7 +72,6 @@ class Viewer(Navigation):
     def __init__(self, source: Source, bench: Workbench, choice: ViewOptions) -> None:
         super().__init__(source, bench, choice)
         self.failure = ""
-        self._bench = bench
         self._choice = choice
         self._where: Where | None = None
         self._wanted: int | None = None

@@ -6,6 +6,7 @@ import signal
 import pytest
 from textual.events import MouseScrollDown
 
+from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.sbn import SBN
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.render.units import TimeFormat
@@ -229,17 +230,97 @@ def test_a_wrong_filter_is_shown_with_a_caret_at_the_character(drive):
     drive(script)
 
 
-def test_tab_completes_a_field_in_the_filter(drive):
+def test_completions_are_shown_chosen_and_accepted(drive):
     async def script(hands):
-        line = hands.app.filter_line.input
+        line, offered = hands.app.filter_line.input, hands.app.filter_line.completions
         await hands.press("f")
         await hands.press(*"rq", "backspace", "ctrl+u")
+        assert not offered.display
         await hands.press(*"pose.posi")
-        await hands.until(lambda: line._suggestion, "a suggestion")
-        await hands.press("tab")
-        assert line.value == "pose.position.x"
+        assert offered.words == ["pose.position.x", "pose.position.y", "pose.position.z"]
+        assert all(word in str(offered.render()) for word in (*offered.words, "Tab accepts"))
+        await hands.press("down", "tab")
+        assert line.value == "pose.position.y"
+        assert not offered.display, "it is complete"
         await hands.write(" > 0")
         assert line.has_class("-right")
+
+    drive(script)
+
+
+@pytest.mark.parametrize(
+    ("typed", "words", "value"),
+    [
+        ("link == s", ["sbn"], "link == sbn"),
+        ("topic == /robot_1/c", ["/robot_1/cmd_vel"], "topic == /robot_1/cmd_vel"),
+        ("link in {ci, t", ["to"], "link in {ci, to"),
+        ("(apid == 3 and lin", None, "(apid == 3 and link"),
+        ("nothing == a", [], None),
+        ("link == zzz", [], None),
+        ("not ", [], None),
+    ],
+)
+def test_values_are_completed_too(drive, typed, words, value):
+    async def script(hands):
+        line, offered = hands.app.filter_line.input, hands.app.filter_line.completions
+        await hands.press("f")
+        await hands.write(typed)
+        assert words is None or offered.words == words
+        if value is not None:
+            await hands.press("tab")
+            assert line.value == value
+        else:
+            assert not offered.display
+            await hands.press("down")
+            assert hands.app.focused is hands.app.packets
+
+    drive(script)
+
+
+def test_escape_first_closes_the_completions(drive):
+    async def script(hands):
+        offered = hands.app.filter_line.completions
+        await hands.press("f")
+        await hands.write("lin")
+        await hands.press("escape")
+        assert not offered.display
+        assert hands.app.focused is hands.app.filter_line.input
+        await hands.press("escape")
+        assert hands.app.focused is hands.app.packets
+
+    drive(script)
+
+
+@pytest.mark.parametrize("suffix", ["pcap", "pcapng", "mcap"])
+def test_what_the_list_shows_is_saved(drive, tmp_path, suffix):
+    path = tmp_path / f"new/some.{suffix}"
+
+    async def script(hands):
+        await hands.filter("link == sbn and msg_id == 0x082a")
+        await hands.settle()
+        shown = [hands.app.store.datagram(row) for row in range(len(hands.app.store))]
+        for told in (f"{path}: {len(shown)} packets", "exists; name another output"):
+            await hands.press("W")
+            await hands.write(str(path))
+            await hands.press("enter")
+            await hands.until(lambda told=told: told in hands.status, told)
+        source = open_file(path)
+        saved = [batch[row] for batch in source.batches() for row in range(len(batch))]
+        source.close()
+        assert [(item.time_ns, item.payload) for item in saved] == [
+            (item.time_ns, item.payload) for item in shown
+        ]
+
+    drive(script, size=(200, 40))
+
+
+def test_what_cannot_be_saved_is_one_line(drive, tmp_path):
+    async def script(hands):
+        await hands.press("W")
+        await hands.write(f"{tmp_path}/a.txt")
+        await hands.press("enter")
+        await hands.until(lambda: "unknown suffix" in hands.status, "the reason")
+        assert not list(tmp_path.iterdir())
 
     drive(script)
 
