@@ -141,6 +141,11 @@ def tui_routes() -> str:
     return _three_panes((110, 34), "<r>", "<j>", "<j>", "<enter>")
 
 
+def tui_rates() -> str:
+    """Draw the rates."""
+    return _three_panes((110, 34), "<R>")
+
+
 def tui_sequence() -> str:
     """Draw the conversation."""
     return _three_panes((110, 34), "<s>", *["<j>"] * 6, "<enter>")
@@ -169,6 +174,7 @@ PICTURES: Final[dict[str, Callable[[], str]]] = {
     "tui": tui,
     "tui_filter": tui_filter,
     "tui_routes": tui_routes,
+    "tui_rates": tui_rates,
     "tui_sequence": tui_sequence,
     "tui_small": tui_small,
 }

@@ -40,6 +40,8 @@ KEYS: Final = (
         "Viewing",
         ("r", "routes and their rates"),
         ("s S", "sequence diagram of SBN, of all links"),
+        ("R", "graph of the rates of the packets in the list"),
+        ("o O", "in routes: sort by the next column, the other way round"),
         ("Esc", "back to the packet"),
         ("t", "time: since the start, since the previous line, UTC, epoch"),
         ("b", "bytes of the UDP payload, or the whole frame"),

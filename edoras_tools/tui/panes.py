@@ -27,6 +27,7 @@ from edoras_tools.tui.lists.hex_pane import WIDE, HexPane
 from edoras_tools.tui.lists.layers import Layers
 from edoras_tools.tui.lists.lines import HeaderLine, Lines
 from edoras_tools.tui.lists.packets import Packets
+from edoras_tools.tui.lists.rate_graph import RateGraph
 from edoras_tools.tui.lists.routes import Routes
 from edoras_tools.tui.lists.sequence_view import SequenceView
 from edoras_tools.tui.prompts import FilterLine, Prompt
@@ -94,6 +95,7 @@ class Panes(App[None]):
         hex_pane: the bytes.
         routes: the routes and their rates.
         sequence: the conversation.
+        rates: the graph of rates.
         prompt: asks for a search text or a packet number.
     """
 
@@ -129,6 +131,7 @@ class Panes(App[None]):
         self.packets = Packets(self.store, self._decoding, choice.time_format, verbose=choice.verbose)
         self.layers, self.hex_pane = Layers(), HexPane()
         self.routes, self.sequence = Routes(self.ledger, live=self.live), SequenceView()
+        self.rates = RateGraph()
         self.prompt = Prompt()
         self._lower = ContentSwitcher(initial="packet", id="lower")
         self._title_left, self._title_right = Static(classes="left"), Static(classes="right")
@@ -152,6 +155,8 @@ class Panes(App[None]):
             with Vertical(id="sequence-view"):
                 yield HeaderLine("sequence")
                 yield self.sequence
+            with Vertical(id="rates-view"):
+                yield self.rates
         yield self.prompt
         with Horizontal(id="status"):
             yield self._status_left
@@ -276,10 +281,12 @@ class Panes(App[None]):
     def _refresh_title(self) -> None:
         left, right = Text(""), Text("")
         if self._view == "routes-view":
-            left, right = Text("Routes"), Text("Enter filters · Esc back")
+            left, right = Text("Routes"), Text("Enter filters · o O sort · Esc back")
         elif self._view == "sequence-view":
             left = Text("Conversation of all links" if self._every_link else "SBN conversation")
             right = Text("Enter goes to the packet · Esc back")
+        elif self._view == "rates-view":
+            left, right = Text("Rates"), Text("z fills the screen · Esc back")
         elif self.decoded is not None:
             left, right = _packet_title(self.decoded), Text(self.hex_pane.title)
         left.no_wrap, left.overflow = True, "ellipsis"

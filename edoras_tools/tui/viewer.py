@@ -23,6 +23,7 @@ from edoras_tools.render.severity import Level
 from edoras_tools.tui.data import messages
 from edoras_tools.tui.data.feed import Feed
 from edoras_tools.tui.data.filter_thread import FilterThread
+from edoras_tools.tui.data.rates import rate_figure
 from edoras_tools.tui.field_filter import filter_of
 from edoras_tools.tui.lists.hex_pane import HexPane
 from edoras_tools.tui.lists.lines import Lines
@@ -64,6 +65,7 @@ class Viewer(Navigation):
         Binding("q", "quit", "Quit"),
         Binding("ctrl+c", "quit", "Quit", show=False, priority=True),
         Binding("S", "view('sequence', True)", "Sequence of all links", show=False),
+        Binding("R", "view('rates')", "Rates", show=False),
         Binding("escape", "leave", "Back", show=False),
         Binding("M", "filter_marks", "Marked only", show=False),
         Binding("equals_sign", "filter_field", "Filter for the field", show=False),
@@ -75,6 +77,7 @@ class Viewer(Navigation):
         self._choice = choice
         self._where: Where | None = None
         self._wanted: int | None = None
+        self._drawn = 0, 0
         self._wireshark: list[subprocess.Popen[bytes]] = []
         bench.dissector.detail = True
         self._filter_thread = FilterThread(
@@ -210,7 +213,7 @@ class Viewer(Navigation):
         self._filter_thread.begin(event.where, self.store.blocks)
         self.packets.forget()
         self._more_rows(0)
-        self._update_conversation()
+        self._update_lower()
 
     def action_filter(self) -> None:
         """Edit the filter."""
@@ -242,7 +245,7 @@ class Viewer(Navigation):
     # The lower half
 
     def action_view(self, name: str, every: bool = False) -> None:
-        """Show the packet, the routes or the conversation."""
+        """Show the packet, the routes, the conversation or the rates."""
         switcher = self._lower
         wanted = name if name == "packet" else f"{name}-view"
         if switcher.current == wanted and (name != "sequence" or every == self._every_link):
@@ -251,9 +254,9 @@ class Viewer(Navigation):
         switcher.current = wanted
         self._every_link = every
         if name != "packet":
-            (self.routes if name == "routes" else self.sequence).focus()
+            {"routes": self.routes, "sequence": self.sequence, "rates": self.rates}[name].focus()
         self._refresh_figures()
-        self._update_conversation()
+        self._update_lower()
         self._refresh_title()
 
     def action_leave(self) -> None:
@@ -275,9 +278,30 @@ class Viewer(Navigation):
         if row is not None:
             self.packets.go(row, centre=True)
 
-    def _update_conversation(self) -> None:
+    def _update_lower(self) -> None:
+        """Make what the lower half shows of the packets of the list anew."""
         if self._view == "sequence-view":
             self._build_conversation(self._every_link)
+        elif self._view == "rates-view":
+            self._build_rates()
+
+    def _refresh_figures(self) -> None:
+        super()._refresh_figures()
+        if self._view == "rates-view" and (self.store.packets, len(self.store)) != self._drawn:
+            self._build_rates()
+
+    @work(thread=True, exclusive=True, group="rates")
+    def _build_rates(self) -> None:
+        worker = get_current_worker()
+        self._drawn = self.store.packets, len(self.store)
+        parts, begin_ns = self.store.parts(), self.store.begin_ns or 0
+        figure = rate_figure(parts, self._decoding, begin_ns, lambda: worker.is_cancelled)
+        if not worker.is_cancelled:
+            self._post(messages.RatesReady(figure))
+
+    @on(messages.RatesReady)
+    def _show_rates(self, event: messages.RatesReady) -> None:
+        self.rates.show(event.figure)
 
     @work(thread=True, exclusive=True, group="sequence")
     def _build_conversation(self, every: bool) -> None:

@@ -408,6 +408,53 @@ def test_routes_are_counted_and_filter(drive):
     drive(script)
 
 
+def test_routes_are_sorted_by_any_column(drive):
+    async def script(hands):
+        routes = hands.app.routes
+        await hands.press("r")
+        await hands.until(lambda: routes.rows() > 5, "the routes")
+        first = list(routes._rows)
+        titles = []
+        for _ in range(20):
+            await hands.press("o")
+            if not routes._sorted:
+                break
+            titles.append(routes._sorted)
+            assert f"{routes._sorted} ▼" in str(routes.header())
+        assert titles == ["Link", "MsgId", "Topic", "Count", "Mean", "Jitter", "Gaps", "Bytes"]
+        assert routes._rows == first, "in the order of the first packets again"
+        await hands.press("o", "o", "o", "o")
+        assert [row["count"] for row in routes._rows] == sorted((row["count"] for row in first), reverse=True)
+        chosen = routes.filter
+        await hands.press("O")
+        assert [row["count"] for row in routes._rows] == sorted(row["count"] for row in first)
+        assert routes.filter == chosen, "the cursor stays on its route"
+
+    drive(script)
+
+
+def test_rates_are_those_of_the_packets_shown(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.press("R")
+        await hands.until(lambda: app.rates._figure is not None, "the graph")
+        lines = app.rates._figure.panels[0].lines
+        assert sum(line.read for line in lines) == 1544
+        assert len(lines) == 6
+        assert lines[-1].label.endswith(" others")
+        assert "packets of the list" in "\n".join(hands.lines(app.rates))
+        await hands.filter("link == sbn and msg_id == 0x082a")
+        await hands.settle()
+        await hands.until(lambda: len(app.rates._figure.panels[0].lines) == 1, "the graph of what is left")
+        (line,) = app.rates._figure.panels[0].lines
+        assert (line.label, line.read) == ("sbn /robot_1/cmd_vel", 57)
+        await hands.filter("length == 1")
+        await hands.until(lambda: app.rates._figure is None, "nothing is left")
+        assert "no packet" in hands.lines(app.rates)[0]
+
+    drive(script)
+
+
 def test_every_route_gives_a_filter_that_lets_its_packets_pass(drive):
     async def script(hands):
         app = hands.app

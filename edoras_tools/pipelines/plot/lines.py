@@ -84,12 +84,17 @@ class RateCounts:
         self._parts.append(parts)
         self._numbers.append(np.bincount(places, numbers, len(parts)).astype(np.float64))
 
+    def join(self, other: RateCounts) -> None:
+        """Add the messages of another count."""
+        self._parts += other._parts
+        self._numbers += other._numbers
+
     @property
     def total(self) -> int:
         """All of them."""
         return int(sum(part.sum() for part in self._numbers))
 
-    def line(self, recording: int, span: tuple[float, float], width: float) -> PlotLine:
+    def line(self, recording: int, span: tuple[float, float], width: float, label: str = "") -> PlotLine:
         """Return how many there were per second.
 
         Args:
@@ -97,6 +102,7 @@ class RateCounts:
             span: the time that is drawn.
             width: seconds over which a rate is the mean, a multiple of 0.1; the last mean is over what is
                 left, half as long to one and a half times.
+            label: in the legend.
         """
         begin = math.floor(span[0] / _FINEST + 1e-9) * _FINEST
         count = max(1, round((span[1] - begin) / width))
@@ -107,7 +113,7 @@ class RateCounts:
             parts = np.floor((moments - begin) / width).astype(np.int64)
             np.add.at(rates, parts.clip(0, count - 1), np.concatenate(self._numbers))
         rates /= np.diff(edges).clip(_FINEST)
-        return PlotLine("", recording, (edges[1:] + edges[:-1]) / 2, rates, self.total)
+        return PlotLine(label, recording, (edges[1:] + edges[:-1]) / 2, rates, self.total)
 
 
 def bar_seconds(span: tuple[float, float]) -> float:

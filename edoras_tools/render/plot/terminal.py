@@ -28,22 +28,24 @@ _DOTS: Final = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]]
 """The bit of each dot of a Braille character: four rows, from the top, of two."""
 
 
-def plot_lines(figure: Figure, width: int, *, colour: bool) -> list[Text]:
+def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0) -> list[Text]:
     """Draw a plot.
 
     Args:
         figure: the plot.
         width: columns of the terminal; at least 40 are used, at most 160.
         colour: whether lines can be told apart by colour; if not, each has its own panel.
+        rows: lines of each panel; 0 for the usual ones.
     """
     width = max(_NARROWEST, min(width, _WIDEST))
     panels = figure.panels if colour else [single for panel in figure.panels for single in _split(panel)]
     margin = max(len(text) for panel in panels for _, text in _levels(panel))
     room = width - margin - 2
-    lines = [Text(clip(clean(figure.subtitle), width), palette.STRONG)]
+    lines = [Text(clip(clean(figure.subtitle), width), palette.STRONG)] if figure.subtitle else []
     for panel in panels:
         lines += _heading(panel, width, colour=colour)
-        lines += _field(panel, figure.span, room, margin)
+        height = rows or (_ROWS_BENEATH if panel.beneath else _ROWS)
+        lines += _field(panel, figure.span, (height, room), margin)
     lines.append(Text(" " * margin + " └" + "─" * room, palette.DIM))
     begin, end = figure.span
     places = [
@@ -87,9 +89,9 @@ def _levels(panel: Panel) -> list[tuple[float, str]]:
     return tick_texts(*panel.ends, 3 if panel.beneath else 5)
 
 
-def _field(panel: Panel, span: tuple[float, float], room: int, margin: int) -> Iterator[Text]:
-    """Yield the rows of a panel."""
-    rows = _ROWS_BENEATH if panel.beneath else _ROWS
+def _field(panel: Panel, span: tuple[float, float], size: tuple[int, int], margin: int) -> Iterator[Text]:
+    """Yield the rows of a panel; its size is in rows and cells."""
+    rows, room = size
     dots = np.zeros((rows, room), np.uint8)
     styles = np.zeros((rows, room), np.intp)
     low, high = panel.ends

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.render.capture.sequence import SequenceMessage as Run
+    from edoras_tools.render.plot.figure import Figure
     from edoras_tools.tui.data.store import PacketBlock
 
 
@@ -59,6 +60,14 @@ class ConversationReady(Message):
     def __init__(self, runs: list[Run]) -> None:
         super().__init__()
         self.runs = runs
+
+
+class RatesReady(Message):
+    """The rates of the packets of the list were counted; None if there is no packet."""
+
+    def __init__(self, figure: Figure | None) -> None:
+        super().__init__()
+        self.figure = figure
 
 
 class Notice(Message):

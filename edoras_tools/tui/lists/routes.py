@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from rich.segment import Segment
 from rich.text import Text
+from textual.binding import Binding
 from textual.strip import Strip
 
 from edoras_tools.render import units
@@ -16,7 +18,7 @@ from edoras_tools.render.terminal.table import Column, build, figure, plain
 from edoras_tools.tui.lists.lines import Lines
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from edoras_tools.pipelines.capture.ledger import Ledger
 
@@ -45,6 +47,20 @@ _COLUMNS: Final = (
 )
 
 
+_SORTS: Final[Mapping[str, Callable[[Mapping[str, Any]], Any]]] = {
+    "Link": lambda row: row["link"],
+    "MsgId": lambda row: row["msg_id"] or "",
+    "Topic": lambda row: row["topic"] or row["name"] or "",
+    "Count": lambda row: -row["count"],
+    "Now": lambda row: -(row.get(_RATE) or 0),
+    "Mean": lambda row: -(row["rate_hz"] or 0),
+    "Jitter": lambda row: -(row["jitter_ms"] or 0),
+    "Gaps": lambda row: -row["gaps"],
+    "Bytes": lambda row: -row["bytes"],
+}
+"""What rows are sorted by, by column: texts from A to Z, numbers from the largest."""
+
+
 class Routes(Lines):
     """The routes of a ledger.
 
@@ -53,11 +69,19 @@ class Routes(Lines):
         live: whether packets arrive live, so that there is a current rate.
     """
 
+    BINDINGS: ClassVar[list[Any]] = [
+        Binding("o", "sort", "Sort", show=False),
+        Binding("O", "reverse", "Other way round", show=False),
+    ]
+
     def __init__(self, ledger: Ledger, *, live: bool) -> None:
         super().__init__(id="routes")
         self._ledger = ledger
         self._columns = [column for column in _COLUMNS if live or column.title != "Now"]
+        self._sorted = ""
+        self._reverse = False
         self._rates = Rates()
+        self._counted: list[dict[str, Any]] = []
         self._rows: list[dict[str, Any]] = []
         self._lines: list[list[Segment]] = [[]]
 
@@ -67,11 +91,34 @@ class Routes(Lines):
         Args:
             now: monotonic time in s.
         """
-        self._rows = self._ledger.routes()
-        rates = self._rates.add(now, {_key(row): row["count"] for row in self._rows})
-        for row in self._rows:
+        self._counted = self._ledger.routes()
+        rates = self._rates.add(now, {_key(row): row["count"] for row in self._counted})
+        for row in self._counted:
             row[_RATE] = rates[_key(row)]
+        self._sort()
+
+    def action_sort(self) -> None:
+        """Sort by the next column; after the last one, in the order of the first packets."""
+        titles = ["", *(column.title for column in self._columns if column.title in _SORTS)]
+        self._sorted = titles[(titles.index(self._sorted) + 1) % len(titles)]
+        self._reverse = False
+        self._sort()
+
+    def action_reverse(self) -> None:
+        """Sort the other way round."""
+        self._reverse = not self._reverse
+        self._sort()
+
+    def _sort(self) -> None:
+        """Sort the rows; the cursor stays on its route."""
+        at = _key(self._rows[self.cursor]) if self._rows else None
+        self._rows = list(self._counted)
+        if self._sorted:
+            self._rows.sort(key=_SORTS[self._sorted])
+        if self._reverse:
+            self._rows.reverse()
         self._lay_out()
+        self.cursor = next((place for place, row in enumerate(self._rows) if _key(row) == at), self.cursor)
 
     @property
     def filter(self) -> str:
@@ -105,7 +152,12 @@ class Routes(Lines):
     def _lay_out(self) -> None:
         width = max(20, self.room - _GUTTER)
         console = self.app.console
-        table = build(self._columns, self._rows, width)
+        mark = "▲" if self._reverse else "▼"
+        columns = [
+            replace(item, title=f"{item.title} {mark}", rank=0) if item.title == self._sorted else item
+            for item in self._columns
+        ]
+        table = build(columns, self._rows, width)
         options = console.options.update(width=width, height=None)
         self._lines = console.render_lines(table, options) or [[]]
         self.recount()
