@@ -8,6 +8,7 @@ from edoras_tools.decode import Options
 from edoras_tools.io.net.receive import UdpSource
 from edoras_tools.links.ci import CI
 from edoras_tools.model import Endpoint
+from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.workbench import open_files
 
 TWIST = (
@@ -99,7 +100,7 @@ def test_enough_is_enough(drive):
         await hands.until(lambda: not hands.app.reading, "the end")
         assert len(hands.app.store) == 5
 
-    drive(script, source=sender.source, options=sender.options, count=5)
+    drive(script, source=sender.source, options=sender.options, limits=Limits(5))
 
 
 def test_a_file_that_is_too_large_is_shown_from_its_beginning(drive):
