@@ -211,7 +211,7 @@ class Datagram:
     findings: Finding = NO_FINDINGS
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PacketBatch:
     """Datagrams in columns over one contiguous byte buffer.
 
@@ -300,7 +300,7 @@ class PacketBatch:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Columns:
     """What ``decode.columns`` reads from a batch, one element a datagram.
 

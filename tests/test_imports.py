@@ -33,7 +33,7 @@ PUT_OFF = {
         "cyclonedds, an extra: what it says first is told",
     ),
     "middleware/dds/raw.py": ("cyclonedds", "a part of its inside, which may not be there"),
-    "mission/tree.py": ("ruamel", "14 ms, and only where there is a mission file"),
+    "mission/tree.py": ("yaml", "9 ms, and only where there is a mission file"),
     "pipelines/demo/router.py": ("zenoh", "an extra"),
     "pipelines/selection.py": (
         "edoras_tools.decode.filters.filter",
@@ -49,7 +49,7 @@ PUT_OFF = {
     "structs/table.py": ("edoras_tools.structs", "20 ms, when the first packet that holds a struct is shown"),
 }
 """Modules outside ``cli/`` that import inside functions: what, and why. ``cli`` has the rule."""
-HEAVY = {"numpy", "scapy", "mcap", "rosbags", "ruamel", "zstandard", "lz4"}
+HEAVY = {"numpy", "scapy", "mcap", "rosbags", "ruamel", "yaml", "zstandard", "lz4"}
 
 
 @cache
@@ -135,9 +135,9 @@ except SystemExit:
 @pytest.mark.parametrize(
     ("module", "absent"),
     [
-        ("wire", {"scapy", "mcap", "rosbags", "ruamel", "typer", "rich", "zstandard"}),
-        ("model", {"scapy", "mcap", "rosbags", "ruamel", "typer", "rich", "zstandard"}),
-        ("io.capture.live", {"scapy", "mcap", "rosbags", "ruamel", "typer", "rich"}),
+        ("wire", {"scapy", "mcap", "rosbags", "ruamel", "yaml", "typer", "rich", "zstandard"}),
+        ("model", {"scapy", "mcap", "rosbags", "ruamel", "yaml", "typer", "rich", "zstandard"}),
+        ("io.capture.live", {"scapy", "mcap", "rosbags", "ruamel", "yaml", "typer", "rich"}),
         ("pipelines.workbench", {"scapy", "mcap", "typer", "rich"}),
     ],
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+import os
 import sys
 from functools import partial
 from pathlib import Path
@@ -160,7 +160,7 @@ def _as_user(
     )
 
     user = find_user(name)
-    check_readable(user, Path(logging.__file__), Path(__file__))
+    check_readable(user, Path(os.__file__), Path(__file__))
     if output is not None:
         check_writable(user, output.absolute().parent)
     forbid_new_privileges()  # before the capture's threads are started

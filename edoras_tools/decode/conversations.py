@@ -61,7 +61,7 @@ LEFT_OUT: Final = frozenset({ConversationKind.FOREIGN, ConversationKind.STRANGER
 """What is not cFS's, though the ports say so."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Flow:
     """All datagrams from one endpoint to another.
 
@@ -114,7 +114,7 @@ class Flow:
 _SUMS: Final = ("begins", "sound", "commands", "telemetry", "network")
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Conversations:
     """All conversations of a source.
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode import Context
     from edoras_tools.diagnosis.choice import Choice
     from edoras_tools.model import Columns, PacketBatch
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
 
 CHAPTER: Final = 1_000_000
 """Datagrams that are judged together: 100 MB. What crosses from one chapter into the next is not matched."""

@@ -14,7 +14,7 @@ def printable(text: str, limit: int = 60) -> str:
     return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Mistakes:
     """What is wrong with one file.
 

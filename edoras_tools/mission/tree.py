@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -22,7 +21,6 @@ LARGEST_FILE = 1 << 18
 _DEEPEST = 50
 _QUOTES = {"'", '"'}
 _STRING_TAG = "tag:yaml.org,2002:str"
-_INNER_TABS = re.compile(r"(?<=\S)[ \t]*\t[ \t]*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,34 +96,29 @@ def parse_yaml(text: str, report: Mistakes, form: str = BRIDGE_FILE_FORM) -> lis
 
     ``form`` is the hint of what the file should look like.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import MarkedYAMLError
-    from ruamel.yaml.reader import ReaderError
+    import yaml
 
-    # ruamel refuses a tab between tokens; libyaml, and so the bridges, take it for a space.
-    spaced = _INNER_TABS.sub(lambda match: " " * len(match[0]), text)
+    loader = getattr(yaml, "CLoader", yaml.Loader)  # libyaml, which the bridges' rcl reads its files with
     events: list[Any] = []
     depth = 0
     try:
-        for event in YAML(pure=True).parse(spaced):
+        parsed: Iterator[Any] = yaml.parse(text, Loader=loader)
+        for event in parsed:
             depth += _step(event)
-            if depth > _DEEPEST:  # at once: ruamel takes minutes over thousands of brackets
+            if depth > _DEEPEST:
                 report.mistake(
                     event.start_mark.line + 1, "", f"nested more than {_DEEPEST} levels deep; {form}"
                 )
                 return []
             events.append(event)
-    except ReaderError as error:
-        line = spaced.count("\n", 0, error.position) + 1
+    except yaml.reader.ReaderError as error:
+        line = text.encode().count(b"\n", 0, error.position) + 1
         report.mistake(line, "", f"character {error.character:#x} is not allowed in YAML; remove it")
         return []
-    except MarkedYAMLError as error:
+    except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         why = ", ".join(filter(None, (error.context, error.problem)))
         report.mistake(mark.line + 1 if mark else 1, "", f"not YAML: {printable(why, 200)}; {form}")
-        return []
-    except Exception as error:  # noqa: BLE001  ruamel lets errors of its own out of broken directives and escapes
-        report.mistake(1, "", f"not YAML: {printable(str(error), 200) or type(error).__name__}; {form}")
         return []
     return list(_documents(iter(events)))
 

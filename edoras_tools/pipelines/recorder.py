@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.capture.record import Target
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
 
 PAGE_BYTES: Final = 2 << 20
 PAGE_ROWS: Final = 16384

@@ -24,7 +24,7 @@ _LAYOUTS: Final = "structs/"
 """Prefix of the names of layouts in a recording, which also contains the mission files."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Workbench:
     """A mission, its types, and one decoder of each kind over the same context.
 

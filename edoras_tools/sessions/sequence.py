@@ -163,7 +163,7 @@ class _Strand:
             del self.holes[0]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SequenceRows:
     """What the sequence counts say of each row of a batch: columns, i32 (rows,), and ``found_row``, i64.
 
@@ -188,7 +188,7 @@ class SequenceRows:
     restarts: NDArray[np.int32]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Run:
     """Packets of one stream whose counts go up by one.
 
@@ -427,7 +427,7 @@ class SequenceStream:
             out.columns["found_row"][out.row] = hole.row
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Packet:
     """A packet: its count, its place in the stream, boot and fingerprint."""
 
@@ -437,7 +437,7 @@ class _Packet:
     print_: int
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Told:
     """The columns of a batch that is followed.
 
@@ -593,7 +593,7 @@ class SequenceCounts:
         return index
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Groups:
     """Rows of a batch, those of one stream side by side, as they came; where each stream begins; its key."""
 

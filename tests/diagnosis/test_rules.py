@@ -16,7 +16,7 @@ from edoras_tools.emulator import messages
 from edoras_tools.links.to import TO
 from edoras_tools.model import Endpoint, HostCounters, Peer, SocketCounters
 from edoras_tools.ros import TypeStore
-from edoras_tools.sessions.faults.machine import Fault
+from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.wire import cfe, envelope, sbn
 
 IDS = [rule.ID for rule in RULES]

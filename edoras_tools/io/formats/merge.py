@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Source
     from edoras_tools.model import HostCounters
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
 
 
 def recorded_faults(source: Source) -> list[Fault]:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Sink
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
 
 
 class Tee:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.outputs import OutputFile
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceStatistics
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
 
 _LOOK_S: Final = 1.0
 

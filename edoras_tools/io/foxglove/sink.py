@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Finding, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.ros import TypeStore
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.structs import Structs
 
 

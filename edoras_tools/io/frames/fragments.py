@@ -10,7 +10,7 @@ _PIECE_OVERHEAD = 128
 """Memory of a stored piece besides its bytes, so that floods of tiny fragments are limited as well."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Partial:
     """An incomplete datagram.
 

@@ -72,7 +72,7 @@ class _Located(NamedTuple):
     header: NDArray[np.void] | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class FrameBatch:
     """Captured frames in columns over one contiguous byte buffer; all arrays have the same length.
 

@@ -60,7 +60,7 @@ _EXTENSIONS = (0, 43, _FRAGMENT_HEADER, _AUTHENTICATION_HEADER, 60, 135, 139, 14
 """Hop-by-hop, routing, fragment, authentication, destination options, mobility, HIP, shim6."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class IpPayloads:
     """UDP, or fragments of it, as IP headers describe it; one element for each packet that was kept.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.errors import WireError
 from edoras_tools.io.topics.rows import bodies_of
 from edoras_tools.links import table
-from edoras_tools.sessions.faults.machine import Fault
+from edoras_tools.sessions.faults.fault import Fault
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -32,7 +32,7 @@ CDR_LE_WORD = 0x00000100
 _WHOLE = np.dtype([*RECORD, ("encapsulation", "<u4")])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Messages:
     """Messages of one kind in columns: a fixed head, then bytes from a buffer.
 
@@ -108,7 +108,7 @@ def bodies_of(bodies: Sequence[bytes], times_ns: Sequence[int], channel_id: int)
     return Messages(rows, channel_id, time_ns, heads.itemsize, heads.__getitem__, pool, offset, length)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Records:
     """Messages one after the other; arrays have one element per message.
 

@@ -72,7 +72,7 @@ class Target:
         return ROSBAG2 if self.rosbag2 else written_as(self.path)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class CaptureReport:
     """What was recorded.
 

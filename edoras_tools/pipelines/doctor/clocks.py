@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.run import Progress
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
 
 _MOST: Final = 1_000_000
 """Datagrams of each capture that are used to find the offset of its clock."""

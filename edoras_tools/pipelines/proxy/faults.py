@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.net.buffer import DatagramBuffer
     from edoras_tools.model import Link
-    from edoras_tools.sessions.faults.machine import Delivery, Fault, FaultMachine
+    from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.sessions.faults.machine import Delivery, FaultMachine
 
     Send = Callable[[NDArray[np.int64]], None]
 

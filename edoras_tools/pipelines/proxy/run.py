@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.pipelines.sending.keys import Keys
     from edoras_tools.render.terminal.run import Watcher
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.sessions.faults.scopes import Predicate
 
 _TURNS: Final = 4

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.capture.record import Target
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.sessions.outgoing import Outgoing
 
 _CALM_NS: Final = 10 * MILLISECOND

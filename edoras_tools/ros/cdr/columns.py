@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     """Gathers a part of a column: the row of each value, and the values."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Ragged:
     """A column whose rows hold different numbers of values.
 
@@ -50,7 +50,7 @@ class Ragged:
         return self.values[self.offsets[row] : self.offsets[row + 1]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class MessageColumns:
     """Many messages of one type, a row each.
 

@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.model import NO_MSG_ID, Link
 from edoras_tools.sessions.faults.bytes import Chance
 from edoras_tools.sessions.faults.chance import draw, draws, key_of, threshold
 from edoras_tools.sessions.faults.effects import Pending, Received, effect_of
+from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.sessions.faults.scopes import (
     HEAD_BYTES,
     ActiveRule,
@@ -40,10 +40,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.model import Link
     from edoras_tools.sessions.faults.rules import Rule
     from edoras_tools.sessions.faults.scopes import Predicate
 
-__all__ = ["HEAD_BYTES", "HOLD_BYTES", "Delivery", "Fault", "FaultMachine", "FaultPlan"]
+__all__ = ["HEAD_BYTES", "HOLD_BYTES", "Delivery", "FaultMachine", "FaultPlan"]
 
 _INVOLVED: Final = 1
 _STRUCK: Final = 2
@@ -68,32 +69,6 @@ class Delivery(NamedTuple):
     due_ns: int
     stream: int = 0
     to_cfs: bool = True
-
-
-class Fault(NamedTuple):
-    """One fault of one datagram, as it is recorded.
-
-    Attributes:
-        time_ns: when the datagram came, on the caller's clock.
-        kind: name of the kind, or ``overflow`` where ``HOLD_BYTES`` were exceeded.
-        detail: what was done.
-        original: the datagram as it came.
-        link: which link it was on.
-        to_cfs: which way it went.
-        msg_id: its MsgId; ``NO_MSG_ID`` where it has none.
-        rule: the rule, as it was written.
-        stream: as it was given with the datagram.
-    """
-
-    time_ns: int
-    kind: str
-    detail: str
-    original: bytes
-    link: Link
-    to_cfs: bool
-    msg_id: int = NO_MSG_ID
-    rule: str = ""
-    stream: int = 0
 
 
 @dataclass(frozen=True, slots=True)

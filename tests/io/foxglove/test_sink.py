@@ -17,7 +17,7 @@ from edoras_tools.io.foxglove.sink import FoxgloveSink
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.links.ci import CI
 from edoras_tools.model import Endpoint, Finding, SourceStatistics
-from edoras_tools.sessions.faults.machine import Fault
+from edoras_tools.sessions.faults.fault import Fault
 
 ANY = ServerOptions(Endpoint("127.0.0.1", 0))
 LAST = 1

@@ -21,7 +21,7 @@ from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedul
 from edoras_tools.pipelines.sending.recording import SentRecording
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.sessions.faults.machine import Fault
+from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.sessions.pacing import Pacing
 from edoras_tools.wire import cfe

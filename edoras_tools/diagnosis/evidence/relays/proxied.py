@@ -17,7 +17,7 @@ from edoras_tools.wire import sbn
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
 
 PROXY_HOP: Final = "proxy"
 _DROPPED: Final = "dropped"

@@ -30,8 +30,7 @@ from mcap.records import (
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.heads import CHUNK_HEAD, CHUNK_INDEX_HEAD, RECORD_HEAD
-from edoras_tools.io.formats.mcap.unpack import ChunkHead
+from edoras_tools.io.formats.mcap.heads import CHUNK_HEAD, CHUNK_INDEX_HEAD, RECORD_HEAD, ChunkHead
 from edoras_tools.io.outputs import OutputFile
 from edoras_tools.io.topics.names import MAGIC
 from edoras_tools.wire.crc import crc32
@@ -48,7 +47,7 @@ _FOOTER_BYTES_IN_CRC = 9 + 8 + 8
 """The summary's CRC covers the footer record up to the CRC itself."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Summary:
     """The contents of the data section; becomes the summary section.
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ChunkMessages:
     """The messages of the chunks that a buffer was divided into; n chunks.
 
@@ -117,8 +117,7 @@ class MessageIndex:
         places["offset"] = record_start[channel, chunk] - record_start[0, chunk]
         return ChunkMessages(
             edges,
-            _folded(np.minimum, times, first, counts),
-            _folded(np.maximum, times, first, counts),
+            *_times(times, first, counts),
             dict(zip(channels.tolist(), counts.sum(axis=1).tolist(), strict=True)),
             data,
             np.append(record_start[0], record_end[-1, -1]),
@@ -145,13 +144,19 @@ def _edges(positions: NDArray[np.int64], base: NDArray[np.int64], size: int, lim
     return edges[np.diff(edges, prepend=-1) > 0]
 
 
-def _folded(
-    fold: np.ufunc, times: NDArray[np.uint64], first: NDArray[np.int64], counts: NDArray[np.int64]
-) -> NDArray[np.uint64]:
-    """Return the smallest or largest time of each chunk, u64, from those of its channels."""
+def _times(
+    times: NDArray[np.uint64], first: NDArray[np.int64], counts: NDArray[np.int64]
+) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+    """Return the smallest and the largest time of each chunk, u64, from those of its channels."""
     there = np.nonzero(counts)
-    none = np.uint64(0) if fold is np.maximum else np.iinfo(np.uint64).max
-    table = np.full(counts.shape, none, np.uint64)
-    table[there] = fold.reduceat(times, first[there])
-    folded: NDArray[np.uint64] = fold.reduce(table, axis=0)
-    return folded
+    starts = first[there]
+    begins = np.zeros(len(times), bool)
+    begins[starts] = True
+    if (begins[1:] | (times[1:] >= times[:-1])).all():  # nearly always
+        least, most = times[starts], times[starts + counts[there] - 1]
+    else:
+        least, most = np.minimum.reduceat(times, starts), np.maximum.reduceat(times, starts)
+    low = np.full(counts.shape, np.iinfo(np.uint64).max, np.uint64)
+    high = np.zeros(counts.shape, np.uint64)
+    low[there], high[there] = least, most
+    return low.min(axis=0), high.max(axis=0)

@@ -8,8 +8,8 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD
-from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, chunk_head, unpack_chunk
+from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
+from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
 from edoras_tools.io.topics.names import RECORD_PREFIX_BYTES
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES
 from edoras_tools.wire.window import read_at

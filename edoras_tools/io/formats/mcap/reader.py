@@ -22,8 +22,8 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from edoras_tools.errors import CaptureError, WireError
-from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD
-from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, chunk_head, unpack_chunk
+from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
+from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
 from edoras_tools.io.frames.linklayer import Demux, FrameBatch, joined_frames
 from edoras_tools.io.topics.datagrams import DATAGRAM
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, fault_of
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.model import HostCounters, PacketBatch
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
 
 T = TypeVar("T")
 

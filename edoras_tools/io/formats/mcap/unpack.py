@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import struct
 from contextlib import suppress
-from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from edoras_tools.io.formats.mcap.heads import CHUNK_HEAD, MAX_CHUNK_BYTES
+from edoras_tools.io.formats.mcap.heads import MAX_CHUNK_BYTES
 from edoras_tools.wire.crc import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from edoras_tools.io.formats.mcap.heads import ChunkHead
+
 COMPRESSIONS = ("", "zstd", "lz4")
-CHUNK_HEAD_BYTES = CHUNK_HEAD.size + 16 + 8
-"""Bytes of a chunk's head with up to 16 letters for the compression."""
-_LENGTH = struct.Struct("<Q")
 _PIECE_BYTES = 1 << 12
 _UNKNOWN_SIZE = (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR)
 
@@ -31,40 +28,6 @@ class Proof(Enum):
     CHECKSUM = "its checksum is right"
     NONE = "it has no checksum"
     FAILED = "its checksum or its compression is wrong"
-
-
-@dataclass(frozen=True, slots=True)
-class ChunkHead:
-    """A chunk's record up to its data.
-
-    Attributes:
-        start_ns: smallest log time.
-        end_ns: largest log time.
-        size: uncompressed bytes of its records.
-        crc: CRC-32 of these; 0 if the writer gave none.
-        compression: "", "zstd", "lz4", or an unknown name.
-        data: start of the compressed bytes, counted from the record's content.
-        length: number of compressed bytes.
-    """
-
-    start_ns: int
-    end_ns: int
-    size: int
-    crc: int
-    compression: str
-    data: int
-    length: int
-
-
-def chunk_head(content: bytes | memoryview) -> ChunkHead | None:
-    """Read the head at the start of a chunk's content; None if it cannot be read."""
-    with suppress(struct.error, UnicodeDecodeError):
-        start_ns, end_ns, size, crc, named = CHUNK_HEAD.unpack_from(content)
-        place = CHUNK_HEAD.size + named
-        (length,) = _LENGTH.unpack_from(content, place)
-        compression = bytes(content[CHUNK_HEAD.size : place]).decode()
-        return ChunkHead(start_ns, end_ns, size, crc, compression, place + _LENGTH.size, length)
-    return None
 
 
 def unpack_chunk(head: ChunkHead, packed: bytes | memoryview) -> tuple[bytes | memoryview, Proof]:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         SourceStatistics,
     )
     from edoras_tools.ros import TypeStore
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
 
 METADATA_NAME = "edoras"
 """The metadata record of a complete recording."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.outputs import OutputFile
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
-    from edoras_tools.sessions.faults.machine import Fault
+    from edoras_tools.sessions.faults.fault import Fault
 
 _VERSIONS: Final = {"iron": 8, "jazzy": 9}
 """Version of the metadata format since a distribution; older ones read at most ``_OLDEST``."""

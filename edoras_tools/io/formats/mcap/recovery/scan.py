@@ -22,24 +22,18 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from edoras_tools.io.formats.mcap.heads import (
+    CHUNK_HEAD_BYTES,
     INDEX_ENTRY,
     INDEX_HEAD,
     MAX_CHUNK_BYTES,
     MESSAGE_HEAD,
     RECORD_HEAD,
+    ChunkHead,
+    chunk_head,
 )
 from edoras_tools.io.formats.mcap.recovery.records import parse
 from edoras_tools.io.formats.mcap.recovery.walk import Walked, walk
-from edoras_tools.io.formats.mcap.unpack import (
-    CHUNK_HEAD_BYTES,
-    COMPRESSIONS,
-    ChunkHead,
-    Proof,
-    chunk_head,
-    frame_at,
-    inflate,
-    unpack_chunk,
-)
+from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, frame_at, inflate, unpack_chunk
 from edoras_tools.io.topics.names import MAGIC
 
 if TYPE_CHECKING:
