@@ -29,7 +29,9 @@ LICENCES = {
         "click colorama grimp import-linter lz4 numpy pandas pygments python-dateutil websockets zstandard "
         "babel idna jinja2 markdown markupsafe mkdocs"
     ),
-    "Apache-2.0": "ghp-import requests watchdog junitparser pyarrow rosbags sortedcontainers tzdata",
+    "Apache-2.0": (
+        "ghp-import junitparser pyarrow requests rosbags sortedcontainers types-pyyaml tzdata watchdog"
+    ),
     "Apache-2.0 or BSD": "packaging",
     "EPL-2.0, or Apache-2.0, or BSD": "cyclonedds eclipse-zenoh",
     "MPL-2.0": "certifi hypothesis pathspec",
