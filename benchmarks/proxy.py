@@ -116,13 +116,20 @@ def role(*arguments: object, **options: object) -> subprocess.Popen[str]:
 
 
 def through(
-    sender: list[object], *proxy: str, direct: bool = False, digests: bool = False
+    sender: list[object],
+    *proxy: str,
+    direct: bool = False,
+    digests: bool = False,
+    by: list[str] | None = None,
 ) -> dict[str, object]:
-    """Send through a proxy, or directly; return what everybody reports."""
+    """Send through a proxy, directly, or ``by`` another relay; return what everybody reports."""
     receiver = role("receive", TARGET, int(digests))
     receiver.stdout.readline()
-    relay = None
-    if not direct:
+    relay = other = None
+    if by:
+        other = subprocess.Popen(by, stdout=subprocess.PIPE, text=True)
+        other.stdout.readline()
+    elif not direct:
         ends = ["--listen", f"127.0.0.1:{LISTEN}", "--target", f"127.0.0.1:{TARGET}"]
         relay = subprocess.Popen(
             [EDORAS, "proxy", "ci", *ends, "--json", *proxy],
@@ -134,6 +141,9 @@ def through(
     sent = json.loads(role(sender[0], TARGET if direct else LISTEN, *sender[1:]).communicate()[0])
     received = json.loads(receiver.communicate()[0])
     report = {}
+    if other:
+        other.kill()
+        other.communicate()
     if relay:
         relay.send_signal(signal.SIGINT)
         report = json.loads(relay.communicate()[0])

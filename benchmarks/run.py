@@ -27,6 +27,7 @@ import foxglove_live
 import lua
 import pacing
 import proxy
+import rows
 import tui
 
 HERE = Path(__file__).parent
@@ -118,21 +119,6 @@ def record_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
     }
 
 
-def list_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
-    """A line a packet, beside tshark's list of the same file, in alternation; start-up included."""
-    capture = folder / "list.pcap"
-    subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
-    ours, theirs = float("inf"), float("inf")
-    for _ in range(ROUNDS):
-        ours = min(ours, timed([EDORAS, "sniff", "-r", str(capture), *MISSIONS], rounds=1))
-        theirs = min(theirs, timed(["tshark", "-r", str(capture)], rounds=1))
-    return {
-        "packets": packets,
-        "edoras_us_per_packet": round(ours / packets * 1e6, 1),
-        "tshark_us_per_packet": round(theirs / packets * 1e6, 1),
-    }
-
-
 def memory_of_a_large_file(folder: Path, packets: int) -> dict[str, object]:
     """Peak memory does not grow with the file."""
     capture = folder / "large.pcap"
@@ -205,7 +191,8 @@ def main() -> None:
     parser.add_argument(
         "--only",
         choices=[
-            *("record", "list", "memory", "live", "startup", "pacing"),
+            *("record", "memory", "live", "startup", "pacing"),
+            *("texts", "doctor", "messages", "inject", "relays", "shares", "limits"),
             *("proxy", "bridge", "foxglove", "where", "lua", "codegen", "tui", "export"),
         ],
     )
@@ -220,7 +207,7 @@ def main() -> None:
         for key, run in {
             "startup": start_up,
             "record": lambda: record_beside_tshark(folder, options.packets),
-            "list": lambda: list_beside_tshark(folder, options.packets // 10),
+            **rows.measure(folder, options.packets),
             "memory": lambda: memory_of_a_large_file(folder, 4 * options.packets),
             "live": lambda: live(folder),
             "pacing": lambda: pacing.measure(folder),

@@ -1,0 +1,275 @@
+"""What each command costs beside its peer, in alternation: at low rates, at high ones, for one message.
+
+Called by run.py; alone: python benchmarks/rows.py [NAME ...]
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import proxy
+from rosbags.typesys import Stores, get_typestore
+from rounds import ROUNDS, alternated, busy_ns, command, summed_up
+
+from edoras_tools.ros import TypeStore
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+EDORAS = str(Path(sys.executable).with_name("edoras"))
+MISSIONS = [
+    argument
+    for side in ("ground", "flight")
+    for argument in ("-c", str(ROOT / f"samples/missions/two_rovers_{side}.yaml"))
+]
+MISSION = ["-c", str(ROOT / "samples/missions/rover_ground.yaml")]
+PORT = 47334
+RATES, MANY = (20, 100, 1000, 5000), (50_000,)
+LIMITS = (50_000, 100_000, 150_000, 200_000, 300_000)
+SETTLE_S = 2.0
+
+
+def captured(folder: Path, packets: int) -> Path:
+    """Return a capture of mixed traffic."""
+    capture = folder / f"{packets}.pcap"
+    if not capture.exists():
+        subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+    return capture
+
+
+def texts(folder: Path) -> dict[str, object]:
+    """The list and the JSON of 50,000 packets, start-up included, beside tshark's of a fifth of them."""
+    many, fewer = captured(folder, 50_000), captured(folder, 10_000)
+
+    def each(packets: int, arguments: list[object]) -> dict[str, float]:
+        return {name[:-2] + "_us": value / packets * 1e6 for name, value in command(arguments).items()}
+
+    return alternated(
+        {
+            "list": partial(each, 50_000, [EDORAS, "sniff", "-r", many, *MISSIONS]),
+            "tshark list": partial(each, 10_000, ["tshark", "-r", fewer]),
+            "json": partial(each, 50_000, [EDORAS, "sniff", "--json", "-r", many, *MISSIONS]),
+            "tshark json": partial(each, 10_000, ["tshark", "-r", fewer, "-T", "ek"]),
+        }
+    )
+
+
+def doctor(folder: Path, packets: int) -> dict[str, object]:
+    """Doctor and report beside info."""
+    capture = captured(folder, packets)
+    report = [EDORAS, "report", "-q", "-r", capture, *MISSIONS, "-o", folder / "report.html"]
+    ways = {
+        "doctor": [EDORAS, "doctor", "--json", "-r", capture, *MISSIONS],
+        "report": report,
+        "info": [EDORAS, "info", "--json", "-r", capture, *MISSIONS],
+    }
+    found = alternated({name: partial(command, arguments) for name, arguments in ways.items()})
+    return {"packets": packets, **found}
+
+
+def messages() -> dict[str, object]:
+    """One message decoded, us of CPU: beside rosbags, and beside a copy of its bytes."""
+    store, peer = TypeStore(), get_typestore(Stores.ROS2_JAZZY)
+    octets, seven = bytes(range(256)) * 128, [0.1 * number for number in range(7)]
+    fields = [{"name": name, "offset": 4 * at, "datatype": 7, "count": 1} for at, name in enumerate("xyzi")]
+    cases = {
+        "sensor_msgs/msg/PointCloud2": {"width": 2048, "height": 1, "fields": fields, "data": octets},
+        "sensor_msgs/msg/Image": {"width": 256, "height": 128, "encoding": "mono8", "data": octets},
+        "sensor_msgs/msg/JointState": {"name": [f"joint_{n}" for n in range(7)], "position": seven},
+        "nav_msgs/msg/Odometry": {},
+    }
+
+    def timed(run: Callable[[], object]) -> dict[str, float]:
+        began = time.thread_time_ns()
+        for _ in range(200):
+            run()
+        return {"cpu_us": (time.thread_time_ns() - began) / 200e3}
+
+    found: dict[str, object] = {}
+    for name, values in cases.items():
+        cdr = store.encode(name, values)
+        ways = {
+            "edoras": partial(store.decode, name, cdr),
+            "rosbags": partial(peer.deserialize_cdr, cdr, name),
+            "copy": partial(bytearray, cdr),
+        }
+        found[name] = alternated({way: partial(timed, run) for way, run in ways.items()})
+    return found
+
+
+def inject(folder: Path) -> dict[str, object]:
+    """One message: time to its datagram and to the command's return, beside tcpreplay's of one packet."""
+    one = folder / "one.pcap"
+    subprocess.run([sys.executable, HERE / "make_capture.py", one, "1"], check=True)
+
+    def ours(*options: str) -> dict[str, float]:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+            receiver.bind(("127.0.0.1", 0))
+            receiver.settimeout(30)
+            target = f"127.0.0.1:{receiver.getsockname()[1]}"
+            arguments = [EDORAS, "inject", "/cmd_vel", "{}", *MISSION, "--target", target, *options]
+            began = time.perf_counter()
+            process = subprocess.Popen(arguments, stderr=subprocess.DEVNULL)
+            receiver.recv(2048)
+            first = time.perf_counter() - began
+            process.wait()
+            return {"first_s": first, "return_s": time.perf_counter() - began}
+
+    ways: dict[str, Callable[[], dict[str, float]]] = {"no answers": partial(ours, "--no-listen")}
+    ways["waits for answers"] = partial(ours, "--listen", f"127.0.0.1:{PORT + 1}")
+    if shutil.which("tcpreplay"):
+        ways["tcpreplay"] = partial(command, ["tcpreplay", "-q", "-i", "lo", one])
+    return alternated(ways)
+
+
+def relays(folder: Path) -> dict[str, object]:
+    """Latency through the proxy beside a relay in C, and beside no relay, us; recording at the last rate."""
+    relay = folder / "relay"
+    compiled = shutil.which("cc")
+    if compiled:
+        subprocess.run(["cc", "-O2", HERE / "relay.c", "-o", relay], check=True)
+
+    def through(rate: int, *options: str, **how: object) -> dict[str, float]:
+        told = proxy.through(["stamped", rate, 1, max(1, rate // 1000)], *options, **how)
+        received = told["received"]
+        return {"p50_us": received["p50_us"], "p99_us": received["p99_us"]} | {
+            "lost": told["sent"]["sent"] - received["received"]
+        }
+
+    found: dict[str, object] = {}
+    for rate in (10_000, 50_000):
+        ways = {"direct": partial(through, rate, direct=True), "edoras": partial(through, rate)}
+        if compiled:
+            ways["C relay"] = partial(through, rate, by=[str(relay), str(proxy.LISTEN), str(proxy.TARGET)])
+        if rate == 50_000:
+            ways["edoras recording"] = partial(through, rate, "--force", "-o", str(folder / "relayed.mcap"))
+        found[f"{rate}/s"] = alternated(ways)
+    return found
+
+
+def programs(folder: Path) -> dict[str, list[object]]:
+    """Return what takes datagrams to the port, each into a file of its own."""
+    rule = f"udp port {PORT}"
+    record = [EDORAS, "record", "--force", "--port", f"ci:{PORT}", *MISSION]
+    found: dict[str, list[object]] = {
+        "record --listen": [*record, "--listen", f"127.0.0.1:{PORT}", "-o", folder / "listen.mcap"],
+        "record -i": [*record, "-i", "lo", "-o", folder / "capture.mcap"],
+        "sniff -i": [EDORAS, "sniff", "-i", "lo", "--port", f"ci:{PORT}", *MISSION],
+        "dumpcap": ["dumpcap", "-q", "-i", "lo", "-f", rule, "-w", folder / "dumpcap.pcapng"],
+        "tcpdump": ["tcpdump", "-i", "lo", "-w", folder / "tcpdump.pcap", rule],
+    }
+    return {name: arguments for name, arguments in found.items() if shutil.which(str(arguments[0]))}
+
+
+@contextmanager
+def running(arguments: list[object]) -> Iterator[subprocess.Popen[str]]:
+    """Start a program that captures, and end it."""
+    process = subprocess.Popen(
+        list(map(str, arguments)), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate()
+
+
+def shares(folder: Path) -> dict[str, object]:
+    """Share of a core, in percent, that each program takes of the same datagrams, in windows of a second."""
+    every = programs(folder)
+    return shares_of(every, RATES) | shares_of(
+        {name: arguments for name, arguments in every.items() if name != "sniff -i"}, MANY
+    )
+
+
+def shares_of(every: dict[str, list[object]], rates: tuple[int, ...]) -> dict[str, object]:
+    """Run some programs beside each other at some rates."""
+    found: dict[str, object] = {}
+    with ExitStack() as stack:
+        pids = {name: stack.enter_context(running(arguments)).pid for name, arguments in every.items()}
+        time.sleep(SETTLE_S)
+        for rate in rates:
+            sender = proxy.role("stamped", PORT, rate, ROUNDS + 1, max(1, rate // 1000))
+            windows: dict[str, dict[str, list[float]]] = {name: {"percent": []} for name in pids}
+            time.sleep(0.5)
+            for _ in range(ROUNDS):
+                before, began = {name: busy_ns(pid) for name, pid in pids.items()}, time.monotonic_ns()
+                time.sleep(1)
+                span = time.monotonic_ns() - began
+                for name, pid in pids.items():
+                    windows[name]["percent"].append((busy_ns(pid) - before[name]) / span * 100)
+            sender.communicate()
+            found[f"{rate}/s"] = {name: summed_up(figures) for name, figures in windows.items()}
+    return found
+
+
+def limits(folder: Path) -> dict[str, object]:
+    """The highest rate of 200-byte datagrams of which a program loses none in a second, and what it cost."""
+    found: dict[str, object] = {}
+    for name, arguments in programs(folder).items():
+        if name in {"sniff -i", "tcpdump"}:
+            continue
+        rows = []
+        for rate in LIMITS:
+            with running(arguments) as process, ExitStack() as stack:
+                time.sleep(SETTLE_S)
+                if name != "record --listen":
+                    holder = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                    holder.bind(("127.0.0.1", PORT))
+                before = busy_ns(process.pid)
+                sent = json.loads(proxy.role("stamped", PORT, rate, 1, rate // 1000).communicate()[0])
+                time.sleep(0.5)
+                busy_s = (busy_ns(process.pid) - before) / 1e9
+            written = arguments[arguments.index("-o" if "-o" in arguments else "-w") + 1]
+            told = subprocess.run([EDORAS, "info", "--json", written], capture_output=True, check=False)
+            kept = json.loads(told.stdout)
+            lost = sent["sent"] - kept["datagrams"]
+            rows.append(
+                {
+                    "sent_per_s": round(sent["sent"] / sent["seconds"]),
+                    "lost": lost,
+                    "cpu_us_per_datagram": round(busy_s / max(kept["datagrams"], 1) * 1e6, 2),
+                }
+            )
+            if lost:
+                break
+        found[name] = rows
+    return found
+
+
+def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, object]]]:
+    """Return the measurements by name; so many packets are examined by the doctor."""
+    return {
+        "texts": partial(texts, folder),
+        "doctor": partial(doctor, folder, packets),
+        "messages": messages,
+        "inject": partial(inject, folder),
+        "relays": partial(relays, folder),
+        "shares": partial(shares, folder),
+        "limits": partial(limits, folder),
+    }
+
+
+def main() -> None:
+    """Measure what is named, or everything."""
+    with tempfile.TemporaryDirectory() as name:
+        for key, run in measure(Path(name), 1_000_000).items():
+            if not sys.argv[1:] or key in sys.argv[1:]:
+                print(key, json.dumps(run(), indent=1), flush=True)
+
+
+if __name__ == "__main__":
+    main()
