@@ -8,14 +8,13 @@ several dimensions are flattened, texts become strings.
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.links import ROWS, table
 from edoras_tools.model import OTHER
 from edoras_tools.ros.types.schema import Constant, Definition, MessageField, Shape
+from edoras_tools.structs.names import field_name, shown_name
 from edoras_tools.structs.shapes import OPEN, Basic, BasicKind, Member, Struct, StructLayout
 
 if TYPE_CHECKING:
@@ -31,8 +30,8 @@ HEADER_FIELDS: Final = (
 )
 """The first field of every message of a packet: SBN ProcessorID of the sender (0 where it came without SBN),
 MsgId, packet sequence count, function code of a command, and the ``Link``."""
-
-_WORD: Final = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+_UNPACKED: Final = frozenset({"payload", "appinfo"})
+"""Members that are all that a packet holds, and whose own members become the fields."""
 
 
 class MessagePart(NamedTuple):
@@ -56,20 +55,6 @@ def message_type_name(name: str) -> str:
     return text if text[:1].isalpha() else f"C{text}"
 
 
-@lru_cache(maxsize=4096)
-def field_name(name: str) -> str:
-    """Return a member's name for rosidl: ``ERLogIndex`` is ``er_log_index``."""
-    words: list[str] = []
-    for part in filter(None, name.split("_")):
-        for match in _WORD.finditer(part):
-            if words and match[0].isdigit() and match.start():
-                words[-1] += match[0]  # a number belongs to the word before it
-            else:
-                words.append(match[0].lower())
-    text = "_".join(words)
-    return text if text[:1].isalpha() else f"m_{text}"
-
-
 def unique(name: str, taken: set[str]) -> str:
     """Return a name, with a number if it is already used, and mark it as used."""
     found, number = name, 2
@@ -91,8 +76,10 @@ def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessageP
     shift = struct.header if whole else 0
     if whole:
         shown = [item for item in members if item.offset >= struct.header]
-        inner = layout.structs.get(str(shown[0].type)) if len(shown) == 1 else None
-        if inner is not None and not shown[0].dims and shown[0].name.lower() == "payload":
+        while len(shown) == 1 and not shown[0].dims and shown[0].name.lower() in _UNPACKED:
+            inner = layout.structs.get(str(shown[0].type))
+            if inner is None:
+                break
             shift -= shown[0].offset
             shown, struct = list(inner.members), inner
         members = shown
@@ -103,7 +90,7 @@ def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessageP
         is_open = is_open and bool(item.text or layout.size(item))  # an array of nothing has no end
         if layout.size(item) * item.count == 0 and not is_open and not _empty(layout, item):
             continue
-        name = unique(field_name(item.name), taken)
+        name = unique(shown_name(struct.name, item.name), taken)
         found.append(MessagePart(name, replace(item, offset=item.offset - shift) if shift else item, is_open))
     return found
 

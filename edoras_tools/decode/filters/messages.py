@@ -27,6 +27,7 @@ from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.ros.types import grammar, schema
 from edoras_tools.structs.bound import Encoded, Held
+from edoras_tools.structs.names import aliased
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ class MessageFieldFinder:
     def __init__(self, context: Context) -> None:
         self._routes: dict[str, list[int]] = {}
         self._definitions: dict[str, Definition] = dict(context.structs.definitions)
+        self._own = frozenset(self._definitions)
         self._structs: dict[str, list[Bound]] = {}
         for bound in context.structs.all:
             self._structs.setdefault(bound.name, []).append(bound)
@@ -158,6 +160,8 @@ class MessageFieldFinder:
         for part, index in wanted:
             fields = definition.fields if definition else ()
             item = next((item for item in fields if item.name == part), None)
+            if item is None and definition and definition.name in self._own:
+                item = next((item for item in fields if item.name in aliased(part)), None)
             if item is None or (index is not None and item.shape is schema.Shape.SCALAR):
                 return []
             steps.append(_Step(item, index))
