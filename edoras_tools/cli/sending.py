@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.endings import LOST, lost_outputs
+from edoras_tools.cli.endings import LOST, lost_outputs, tell
 from edoras_tools.cli.listening import tell_reach
 from edoras_tools.cli.output import print_json
-from edoras_tools.errors import EdorasError
+from edoras_tools.errors import ConfigError, EdorasError
 
 if TYPE_CHECKING:
     from edoras_tools.model import Endpoint, Peer
@@ -144,6 +144,26 @@ class SendingOptions(NamedTuple):
             metavar="TIME", parser=options.duration, help="Listen for this time after the last datagram."
         ),
     ] = None
+    expect: Annotated[
+        list[str] | None,
+        _option(
+            metavar="WHAT",
+            help="Exit code 3 if this does not come back: event:TEXT, counter:TO_HK.command_counter[+N], a "
+            "topic or a name; repeatable.",
+        ),
+    ] = None
+    expect_within: Annotated[
+        int | None,
+        _option(
+            metavar="TIME", parser=options.duration, help="Wait this long for it after sending; default 10s."
+        ),
+    ] = None
+    max_loss: Annotated[
+        float | None,
+        _option(
+            metavar="SHARE", parser=options.share, help="Exit code 0 if no more than this is lost, e.g. 1%."
+        ),
+    ] = None
     allow: Allow = None
     max_rate: Annotated[
         float | None,
@@ -175,6 +195,9 @@ class SendingOptions(NamedTuple):
             wait_for=tuple(self.wait_for or ()),
             timeout_ns=_TIMEOUT_NS if self.timeout is None else self.timeout,
             linger_ns=self.linger,
+            expect=tuple(self.expect or ()),
+            expect_ns=_TIMEOUT_NS if self.expect_within is None else self.expect_within,
+            max_loss=self.max_loss,
             allow=tuple(self.allow or ()),
             max_rate_hz=self.max_rate or 0.0,
             unlimited=self.unlimited,
@@ -220,11 +243,16 @@ def carry_out(
 
     Raises:
         EdorasError: it could not be sent.
-        typer.Exit: with code 3, if a datagram was certainly lost, or the recording was removed.
+        typer.Exit: with code 3, if a datagram was certainly lost, or more than may be, if something expected
+            did not come, or the recording was removed.
     """
+    from edoras_tools.pipelines.sending.expect import Expectations
     from edoras_tools.render.sending.status import send_status
 
     send_options, (json, quiet) = transmission.options, ending.printing
+    if send_options.expect_ns != _TIMEOUT_NS and not send_options.expect:
+        raise ConfigError("--expect-within is how long --expect waits: name what is expected")
+    expected = Expectations.of(send_options.expect, send_options.expect_ns, bench.columns.context)
     machine = None
     if faults:
         from edoras_tools.pipelines.faults.where import compiler
@@ -253,7 +281,9 @@ def carry_out(
 
         keys = Keys()
     with send_status(transmission.total, quiet=quiet, keys=keys is not None) as watcher:
-        report = transmission.run(faults=machine, keys=keys, watcher=watcher, recording=recording)
+        report = transmission.run(
+            faults=machine, keys=keys, watcher=watcher, recording=recording, expected=expected
+        )
     summary = report.summary()
     if json:
         print_json(summary)
@@ -262,7 +292,10 @@ def carry_out(
     if report.failure is not None:
         raise report.failure
     lost_outputs(report.losses)
-    if report.lost:
+    reasons = report.beyond(send_options.max_loss)
+    for reason in reasons:
+        tell(reason)
+    if reasons or (send_options.max_loss is None and report.lost):
         raise typer.Exit(LOST)
 
 

@@ -113,7 +113,7 @@ def find_packets(pattern: str, context: Context) -> Packets:
     topics += [item.topic for item in context.structs.all]
     names = [*MSG_ID_NAMES.values(), *(known for known, _ in _own_names() if "0X" not in known)]
     near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1, 0.8)
-    near = near or (did_you_mean(pattern, names, 1, 0.8) if pattern[0] != "/" else "")
+    near = near or (did_you_mean(pattern, names, 1, 0.8) if pattern[:1] != "/" else "")
     there = ", ".join(route.topic for route in routes) or "none; name a mission with -c"
     raise RouteError(f"no configured topic matches {pattern!r}; {near or f'there are: {there}'}")
 

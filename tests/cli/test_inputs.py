@@ -30,7 +30,7 @@ def test_bare_and_with_the_option(call, words):
 
 @pytest.mark.parametrize(
     ("start", "end", "count"),
-    [(10, 20, 290), (0.5, None, 1755), (None, 1, 72), (None, 100, 1827), (70, None, 0)],
+    [(10, 20, 290), (0.5, None, 1755), (None, 1, 72), (None, 100, 1827)],
 )
 def test_a_part_of_a_capture(call, start, end, count):
     part = [*(["--start", start] if start else []), *(["--end", end] if end else [])]
@@ -39,8 +39,15 @@ def test_a_part_of_a_capture(call, start, end, count):
     assert len(wanted) == count
     assert [item["time_ns"] for item in call("sniff", "--json", ROVER, *part).lines()] == wanted
     assert call("info", "--json", ROVER, *part).json()["datagrams"] == count
-    if count:
-        assert call("record", "--json", ROVER, *part, "-o", "part.mcap").json()["datagrams"] == count
+    assert call("record", "--json", ROVER, *part, "-o", "part.mcap").json()["datagrams"] == count
+
+
+@pytest.mark.parametrize("part", [("--start", "70"), ("--start", "2026-12-01"), ("--start", "07:00")])
+@pytest.mark.parametrize("words", [["sniff"], ["info"], ["doctor"], ["record", "-o", "part.mcap"]])
+def test_a_time_outside_of_the_capture(words, part, call):
+    done = call(*words, ROVER, *part)
+    assert done.code == 1
+    assert "its times go from 0 to 65.270 s, and 0 is 2026-11-21 06:13:56 UTC" in done.err[-1]
 
 
 def test_times_count_from_the_start_of_the_capture(call):

@@ -121,6 +121,31 @@ class SendReport:
         unread = self.responses.ingest.missing if self.to_ci else 0
         return self.send_errors + unread + self.responses.lost
 
+    def beyond(self, most: float | None) -> list[str]:
+        """Return why the run is not as it should be, a line each.
+
+        Args:
+            most: share of what was sent that may be lost; None: none may.
+        """
+        seconds = self.responses.expected.within_ns / SECOND
+        reasons = [
+            f"--expect {item.what}: not within {seconds:g} s after sending; {item.found}"
+            for item in self.responses.expected.missing
+        ]
+        if most is None:
+            return reasons
+        ingest = self.responses.ingest
+        if not (ingest.is_known and ingest.is_counted if self.to_ci else self.responses.counted):
+            reasons.append(
+                "--max-loss: what was lost is not known: no counter came; see --wait-for to-enabled"
+            )
+        elif self.lost > most * self.sent:
+            share = self.lost / self.sent if self.sent else 1.0
+            reasons.append(
+                f"--max-loss: {self.lost:,} of {self.sent:,} lost ({share:.2%}), allowed {most:.2%}"
+            )
+        return reasons
+
     @property
     def achieved_hz(self) -> float | None:
         """Datagrams per second between the first and the last."""
@@ -142,6 +167,7 @@ class SendReport:
             "interrupted": self.interrupted,
             "failure": str(self.failure) if self.failure else None,
             "notes": [*self.notes, *map(str, self.losses)],
+            "expected": self.responses.expected.as_json(),
             "seen": self.responses.summary(),
         }
 
@@ -203,6 +229,7 @@ class Sending:
                 self._wait_for(wait_for, timeout_ns)
                 if not self.stopped:
                     report.responses.ingest.begin()
+                    report.responses.expected.begin()
                     self._send_all()
                     self._listen()
             except CaptureError as error:
@@ -349,8 +376,9 @@ class Sending:
             self._steps += self._paused
 
     def _listen(self) -> None:
-        """Listen for the linger time, and longer while CI still reads what was sent."""
+        """Listen for the linger time, and longer while CI reads, or something expected has not come."""
         schedule, ingest = self._schedule, self.report.responses.ingest
+        expected = self.report.responses.expected
         began = reported = self._wire.now()
         until, count = began + schedule.linger_ns, ingest.reports
         while not self.stopped:
@@ -363,6 +391,7 @@ class Sending:
                 and bool(ingest.reports)
                 and not ingest.is_final
             )
+            follows = follows or (bool(expected.missing) and now - began < expected.within_ns)
             if now >= until and not follows:
                 break
             self._wire.wait(now + _ROUND_NS if now >= until else min(now + _ROUND_NS, until))

@@ -71,6 +71,9 @@ class SendOptions:
         linger_ns: how long to listen after the last datagram; None: two seconds, if answers can be received,
             and longer while CI has not read everything.
         follow_ns: how long to listen at most while CI has not read everything; from ``placed``.
+        expect: what has to come back, as ``expect.Expectations.of`` reads it.
+        expect_ns: how long to wait for that after the last datagram.
+        max_loss: share of what is sent that may be lost; None: none may.
         allow: patterns of what may be sent, e.g. ``0x18*``; empty: everything.
         speed: as a multiple of the recorded speed.
         rates: messages per second: (pattern, Hz); the pattern ``*`` sends all messages at even intervals.
@@ -96,6 +99,9 @@ class SendOptions:
     timeout_ns: int = 10 * SECOND
     linger_ns: int | None = None
     follow_ns: int = 0
+    expect: Sequence[str] = ()
+    expect_ns: int = 10 * SECOND
+    max_loss: float | None = None
     allow: Sequence[str] = ()
     speed: float = 1.0
     rates: Sequence[tuple[str, float]] = ()
@@ -120,6 +126,8 @@ class SendOptions:
         listens = not self.no_listen or self.to is Receiver.SBN
         if self.listen is not None and not listens:
             raise ConfigError("--listen and --no-listen exclude each other; name one of them")
+        if (self.expect or self.max_loss is not None) and not listens:
+            raise ConfigError("--expect and --max-loss need answers: leave --no-listen out")
         for item in self.wait_for:
             if item not in {"peer", "to-enabled", "nothing"} and not item.startswith("event:"):
                 raise ConfigError(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.cfs import command_ingest
 from edoras_tools.cfs.names import message_name
 from edoras_tools.errors import TruncatedError
+from edoras_tools.pipelines.sending.expect import Expectations
 from edoras_tools.pipelines.sending.ingest import IngestCount
 from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.packet import msg_id_of
@@ -40,6 +41,7 @@ class Responses:
 
     Args:
         mission: provides the topics of MsgIds.
+        expected: what has to come; it is told of every packet.
 
     Attributes:
         events: by text, in order of their first occurrence.
@@ -47,14 +49,16 @@ class Responses:
         counts: packets by link and MsgId.
         network: SBN messages by type, other than application messages.
         ingest: what CI's own count shows of what was sent to it.
+        expected: as given.
     """
 
-    def __init__(self, mission: Mission) -> None:
+    def __init__(self, mission: Mission, expected: Expectations | None = None) -> None:
         self.events: dict[str, ReceivedEvent] = {}
         self.counters: tuple[dict[str, int], dict[str, int]] | None = None
         self.counts: dict[tuple[Link, int], int] = {}
         self.network: dict[str, int] = {}
         self.ingest = IngestCount()
+        self.expected = expected or Expectations()
         self._mission = mission
 
     def add(self, link: Link, data: bytes, now: int) -> None:
@@ -78,6 +82,7 @@ class Responses:
             return
         msg_id = msg_id_of(data)
         self.counts[link, msg_id] = self.counts.get((link, msg_id), 0) + 1
+        self.expected.take(data)
         try:
             if msg_id == cfe.EVENT_MSG_ID:
                 self._event(data, now)
@@ -112,6 +117,11 @@ class Responses:
     def telemetry(self) -> int:
         """Packets that Telemetry Output sent."""
         return sum(count for (link, _), count in self.counts.items() if link.only_from_cfs)
+
+    @property
+    def counted(self) -> bool:
+        """Whether the software bus told its counters."""
+        return self.counters is not None
 
     @property
     def lost(self) -> int:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.net.wire import Wire
     from edoras_tools.mission import Mission
     from edoras_tools.model import Endpoint
+    from edoras_tools.pipelines.sending.expect import Expectations
     from edoras_tools.pipelines.sending.keys import Keys
     from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sending.recording import SentRecording
@@ -126,6 +127,7 @@ class Transmission:
         keys: Keys | None = None,
         watcher: Watcher[SendReport] | None = None,
         recording: Callable[[Wire], SentRecording] | None = None,
+        expected: Expectations | None = None,
         ready: Callable[[Endpoint], None] = lambda _: None,
     ) -> SendReport:
         """Open the sockets and send.
@@ -135,6 +137,7 @@ class Transmission:
             keys: the keyboard.
             watcher: updated while it runs.
             recording: makes a recording of the wire.
+            expected: what has to come back.
             ready: called with the endpoint that receives answers, once the sockets are open.
 
         Raises:
@@ -144,7 +147,7 @@ class Transmission:
         options = self.options
         assert options.target is not None
         report = SendReport(
-            Responses(self.mission),
+            Responses(self.mission, expected),
             self.total,
             self.table.rate_hz,
             notes=list(self.notes),

@@ -70,6 +70,11 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
         facts.add_row("note", plain(note))
     if told := _ingested(summary["ingest"]):
         facts.add_row("read", told)
+    for item in summary.get("expected", ()):
+        style = "" if item["met"] else Level.ERROR.style
+        facts.add_row(
+            "expected" if item["met"] else "missing", plain(f"{item['expect']}: {item['found']}", style)
+        )
     seen = summary["seen"]
     for name, row in seen["counters"].items():
         style = Level.ERROR.style if row["gained"] else palette.DIM

@@ -1,0 +1,172 @@
+"""What has to come back after sending: an event, a packet, or a counter that grows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.errors import ConfigError, TruncatedError
+from edoras_tools.pipelines.names import find_packets
+from edoras_tools.structs.table import Structs
+from edoras_tools.wire import cfe
+from edoras_tools.wire.packet import msg_id_of
+from edoras_tools.words import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edoras_tools.decode import Context
+
+_NOBODY: Final = (0, 0, 0, 0, 0)
+"""The origin of a packet whose values are asked for, and nothing else."""
+
+
+@dataclass(slots=True)
+class Expectation:
+    """One thing that has to come.
+
+    Attributes:
+        what: as it was written.
+        msg_ids: the packets that can show it.
+        text: in an event; empty where it is no event.
+        field: path of a counter; empty where it is no counter.
+        growth: by how much the counter has to grow at least.
+        met: whether it has come.
+        found: what has come instead, or as expected.
+    """
+
+    what: str
+    msg_ids: frozenset[int]
+    text: str = ""
+    field: str = ""
+    growth: int = 1
+    met: bool = False
+    found: str = "nothing came"
+    _count: int = 0
+    _base: int | None = None
+
+    def take(self, data: bytes, structs: Structs, *, counts: bool) -> None:
+        """Take a packet with one of the MsgIds.
+
+        Args:
+            data: a telemetry packet.
+            structs: of the counters.
+            counts: something was sent before; earlier values are what counters grow from.
+        """
+        if self.text:
+            self._event(data, counts=counts)
+        elif self.field:
+            self._counter(data, structs, counts=counts)
+        elif counts:
+            self._count += 1
+            self.met = True
+            self.found = f"came {self._count:,} times" if self._count > 1 else "came once"
+
+    def _event(self, data: bytes, *, counts: bool) -> None:
+        if not counts or self.met:
+            return
+        values = cfe.EVENT.parse(data, cfe.TELEMETRY_HEADER_BYTES)
+        told = f"{values['app_name']} {values['event_id']}: {values['message'].strip()}"
+        self._count += 1
+        self.met = self.text in told
+        self.found = told if self.met else f"other events came: {self._count:,}"
+
+    def _counter(self, data: bytes, structs: Structs, *, counts: bool) -> None:
+        body = data[cfe.TELEMETRY_HEADER_BYTES :]
+        bound = structs.find(msg_id_of(data), None, len(body))
+        if bound is None or not bound.fits(len(body)):
+            return
+        values: Any = structs.types.decode(bound.type, bound.encode_one(body, _NOBODY))
+        for name in self.field.split("."):
+            values = values[name]
+        value = int(values)
+        if not counts or self._base is None:
+            self._base = value
+        self.found = f"{self._base} → {value}"
+        self.met = self.met or (counts and value - self._base >= self.growth)
+
+
+@dataclass(slots=True)
+class Expectations:
+    """All that has to come, and how long to wait for it.
+
+    Attributes:
+        items: each of them.
+        within_ns: how long after the last datagram.
+    """
+
+    items: Sequence[Expectation] = ()
+    within_ns: int = 0
+    _structs: Structs = field(default_factory=Structs)
+    _begun: bool = False
+
+    @classmethod
+    def of(cls, texts: Sequence[str], within_ns: int, context: Context) -> Expectations:
+        """Read expectations: ``event:TEXT``, ``counter:NAME.FIELD[+N]``, or a name that tables show.
+
+        Raises:
+            ConfigError: one is not of these forms, or there is no such counter.
+            RouteError: a name stands for nothing.
+        """
+        return cls([_read(text, context) for text in texts], within_ns, context.structs)
+
+    @property
+    def missing(self) -> list[Expectation]:
+        """What has not come."""
+        return [item for item in self.items if not item.met]
+
+    def begin(self) -> None:
+        """Note that from now on something is sent."""
+        self._begun = True
+
+    def take(self, data: bytes) -> None:
+        """Take a packet that was received; any bytes are accepted."""
+        msg_id = msg_id_of(data)
+        for item in self.items:
+            if msg_id in item.msg_ids:
+                try:
+                    item.take(data, self._structs, counts=self._begun)
+                except TruncatedError:
+                    continue
+
+    def as_json(self) -> list[dict[str, Any]]:
+        """Return ``expected`` of ``replay --json``."""
+        return [{"expect": item.what, "met": item.met, "found": item.found} for item in self.items]
+
+
+def _read(what: str, context: Context) -> Expectation:
+    kind, colon, rest = what.partition(":")
+    if kind == "event" and rest:
+        return Expectation(what, frozenset({cfe.EVENT_MSG_ID}), text=rest)
+    if kind == "counter" and rest:
+        return _counter(what, rest, context)
+    if colon or not what:
+        raise ConfigError(
+            f"--expect {what!r} is not known; there are event:TEXT, counter:NAME.FIELD[+N], "
+            "and topics, MsgIds and names that tables show"
+        )
+    found = find_packets(what, context)
+    ids = frozenset(found.msg_ids(context.mission))
+    if not ids:
+        raise ConfigError(f"--expect {what!r}: it has no MsgId, so nothing that is received can show it")
+    return Expectation(what, ids)
+
+
+def _counter(what: str, text: str, context: Context) -> Expectation:
+    path, plus, number = text.partition("+")
+    name, dot, member = path.partition(".")
+    form = "write counter:TO_HK.command_counter, or +3 behind it"
+    if not (dot and member) or (plus and not number.isdecimal()):
+        raise ConfigError(f"--expect {what!r} names no counter: {form}")
+    ids = frozenset(find_packets(name, context).msg_ids(context.mission))
+    bound = next((item for item in context.structs.all if item.key.msg_id in ids), None)
+    if bound is None:
+        raise ConfigError(
+            f"--expect {what!r}: no C struct is known for {name}; name its layout with --structs"
+        )
+    values = context.structs.types.decode(bound.type, bound.encode_one(bytes(bound.size), _NOBODY))
+    fields = [path for path, value, *_ in bound.spans(values, bound.size) if isinstance(value, int)]
+    if member not in fields:
+        hint = did_you_mean(member, fields, 1) or f"there are {', '.join(fields)}"
+        raise ConfigError(f"--expect {what!r}: {member!r} is no counter of {bound.name}; {hint}")
+    return Expectation(what, ids, field=member, growth=int(number or 1))
