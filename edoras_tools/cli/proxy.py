@@ -130,6 +130,7 @@ def proxy(
         bind=relayed.bind,
         client=relayed.client,
         faults=replace(injected, rules=(*injected.rules, *limits)),
+        headers=bench.columns.context.headers,
         idle_ns=_IDLE_NS if times.idle is None else times.idle or _NEVER_NS,
     )
     if dry_run:

@@ -257,7 +257,7 @@ def carry_out(
     if faults:
         from edoras_tools.pipelines.faults.where import compiler
 
-        machine = faults.start(where=compiler(bench))
+        machine = faults.start(where=compiler(bench), headers=transmission.options.headers)
     if ending.dry_run:
         plan = {**transmission.plan(), "faults": [str(rule) for rule in faults.rules]}
         if json:

@@ -9,12 +9,14 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.io.net.address import arrives_at
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import make_rule
+from edoras_tools.wire.cfe import STANDARD
 
 if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.sessions.faults.rules import Rule
+    from edoras_tools.wire.cfe import Headers
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,7 @@ class ProxyPlan:
         idle_ns: a client without traffic for this time is removed.
         clients: maximum number of clients.
         queue_bytes: maximum bytes that wait while a socket's buffer is full.
+        headers: those of the cFE, for faults behind them.
 
     Raises:
         ConfigError: there is no target, ``bind`` cannot be combined with the others, or it sends to itself.
@@ -46,6 +49,7 @@ class ProxyPlan:
     idle_ns: int = 60_000_000_000
     clients: int = 256
     queue_bytes: int = 4 << 20
+    headers: Headers = STANDARD
 
     def __post_init__(self) -> None:
         """Check the combination."""

@@ -92,7 +92,7 @@ class Proxy:
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._buffer = make_buffer()
         self._times = np.zeros(SLOTS + SPARE, np.int64)
-        self.machine = plan.faults.start(where=where)
+        self.machine = plan.faults.start(where=where, headers=plan.headers)
         self._faults = FaultStage(self.machine, self._buffer, plan.link, self._note)
         targets = [resolve(target, f"--target {target}") for target in plan.targets]
         self.to_target = [Direction(f"to {address.endpoint}") for _, address in targets]

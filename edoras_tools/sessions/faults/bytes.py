@@ -84,15 +84,21 @@ def pad(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -
     return Altered(payload + bytes(added), f"{added} bytes added") if added > 0 else Altered(payload, "")
 
 
-def break_checksum(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+def break_checksum(
+    payload: bytes,
+    link: Link,
+    values: Mapping[str, Any],
+    chance: Chance,
+    headers: cfe.Headers = cfe.STANDARD,
+) -> Altered:
     """Write a wrong checksum."""
     del values, chance
     at = packet_offset(payload, link)
     if at < 0 or not cfe.is_command(msg_id_of(payload[at : at + 2])):
         return Altered(payload, "")
-    if len(payload) - at < cfe.COMMAND_HEADER_BYTES:
+    if len(payload) - at < headers.command_bytes:
         return Altered(payload, "")
-    place = at + cfe.COMMAND_HEADER_BYTES - 1
+    place = at + headers.start + cfe.CHECKSUM_BYTE
     right = cfe.checksum(payload[at:place] + b"\0" + payload[place + 1 :])
     return _written(payload, place, bytes([right ^ 0xFF]), "checksum", payload[place], right ^ 0xFF, base=16)
 
@@ -122,23 +128,35 @@ def _of_network(name: str) -> Callable[[bytes, Link, Mapping[str, Any], Chance],
     return wrong
 
 
-def _of_envelope(name: str) -> Callable[[bytes, Link, Mapping[str, Any], Chance], Altered]:
-    def wrong(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+def _of_envelope(name: str) -> Callable[..., Altered]:
+    def wrong(
+        payload: bytes,
+        link: Link,
+        values: Mapping[str, Any],
+        chance: Chance,
+        headers: cfe.Headers = cfe.STANDARD,
+    ) -> Altered:
         del chance
-        at, found = _envelope(payload, link)
+        at, found = _envelope(payload, link, headers)
         return _changed(payload, at, found.layout, name, values["value"])
 
     return wrong
 
 
-def _encapsulation(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+def _encapsulation(
+    payload: bytes,
+    link: Link,
+    values: Mapping[str, Any],
+    chance: Chance,
+    headers: cfe.Headers = cfe.STANDARD,
+) -> Altered:
     del chance
-    at, found = _envelope(payload, link)
+    at, found = _envelope(payload, link, headers)
     at = at + found.size if at >= 0 else -1
     return _changed(payload, at, cdr.ENCAPSULATION, "representation", values["value"])
 
 
-CONTENT: Final[Mapping[str, Callable[[bytes, Link, Mapping[str, Any], Chance], Altered]]] = {
+CONTENT: Final[Mapping[str, Callable[..., Altered]]] = {
     "corrupt": corrupt,
     "truncate": truncate,
     "pad": pad,
@@ -152,20 +170,22 @@ CONTENT: Final[Mapping[str, Callable[[bytes, Link, Mapping[str, Any], Chance], A
     "sbn-processor": _of_network("processor_id"),
     "sbn-spacecraft": _of_network("spacecraft_id"),
 }
-"""By the name of the kind."""
+"""By the name of the kind: a function of payload, link, values and chance."""
+BEHIND_HEADERS: Final = frozenset({"checksum", "envelope-length", "envelope-capacity", "encapsulation"})
+"""Those of them that also take the headers of the cFE, the usual ones by default."""
 
 _LARGEST: Final = 65507
 """Largest payload of UDP over IPv4."""
 _SEQUENCE: Final = ccsds.PRIMARY.by_name["packet_sequence_count"]
 
 
-def _envelope(payload: bytes, link: Link) -> tuple[int, envelope.EnvelopeFormat]:
+def _envelope(payload: bytes, link: Link, headers: cfe.Headers) -> tuple[int, envelope.EnvelopeFormat]:
     """Return where the envelope starts, -1 where there is none, and its format, told from the bytes."""
     at = packet_offset(payload, link)
     if at < 0:
         return -1, envelope.DEFAULT
     command = cfe.is_command(msg_id_of(payload[at : at + 2]))
-    at += cfe.COMMAND_HEADER_BYTES if command else cfe.TELEMETRY_HEADER_BYTES
+    at += headers.command_bytes if command else headers.telemetry_bytes
     found = envelope.detect(payload, at)
     return (-1, envelope.DEFAULT) if found is None else (at, found)
 

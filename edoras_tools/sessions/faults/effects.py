@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from edoras_tools.sessions.faults.bytes import CONTENT, Chance, sequence_ahead
+from edoras_tools.sessions.faults.bytes import BEHIND_HEADERS, CONTENT, Chance, sequence_ahead
 from edoras_tools.sessions.faults.chance import fraction
 from edoras_tools.sessions.sequence import MODULUS
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.model import Link
     from edoras_tools.sessions.faults.rules import Rule
+    from edoras_tools.wire.cfe import Headers
 
 _HEADERS: Final = 28
 """Bytes of the IPv4 and UDP headers: a line carries them too."""
@@ -147,9 +149,11 @@ class _Silence(Effect):
 
 
 class _Content(Effect):
-    def __init__(self, rule: Rule) -> None:
+    def __init__(self, rule: Rule, headers: Headers) -> None:
         super().__init__(rule)
-        self._wrong: Callable[..., Any] = CONTENT[rule.kind.name]
+        name = rule.kind.name
+        more = {"headers": headers} if name in BEHIND_HEADERS else {}
+        self._wrong: Callable[..., Any] = partial(CONTENT[name], **more)
 
     def act(self, items: list[Pending], received: Received) -> Outcome:
         detail = ""
@@ -320,6 +324,7 @@ _EFFECTS: Final[Mapping[str, type[Effect]]] = {
 }
 
 
-def effect_of(rule: Rule) -> Effect:
-    """Return the effect of a rule for one run."""
-    return _EFFECTS.get(rule.kind.name, _Content)(rule)
+def effect_of(rule: Rule, headers: Headers) -> Effect:
+    """Return the effect of a rule for one run, on packets with these headers."""
+    effect = _EFFECTS.get(rule.kind.name)
+    return _Content(rule, headers) if effect is None else effect(rule)

@@ -34,6 +34,7 @@ from edoras_tools.sessions.faults.scopes import (
     StreamCounter,
     datagram_msg_id,
 )
+from edoras_tools.wire.cfe import STANDARD
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
     from edoras_tools.sessions.faults.rules import Rule
     from edoras_tools.sessions.faults.scopes import Predicate
+    from edoras_tools.wire.cfe import Headers
 
 __all__ = ["HEAD_BYTES", "HOLD_BYTES", "Delivery", "FaultMachine", "FaultPlan"]
 
@@ -87,18 +89,23 @@ class FaultPlan:
         return bool(self.rules)
 
     def start(
-        self, now: int | None = None, *, where: Callable[[str], Predicate] | None = None
+        self,
+        now: int | None = None,
+        *,
+        where: Callable[[str], Predicate] | None = None,
+        headers: Headers = STANDARD,
     ) -> FaultMachine:
         """Begin a run.
 
         Args:
             now: when it starts, which schedules count from; None: with the first datagram.
             where: compiles the filter expressions of scopes.
+            headers: those of the cFE.
 
         Raises:
             ConfigError: a rule has a filter expression and nothing compiles it.
         """
-        return FaultMachine(self, now, where)
+        return FaultMachine(self, now, where, headers)
 
 
 class FaultMachine:
@@ -114,7 +121,11 @@ class FaultMachine:
     """
 
     def __init__(
-        self, plan: FaultPlan, now: int | None = None, where: Callable[[str], Predicate] | None = None
+        self,
+        plan: FaultPlan,
+        now: int | None = None,
+        where: Callable[[str], Predicate] | None = None,
+        headers: Headers = STANDARD,
     ) -> None:
         self.plan = plan
         self.rules: Sequence[Rule] = sorted(plan.rules, key=attrgetter("kind.stage"))
@@ -134,7 +145,7 @@ class FaultMachine:
                 if where is None:
                     raise ConfigError(f"fault {rule}: where is not available here; leave it out")
                 matches = where(rule.scope.where)
-            self._active.append(ActiveRule(index, rule, ordinal, matches, effect_of(rule)))
+            self._active.append(ActiveRule(index, rule, ordinal, matches, effect_of(rule, headers)))
 
     @property
     def held(self) -> int:

@@ -61,6 +61,27 @@ def test_only_this_is_wrong(case):
     assert (delivery.payload is payload) is (not changed)
 
 
+@pytest.mark.parametrize("headers", cfe.HEADERS, ids=lambda item: item.name)
+def test_faults_behind_the_headers_of_each_build(headers):
+    """A right checksum and the envelope are found where they are; what is before them stays."""
+    body = envelope.DEFAULT.emit(CDR)
+    command = cfe.emit_command(0x1827, 1, body, headers=headers)
+    telemetry = cfe.emit_telemetry(0x0827, body, headers=headers)
+    for rule, payload, link, place, said in (
+        ("checksum", command, CI, headers.start + 1, "checksum"),
+        ("envelope-length:+1", command, CI, headers.command_bytes, "buffer_length 52 -> 53"),
+        ("envelope-length:+1", telemetry, TO, headers.telemetry_bytes, "buffer_length 52 -> 53"),
+        ("encapsulation", command, CI, headers.command_bytes + 16, "representation 0x01 -> 0xffff"),
+    ):
+        machine = FaultPlan((parse_rule(rule),)).start(headers=headers)
+        (delivery,), (fault,) = machine.apply(payload, link=link, to_cfs=True, now=0)
+        differs = [
+            at for at, pair in enumerate(zip(payload, delivery.payload, strict=True)) if len(set(pair)) > 1
+        ]
+        assert differs[0] == place
+        assert fault.detail.startswith(said)
+
+
 def test_truncated_and_padded():
     def applied(rule):
         deliveries, faults = (
