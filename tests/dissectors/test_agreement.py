@@ -7,14 +7,17 @@ from effort import long_but
 from places import ROOT, SAMPLE_MISSIONS
 from scapy.packet import Raw
 
-from edoras_tools.decode import Context, Dissector
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.dissectors import scapy_layers
+from edoras_tools.emulator import Simulation
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import load
-from edoras_tools.model import OTHER
+from edoras_tools.model import NO_MSG_ID, OTHER
 from edoras_tools.ros import TypeStore
 from edoras_tools.structs import Structs
+from edoras_tools.units import SECOND
 
 COMMITTED = ROOT / "dissectors/edoras.lua"
 OF_EACH_KIND = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")
@@ -37,36 +40,36 @@ def missions(names):
     return [ROOT / f"samples/missions/{name}.yaml" for name in names]
 
 
-def decoded(capture, mission):
+def decoded(capture, mission, options=None):
     """Yield every packet of a capture, by our own decoder."""
-    dissector = Dissector(Context(mission, TYPES, structs=Structs()))
+    dissector = Dissector(Context(mission, TYPES, options, structs=Structs()))
     with closing(open_file(capture)) as source:
         for batch in source.batches():
             for row in range(len(batch)):
                 yield dissector.dissect(batch[row])
 
 
-def agree_with_scapy(packet):
+def agree_with_scapy(packet, known=LAYERS):
     """Hold the scapy layers to a packet of ours."""
     payload = packet.datagram.payload
     if packet.link is OTHER or not payload:
         return
     first = scapy_layers.SBN if packet.link is SBN else scapy_layers.SpacePacket
-    if not any(layer.name in LAYERS for layer in packet.layers):
+    if not any(layer.name in known for layer in packet.layers):
         return  # not even the first header is whole
     read = first(payload)
     assert bytes(read) == payload
     for layer in packet.layers:
-        if layer.name not in LAYERS:
+        if layer.name not in known:
             continue
-        theirs = read.getlayer(getattr(scapy_layers, LAYERS[layer.name]))
+        theirs = read.getlayer(getattr(scapy_layers, known[layer.name]))
         for item in layer.fields:
             if item.name == "msg_ids":
                 assert [entry.msg_id for entry in theirs.subscriptions] == item.value
             else:
                 assert getattr(theirs, item.name) == item.value, item.name
     names = {type(layer).__name__.replace("SBNLegacy", "SBN") for layer in layers_of(read)}
-    assert names == {LAYERS[layer.name] for layer in packet.layers if layer.name in LAYERS}
+    assert names == {known[layer.name] for layer in packet.layers if layer.name in known}
     cdr = read.getlayer(scapy_layers.CDR)
     if packet.message is not None:
         assert repr(cdr.values) == repr(packet.message.values)
@@ -84,8 +87,8 @@ def layers_of(packet):
 def taught():
     """Let scapy's layers know a mission, for one test."""
 
-    def teach(mission):
-        scapy_layers.use({route.msg_id: route.type for route in mission.routes}, TYPES)
+    def teach(mission, **more):
+        scapy_layers.use({route.msg_id: route.type for route in mission.routes}, TYPES, **more)
 
     yield teach
     scapy_layers.use({})
@@ -119,3 +122,36 @@ def test_the_committed_script_knows_each_demo(name, tshark, judge):
             judge(packet, frames[packet.datagram.number])
             messages += 1
     assert messages > 100
+
+
+EXTENDED = LAYERS | {
+    "cfe_extended": "ExtendedHeader",
+    "cfe_command": "ExtendedCommandHeader",
+    "cfe_telemetry": "ExtendedTelemetryHeader",
+}
+
+
+def test_packets_with_extended_headers_that_we_wrote(tshark, taught, judge, write_pcap, tmp_path):
+    """The traffic of an emulated cFS and its bridges, to four readers; all headers have 16 bytes."""
+    simulation = Simulation(SimProfile(extended_header=True), "two-rovers")
+    sent = [(item.source.port, item.destination.port, item.payload) for item in simulation.run(8 * SECOND)]
+    capture = write_pcap(tmp_path / "extended.pcap", sent)
+    configs = missions(["two_rovers_ground", "two_rovers_flight"])
+    mission, options = load(configs), Options(extended_header=True)
+    taught(mission, extended_header=True)
+    frames = tshark(*configs).frames(capture, "-o", "edoras.extended_header:TRUE")
+    seen = dict.fromkeys(("cfe_command", "cfe_telemetry", "message"), 0)
+    for packet in decoded(capture, mission, options):
+        judge(packet, frames[packet.datagram.number])
+        agree_with_scapy(packet, EXTENDED)
+        for name in {layer.name for layer in packet.layers} & seen.keys():
+            seen[name] += 1
+        seen["message"] += packet.message is not None
+    assert min(seen.values()) > 100
+    decoder = ColumnDecoder(Context(mission, TYPES, options))
+    with closing(open_file(capture)) as source:
+        for batch in source.batches():
+            columns = decoder.decode(batch)
+            assert set(columns.header_length[columns.msg_id != NO_MSG_ID].tolist()) == {16}
+            seen["message"] -= int((columns.cdr_offset >= 0).sum())
+    assert seen["message"] == 0
