@@ -221,7 +221,7 @@ def _predict(settings: Settings, profile: SimProfile, scope: Scope, *, json: boo
         if chosen.about(item.route.link.label, item.route.msg_id, bench.mission)
     ]
     if json:
-        print_json({"routes": [item.as_json() for item in budgets]})
+        print_json({"schema": 1, "routes": [item.as_json() for item in budgets]})
         return
     from edoras_tools.render.doctor.doctor import budgets as view
     from edoras_tools.render.terminal.console import output_console

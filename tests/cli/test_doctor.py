@@ -180,6 +180,7 @@ def test_the_headline_holds_all_that_is_lost_and_the_worst_comes_first(call, cap
 def test_predict_needs_no_traffic(call, missions):
     done = call("doctor", "--predict", "--json", *missions("two_rovers_ground", "two_rovers_flight"))
     assert done.code == 0
+    check(done.json(), published("predict"))
     limits = {row["msg_id"]: row["limit_hz"] for row in done.json()["routes"]}
     assert limits == {
         "0x1827": 8.0,

@@ -19,8 +19,8 @@ KINDS = {
 
 
 def published(name: str) -> dict[str, Any]:
-    """Return a schema of ``docs``, as ``doctor``."""
-    return json.loads((ROOT / f"docs/{name}.schema.json").read_text())
+    """Return a schema of ``docs/schemas``, as ``doctor``."""
+    return json.loads((ROOT / f"docs/schemas/{name}.schema.json").read_text())
 
 
 def check(value: Any, root: dict[str, Any], schema: dict[str, Any] | None = None, path: str = "$") -> None:
