@@ -77,6 +77,14 @@ def test_it_has_the_form_that_foxglove_imports(scenario):
 
 
 @pytest.mark.parametrize("scenario", LAYOUTS)
+def test_titles_are_those_of_both_apps_and_legends_stand_beside_the_curves(scenario):
+    for name, panel in layout(scenario)["configById"].items():
+        assert panel["foxglovePanelTitle"] == panel["lichtblickPanelTitle"]
+        if name.startswith("Plot!"):
+            assert (panel["showLegend"], panel["legendDisplay"]) == (True, "left")
+
+
+@pytest.mark.parametrize("scenario", LAYOUTS)
 def test_splits_are_complete(scenario):
     def check(node):
         if isinstance(node, str):
