@@ -33,6 +33,10 @@ class TargetOptions(NamedTuple):
     output: recordings.Output = None
     force: recordings.Force = False
     rosbag2: Annotated[bool, typer.Option("--rosbag2", help="Write a rosbag2 directory.")] = False
+    tf: Annotated[
+        bool,
+        typer.Option("--tf", help="Also write /tf, made of the poses, for 3D views."),
+    ] = False
     split_size: Annotated[
         int | None,
         typer.Option(metavar="SIZE", parser=options.size, help="Start a new file at this size, e.g. 500M."),
@@ -111,6 +115,7 @@ def record(
         keep_bytes=files.keep_size or 0,
         sync_ns=files.sync or 0,
         replace=files.force,
+        transforms=files.tf,
         told=tell,
     )
     if plan and files.rosbag2:

@@ -20,6 +20,7 @@ class RecordingOptions:
         split_count: start a new file after so many datagrams; 0: never.
         datagrams: whether to write ``/edoras/datagrams``.
         structs: C structs in packets; None: only cFE's own.
+        transforms: whether to write ``/tf``, made of the poses.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
     """
 
@@ -30,6 +31,7 @@ class RecordingOptions:
     datagrams: bool = True
     structs: Structs | None = None
     offered: str = ""
+    transforms: bool = False
 
     @property
     def splits(self) -> bool:

@@ -56,6 +56,8 @@ _MOST_CHANNELS: Final = 1000
 """Maximum channels that a client may advertise."""
 _PIECES: Final = 64
 """Maximum pieces given to a socket at once."""
+_TLS_HANDSHAKE: Final = 0x16
+"""First byte of a TLS connection (RFC 8446 5.1)."""
 _GOING_AWAY: Final = 1001
 _SILENT: Final = logging.getLogger("edoras_tools.websocket")
 _SILENT.disabled = True  # Python would print reports of loggers without a handler: every failed handshake.
@@ -141,7 +143,8 @@ class FoxgloveClient:
         wrong = self._websocket.handshake_exc
         if wrong is not None and data and not self._answered:
             self._answered = True
-            events.append(protocol.Refused(str(wrong)))
+            told = "it speaks TLS; use http:// or ws://" if data[0] == _TLS_HANDSHAKE else str(wrong)
+            events.append(protocol.Refused(told))
         self._collect()
         return events
 

@@ -9,7 +9,7 @@ from edoras_tools.io.foxglove.link_state import LinkState
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.rows import lay_out
-from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, Streams, Topic
+from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, TRANSFORMS, Streams, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 class FoxgloveSink:
     """Serves batches over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
 
-    Topics, types and messages are those of a recording, plus ``/diagnostics``. All are offered from the
-    start, also those that a recording has only with their first message: who subscribes to what is offered
-    misses nothing. Whole datagrams are only made while a client has subscribed to them.
+    Topics, types and messages are those of a recording, plus ``/diagnostics`` and ``/tf``. All are
+    offered from the start, also those that a recording has only with their first message: who subscribes to
+    what is offered misses nothing. Whole datagrams and ``/tf`` are only made for clients that subscribed.
 
     Args:
         mission: its routes become topics.
@@ -62,11 +62,14 @@ class FoxgloveSink:
         self._structs = structs
         self._begin()
         bound = [Topic(item.topic, item.type, item.metadata) for item in self._streams.structs.all]
-        topics = [*self._streams.topics, DIAGNOSTICS, FAULTS, *bound]
+        own = [DIAGNOSTICS, FAULTS]
+        if all(topic.name != TRANSFORMS.name for topic in self._streams.topics):
+            own.append(TRANSFORMS)
+        topics = [*self._streams.topics, *own, *bound]
         self._places = {topic.name: place for place, topic in enumerate(topics)}
         definitions = {
             **self._streams.definitions,
-            **{item.type: types.definition(item.type) for item in (DIAGNOSTICS, FAULTS)},
+            **{item.type: types.definition(item.type) for item in (DIAGNOSTICS, FAULTS, TRANSFORMS)},
             **{
                 item.type: self._streams.structs.types.definition(item.type)
                 for item in self._streams.structs.all
@@ -80,7 +83,12 @@ class FoxgloveSink:
         if not len(batch):
             return
         # Whole datagrams are the first topic, and the most expensive.
-        streams = self._streams.messages(batch, columns, datagrams=self.server.wanted(0))
+        streams = self._streams.messages(
+            batch,
+            columns,
+            datagrams=self.server.wanted(0),
+            transforms=self.server.wanted(self._places[TRANSFORMS.name]),
+        )
         own = {item.channel_id: item for item in streams if isinstance(item.channel_id, int)}
         streams.append(self._diagnostics.messages(batch, columns, self._places[DIAGNOSTICS.name]))
         counts, events = (own[self._places[name]] for name in (STATISTICS_TOPIC, EVENTS_TOPIC))
@@ -120,6 +128,7 @@ class FoxgloveSink:
             self._counted,
             structs=self._structs,
             add=lambda topic: self._places[topic.name],
+            transforms=True,
         )
         self._link = LinkState(self._types, self._counted)
         self._diagnostics = Diagnostics(

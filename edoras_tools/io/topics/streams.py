@@ -16,6 +16,7 @@ from edoras_tools.io.topics.latched import LatchedTopics
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.statistics import LinkStatistics
 from edoras_tools.io.topics.structs import struct_messages
+from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
 
@@ -55,6 +56,8 @@ OWN_TOPICS: Final = (
     Topic(STATISTICS_TOPIC, "edoras_msgs/msg/LinkStatistics"),
 )
 """The topics of this package; those of the mission's routes follow."""
+TRANSFORMS: Final = Topic(TF_TOPIC, TF_TYPE)
+"""Poses as coordinate frames; only on request."""
 FAULTS: Final = Topic(FAULTS_TOPIC, FAULTS_TYPE)
 """Injected faults; only if there are any."""
 HOST_COUNTERS: Final = Topic(HOST_TOPIC, HOST_TYPE)
@@ -72,6 +75,7 @@ class Streams:
         structs: C structs in packets, each with a topic of its own; None for those of cFE itself.
         add: adds the topic of a struct when its first packet comes, and returns its channel id; None: such
             packets make no messages.
+        transforms: whether ``/tf`` is made of the poses, and added in the same way.
 
     Attributes:
         topics: those of this package, then one for each route.
@@ -92,6 +96,7 @@ class Streams:
         datagrams: bool = True,
         structs: Structs | None = None,
         add: Callable[[Topic], int] | None = None,
+        transforms: bool = False,
     ) -> None:
         structs = structs or shipped_structs()
         claimed = {route.msg_id for route in mission.routes}
@@ -101,6 +106,7 @@ class Streams:
         }
         self.structs = structs.unclaimed(claimed)
         self._add = add
+        self._transforms = Transforms(mission, types) if transforms and add else None
         self._types, self._mission = types, mission
         own = OWN_TOPICS if datagrams else OWN_TOPICS[1:]
         self.topics = (
@@ -134,10 +140,16 @@ class Streams:
             own[name] for name in (EVENTS_TOPIC, _SOFTWARE_BUS, STATISTICS_TOPIC)
         )
         self._routes = np.array(ids[self._own :], dtype=np.uint16)
-        self._struct_ids: dict[str, int] = {}
+        self._added: dict[str, int] = {}
 
     def messages(
-        self, batch: PacketBatch, columns: Columns, *, datagrams: bool = True, statistics: bool = True
+        self,
+        batch: PacketBatch,
+        columns: Columns,
+        *,
+        datagrams: bool = True,
+        statistics: bool = True,
+        transforms: bool = True,
     ) -> list[Messages]:
         """Return the messages of a batch of at least one row, in their order within a row.
 
@@ -146,6 +158,7 @@ class Streams:
             columns: of the same rows.
             datagrams: whether the topic of whole datagrams is wanted now.
             statistics: whether link statistics are wanted, for this and every other batch.
+            transforms: whether ``/tf`` is wanted now, if it is made at all.
         """
         published = self.clock.publish_times(batch.time_ns, columns)
         columns = without_trailing(batch, columns, self._types, self._mission.routes)
@@ -164,6 +177,8 @@ class Streams:
         rows = np.flatnonzero(self.structs.has[columns.msg_id])
         if len(rows) and self._add:
             streams += struct_messages(batch, columns, rows, self.structs, self._struct_id, published)
+        if self._transforms and transforms and self._transforms.are_in(columns):
+            streams += self._transforms.messages(batch, columns, self._place(TRANSFORMS))
         return streams
 
     def latched(self, time_ns: int) -> Messages:
@@ -175,11 +190,14 @@ class Streams:
         return outage_messages(news, self._events)
 
     def _struct_id(self, bound: Bound) -> int:
-        """Return the channel of a struct's topic, which is added at first use."""
-        if bound.topic not in self._struct_ids:
+        return self._place(Topic(bound.topic, bound.type, bound.metadata))
+
+    def _place(self, topic: Topic) -> int:
+        """Return the channel of a topic that is added at first use."""
+        if topic.name not in self._added:
             assert self._add is not None, "called only if topics can be added"
-            self._struct_ids[bound.topic] = self._add(Topic(bound.topic, bound.type, bound.metadata))
-        return self._struct_ids[bound.topic]
+            self._added[topic.name] = self._add(topic)
+        return self._added[topic.name]
 
     def finish(self) -> Messages:
         """Return the messages of the current second of statistics; all belong to row 0."""

@@ -52,6 +52,7 @@ class Target:
         keep_bytes: delete the oldest files where all are larger than this; 0: keep all.
         replace: overwrite an existing output.
         sync_ns: flush to the disk at this interval, to survive a power cut; 0: never.
+        transforms: also write ``/tf``, made of the poses, for 3D views.
         told: called with a line if the file is removed while it is written.
     """
 
@@ -64,6 +65,7 @@ class Target:
     keep_bytes: int = 0
     sync_ns: int = 0
     replace: bool = False
+    transforms: bool = False
     told: Callable[[str], None] = field(default=lambda _: None, compare=False, repr=False)
 
     @property
@@ -180,6 +182,7 @@ def open_sink(
         target.split_ns,
         target.split_count,
         structs=bench.columns.context.structs,
+        transforms=target.transforms,
     )
 
     def part(path: Path) -> CaptureFileSink:

@@ -121,7 +121,7 @@ class Demo:
                 f"--state-rate needs two-rovers or two-arms: the robot of {plan.scenario} is part of its "
                 "flight application, which reads it once a second"
             )
-        target = Target(plan.output, replace=plan.replace)
+        target = Target(plan.output, replace=plan.replace, transforms=True)
         check_output(target, ())
         self.plan = plan
         self.foxglove: FoxgloveSink | None = None

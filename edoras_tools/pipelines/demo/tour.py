@@ -103,9 +103,9 @@ def tour(
     live = folder / "two_rovers.mcap"
     with Served(simulation) if captured else nullcontext():
         limits = Limits(duration_ns=duration_ns)
-        report = record(source, bench, Target(live), limits=limits, tap=tap)
+        report = record(source, bench, Target(live, transforms=True), limits=limits, tap=tap)
     rover = Settings((missions / "rover_ground.yaml",)).workbench()
-    real = record(open_files([capture]), rover, Target(folder / "a_rover.mcap"))
+    real = record(open_files([capture]), rover, Target(folder / "a_rover.mcap", transforms=True))
     return Tour(report, real, folder, captured)
 
 

@@ -12,6 +12,7 @@ from places import ROOT
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from edoras_tools.io.formats.mcap.writer import McapSink
+from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.io.foxglove.server import ServerOptions
 from edoras_tools.io.foxglove.sink import FoxgloveSink
 from edoras_tools.io.topics.rows import Records
@@ -64,7 +65,7 @@ def show(sink, read, meanwhile=lambda: None):
 
 def recorded(path, read, types):
     """What a recording of the same holds: (topic, time) to data."""
-    sink = McapSink(path, read.mission, types, read.info)
+    sink = McapSink(path, read.mission, types, read.info, RecordingOptions(transforms=True))
     for batch, columns in read.pairs:
         sink.write(batch, columns)
     sink.close(SourceStatistics())

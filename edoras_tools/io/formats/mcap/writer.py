@@ -97,6 +97,7 @@ class McapSink:
             datagrams=options.datagrams,
             structs=options.structs,
             add=self._add_topic,
+            transforms=options.transforms,
         )
         self._extras: dict[str, int] = {}
         self._noted: list[InterfaceOutage] = []
