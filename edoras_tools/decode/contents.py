@@ -46,8 +46,8 @@ _ENDING: Final = (
 )
 """Findings of packets that are not read to their end, or with other layers than usual."""
 _MOST_KEPT: Final = 4096
-_FEW: Final = 16
-"""Fewer packets than these are dissected sooner than columns are made of them."""
+_FEW: Final = 4
+"""Fewer packets than these of each MsgId, or of four, are dissected sooner than columns are made of them."""
 
 
 class Contents(Generic[Content]):
@@ -72,7 +72,7 @@ class Contents(Generic[Content]):
 
     def of(self, rows: ColumnRows) -> list[Content]:
         """Return what is said of each row."""
-        few = len(rows) < _FEW
+        few = len(rows) < _FEW * max(4, len(set(rows.column("msg_id").tolist())))
         known = [None] * len(rows) if few else self._of_columns(rows)
         return [
             self._dissected(rows, place) if content is None else content
