@@ -115,6 +115,7 @@ class Link(int):
         over_receive_buffer: the finding of a datagram that is longer.
         largest: bytes of the largest space packet that a datagram can hold.
         header_bytes: bytes in front of the space packet.
+        last_hop: whether flight apps send on it what they were commanded, values without a header.
     """
 
     code: ClassVar[int] = 0
@@ -133,6 +134,7 @@ class Link(int):
     over_receive_buffer: ClassVar[Finding] = NO_FINDINGS
     largest: ClassVar[int] = 65507
     header_bytes: ClassVar[int] = 0
+    last_hop: ClassVar[bool] = False
 
     @property
     def only_to_cfs(self) -> bool:

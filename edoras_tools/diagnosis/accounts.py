@@ -13,7 +13,6 @@ from edoras_tools.diagnosis.accounting.losses import PIPE_EVENTS
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.crossing import latency_of
 from edoras_tools.diagnosis.matching.spans import comb
-from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 
@@ -72,7 +71,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "comb_ms": round(rounds.period_ns / 1e6, 1) if _named(case, rounds.period_ns) else None,
         "delay": _json(_delay(case, stream)),
         "to_robot": next(
-            (_json(hop.latency) for hop in case.hops if hop.into is stream and hop.out.link == ROBOT), None
+            (_json(hop.latency) for hop in case.hops if hop.into is stream and hop.out.link.last_hop), None
         ),
         "crossings": [
             {

@@ -22,7 +22,6 @@ from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKE
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links import table
-from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 
 if TYPE_CHECKING:
@@ -336,7 +335,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
         out = int(fate.arrived.sum()) + fate.passed_on
         rest = at - out - sum(ended.values()) - fate.superseded - fate.waiting - fate.unaccounted
         ways = ", ".join(
-            "the robot link" if hop.out.link == ROBOT else case.name(hop.out.msg_id) for hop in fate.hops
+            "the robot link" if hop.out.link.last_hop else case.name(hop.out.msg_id) for hop in fate.hops
         )
         add(
             APPLICATION,

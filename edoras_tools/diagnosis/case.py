@@ -28,7 +28,6 @@ from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.streams import Stream, find_robots, find_streams
-from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Link
 from edoras_tools.units import SECOND
@@ -186,7 +185,7 @@ class Case:
         """Tell whether what arrives as one stream may leave as another: of the same cFS, not its sibling."""
         if self._of_another(into, out):
             return False
-        if into.link.only_to_cfs or out.link == ROBOT:
+        if into.link.only_to_cfs or out.link.last_hop:
             return True
         arrives = self.network.identity_of.get(into.receiver, "")
         if out.link.only_from_cfs:

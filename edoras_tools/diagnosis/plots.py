@@ -11,7 +11,6 @@ import numpy as np
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounts import clean_rate
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 
@@ -95,7 +94,7 @@ def _at(case: Case, time_ns: int) -> float:
 
 
 def _label(case: Case, stream: Stream) -> str:
-    return "the robot" if stream.link == ROBOT else case.name(stream.msg_id)
+    return "the robot" if stream.link.last_hop else case.name(stream.msg_id)
 
 
 def _whose(case: Case, stream: Stream) -> str:

@@ -53,6 +53,7 @@ class RobotLink(LinkProtocol):
     transport = Transport(ports=(CFS_PORT, ROBOT_PORT), first="either")
     to_cfs = True
     from_cfs = True
+    last_hop = True
     layouts = (ROBOT_COMMAND, ROBOT_POSE, ROBOT_STATE)
     forms: ClassVar = {
         ROBOT_COMMAND.size: Form((ROBOT_COMMAND,), port=ROBOT_PORT, doubles=6),

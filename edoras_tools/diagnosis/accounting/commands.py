@@ -26,7 +26,7 @@ from edoras_tools.diagnosis.accounting.leftover import Leftover
 from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, TAIL_NS, Among, Loss
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
 from edoras_tools.diagnosis.accounting.stops import stopped
-from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ class Commands:
     def _number(self, fates: Sequence[Fate]) -> None:
         """Hold the one stream of commands whose values are cut off against the number that the robot got."""
         rows = self._known.rows
-        there = np.flatnonzero(rows.link == ROBOT)
+        there = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
         unseen = [
             fate
             for fate in fates
@@ -164,7 +164,7 @@ class Commands:
             and not fate.seen
             and (fate.stream.msg_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE)
         ]
-        if not len(there) or len(unseen) != 1 or any(hop.out.link == ROBOT for hop in self._known.hops):
+        if not len(there) or len(unseen) != 1 or any(hop.out.link.last_hop for hop in self._known.hops):
             return
         (fate,) = unseen
         cut = rows.has(Finding.CAPTURE_CUT)

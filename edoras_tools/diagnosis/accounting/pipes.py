@@ -21,7 +21,6 @@ from edoras_tools.diagnosis.accounting.losses import (
     PipeKind,
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.links.robot import ROBOT
 from edoras_tools.units import SECOND
 from edoras_tools.wire.order import by_value, numbered
 
@@ -117,7 +116,7 @@ class Pipes:
 
     def _leaves(self, fate: Fate, instance: int) -> bool:
         """Tell whether an instance is the one that a stream into cFS goes to, where several are there."""
-        owners = {self._known.owner(hop.out) for hop in fate.hops if hop.out.link != ROBOT}
+        owners = {self._known.owner(hop.out) for hop in fate.hops if not hop.out.link.last_hop}
         return not owners or instance in owners or NOBODY in owners
 
     def _claims(

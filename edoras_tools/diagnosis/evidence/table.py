@@ -12,7 +12,6 @@ from edoras_tools.decode.conversations import Conversations
 from edoras_tools.diagnosis.evidence import fingerprint, robot
 from edoras_tools.diagnosis.evidence.payloads import Payloads
 from edoras_tools.io.frames.linklayer import network_headers
-from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch
 from edoras_tools.sessions.sequence import SequenceCounts
@@ -300,7 +299,7 @@ class Recorder:
             else:
                 body = of_bytes(batch.data, offset[rows] + _ENCAPSULATION, length[rows] - _ENCAPSULATION)
                 plain[rows] = stamped[rows] = body
-        told = np.flatnonzero(columns.link == ROBOT)
+        told = np.flatnonzero(among(columns.link, lambda item: item.last_hop))
         if len(told):
             plain[told], stamped[told] = robot.fingerprints(batch, told, types)
         return plain, stamped

@@ -13,7 +13,6 @@ import numpy as np
 
 from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -124,7 +123,7 @@ def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, 
         if not _may_follow(into, out) or not follows(into, out):
             continue
         for prints in _prints(into, out, rows):
-            score = _likeness(*prints, sure=out.link == ROBOT)
+            score = _likeness(*prints, sure=out.link.last_hop)
             near = -abs((into.msg_id & 0xF) - (out.msg_id & 0xF))
             if score >= _ALIKE and (score, near) > best.get(id(out), (0.0, 0))[:2]:
                 best[id(out)] = (score, near, into, *prints)
@@ -137,7 +136,7 @@ def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, 
 
 
 def _may_follow(into: Stream, out: Stream) -> bool:
-    if out.link == ROBOT:
+    if out.link.last_hop:
         return bool(into.msg_id & _COMMAND)
     if into is out or (into.link.peers and out.link.peers and into.receiver != out.sender):
         return False
@@ -154,7 +153,7 @@ def _prints(into: Stream, out: Stream, rows: Rows) -> list[tuple[NDArray[np.uint
             # What is left of a packet differs with the headers before it; one cFS gives a count once.
             return [(_counts(into, rows), _counts(out, rows))]
         return [(rows.packet_print[into.rows], rows.packet_print[out.rows])]
-    if out.link == ROBOT:
+    if out.link.last_hop:
         # A robot is sent bare numbers: their bytes, and their values as the configured type has them.
         came = rows.value_print[into.rows]
         return [(came, kind[out.rows]) for kind in (rows.value_print, rows.stamped_print)]
@@ -202,7 +201,7 @@ def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went
 
     arrived = np.zeros(len(came), bool)
     arrived[from_row] = True
-    rewritten = out.link == ROBOT or into.msg_id != out.msg_id
+    rewritten = out.link.last_hop or into.msg_id != out.msg_id
     newer = np.zeros(len(came), bool)
     if rewritten and _newest_only(out_ns[goes_row]):
         # Taken in one round: not before the one that came out last, and close to the one that does.

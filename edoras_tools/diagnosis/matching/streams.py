@@ -13,7 +13,6 @@ import numpy as np
 from edoras_tools.diagnosis.evidence.cut_times import handed_on
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links import table
-from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
@@ -102,11 +101,11 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
 
 def find_robots(rows: Rows) -> list[Stream]:
     """Return what was sent to each robot: bare numbers, no MsgId and no count."""
-    there = np.flatnonzero(rows.link == ROBOT)
+    there = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
     ends = rows.source[there].astype(np.int64) << 32 | rows.destination[there]
     return [
         Stream(
-            link=ROBOT,
+            link=table.link(int(rows.link[there[members[0]]])),
             msg_id=NO_MSG_ID,
             sender=int(rows.source[there[members[0]]]),
             receiver=int(rows.destination[there[members[0]]]),

@@ -17,7 +17,6 @@ import numpy as np
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.evidence.clocks.lines import Ordered
-from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
@@ -140,7 +139,7 @@ def _values(cause: Rows, effect: Rows, about: ClockLine | None, *, back: bool) -
     into = np.flatnonzero(
         (cause.msg_id != NO_MSG_ID) & ((cause.msg_id & cfe.COMMAND_BIT) != 0) & (cause.value_print != 0)
     )
-    robot = effect.link == ROBOT
+    robot = among(effect.link, lambda item: item.last_hop)
     out = np.flatnonzero(robot | ((effect.msg_id != NO_MSG_ID) & ((effect.msg_id & cfe.COMMAND_BIT) == 0)))
     for prints in (effect.value_print, effect.stamped_print):
         ours, theirs = matches(cause.value_print[into], prints[out])
