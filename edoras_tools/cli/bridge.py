@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -106,7 +107,7 @@ def bridge(
 
     Every bridge of every file runs, in one process: edoras bridge -c ground.yaml -c flight.yaml
     """
-    from edoras_tools.middleware.opening import usual, usual_domain
+    from edoras_tools.middleware.opening import distro_of_peers, usual, usual_domain
     from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
     from edoras_tools.render.bridge import bridge as view
     from edoras_tools.render.terminal.console import output_console
@@ -120,7 +121,15 @@ def bridge(
         sequence=packets.sequence,
         enable=packets.enable,
     )
-    plan = plan_bridges(decoding.settings(), request)
+    settings = decoding.settings()
+    domain = usual_domain() if graph.domain is None else graph.domain
+    given = _options(way, graph.ros_options, outputs)
+    if decoding.types.distro is None and not running.dry_run:
+        told = distro_of_peers(way, domain, given)
+        if told not in {None, settings.distro}:
+            _say(f"the nodes of domain {domain} are of ROS 2 {told}: --distro {told}")
+            settings = replace(settings, distro=told)
+    plan = plan_bridges(settings, request)
     if running.dry_run:
         planned = [item.summary() for item in plan.stations]
         if json:
@@ -141,8 +150,8 @@ def bridge(
         plan,
         request,
         ros=way,
-        domain=usual_domain() if graph.domain is None else graph.domain,
-        options=_options(way, graph.ros_options, outputs),
+        domain=domain,
+        options=given,
         recorder=_recorder(plan, outputs),
         say=None if shows else _say,
     )

@@ -109,7 +109,7 @@ def codegen(
     if command_mid is not None:
         raise ConfigError("--command-mid is an option of 'edoras codegen generator'")
     output = output or Path("edoras_msgs")
-    store = TypeStore(definitions.distro, definitions.msg_path or ())
+    store = TypeStore(definitions.distro or options.DISTRO, definitions.msg_path or ())
     mission = load(config or (), check_type=store.check)
     rules = tuple(BoundRule.read(text) for text in bounds.bound or ())
     order = LibraryOrder(

@@ -373,11 +373,13 @@ class TypeOptions(NamedTuple):
     """Where the definitions of ROS messages come from."""
 
     distro: Annotated[
-        str,
+        str | None,
         typer.Option(
-            metavar="NAME", envvar="ROS_DISTRO", help="ROS 2 distribution whose message definitions are used."
+            metavar="NAME",
+            envvar="ROS_DISTRO",
+            help=f"ROS 2 distribution whose message definitions are used; default: {DISTRO}.",
         ),
-    ] = DISTRO
+    ] = None
     msg_path: Annotated[
         list[Path] | None,
         typer.Option("--msg-path", metavar="DIR", help="Folder with more .msg or .idl files; repeatable."),
@@ -438,7 +440,7 @@ class DecodingOptions(NamedTuple):
         )
         return Settings(
             tuple(self.config or ()),
-            self.types.distro,
+            self.types.distro or DISTRO,
             tuple(self.types.msg_path or ()),
             options,
             tuple(self.structs or ()),

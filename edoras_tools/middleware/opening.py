@@ -76,6 +76,19 @@ def open_graph(
     return graph
 
 
+def distro_of_peers(ros: str, domain: int, options: Mapping[str, str] = {}) -> str | None:
+    """Return the ROS 2 distribution that other nodes tell; None where the middleware or nobody tells.
+
+    What prevents it is told when the graph is joined.
+    """
+    try:
+        module = import_module(f"edoras_tools.middleware.{MIDDLEWARES[ros]}")
+        ask = getattr(module, "distro_of_peers", None)
+        return ask(domain, options) if ask else None
+    except (ImportError, ConfigError):
+        return None
+
+
 def _absent(ros: str, error: ImportError) -> str:
     extra, why = _EXTRAS.get(ros), str(error).partition("\n")[0]
     if extra is None:

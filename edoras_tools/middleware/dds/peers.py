@@ -17,8 +17,9 @@ from cyclonedds.builtin import (
 )
 from cyclonedds.qos import Policy
 
-from edoras_tools.middleware.dds.presence import PRESENCE_TOPIC, gid_bytes_told
+from edoras_tools.middleware.dds.presence import OLDER, OLDEST_DISTRO, PRESENCE_TOPIC, gid_bytes_told
 from edoras_tools.middleware.names import dds_name, ros_name
+from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.ros.type_hash import HASH_VERSION
 
 if TYPE_CHECKING:
@@ -112,6 +113,15 @@ class Discovered:
         """Bytes of an identifier in what other nodes say of themselves; None where there are none."""
         told = {item.type_hash for item in self.found.values() if item.topic == PRESENCE_TOPIC}
         return min(map(gid_bytes_told, told), default=None)
+
+    @property
+    def distro(self) -> str | None:
+        """The distribution that the other nodes' type hashes tell; None where there is no node.
+
+        Every type that bridges carry has one hash from Iron on; nodes of Humble send none.
+        """
+        size = self.gid_bytes
+        return None if size is None else OLDEST_DISTRO if size == OLDER else USUAL_DISTRO
 
     def notes(self, own: Sequence[OwnEndpoint], *, late: bool) -> Iterator[str]:
         """Yield what keeps our endpoints and those of others apart, and where definitions differ.

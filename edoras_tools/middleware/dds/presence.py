@@ -17,8 +17,10 @@ PRESENCE_TOPIC: Final = "ros_discovery_info"
 PRESENCE_TYPE: Final = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _GID: Final = "rmw_dds_common/msg/Gid"
 _NEWER: Final = 16
-_OLDER: Final = 24
-_OF_SIZE: Final = {_NEWER: "iron", _OLDER: "humble"}
+OLDER: Final = 24
+OLDEST_DISTRO: Final = "humble"
+"""The newest distribution whose nodes send no type hashes."""
+_OF_SIZE: Final = {_NEWER: "iron", OLDER: OLDEST_DISTRO}
 """By the bytes of an identifier, the distribution that it began or ended with."""
 QOS: Final = Qos(transient_local=True, depth=1)
 ENCLAVE: Final = b"enclave=/;"
@@ -37,12 +39,12 @@ def gid_bytes_of(types: TypeStore) -> int:
 
 def gid_bytes_told(hash_told: str) -> int:
     """Return the bytes of an identifier where the type has this hash; older ones have none."""
-    return _OLDER if hash_told in {"", _older_hash()} else _NEWER
+    return OLDER if hash_told in {"", _older_hash()} else _NEWER
 
 
 @cache
 def _older_hash() -> str:
-    return type_hash(presence_types(_OLDER), PRESENCE_TYPE)
+    return type_hash(presence_types(OLDER), PRESENCE_TYPE)
 
 
 def presence(
