@@ -20,7 +20,7 @@ from edoras_tools.diagnosis.accounting.losses import Known, Loss
 from edoras_tools.diagnosis.accounting.unheard import Unheard, unheard
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.counters import Track, tracks
-from edoras_tools.diagnosis.evidence.events import Culprit, Said, culprits
+from edoras_tools.diagnosis.evidence.events import LossEvents, ReportedLoss, reported_losses
 from edoras_tools.diagnosis.evidence.holes import find_holes
 from edoras_tools.diagnosis.evidence.host import HostDrops, host_drops
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
@@ -153,9 +153,9 @@ class Case:
         return tracks(self.rows, self.payloads, self.instances)
 
     @cached_property
-    def culprits(self) -> dict[Culprit, Said]:
+    def reported_losses(self) -> dict[ReportedLoss, LossEvents]:
         """Whom events about loss name."""
-        return culprits(self.payloads.events, self.instances)
+        return reported_losses(self.payloads.events, self.instances)
 
     @cached_property
     def holes(self) -> list[tuple[int, int]]:
@@ -216,7 +216,7 @@ class Case:
             self.streams,
             self.instances,
             self.tracks,
-            self.culprits,
+            self.reported_losses,
             self.network,
             self.hops,
             self.profile,

@@ -143,14 +143,14 @@ def test_growth_takes_the_samples_around_a_time():
     ],
 )
 def test_events_about_loss_are_read_word_for_word(app, number, message, want):
-    culprit = parse_loss_event(EventRecord(0, 1, 0, app, number, 3, "66:1", message))
-    assert (culprit.kind, culprit.msg_id, culprit.pipe, culprit.sender) == want
+    reported = parse_loss_event(EventRecord(0, 1, 0, app, number, 3, "66:1", message))
+    assert (reported.kind, reported.msg_id, reported.pipe, reported.sender) == want
 
 
 @given(st.sampled_from([14, 15, 17, 21, 25]), st.text(max_size=80))
 def test_any_other_text_names_nobody(number, text):
-    culprit = parse_loss_event(EventRecord(0, 1, 0, "CFE_SB", number, 3, "66:1", text))
-    assert culprit is None or culprit.msg_id >= 0
+    reported = parse_loss_event(EventRecord(0, 1, 0, "CFE_SB", number, 3, "66:1", text))
+    assert reported is None or reported.msg_id >= 0
 
 
 def test_rounds_are_found():

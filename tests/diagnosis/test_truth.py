@@ -65,7 +65,9 @@ def test_tos_own_pipe_overflows_and_takes_its_events_with_it(lab):
     )
     assert counters.pipe_overflows > 1000
     diagnosis = lab.examine(sent)
-    assert not diagnosis.case.culprits or all(item.kind != "overflow" for item in diagnosis.case.culprits)
+    assert not diagnosis.case.reported_losses or all(
+        item.kind != "overflow" for item in diagnosis.case.reported_losses
+    )
     assert diagnosis.lost == pytest.approx(counters.pipe_overflows, rel=0.02)
     verdicts = [
         item for item in diagnosis.verdicts if item.rule == "to_pipe_overflow" and item.msg_id == 0x8F1

@@ -146,7 +146,7 @@ class Telemetry:
             # An event that names an application's pipe has its counts; else those of full pipes are these.
             others = any(
                 (item.instance, item.kind) == (owner, "overflow") and not (item.at_output or item.at_peer)
-                for item in known.culprits
+                for item in known.reported_losses
             )
             again = _left_over(parts, own, beside=others)
             settle(counts[owner], again)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.losses import Known, PipeKind
     from edoras_tools.diagnosis.accounting.pipes import Pipes
-    from edoras_tools.diagnosis.evidence.events import Culprit, Said
+    from edoras_tools.diagnosis.evidence.events import LossEvents, ReportedLoss
     from edoras_tools.diagnosis.matching.spans import Span
     from edoras_tools.diagnosis.matching.streams import Stream
 
@@ -64,7 +64,7 @@ class Candidate:
         pipe: str,
         stream: Stream | None,
         sender: str = "",
-        said: Said | None = None,
+        said: LossEvents | None = None,
     ) -> None:
         self.instance, self.kind, self.msg_id, self.pipe = instance, kind, msg_id, pipe
         self.stream, self.sender, self.said = stream, sender, said
@@ -168,20 +168,20 @@ class Leftover:
         """Return what may be counted: what events name, else what is sent faster than a pipe takes."""
         known = self._known
         found = []
-        for culprit, said in known.culprits.items():
+        for reported, said in known.reported_losses.items():
             # What leaves by a pipe and is seen behind it has gaps, which are counted there.
-            gaps = (culprit.at_output or culprit.at_peer) and any(
-                stream.msg_id == culprit.msg_id and stream.link.peers == culprit.at_peer
+            gaps = (reported.at_output or reported.at_peer) and any(
+                stream.msg_id == reported.msg_id and stream.link.peers == reported.at_peer
                 for stream in known.streams
             )
-            if (culprit.instance, culprit.kind) != (instance, kind) or gaps:
+            if (reported.instance, reported.kind) != (instance, kind) or gaps:
                 continue
-            fate = self._fed(culprit, instance)
+            fate = self._fed(reported, instance)
             if fate is None or not fate.seen:
                 stream = fate.stream if fate else None
                 found.append(
                     Candidate(
-                        known, instance, kind, culprit.msg_id, culprit.pipe, stream, culprit.sender, said
+                        known, instance, kind, reported.msg_id, reported.pipe, stream, reported.sender, said
                     )
                 )
         if not found and kind == "limit":
@@ -195,14 +195,14 @@ class Leftover:
                 item.weight = weight
         return found
 
-    def _fed(self, culprit: Culprit, instance: int) -> Fate | None:
-        """Return the traffic that a culprit's messages came from, if the capture has it."""
-        wanted = carrying("flight" if culprit.sender.startswith("SBN") else "ground", to_cfs=True)
+    def _fed(self, reported: ReportedLoss, instance: int) -> Fate | None:
+        """Return the traffic that the messages of a reported loss came from, if the capture has it."""
+        wanted = carrying("flight" if reported.sender.startswith("SBN") else "ground", to_cfs=True)
         return next(
             (
                 fate
                 for fate in self.fates.values()
-                if fate.stream.msg_id == culprit.msg_id
+                if fate.stream.msg_id == reported.msg_id
                 and fate.stream.link is wanted
                 and self._known.goes_to(fate.stream, instance)
             ),

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.evidence.counters import Track
-    from edoras_tools.diagnosis.evidence.events import Culprit, Said
+    from edoras_tools.diagnosis.evidence.events import LossEvents, ReportedLoss
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.peers import Network
@@ -133,7 +133,7 @@ class Known:
     streams: Sequence[Stream]
     instances: Instances
     tracks: Mapping[int, Track]
-    culprits: Mapping[Culprit, Said]
+    reported_losses: Mapping[ReportedLoss, LossEvents]
     network: Network
     hops: Sequence[Hop]
     profile: SimProfile
@@ -215,11 +215,11 @@ class Known:
         spacecraft, _, processor = self.network.identity_of.get(stream.receiver, "").partition(":")
         return sbn.peer_pipe(Peer(int(spacecraft), int(processor))) if processor else "SBN peer pipe"
 
-    def named(self, instance: int, msg_id: int, kind: str, *, output: bool) -> Said | None:
+    def named(self, instance: int, msg_id: int, kind: str, *, output: bool) -> LossEvents | None:
         """Return the events that name a MsgId at Telemetry Output's pipe, or at a peer's."""
-        for culprit, said in self.culprits.items():
-            if (culprit.instance, culprit.msg_id, culprit.kind) == (instance, msg_id, kind) and (
-                culprit.at_output if output else culprit.at_peer
+        for reported, said in self.reported_losses.items():
+            if (reported.instance, reported.msg_id, reported.kind) == (instance, msg_id, kind) and (
+                reported.at_output if output else reported.at_peer
             ):
                 return said
         return None

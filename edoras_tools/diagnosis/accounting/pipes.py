@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.losses import Known
-    from edoras_tools.diagnosis.evidence.events import Culprit, Said
+    from edoras_tools.diagnosis.evidence.events import LossEvents, ReportedLoss
     from edoras_tools.diagnosis.matching.spans import Span
     from edoras_tools.diagnosis.matching.streams import Stream
 
@@ -204,7 +204,7 @@ class Pipes:
                 before = loss.among.rows if loss.among else among[:0]
                 loss.among = Among(stream, np.union1d(before, among))
                 return
-        culprit, said = self._named(stream, kind, instance)
+        reported, said = self._named(stream, kind, instance)
         evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them"]
         if said is not None:
             window = cut.start_ns - LEAD_NS, cut.end_ns + TAIL_NS
@@ -220,7 +220,7 @@ class Pipes:
             Loss(
                 kind=kind,
                 instance=instance,
-                hop=culprit.pipe if culprit else APP,
+                hop=reported.pipe if reported else APP,
                 msg_id=stream.msg_id,
                 stream=stream,
                 span=cut,
@@ -228,17 +228,19 @@ class Pipes:
                 of=cut.count,
                 start_ns=cut.start_ns,
                 end_ns=cut.end_ns,
-                confidence="high" if culprit else "medium",
+                confidence="high" if reported else "medium",
                 evidence=evidence,
-                sender=culprit.sender if culprit else "",
+                sender=reported.sender if reported else "",
                 among=Among(stream, among),
             )
         )
 
-    def _named(self, stream: Stream, kind: PipeKind, instance: int) -> tuple[Culprit | None, Said | None]:
-        for culprit, said in self._known.culprits.items():
-            if (culprit.instance, culprit.msg_id, culprit.kind) == (instance, stream.msg_id, kind):
-                return culprit, said
+    def _named(
+        self, stream: Stream, kind: PipeKind, instance: int
+    ) -> tuple[ReportedLoss | None, LossEvents | None]:
+        for reported, said in self._known.reported_losses.items():
+            if (reported.instance, reported.msg_id, reported.kind) == (instance, stream.msg_id, kind):
+                return reported, said
         return None, None
 
 

@@ -96,9 +96,9 @@ def _unfollowed(known: Known, fate: Fate, own: Sequence[Outage], *, alone: bool)
     """Rules 2 and 3."""
     times = known.captured(fate.stream)
     pipes = {
-        culprit.pipe
-        for culprit in known.culprits
-        if culprit.at_pipe and culprit.msg_id == fate.stream.msg_id and not culprit.at_output
+        reported.pipe
+        for reported in known.reported_losses
+        if reported.at_pipe and reported.msg_id == fate.stream.msg_id and not reported.at_output
     }
     named = [item for item in own if any(pipe.startswith(item.app) for pipe in pipes)]
     surely = named or (own if alone and len({item.app for item in own}) == 1 else [])

@@ -27,7 +27,7 @@ _KINDS: Final[dict[int, LossEventKind]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Culprit:
+class ReportedLoss:
     """What an event about a loss names.
 
     Attributes:
@@ -61,8 +61,8 @@ class Culprit:
 
 
 @dataclass(slots=True)
-class Said:
-    """How often an event was seen, and when.
+class LossEvents:
+    """The events about one loss, in order: how many, and when.
 
     Attributes:
         records: the events, in order.
@@ -90,23 +90,23 @@ class Said:
         return sum(start_ns <= item.time_ns <= end_ns for item in self.records)
 
 
-def parse_loss_event(record: EventRecord, instance: int = NOBODY) -> Culprit | None:
+def parse_loss_event(record: EventRecord, instance: int = NOBODY) -> ReportedLoss | None:
     """Return what an event names; None if it is not about a loss."""
     kind = _KINDS.get(record.event_id) if record.app == software_bus.NAME else None
     found = software_bus.EVENTS[record.event_id].pattern.match(record.message) if kind else None
     if kind is None or found is None:
         return None
     parts = found.groupdict()
-    return Culprit(kind, instance, int(parts["msg_id"], 16), parts.get("pipe", ""), parts["sender"])
+    return ReportedLoss(kind, instance, int(parts["msg_id"], 16), parts.get("pipe", ""), parts["sender"])
 
 
-def culprits(events: Iterable[EventRecord], instances: Instances) -> dict[Culprit, Said]:
+def reported_losses(events: Iterable[EventRecord], instances: Instances) -> dict[ReportedLoss, LossEvents]:
     """Return everything that events name, with the events."""
-    found: dict[Culprit, Said] = {}
+    found: dict[ReportedLoss, LossEvents] = {}
     for record in events:
-        culprit = parse_loss_event(record, instances.saying(record))
-        if culprit:
-            found.setdefault(culprit, Said()).records.append(record)
+        reported = parse_loss_event(record, instances.saying(record))
+        if reported:
+            found.setdefault(reported, LossEvents()).records.append(record)
     return found
 
 

@@ -56,15 +56,15 @@ def _is_told(case: Case, record: EventRecord, quoted: str) -> bool:
     if record.message in quoted:
         return True
     instance = case.instances.saying(record)
-    culprit = parse_loss_event(record, instance)
-    if culprit is None:
+    reported = parse_loss_event(record, instance)
+    if reported is None:
         return False
-    if not culprit.at_pipe:
-        return any(item.msg_id == culprit.msg_id and item.lost for item in case.verdicts)
+    if not reported.at_pipe:
+        return any(item.msg_id == reported.msg_id and item.lost for item in case.verdicts)
     track = case.tracks.get(instance)
     older = track is not None and int(case.instances.made_ns[record.row]) <= track.times[0]
     return older or any(
-        (loss.kind, loss.msg_id, loss.instance) == (culprit.kind, culprit.msg_id, instance)
+        (loss.kind, loss.msg_id, loss.instance) == (reported.kind, reported.msg_id, instance)
         for loss in case.losses
     )
 

@@ -24,8 +24,8 @@ def judge(case: Case) -> Iterator[Verdict]:
         for kind, (name, number) in _COUNTERS.items():
             said = [
                 told
-                for culprit, told in case.culprits.items()
-                if culprit.instance == instance and culprit.kind == kind
+                for reported, told in case.reported_losses.items()
+                if reported.instance == instance and reported.kind == kind
             ]
             last_ns = max((told.last_ns for told in said), default=0)
             events = sum(told.count for told in said)

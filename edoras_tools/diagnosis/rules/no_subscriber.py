@@ -30,17 +30,17 @@ def judge(case: Case) -> Iterator[Verdict]:
     """Say which, where an event or the only command before a count tells."""
     told: set[tuple[int, int]] = set()
     own = set()
-    for culprit, said in case.culprits.items():
-        if culprit.kind != "no_subscriber":
+    for reported, said in case.reported_losses.items():
+        if reported.kind != "no_subscriber":
             continue
-        if not culprit.sender.startswith(("CI", "SBN")):
-            own.add(culprit.instance)  # an application of this cFS publishes what nobody takes
+        if not reported.sender.startswith(("CI", "SBN")):
+            own.add(reported.instance)  # an application of this cFS publishes what nobody takes
             continue
-        told.add((culprit.instance, culprit.msg_id))
-        link = CI if culprit.sender.startswith("CI") else SBN
+        told.add((reported.instance, reported.msg_id))
+        link = CI if reported.sender.startswith("CI") else SBN
         rows = case.rows
-        sent = np.flatnonzero((rows.link == link) & (rows.msg_id == culprit.msg_id))
-        yield _verdict(case, culprit.msg_id, link, sent.tolist(), (f"cFS said: {said.records[0]}",))
+        sent = np.flatnonzero((rows.link == link) & (rows.msg_id == reported.msg_id))
+        yield _verdict(case, reported.msg_id, link, sent.tolist(), (f"cFS said: {said.records[0]}",))
     counted = _counted(case)
     for (instance, msg_id), members in counted.items():
         if (instance, msg_id) not in told and instance not in own:

@@ -107,9 +107,9 @@ def _signs(case: Case, stream: Stream, last_ns: int, alive_ns: int) -> Iterator[
     for verdict in struct_overrun.judge(case):
         if abs(verdict.start_ns - last_ns) < _NEAR_NS and verdict.msg_id is not None:
             yield f"{case.name(verdict.msg_id)} overran its struct at {case.at(verdict.start_ns)}"
-    for culprit, said in case.culprits.items():
-        internal = not culprit.sender.startswith(("CI_LAB", "SBN"))
-        told = internal and not culprit.at_pipe
+    for reported, said in case.reported_losses.items():
+        internal = not reported.sender.startswith(("CI_LAB", "SBN"))
+        told = internal and not reported.at_pipe
         if told and -_NEAR_NS < said.first_ns - last_ns < 2 * _NEAR_NS:
             yield f"event at {case.at(said.first_ns)}: {said.records[0]}"
     for other in case.streams:

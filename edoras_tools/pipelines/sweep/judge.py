@@ -201,9 +201,9 @@ class Judge:
     def _event(self, diagnosis: Diagnosis) -> tuple[str, str] | None:
         """Return what cFS reported about the route in an event."""
         assert diagnosis.case is not None
-        for culprit, said in diagnosis.case.culprits.items():
-            if culprit.msg_id == self._route.msg_id:
-                return culprit.pipe or "software bus", f"cFS said: {said.records[0]}"
+        for reported, said in diagnosis.case.reported_losses.items():
+            if reported.msg_id == self._route.msg_id:
+                return reported.pipe or "software bus", f"cFS said: {said.records[0]}"
         return None
 
 
