@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -45,24 +46,27 @@ def trigger(text: str) -> tuple[str, str]:
     return kind, rest
 
 
+_snapshots = partial(typer.Option, rich_help_panel="Snapshots")
+
+
 class SnapshotOptions(NamedTuple):
     """Whether only what is around a trigger is written."""
 
     snapshot: Annotated[
         bool,
-        typer.Option("--snapshot", help="Keep the last seconds in memory; write them when a trigger fires."),
+        _snapshots("--snapshot", help="Keep the last seconds in memory; write them when a trigger fires."),
     ] = False
     before: Annotated[
         int | None,
-        typer.Option(metavar="TIME", parser=options.duration, help="Time before a trigger; default 30s."),
+        _snapshots(metavar="TIME", parser=options.duration, help="Time before a trigger; default 30s."),
     ] = None
     after: Annotated[
         int | None,
-        typer.Option(metavar="TIME", parser=options.duration, help="Time after it; default 10s."),
+        _snapshots(metavar="TIME", parser=options.duration, help="Time after it; default 10s."),
     ] = None
     before_size: Annotated[
         int | None,
-        typer.Option(
+        _snapshots(
             metavar="SIZE",
             parser=options.size,
             help="Most memory for what is kept; the oldest is dropped first; default 512M.",
@@ -70,7 +74,7 @@ class SnapshotOptions(NamedTuple):
     ] = None
     trigger: Annotated[
         list[Any] | None,
-        typer.Option(
+        _snapshots(
             metavar="WHAT",
             parser=trigger,
             help="What fires, beside t, Enter and signal USR1: finding[:NAME], rule[:ID] of the doctor, or "
@@ -78,11 +82,11 @@ class SnapshotOptions(NamedTuple):
         ),
     ] = None
     socket: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Also fire when asked on this Unix socket.")
+        Path | None, _snapshots(metavar="PATH", help="Also fire when asked on this Unix socket.")
     ] = None
     fire: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", help="Only ask the recorder at this socket for a snapshot."),
+        _snapshots(metavar="PATH", help="Only ask the recorder at this socket for a snapshot."),
     ] = None
 
     def check(self, *, splits: bool) -> None:
