@@ -7,7 +7,6 @@ import ctypes
 import numpy as np
 import pytest
 
-from edoras_tools.cfs.event_services import EventType
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.codegen.generator import generator_app
 from edoras_tools.emulator import Simulation
@@ -71,6 +70,24 @@ def events(app):
     return (ctypes.c_char * 65536).in_dll(app, "bus_events").value.decode().splitlines()
 
 
+def emulated(*commands):
+    """What the emulated generator says of commands at their times in s, as ``events`` has it."""
+    simulation, said = Simulation(SimProfile(), "two-rovers", bridges=False).boot(), []
+    for at, packet in commands:
+        whole = packet[: int.from_bytes(packet[4:6], "big") + 7]
+        simulation.feed(simulation.now + int(at * 1e9), simulation.cfs.ci_endpoint, whole)
+    report = simulation.cfs.report
+
+    def listen(event):
+        if event.app == generator.NAME:
+            said.append(f"{event.event_id} {event.event_type} {event.message}")
+        report(event)
+
+    simulation.cfs.report = listen
+    list(simulation.run(simulation.now + int(4e9)))
+    return said
+
+
 def test_it_starts(run):
     app = run()
     assert events(app) == ["1 2 EDORAS_GEN initialized, command MID 0x18F0"]
@@ -92,21 +109,10 @@ def test_rates(run, rate):
 
 def test_it_publishes_what_the_emulated_one_does(run):
     """Lengths, MsgIds, events word for word; of a PoseStamped all but its time and x."""
-    given = [(1.0, (0x828, 5), {"length": 120}), (2.0, (0x8F2, 10), {"slot": 1, "length": 33, "kind": 0})]
-    simulation = Simulation(SimProfile(), "two-rovers", bridges=False)
-    said = []
-    simulation.cfs.listener = lambda _, text: said.append(text)
-    for at, numbers, named in given:
-        packet = cfe.emit_command(0x18F0, generator.SET, generator.set_command(*numbers, **named))
-        simulation.feed(int(at * 1e9), simulation.cfs.ci_endpoint, packet)
-    list(simulation.run(int(4e9)))
-    app = run(*((at, command(*numbers, **named)) for at, numbers, named in given))
-    ours = events(app)
-    assert len(ours) == 3
-    for text in ours[1:]:
-        number, severity, words = text.split(" ", 2)
-        assert EventType(int(severity)) is EventType.INFORMATION
-        assert any(line.endswith(f"{generator.NAME} {number}: {words}") for line in said), (words, said)
+    given = [(1.0, command(0x828, 5, length=120)), (2.0, command(0x8F2, 10, slot=1, length=33, kind=0))]
+    app = run(*given)
+    assert events(app)[1:] == emulated(*given)
+    assert len(events(app)) == 3
     packets, _ = published(app)
     poses = [packet for packet in packets if packet[:2] == b"\x08\x28"]
     assert len(poses) == 15
@@ -124,7 +130,7 @@ def test_it_publishes_what_the_emulated_one_does(run):
         (command(0x18F1, 10), "slot 0 refused: the MsgId is none of telemetry"),
         (command(0, 10), "slot 0 refused: the MsgId is none of telemetry"),
         (command(0xFFFF, 10), "slot 0 refused: the MsgId is none of telemetry"),
-        (command(0x8F1, 10, length=40000, kind=0), "slot 0 refused: the message is too long"),
+        (command(0x8F1, 10, length=65521, kind=0), "slot 0 refused: the message is too long"),
         (command(0x8F1, 10, length=99), "slot 0 refused: a PoseStamped does not fit the length"),
         (cfe.emit_command(0x18F0, 2, bytes(9)), "command refused: function code 2, 17 bytes"),
         (cfe.emit_command(0x18F0, 9, bytes(10)), "command refused: function code 9, 18 bytes"),
@@ -133,12 +139,13 @@ def test_it_publishes_what_the_emulated_one_does(run):
 )
 def test_what_it_refuses(run, packet, reason):
     app = run((1, packet.ljust(64, b"\0")))
-    assert events(app)[1:] == [f"3 3 EDORAS_GEN {reason}"]
+    assert events(app)[1:] == [f"3 3 EDORAS_GEN {reason}"] == emulated((1, packet))
     assert published(app)[0] == []
 
 
 def test_a_no_op(run):
-    assert events(run((1, cfe.emit_command(0x18F0, 0).ljust(64, b"\0"))))[1:] == ["4 2 EDORAS_GEN no-op"]
+    packet = cfe.emit_command(0x18F0, 0)
+    assert events(run((1, packet.ljust(64, b"\0"))))[1:] == ["4 2 EDORAS_GEN no-op"] == emulated((1, packet))
 
 
 @pytest.mark.parametrize("msg_id", [0, 0x8F0, 0x17FF, 0x2000])

@@ -16,7 +16,7 @@
 #include "edoras_gen_msgids.h"
 
 #define EDORAS_GEN_SLOTS      8U
-#define EDORAS_GEN_MAX_LENGTH 32000U /* below CFE_MISSION_SB_MAX_SB_MSG_SIZE with any header */
+#define EDORAS_GEN_MAX_LENGTH 65520U /* what a packet can hold; the software bus says itself what is too long for it */
 #define EDORAS_GEN_PIPE_DEPTH 32U
 #define EDORAS_GEN_PIPE_LIMIT 32U /* a message limit of 4 would lose commands that come in one burst from CI */
 #define EDORAS_GEN_POSE_KIND  3U

@@ -10,12 +10,12 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.cfs.event_services import EventText
+from edoras_tools.cfs.event_services import EventText, EventType
 from edoras_tools.cfs.profile import GENERATOR_MSG_ID
-from edoras_tools.emulator.messages import FixedStruct, pose_stamped
+from edoras_tools.emulator.messages import FixedStruct, command_length, pose_stamped
 from edoras_tools.emulator.scheduler import Receive, SleepUntil, Work
-from edoras_tools.errors import WireError
 from edoras_tools.units import MICROSECOND, SECOND
+from edoras_tools.wire import cfe
 from edoras_tools.wire.packet import function_code_of, whole_packet
 
 if TYPE_CHECKING:
@@ -26,11 +26,20 @@ NAME: Final = "EDORAS_GEN"
 TASK: Final = "EDORAS_GEN.EDORAS_GEN_T"
 COMMAND_MSG_ID: Final = GENERATOR_MSG_ID
 SET: Final = 2
+_NO_OP_CODE: Final = 0
 POSE_STAMPED_KIND: Final = 3
 _INITIALIZED: Final = EventText(NAME, 1, "EDORAS_GEN initialized, command MID 0x{msg_id:04X}")
 _SLOT_SET: Final = EventText(
     NAME, 2, "EDORAS_GEN slot {slot:d}: MID 0x{msg_id:04X} kind {kind:d} len {length:d} rate {rate:d} Hz"
 )
+_REFUSED: Final = EventText(NAME, 3, "EDORAS_GEN slot {slot:d} refused: {reason}", EventType.ERROR)
+_BAD_COMMAND: Final = EventText(
+    NAME, 3, "EDORAS_GEN command refused: function code {code:d}, {length:d} bytes", EventType.ERROR
+)
+_NO_OP: Final = EventText(NAME, 4, "EDORAS_GEN no-op")
+_SLOTS: Final = 8
+_LONGEST: Final = 65520
+_POSE_BYTES: Final = 100
 _COMMAND: Final = struct.Struct("<HHHHH")
 _FIRST_NS: Final = 500 * MICROSECOND
 
@@ -53,15 +62,26 @@ class Generator:
 
     def _run(self) -> Task:
         while self._cfs.executive.run_loop(NAME):
-            packet = yield Receive(self._pipe)
-            payload = whole_packet(packet)[8:]
-            if function_code_of(packet) == SET and len(payload) >= _COMMAND.size:
-                slot, msg_id, rate, kind, length = _COMMAND.unpack_from(payload)
-                self._round[slot] = self._round.get(slot, 0) + 1
-                self._cfs.say(_SLOT_SET, slot=slot, msg_id=msg_id, kind=kind, length=length, rate=rate)
-                if rate and msg_id < 0x1000:
-                    self._cfs.spawn(self._generate(slot, self._round[slot], msg_id, rate, kind, length))
+            packet = whole_packet((yield Receive(self._pipe)))
+            code, payload = function_code_of(packet), packet[8:]
+            if code == SET and len(payload) >= _COMMAND.size:
+                self._set(*_COMMAND.unpack_from(payload))
+            elif code == _NO_OP_CODE:
+                self._cfs.say(_NO_OP)
+            else:
+                length = command_length(len(packet), self._cfs.profile)
+                self._cfs.say(_BAD_COMMAND, code=code, length=length)
             yield Work(self._cfs.profile.work_ns)
+
+    def _set(self, slot: int, msg_id: int, rate: int, kind: int, length: int) -> None:
+        reason = _refusal(slot, msg_id, kind, length) if rate or slot >= _SLOTS else ""
+        if reason:
+            self._cfs.say(_REFUSED, slot=slot, reason=reason)
+            return
+        self._round[slot] = self._round.get(slot, 0) + 1
+        self._cfs.say(_SLOT_SET, slot=slot, msg_id=msg_id, kind=kind, length=length, rate=rate)
+        if rate:
+            self._cfs.spawn(self._generate(slot, self._round[slot], msg_id, rate, kind, length))
 
     def _generate(self, slot: int, turn: int, msg_id: int, rate: int, kind: int, length: int) -> Task:
         cfs = self._cfs
@@ -70,12 +90,21 @@ class Generator:
         yield SleepUntil(first)
         while self._round[slot] == turn and cfs.executive.run_loop(NAME):
             if kind == POSE_STAMPED_KIND:
-                try:
-                    struct_.put(pose_stamped(cfs.scheduler.now, "world", float(count), 0.0, 0.0))
-                except WireError:
-                    cfs.print(f"EDORAS_GEN slot {slot}: a PoseStamped does not fit {length} bytes")
-                    return
+                struct_.put(pose_stamped(cfs.scheduler.now, "world", float(count), 0.0, 0.0))
             cfs.telemetry(msg_id, struct_.data, TASK)
             yield Work(cfs.profile.work_ns)
             count += 1
             yield SleepUntil(first + count * SECOND // rate)
+
+
+def _refusal(slot: int, msg_id: int, kind: int, length: int) -> str:
+    """Return why a slot cannot be set; empty if it can."""
+    if slot >= _SLOTS:
+        return "there is no such slot"
+    if not 0 < msg_id <= cfe.HIGHEST_MSG_ID or cfe.is_command(msg_id):
+        return "the MsgId is none of telemetry"
+    if length > _LONGEST:
+        return "the message is too long"
+    return (
+        "a PoseStamped does not fit the length" if kind == POSE_STAMPED_KIND and length < _POSE_BYTES else ""
+    )
