@@ -44,6 +44,7 @@ KEYS: Final = (
         ("o O", "in routes: sort by the next column, the other way round"),
         ("Esc", "back to the packet"),
         ("t", "time: since the start, since the previous line, UTC, epoch"),
+        ("c", "columns of the list: any of its own, and any field; the selected one is added"),
         ("b", "bytes of the UDP payload, or the whole frame"),
         ("z", "only this pane; all panes again"),
         ("< >", "more space below, more space for the list"),

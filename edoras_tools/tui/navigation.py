@@ -10,12 +10,15 @@ from textual import on, work
 from textual.binding import Binding
 from textual.worker import get_current_worker
 
+from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import EdorasError
 from edoras_tools.io.formats.table import WRITTEN
+from edoras_tools.render.capture.packet_list import COLUMNS
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.tui.data import messages
 from edoras_tools.tui.data.search import matcher, next_number
+from edoras_tools.tui.field_filter import filter_of
 from edoras_tools.tui.panes import Panes
 from edoras_tools.tui.prompts import Prompt
 from edoras_tools.tui.save import save_packets
@@ -35,6 +38,7 @@ class Navigation(Panes):
         Binding("left_square_bracket", "to_mark(True)", "Mark before", show=False),
         Binding("colon", "number", "Go to", show=False),
         Binding("W", "save", "Save", show=False),
+        Binding("c", "columns", "Columns", show=False),
     ]
     _searched = ""
 
@@ -52,6 +56,21 @@ class Navigation(Panes):
     def action_number(self) -> None:
         """Ask for a packet's number."""
         self.prompt.ask("number", "Go to packet", "its number")
+
+    def action_columns(self) -> None:
+        """Ask for the columns of the list; a field that is selected among the layers is added."""
+        row = self.layers.field if self.layers.has_focus else None
+        filtered = filter_of(self.decoded, row) if self.decoded and row else ""
+        names = [*self.packets.columns, *filtered.split()[:1]]
+        self.prompt.ask(
+            "columns", "Columns", f"{' '.join(COLUMNS)}, and fields", " ".join(dict.fromkeys(names))
+        )
+
+    def _choose_columns(self, names: list[str]) -> None:
+        try:
+            self.packets.choose(names)
+        except WhereError as error:
+            self._notice(clean(error.why), Level.WARNING)
 
     def action_save(self) -> None:
         """Ask for a file for the packets of the list."""
@@ -74,7 +93,10 @@ class Navigation(Panes):
     def _answer(self, event: Prompt.Given) -> None:
         self.packets.focus()
         text = event.text.strip()
-        if not text:
+        if not text and event.kind != "columns":
+            return
+        if event.kind == "columns":
+            self._choose_columns(text.replace(",", " ").split())
             return
         if event.kind == "save":
             self._save(Path(text).expanduser(), self.filter_line.input.value)

@@ -257,6 +257,8 @@ class Prompt(Horizontal):
         self._label.update(f"{label} ")
         self.input.placeholder = placeholder
         self.input.value = value
+        self.input.select_on_focus = kind != "columns"  # a list is added to, a word is replaced
+        self.input.cursor_position = len(value)
         self.input.focus()
 
     def on_input_submitted(self, event: Input.Submitted) -> None:

@@ -506,6 +506,47 @@ def test_time_is_told_four_ways(drive):
     drive(script)
 
 
+def test_columns_are_chosen_and_fields_become_columns(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.filter("link == sbn and msg_id == 0x082a")
+        await hands.settle()
+        await hands.press("c")
+        assert app.prompt.input.value == "time ports packet msg_id topic bytes"
+        app.prompt.input.value = "time, linear.x topic"
+        await hands.press("enter")
+        assert str(app.packets.header()).split() == ["No.", "Time", "Topic", "linear.x", "Message"]
+        for row, line in enumerate(hands.lines(app.packets)[:5]):
+            number, _, topic, value = line.split()[:4]
+            datagram = app.store.datagram(row)
+            assert (int(number), topic) == (datagram.number, "/robot_1/cmd_vel")
+            assert float(value) == app._bench.dissector.dissect(datagram).message.values["linear"]["x"]
+        await hands.press("c")
+        app.prompt.input.value = "time linaer.x"
+        await hands.press("enter")
+        await hands.until(lambda: "did you mean linear.x" in hands.status, "the mistake")
+        assert "linear.x" in str(app.packets.header()), "as before"
+        await hands.press("c")
+        app.prompt.input.value = ""
+        await hands.press("enter")
+        assert str(app.packets.header()).split()[:3] == ["No.", "Time", "Ports"]
+
+    drive(script)
+
+
+def test_the_selected_field_becomes_a_column(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.press("enter", "j", "j", "j")
+        assert app.layers.field.label == "msg_size"
+        await hands.press("c", *" length", "enter")
+        assert str(app.packets.header()).split()[-2:] == ["length", "Message"]
+        assert "sbn.msg_size" in str(app.packets.header())
+        assert app.packets.columns[-2:] == ("sbn.msg_size", "length")
+
+    drive(script)
+
+
 def test_the_frame_is_shown_and_linked_too(drive):
     async def script(hands):
         app = hands.app

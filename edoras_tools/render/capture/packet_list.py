@@ -14,7 +14,7 @@ from edoras_tools.render.terminal.text import clean, clip, clip_left, clip_middl
 from edoras_tools.render.units import TimeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from edoras_tools.decode.lines import PacketLine
     from edoras_tools.model import Endpoint, Link
@@ -35,6 +35,10 @@ class _Widths:
     gap: str
 
 
+COLUMNS: Final = ("time", "ports", "packet", "msg_id", "topic", "bytes")
+"""The columns that can be left out; the number and the message are always there."""
+_ADDED_CELLS: Final = (8, 24)
+"""Cells of an added column, at least and at most."""
 _TIME_CELLS: Final = {
     TimeFormat.RELATIVE: (9, 11, 11),
     TimeFormat.DELTA: (9, 11, 11),
@@ -49,7 +53,8 @@ _SHORT_KINDS: Final = {"NO_MSG": "NONE", "HEARTBEAT": "BEAT", "ANNOUNCE": "ANNC"
 
 
 @lru_cache(maxsize=64)
-def _widths(width: int, time_format: TimeFormat) -> _Widths:
+def _widths(width: int, time_format: TimeFormat, shown: tuple[str, ...], added: tuple[int, ...]) -> _Widths:
+    """Return the widths of the columns that are shown, beside some others that were added."""
     narrow, medium, wide = _TIME_CELLS[time_format]
     columns = (7, wide, _FULL, 14, 6, 28, 5)
     if width < 64:
@@ -60,9 +65,13 @@ def _widths(width: int, time_format: TimeFormat) -> _Widths:
         columns = (6, medium, _PORTS, _KIND_CELLS, 6, width // 6, 5)
     elif width < 190:
         columns = (7, medium, _COMPACT, _KIND_CELLS, 6, 24, 5)
+    number, *rest = columns
+    time, ports, kind, msg_id, name, length = left = [
+        cells if item in shown else 0 for cells, item in zip(rest, COLUMNS, strict=True)
+    ]
     gap = " " if width < 120 else "  "
-    taken = sum(cells + len(gap) for cells in columns if cells)
-    return _Widths(*columns, info=max(0, width - taken), gap=gap)
+    info = width - sum(cells + len(gap) for cells in (number, *left, *added) if cells)
+    return _Widths(number, time, ports, kind, msg_id, name, length, max(0, info), gap)
 
 
 class PacketList:
@@ -75,6 +84,8 @@ class PacketList:
         names: MsgId to a name, where neither a message nor the layers have one.
         verbose: show notes too, not only warnings and errors.
         begin_ns: what relative times count from; None: the first packet shown.
+        shown: which of ``COLUMNS`` are shown, if there is room for them.
+        added: titles of columns in front of the message, and whether they are aligned right.
     """
 
     def __init__(
@@ -86,6 +97,8 @@ class PacketList:
         names: Mapping[int, str] | None = None,
         verbose: bool = False,
         begin_ns: int | None = None,
+        shown: Sequence[str] = COLUMNS,
+        added: Sequence[tuple[str, bool]] = (),
     ) -> None:
         self._names = names
         self._paint = palette.Paint(colour)
@@ -93,6 +106,9 @@ class PacketList:
         self._at_least = Level.NOTE if verbose else Level.WARNING
         self._first_ns = begin_ns
         self._previous_ns: int | None = None
+        self._shown = tuple(shown)
+        least, most = _ADDED_CELLS
+        self._added = [(title, right, max(least, min(most, len(title)))) for title, right in added]
         self.resize(width)
 
     def count_from(self, begin_ns: int) -> None:
@@ -102,7 +118,8 @@ class PacketList:
     def resize(self, width: int) -> None:
         """Lay the columns out for another width; the lines that follow have it."""
         self._width = max(20, width)
-        self._widths = _widths(self._width, self._time_format)
+        cells = tuple(cells for *_, cells in self._added)
+        self._widths = _widths(self._width, self._time_format, self._shown, cells)
         self._endpoints: dict[tuple[int, int], tuple[str, Endpoint, Endpoint]] = {}
         self._badges: dict[Finding, tuple[str, int]] = {}
         self._known: dict[tuple[Link, str, int, str], str] = {}
@@ -117,23 +134,27 @@ class PacketList:
             parts.append(fit(f"{'Source':>21} → Destination", size.endpoints))
         elif size.endpoints:
             parts.append(fit("Ports" if size.endpoints == _PORTS else "Source → Destination", size.endpoints))
-        parts.append(fit("Packet", size.kind))
-        if size.msg_id:
-            parts += [
-                fit("MsgId", size.msg_id),
-                fit("Topic", size.name),
-                fit_right("Bytes" if size.length > 4 else "Len", size.length),
-            ]
+        parts += [fit("Packet", size.kind)] * bool(size.kind)
+        parts += [fit("MsgId", size.msg_id)] * bool(size.msg_id)
+        parts += [fit("Topic", size.name)] * bool(size.name)
+        parts += [fit_right("Bytes" if size.length > 4 else "Len", size.length)] * bool(size.length)
+        parts += [self._cell(title, place) for place, (title, *_) in enumerate(self._added)]
         parts.append("Message")
         line = clip(size.gap.join(parts), self._width)
         return self._paint(line, palette.STRONG)
 
-    def line(self, packet: PacketLine, previous_ns: int | None = None) -> str:
+    def _cell(self, text: str, place: int) -> str:
+        """Return the text of an added column."""
+        _, right, cells = self._added[place]
+        return fit_right(text, cells) if right else fit(text, cells)
+
+    def line(self, packet: PacketLine, previous_ns: int | None = None, values: Sequence[str] = ()) -> str:
         """Return a packet's line, without a line end.
 
         Args:
             packet: what it shows.
             previous_ns: time of the packet above; None: that of the last one asked for.
+            values: of the added columns, clean.
         """
         if previous_ns is not None:
             self._previous_ns = previous_ns
@@ -147,18 +168,20 @@ class PacketList:
         if size.endpoints:
             before += size.gap + self._route(packet.source, packet.destination)
         middle = self._what(packet.link, kind, msg_id, name)
+        before += size.gap * bool(middle)
         after = size.gap + f"{packet.length:>{size.length}}" if size.length else ""
 
         # A number or a length beyond its column is shown whole, and the message gives the room.
         room = size.info - (len(number) - size.number) - max(0, len(after) - len(size.gap) - size.length)
+        after += "".join(size.gap + self._cell(value, place) for place, value in enumerate(values))
         badge, taken = self._badge(packet.findings, room)
         # For a packet of which only the name is known, the column of names shows everything.
         summary = clean(packet.text) if packet.text != name else ""
         summary = clip(summary, room - taken)
         if not self._paint.colour:
-            return f"{before}{size.gap}{middle}{after}{size.gap}{badge}{summary}".rstrip()
+            return f"{before}{middle}{after}{size.gap}{badge}{summary}".rstrip()
         return (
-            f"{paint(before, palette.DIM)}{size.gap}{paint(middle, packet.link.colour)}"
+            f"{paint(before, palette.DIM)}{paint(middle, packet.link.colour)}"
             f"{paint(after, palette.DIM)}{size.gap}{badge}{summary}"
         ).rstrip()
 
@@ -171,10 +194,12 @@ class PacketList:
         size = self._widths
         if size.kind <= _KIND_CELLS:
             kind = _SHORT_KINDS.get(kind, kind)
-        text = fit(f"{link.name} {kind}", size.kind)
+        parts = [fit(f"{link.name} {kind}", size.kind)] * bool(size.kind)
         if size.msg_id:
-            label = f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else ""
-            text += f"{size.gap}{label:6}{size.gap}{fit(clip_middle(clean(name), size.name), size.name)}"
+            parts.append(f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else " " * 6)
+        if size.name:
+            parts.append(fit(clip_middle(clean(name), size.name), size.name))
+        text = size.gap.join(parts)
         if len(self._known) > _MOST_KNOWN:
             self._known.clear()
         self._known[key] = text

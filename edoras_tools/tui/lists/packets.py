@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, Final
 
+import numpy as np
 from rich.segment import Segment
 from rich.style import Style
 from rich.text import Text
@@ -12,15 +13,22 @@ from textual.strip import Strip
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode import Dissector
+from edoras_tools.decode.filters.filter import fields
+from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.lines import line_of
 from edoras_tools.model import NO_FINDINGS, Finding
-from edoras_tools.render.capture.packet_list import PacketList
+from edoras_tools.pipelines.capture.fields import column_texts, is_number
+from edoras_tools.render.capture.packet_list import COLUMNS, PacketList
 from edoras_tools.render.severity import EXPLANATIONS, NOTABLE, Level
+from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import TimeFormat
 from edoras_tools.tui.lists.lines import Lines, strip_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from edoras_tools.decode.context import Context
+    from edoras_tools.pipelines.capture.fields import Column
     from edoras_tools.tui.data.store import Store
 
 _GUTTER: Final = 2
@@ -45,6 +53,7 @@ class Packets(Lines):
             leaves it.
         empty: text to show when there are no packets.
         drawn: cached lines, by packet number.
+        columns: names of the columns besides number and message.
     """
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {
@@ -67,6 +76,8 @@ class Packets(Lines):
         self._dissector = Dissector(context, detail=False)
         self._time_format = time_format
         self._verbose = verbose
+        self.columns: Sequence[str] = COLUMNS
+        self._added: Sequence[Column] = ()
         self._view = self._make_view(80)
         self.drawn: LRUCache[tuple[int, int], Strip] = LRUCache(_KEPT)
 
@@ -78,6 +89,17 @@ class Packets(Lines):
     @time_format.setter
     def time_format(self, value: TimeFormat) -> None:
         self._time_format = value
+        self.forget()
+
+    def choose(self, names: Sequence[str]) -> None:
+        """Show these columns: those of ``COLUMNS``, and fields of packets; without a name the usual ones.
+
+        Raises:
+            WhereError: a name is none of them.
+        """
+        added = [name for name in names if name not in COLUMNS]
+        self._added = fields(",".join(added), self._dissector.context, "column") if added else ()
+        self.columns = tuple(names) or COLUMNS
         self.forget()
 
     def forget(self) -> None:
@@ -126,7 +148,17 @@ class Packets(Lines):
         if line is None:
             decoded = self._dissector.dissect(block.batch[index])
             previous = self._store.time_ns(row - 1) if row else int(block.batch.time_ns[index])
-            line = strip_of(self._view.line(line_of(decoded), previous), self.app.console)
+            values: Sequence[str] = ()
+            if self._added:
+                one = ColumnRows(
+                    self._dissector.context,
+                    self._store.begin_ns or 0,
+                    block.batch,
+                    block.columns,
+                    np.array([index]),
+                )
+                values = [texts[0] for texts in column_texts(one, self._added, clean)]
+            line = strip_of(self._view.line(line_of(decoded), previous, values), self.app.console)
             self.drawn[key] = line
         marked = number in self.marks
         style = self.get_component_rich_style("packets--mark", partial=True) if marked else Style.null()
@@ -157,4 +189,6 @@ class Packets(Lines):
             names=MSG_ID_NAMES,
             verbose=self._verbose,
             begin_ns=self._store.begin_ns,
+            shown=[name for name in self.columns if name in COLUMNS],
+            added=[(column[0], is_number(column)) for column in self._added],
         )

@@ -33,6 +33,23 @@ def test_never_exceeds_the_width(packets, width, time_format):
         assert line.isprintable()
 
 
+@pytest.mark.parametrize("width", [80, 120, 200])
+@pytest.mark.parametrize("shown", [(), ("time",), ("msg_id",), ("ports", "topic"), ("packet", "bytes")])
+def test_columns_are_left_out_and_added(packets, width, shown):
+    view = PacketList(width, colour=False, shown=shown, added=[("speed", True), ("name", False)])
+    header = view.header()
+    words = {"time": ["Time"], "msg_id": ["MsgId"], "topic": ["Topic"], "bytes": ["Bytes", "Len"]}
+    words |= {"packet": ["Packet"], "ports": ["Ports", "Source"] if width >= 100 else []}
+    for name, titles in words.items():
+        assert any(title in header.split() for title in titles) == (name in shown and bool(titles))
+    for item in packets.values():
+        line = view.line(line_of(item), values=["1.5", "x"])
+        assert cells(line) <= width
+        if item.datagram.number < 100_000:  # a longer number moves the rest of its line
+            assert line[: header.index("speed") + 5].endswith(" 1.5")
+            assert line[header.index("name")] == "x"
+
+
 def test_columns_stand_under_their_names(packets):
     header, *lines = listing(packets, 120)
     assert {line[header.index("Packet")] for line in lines[:-1]} <= set("CTSU")
