@@ -200,7 +200,8 @@ def _run(running: Demo, duration_ns: int, *, shows: bool, quiet: bool) -> Edoras
         )
         sys.stderr.write(f"{view.beside(running.summary())}\n")
         if running.foxglove:
-            sys.stderr.write(f"Foxglove: {running.foxglove.server.app_url}\n")
+            server = running.foxglove.server
+            sys.stderr.write(f"Foxglove: {server.app_url}\nor in a browser: {server.page_url}\n")
         sys.stderr.flush()
     with ExitStack() as stack:
         table = stack.enter_context(view.live_table(error_console(), running.plan.output)) if shows else None

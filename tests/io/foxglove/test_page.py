@@ -5,15 +5,21 @@ import hashlib
 import json
 import re
 import shutil
+import socket
 import subprocess
 import urllib.request
+from contextlib import ExitStack
 from urllib.error import HTTPError
 
+import foxglove_client as peer
+import numpy as np
 import pytest
+import waiting
 
 from edoras_tools.io.foxglove import page
 from edoras_tools.io.foxglove.origins import OriginCheck
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
+from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic
 from edoras_tools.model import Endpoint
 
@@ -113,6 +119,24 @@ def test_it_has_the_rules_of_the_websocket(serve, path, headers, query, status):
     server = serve(token="long enough", origins=OriginCheck(("http://robot.lab",), told.append))
     assert get(server, path + query, **headers)[0] == status
     assert len(told) == (status != 200)
+
+
+def test_who_asks_and_never_reads_disturbs_nobody(serve):
+    server = serve()
+    server.link_state = lambda: {**LINK, "routes": LINK["routes"] * 5000}  # more than a socket holds
+    place = (server.endpoint.address, server.endpoint.port)
+    with ExitStack() as opened, peer.Client(server.url, 1) as client:
+        for _ in range(20):
+            idle = opened.enter_context(socket.create_connection(place, waiting.PATIENCE_S))
+            idle.sendall(b"GET /live.json HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        client.subscribe("/a")
+        waiting.until(lambda: server.wanted(0))
+        for number in range(50):
+            none, time_ns = np.zeros(1, np.int64), np.full(1, number, np.uint64)
+            server.publish(Records(np.zeros(1, np.uint16), time_ns, none, none, b""))
+        client.until(lambda: len(client.messages) == 50)
+        assert len(json.loads(get(server, "live.json")[1])["link"]["routes"]) == 5000
+        waiting.until(lambda: len(server._connections) == 1)  # they are let go after a second
 
 
 @pytest.mark.skipif(not CHROMIUM, reason="no Chromium")
