@@ -278,6 +278,9 @@ class FoxgloveServer:
             now = time.monotonic()
             for connection in tuple(self._connections.values()):
                 if not self._send(connection, now):
+                    if connection.client.failed:
+                        address = connection.client.address.address
+                        self._tell(f"a client at {address} was disconnected: it does not read its answers")
                     self._remove(connection)
 
     def _accept_all(self) -> None:

@@ -181,6 +181,21 @@ def test_what_is_not_served_is_told(serve):
         assert "getParameters" in client.statuses[1]["message"]
 
 
+def test_who_asks_and_never_reads_is_disconnected_and_the_terminal_is_told(serve):
+    told = []
+    server = serve(origins=OriginCheck((), told.append))
+    with socket.create_connection((server.endpoint.address, server.endpoint.port), PATIENCE_S) as opened:
+        opened.sendall(UPGRADE + b"\r\n")
+        waiting.until(lambda: server.clients)
+        nonsense = b'{"op": "' + b"x" * 100 + b'"}'
+        frame = bytes((0x81, 0x80 | len(nonsense))) + bytes(4) + nonsense  # masked with zeros
+        with suppress(ConnectionError):
+            for _ in range(500):
+                opened.sendall(frame * 100)
+        waiting.until(lambda: not server.clients)
+    assert told == ["a client at 127.0.0.1 was disconnected: it does not read its answers"]
+
+
 class Deck:
     range_ns = (1_000_000_000, 5_000_000_000)
     state = PlaybackState("Paused", 1_000_000_000, 1.0)
