@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -275,9 +276,14 @@ class _Assembly:
 
         Raises:
             CaptureError: there is nothing to draw.
+            ConfigError: no list has an element that is asked for.
         """
         panels = [self._panel(panel) for panel in asked]
         named = [item for panel in asked for item in panel]
+        for item, recording in product(named, self.read):
+            lines = [line for _, line in self._lines(item, 0, recording)]
+            if item.index is not None and lines and not any(line.read + line.not_finite for line in lines):
+                raise ConfigError(f"{item.text}: no list of {recording.source.name} has so many elements")
         found = [line for panel in panels for line in panel.lines if line.read]
         if all(item.quantity is not Quantity.LOSS for item in named):  # no loss is a result, too
             for recording in self.read:

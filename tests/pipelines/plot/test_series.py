@@ -136,3 +136,22 @@ def test_losses_of_a_large_capture_are_looked_for_when_asked_for(monkeypatch):
     figure = plotted("/cmd_vel.linear.x", "loss:/cmd_vel")
     assert figure.panels[1].lines[0].read == 92
     assert not any("not looked for" in note for note in figure.notes)
+
+
+def test_elements_of_lists():
+    path, mission = (
+        ROOT / "samples/captures/b_arm_single.pcap",
+        ROOT / "samples/missions/single_arm_ground.yaml",
+    )
+    topic = "/telemetry_joint_state"
+    asked = [parse_request(f"{topic}.{item}") for item in ("position", "position[2]")]
+    sources = open_recordings([path], Settings((mission,)), Scope())
+    whole, one = read_plot(sources, ["arm"], asked, Scope(), bare=True).figure.panels
+    rows = edoras_tools.read(path, config=mission)[topic].to_numpy()["position"]
+    assert [line.label for line in whole.lines] == [f"position[{place}]" for place in range(7)]
+    assert one.title == f"{topic}.position[2]"
+    np.testing.assert_array_equal(one.lines[0].values, [row[2] for row in rows])
+    np.testing.assert_array_equal(one.lines[0].values, whole.lines[2].values)
+    sources = open_recordings([path], Settings((mission,)), Scope())
+    with pytest.raises(ConfigError, match=r"position\[7\]: no list of .* has so many elements"):
+        read_plot(sources, ["arm"], [parse_request(f"{topic}.position[7]")], Scope(), bare=True)
