@@ -17,7 +17,7 @@ help:  ## Show what there is to make.
 venv: $(VENV)/.installed  ## Set up .venv with everything but the judges.
 
 $(VENV)/.installed: pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit("edoras-tools needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; try: make PYTHON=python3.12" if sys.version_info < (3, 11) else 0)'
+	@$(PYTHON) -c 'import sys; sys.exit("edoras-tools needs Python 3.10 or newer, this is " + sys.version.split()[0] + "; try: make PYTHON=python3.12" if sys.version_info < (3, 10) else 0)'
 	@$(PYTHON) -m venv $(VENV) || { echo "python3-venv is missing; on Debian: apt install python3-venv" >&2; exit 1; }
 ifdef LOCKED
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
@@ -76,7 +76,7 @@ soak: venv  ## Run everything that runs for long at load for SOAK_SECONDS: memor
 
 lock: venv  ## Lock the versions and hashes of all that is installed by LOCKED=1, as in continuous integration.
 	$(BIN)/pip install --quiet --disable-pip-version-check uv
-	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --extra all --extra dev --generate-hashes \
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.10 --extra all --extra dev --generate-hashes \
 		--no-emit-index-url --custom-compile-command 'make lock' --upgrade -o requirements.lock pyproject.toml
 
 docs: venv  ## Build the pages as a site, with search, in dist/site; dead links are errors.

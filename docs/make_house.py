@@ -9,10 +9,11 @@ import that a way over other arrows stands for is left out.
 from __future__ import annotations
 
 import ast
-import tomllib
 from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import escape
+
+import tomllib
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PACKAGE: Final = "edoras_tools"

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import ipaddress
 from dataclasses import dataclass, field, fields
-from enum import IntFlag
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
+
+from edoras_tools.older import Flags
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
+    from typing_extensions import Self
 
     from edoras_tools.errors import EdorasError
 
@@ -26,7 +28,7 @@ NO_ROUTE = -1
 """``Columns.route`` of a datagram that no configured topic claims."""
 
 
-class Finding(IntFlag):
+class Finding(Flags):
     """A departure from what the protocols say or the receivers accept; a bit each, so one column holds all.
 
     The bits are recorded in ``/edoras/datagrams``: never renumber one, append.

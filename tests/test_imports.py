@@ -6,11 +6,11 @@ import ast
 import importlib.util
 import subprocess
 import sys
-import tomllib
 from functools import cache
 from pathlib import Path
 
 import pytest
+import tomllib
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("edoras_tools", "dissectors", "samples")

@@ -9,9 +9,9 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
-import tomllib
 
 import pytest
+import tomllib
 from places import ROOT
 
 GPL = {"scapy": "GPL-2.0-only"}

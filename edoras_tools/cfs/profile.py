@@ -7,7 +7,7 @@ over UDP). Times are integer nanoseconds.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.errors import ConfigError
@@ -16,6 +16,8 @@ from edoras_tools.units import MICROSECOND, MILLISECOND, SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from typing_extensions import Self
 
 FLIGHT_BRIDGE: Final = Peer(0x42, 3)
 """The flight bridge of the demos, as it calls itself."""

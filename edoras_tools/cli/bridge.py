@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
@@ -17,6 +16,7 @@ from edoras_tools.cli.live import RelayOutputOptions
 from edoras_tools.cli.output import print_json
 from edoras_tools.cli.sending import Yes, confirm_targets
 from edoras_tools.errors import EdorasError
+from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
     from collections.abc import Callable

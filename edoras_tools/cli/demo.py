@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
@@ -17,6 +16,7 @@ from edoras_tools.cli.output import print_json
 from edoras_tools.cli.sim import Scenario
 from edoras_tools.errors import EdorasError
 from edoras_tools.io.outputs import in_the_way, path_beside
+from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
     from edoras_tools.emulator import Scenario as ScenarioName

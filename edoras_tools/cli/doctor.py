@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from enum import StrEnum
 from pathlib import Path
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -15,6 +14,7 @@ from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import print_csv, print_json
 from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile

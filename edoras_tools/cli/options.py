@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import inspect
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
-from enum import StrEnum
 from functools import cache, partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeVar, get_args, get_type_hints
@@ -20,6 +20,7 @@ import typer
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import ROWS
 from edoras_tools.middleware.graph import MOST_DOMAIN
+from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
     from datetime import tzinfo
@@ -123,7 +124,7 @@ def moment(text: str) -> tuple[str, int]:
     """
     text = text.strip()
     if _CLOCK.fullmatch(text) and not text.isdecimal():
-        from datetime import UTC
+        from edoras_tools.older import UTC
 
         at(text, UTC)
         return text, 0
@@ -143,8 +144,9 @@ def at(text: str, zone: tzinfo | None) -> Moment:
         text: as ``moment`` accepted it.
         zone: where it has none itself; None for this machine's.
     """
-    from datetime import UTC, date, time, timedelta, timezone
+    from datetime import date, time, timedelta, timezone
 
+    from edoras_tools.older import UTC
     from edoras_tools.pipelines.selection import Moment
 
     match = _CLOCK.fullmatch(text)
@@ -170,7 +172,7 @@ def zone(text: str) -> tuple[tzinfo | None]:
     if text.lower() == "local":
         return (None,)
     if text.upper() in {"UTC", "Z"}:
-        from datetime import UTC
+        from edoras_tools.older import UTC
 
         return (UTC,)
     import zoneinfo
@@ -312,6 +314,11 @@ def _filled(holder: Callable[..., Any], given: Mapping[str, Any]) -> Any:
 def _parameters(holder: Callable[..., Any]) -> list[inspect.Parameter]:
     """Return keyword parameters with evaluated annotations, as typer needs them."""
     hints = get_type_hints(holder, include_extras=True)
+    if sys.version_info < (3, 11):  # there a default of None makes ``X`` to ``X | None``
+        hints = {
+            name: next((item for item in get_args(hint) if hasattr(item, "__metadata__")), hint)
+            for name, hint in hints.items()
+        }
     return [
         item.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[item.name])
         for item in inspect.signature(holder).parameters.values()
@@ -540,8 +547,7 @@ class TimeOptions(NamedTuple):
         Raises:
             ConfigError: the end is not after the start, or a zone is given without a clock time.
         """
-        from datetime import UTC
-
+        from edoras_tools.older import UTC
         from edoras_tools.pipelines.selection import Period
 
         start, end = self.start or ("", 0), self.end or ("", 0)

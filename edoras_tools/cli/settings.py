@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -160,7 +161,10 @@ def _not_own(path: Path) -> str:
 
 
 def _read(path: Path) -> SettingsFile:
-    import tomllib
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
 
     hint = f"{VARIABLE} names a file like {NAME}" if path.name != NAME else "correct it"
     try:

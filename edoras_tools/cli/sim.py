@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from enum import StrEnum
 from time import time_ns
 from typing import Annotated, Any, NamedTuple
 
@@ -12,6 +11,7 @@ import typer
 
 from edoras_tools.cli import options
 from edoras_tools.cli.listening import tell_reach
+from edoras_tools.older import StrEnum
 
 
 class Scenario(StrEnum):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from edoras_tools.cli.output import print_json
 from edoras_tools.errors import ConfigError
+from edoras_tools.older import StrEnum
 from edoras_tools.render.units import TimeFormat
 
 if TYPE_CHECKING:

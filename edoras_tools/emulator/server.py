@@ -6,7 +6,7 @@ import selectors
 import time
 from contextlib import ExitStack, suppress
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Final, Protocol, Self
+from typing import TYPE_CHECKING, Final, Protocol
 
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.net.address import resolve
@@ -18,6 +18,8 @@ from edoras_tools.units import SECOND
 if TYPE_CHECKING:
     import socket
     from collections.abc import Callable, Iterator
+
+    from typing_extensions import Self
 
     from edoras_tools.emulator.simulation import Simulation, WireDatagram
 

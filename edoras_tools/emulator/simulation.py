@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from edoras_tools.cfs.profile import FLIGHT_BRIDGE, SimProfile
 from edoras_tools.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
@@ -19,6 +19,8 @@ from edoras_tools.units import MICROSECOND, SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+
+    from typing_extensions import Self
 
     from edoras_tools.emulator.apps.edoras import EdorasApp
     from edoras_tools.emulator.robots import Robot

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from datetime import UTC, date, datetime, time, timedelta, tzinfo
+from datetime import date, datetime, time, timedelta, tzinfo
 from typing import TYPE_CHECKING, Final, overload
 
 import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.older import UTC
 from edoras_tools.pipelines.names import Packets, find_packets
 from edoras_tools.units import SECOND
 

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping  # noqa: TC003  Changes' annotations are read by people and tools
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from edoras_tools.cfs import edoras_app
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link, Peer
+from edoras_tools.older import StrEnum
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.order import by_value
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+    from typing_extensions import Self
 
     from edoras_tools.model import Columns, PacketBatch
 

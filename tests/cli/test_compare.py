@@ -53,7 +53,7 @@ def test_a_capture_beside_itself_has_no_difference(compare, name):
 
 
 def msg_id(item):
-    return int.from_bytes(item.payload[:2])
+    return int.from_bytes(item.payload[:2], "big")
 
 
 def later(items):

@@ -22,9 +22,9 @@ def silent(lab, msg_id, until_s=None, chosen=lambda item: True):
         if (seconds > FROM_S and (until_s is None or seconds < until_s)) or not chosen(item):
             gone += 1
             continue
-        word = int.from_bytes(item.payload[2:4])
+        word = int.from_bytes(item.payload[2:4], "big")
         count = (word & 0xC000) | ((word - gone) & 0x3FFF)
-        kept.append(item._replace(payload=item.payload[:2] + count.to_bytes(2) + item.payload[4:]))
+        kept.append(item._replace(payload=item.payload[:2] + count.to_bytes(2, "big") + item.payload[4:]))
     return kept
 
 

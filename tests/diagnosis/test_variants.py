@@ -120,7 +120,7 @@ def beside(payload, source=("10.9.9.9", 5004), target=("10.9.9.8", 1234), count=
 
 
 def msg_id(item):
-    return int.from_bytes(item.payload[:2]) if item.destination[1] in {1234, 1235} else -1
+    return int.from_bytes(item.payload[:2], "big") if item.destination[1] in {1234, 1235} else -1
 
 
 def without(chosen):
@@ -176,7 +176,7 @@ def mission_time(change):
 
 
 def rtp(chance, at):
-    return bytes([0x80, 96]) + at.to_bytes(2) + chance.randbytes(168)
+    return bytes([0x80, 96]) + at.to_bytes(2, "big") + chance.randbytes(168)
 
 
 def dns(chance, _):

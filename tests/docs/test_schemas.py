@@ -1,8 +1,8 @@
 """The published schemas: each command that names one has it, and all are in the wheel."""
 
 import json
-import tomllib
 
+import tomllib
 from places import ROOT
 
 FOLDER = ROOT / "docs/schemas"

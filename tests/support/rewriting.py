@@ -56,7 +56,7 @@ def datagrams(path: Path) -> list[Udp]:
                 (str(ip_address(ip[12:16])), ports[0]),
                 (str(ip_address(ip[16:20])), ports[1]),
                 udp[8 : ports[2]],
-                int.from_bytes(ip[4:6]),
+                int.from_bytes(ip[4:6], "big"),
                 ip[8],
             )
         )

@@ -6,7 +6,7 @@ import math
 import operator
 import re
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import datetime
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from edoras_tools.decode.filters.series import Series, ValueKind
 from edoras_tools.decode.filters.syntax import Value, ValueRange
+from edoras_tools.older import UTC
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -5,7 +5,7 @@ Both give the same series for every field.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
+    from typing_extensions import Self
 
     from edoras_tools.decode.context import Context
     from edoras_tools.model import Columns, Decoded, PacketBatch

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping  # noqa: TC003  Application's annotations are read by people and tools
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs import event_services as facts
 from edoras_tools.cfs.event_services import NAME, SQUELCHED, USUAL_TYPES
@@ -12,6 +12,8 @@ from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from edoras_tools.cfs.event_services import EventText, EventType
     from edoras_tools.cfs.profile import SimProfile
 

@@ -6,9 +6,10 @@ A file is read by its content, and written by its suffix. A new format needs its
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

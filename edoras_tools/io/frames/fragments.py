@@ -95,7 +95,7 @@ class Reassembler:
     def _store(self, partial: _Partial, fragment: Fragment) -> None:
         start, data = fragment.start, fragment.data
         if start == 0 and len(data) >= 4:
-            partial.ports = int.from_bytes(data[0:2]), int.from_bytes(data[2:4])
+            partial.ports = int.from_bytes(data[0:2], "big"), int.from_bytes(data[2:4], "big")
         stop = start + len(data)
         first, last = start // 8, -(-stop // 8)
         if (

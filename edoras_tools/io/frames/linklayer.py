@@ -271,7 +271,7 @@ class Demux:
                 batch.length[row] = 0
                 batch.capture_findings[row] |= Finding.FRAGMENT
                 continue
-            announced = int.from_bytes(payload[4:6])
+            announced = int.from_bytes(payload[4:6], "big")
             size = announced if UDP_BYTES <= announced <= len(payload) else len(payload)
             data.append(np.frombuffer(payload, dtype=np.uint8)[UDP_BYTES:size])
             batch.offset[row], batch.length[row] = used, size - UDP_BYTES
@@ -312,7 +312,7 @@ def _key(batch: PacketBatch, row: int, identification: int) -> tuple[int, int, b
     addresses = int(batch.source_address[row]), int(batch.destination_address[row])
     if version == 6:
         return version, identification, batch.ipv6[addresses[0]], batch.ipv6[addresses[1]]
-    return version, identification, addresses[0].to_bytes(4), addresses[1].to_bytes(4)
+    return version, identification, addresses[0].to_bytes(4, "big"), addresses[1].to_bytes(4, "big")
 
 
 def _choose(frames: FrameBatch, rows: NDArray[np.int64] | None) -> FrameBatch:

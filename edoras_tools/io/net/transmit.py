@@ -15,7 +15,7 @@ from __future__ import annotations
 import errno
 import os
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import socket
 
     from numpy.typing import NDArray
+    from typing_extensions import Self
 
     from edoras_tools.model import Endpoint
 

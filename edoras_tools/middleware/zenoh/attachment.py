@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import FieldError, TruncatedError, WireError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 GID: Final = 16
 """Bytes of a publisher's id."""

@@ -8,12 +8,14 @@ announces that an entity exists; ``ros2 topic list`` is made of tokens. Both fol
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import TYPE_CHECKING, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.middleware.names import dds_name, node_name
+from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from edoras_tools.middleware.graph import Qos
 
 NO_TYPE_HASH: Final = "TypeHashNotSupported"

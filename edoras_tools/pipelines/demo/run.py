@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.edoras_app import PIPE
 from edoras_tools.emulator import BOOT_NS, Served, Simulation
@@ -41,6 +41,8 @@ from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+    from typing_extensions import Self
 
     from edoras_tools.emulator import Scenario
     from edoras_tools.errors import EdorasError

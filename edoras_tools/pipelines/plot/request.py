@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.errors import ConfigError, RouteError
+from edoras_tools.older import StrEnum
 from edoras_tools.pipelines.export.tables import TableForm, chosen_topics, fits_field
 from edoras_tools.pipelines.names import fits_topic
 from edoras_tools.ros.cdr.columns import Ragged

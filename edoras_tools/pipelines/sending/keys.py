@@ -6,7 +6,10 @@ import os
 import select
 import sys
 from contextlib import suppress
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 class Keys:

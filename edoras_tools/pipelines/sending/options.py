@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import LOOPBACK, is_loopback, own_address
 from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_MSG_ID, Endpoint, Link, Peer
+from edoras_tools.older import StrEnum
 from edoras_tools.pipelines.sending.safety import fits
 from edoras_tools.sessions.outgoing import ChecksumRule, SequenceRule
 from edoras_tools.sessions.pacing import Pacing

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.render.doctor.doctor import verdict_line, verdict_table
@@ -13,6 +13,7 @@ from edoras_tools.render.terminal.terminal import look
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+    from typing_extensions import Self
 
     from edoras_tools.diagnosis.examination import Diagnosis
 

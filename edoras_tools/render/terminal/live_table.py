@@ -16,7 +16,7 @@ import time
 from collections import deque
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 
 from rich.live import Live
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console, RenderableType
     from rich.text import Text
+    from typing_extensions import Self
 
 _WINDOW_S: Final = 2.0
 _REFRESH_S: Final = 0.25

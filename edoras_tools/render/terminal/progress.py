@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -14,6 +14,8 @@ from edoras_tools.render.terminal.text import clean, clip_left
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from typing_extensions import Self
 
     from edoras_tools.model import SourceStatistics
     from edoras_tools.render.terminal.run import CountedSource, ReadingRun

@@ -16,7 +16,7 @@ The rules that this file keeps:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from edoras_tools.ros.cdr.reader import ENCAPSULATION_BYTES, skip
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+    from typing_extensions import Self
 
     Position = int | NDArray[np.int64]
 

@@ -24,7 +24,7 @@ def without_the_robot(*, other=False):
         kept = batch.take(np.flatnonzero(batch.destination_port != ROBOT_PORT))
         for row in range(len(kept)):
             start = int(kept.offset[row])
-            if kept.data[start : start + 2].tobytes() == TWIST.to_bytes(2):
+            if kept.data[start : start + 2].tobytes() == TWIST.to_bytes(2, "big"):
                 at += 1
                 if other and at % 2:
                     kept.data[start + 1] = OTHER & 0xFF

@@ -26,11 +26,26 @@ class Listed:
 
     def _frame(self, place):
         payload = f"{self.info.name}{place}".encode()
-        ports = b"\0\1\0\2" + (8 + len(payload)).to_bytes(2) + b"\0\0"
+        ports = b"\0\1\0\2" + (8 + len(payload)).to_bytes(2, "big") + b"\0\0"
         if self._version == 6:
             addresses = self.info.name.encode().ljust(16, b"\1") * 2
-            return b"\x60\0\0\0" + (8 + len(payload)).to_bytes(2) + b"\x11\x40" + addresses + ports + payload
-        return b"\x45\0" + (28 + len(payload)).to_bytes(2) + bytes(5) + b"\x11" + bytes(10) + ports + payload
+            return (
+                b"\x60\0\0\0"
+                + (8 + len(payload)).to_bytes(2, "big")
+                + b"\x11\x40"
+                + addresses
+                + ports
+                + payload
+            )
+        return (
+            b"\x45\0"
+            + (28 + len(payload)).to_bytes(2, "big")
+            + bytes(5)
+            + b"\x11"
+            + bytes(10)
+            + ports
+            + payload
+        )
 
     def batches(self):
         place = 0

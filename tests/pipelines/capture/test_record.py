@@ -342,7 +342,7 @@ def test_a_recording_remembers_the_ports_that_were_listened_on(listened, made_up
     ports = np.full(len(to_ci), 39555, np.uint16)
     moved = replace(to_ci, source_port=ports, destination_port=ports, data=to_ci.data.copy())
     heads = moved.offset[:, None] - 8 + np.arange(4)  # both ports, in front of length and checksum
-    moved.data[heads] = np.frombuffer((39555).to_bytes(2) * 2, np.uint8)
+    moved.data[heads] = np.frombuffer((39555).to_bytes(2, "big") * 2, np.uint8)
     bench = Settings(options=Options(listened=listened)).workbench()
     record(made_up([moved]), bench, Target(tmp_path / "a.mcap"))
     source = open_files([tmp_path / "a.mcap"])

@@ -227,7 +227,7 @@ def _undisturbed() -> Iterator[None]:
 
 def _send(link: socket.socket, value: Any) -> None:
     data = pickle.dumps(value, protocol=5)
-    link.sendall(len(data).to_bytes(_LENGTH_BYTES) + data)
+    link.sendall(len(data).to_bytes(_LENGTH_BYTES, "big") + data)
 
 
 def _receive(link: socket.socket) -> Any:
@@ -237,8 +237,9 @@ def _receive(link: socket.socket) -> Any:
         EOFError: the process has ended.
     """
     length = link.recv(_LENGTH_BYTES, socket.MSG_WAITALL)
-    data = link.recv(int.from_bytes(length), socket.MSG_WAITALL) if len(length) == _LENGTH_BYTES else b""
-    if not data or len(data) < int.from_bytes(length):
+    size = int.from_bytes(length, "big")
+    data = link.recv(size, socket.MSG_WAITALL) if len(length) == _LENGTH_BYTES else b""
+    if not data or len(data) < size:
         raise EOFError
     return pickle.loads(data)  # noqa: S301  from our own process
 

@@ -126,7 +126,7 @@ class PcapngSource(RecordSource):
         window = self._window
         while window.end - self._at >= 16:
             start = self._at
-            if window.data[start : start + 4].tobytes() == SECTION_HEADER.to_bytes(4):
+            if window.data[start : start + 4].tobytes() == SECTION_HEADER.to_bytes(4, "big"):
                 self._begin_section(start)
             blocks, self._at = self._blocks(start)
             sound = self._sound(blocks)

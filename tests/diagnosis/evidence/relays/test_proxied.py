@@ -128,7 +128,7 @@ def test_doubles_and_what_it_did_else_are_said_and_not_lost(tmp_path):
 
 def test_what_it_dropped_is_lost_once_where_two_cfs_get_that_msg_id(tmp_path):
     kept, faults, _ = relayed(["drop:0.1,msg_id=0x1827"])
-    other = next(item for item in kept if item.payload.startswith(TWIST.to_bytes(2)))
+    other = next(item for item in kept if item.payload.startswith(TWIST.to_bytes(2, "big")))
     second = [
         replace(other, destination=("10.0.0.8", CI), identification=at + 1).at(at * 1_000_000_000)
         for at in range(9)

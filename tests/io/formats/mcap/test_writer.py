@@ -219,7 +219,7 @@ def test_any_batches_come_back(
         assert (values["link"], values["findings"]) == (columns.link[row], columns.findings[row])
         address = batch.source_address[row]
         mapped = (
-            bytes(10) + b"\xff\xff" + int(address).to_bytes(4)
+            bytes(10) + b"\xff\xff" + int(address).to_bytes(4, "big")
             if batch.ip_version[row] == 4
             else batch.ipv6[address]
         )

@@ -6,7 +6,7 @@ import os
 import struct
 from contextlib import suppress
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     import re
     from collections.abc import Iterator
     from pathlib import Path
+
+    from typing_extensions import Self
 
 _KINDS: Final[dict[int, Any]] = {
     Opcode.HEADER: records.Header,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime
+
+from edoras_tools.older import UTC
 
 _MOST = 12
 """Maximum losses that are listed."""
