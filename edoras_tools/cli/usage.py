@@ -34,7 +34,8 @@ def command_help(command: Any, ctx: Any, *, everything: bool = False) -> str:
     """Return the help text of a command or a group of commands.
 
     Where the text would be longer than the screen, options that belong together are listed by their names
-    only: the last ones first. A command's own options, and the commands of a group, are always explained.
+    only: the last ones first. A command's own options, and the commands of a group, are always explained, if
+    need be in their first words.
 
     Args:
         command: click's object.
@@ -50,9 +51,14 @@ def command_help(command: Any, ctx: Any, *, everything: bool = False) -> str:
     folded: list[str] = []
     while True:
         lines = list(_lines(command, ctx, groups, folded, width))
-        if everything or not terminal.interactive or len(lines) <= height or not left:
+        if everything or not terminal.interactive or len(lines) <= height:
             break
-        folded.append(left.pop())
+        if left:
+            folded.append(left.pop())
+        elif any(entry != _shortened(entry) for entry in groups.get(OWN, ())):
+            groups = {**groups, OWN: [_shortened(entry) for entry in groups[OWN]]}
+        else:
+            break
     if not terminal.colour:
         return "\n".join(lines)
     pattern = "|".join(map(re.escape, [_more(ctx), *groups]))
@@ -151,6 +157,11 @@ def _command_lines(groups: Mapping[str, list[Entry]], width: int) -> Iterator[st
             text = textwrap.wrap(entry.help, max(20, width - second))
             yield f"{start:<{second}}{text[0] if text else ''}".rstrip()
             yield from (f"{'':{second}}{line}" for line in text[1:])
+
+
+def _shortened(entry: Entry) -> Entry:
+    """Return an entry with the first clause of its text."""
+    return entry._replace(help=re.split(r"; |, e\.g\. |\. ", entry.help)[0])
 
 
 def _more(ctx: Any) -> str:
