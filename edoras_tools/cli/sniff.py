@@ -33,7 +33,7 @@ def sniff(
     """
     from edoras_tools.cfs.names import MSG_ID_NAMES
     from edoras_tools.links import table
-    from edoras_tools.pipelines.capture.sniff import json_texts, lines
+    from edoras_tools.pipelines.capture.sniff import lines, packet_texts
     from edoras_tools.pipelines.capture.sniff import sniff as packets
     from edoras_tools.render.capture import packet
     from edoras_tools.render.capture import tree as tree_view
@@ -92,7 +92,7 @@ def sniff(
         return "\n".join([*shown, ""])
 
     if view.json:
-        shown = views.print_packets(json_texts(*taken), "", flush=waits)
+        shown = views.print_packets(packet_texts(*taken), "", flush=waits)
     elif view.hexdump or view.tree:
         shown = views.print_packets(([text(decoded)] for decoded in packets(*taken)), "", flush=waits)
     else:

@@ -95,7 +95,7 @@ class Contents(Generic[Content]):
         return content
 
 
-class Messages(NamedTuple):
+class MessageRows(NamedTuple):
     """The messages of some rows, all of one type.
 
     Attributes:
@@ -122,7 +122,7 @@ def read_whole(rows: ColumnRows) -> NDArray[np.bool_]:
     return whole
 
 
-def messages_of(rows: ColumnRows, whole: NDArray[np.bool_]) -> Iterator[Messages]:
+def message_rows(rows: ColumnRows, whole: NDArray[np.bool_]) -> Iterator[MessageRows]:
     """Yield the messages of each topic and of each C struct; of topics those in ``whole`` rows alone."""
     context, routes = rows.context, rows.routes()
     offset, length = rows.column("cdr_offset"), rows.column("cdr_length")
@@ -132,11 +132,11 @@ def messages_of(rows: ColumnRows, whole: NDArray[np.bool_]) -> Iterator[Messages
         if route is None or types is None or not types.has(route.type):
             continue
         messages = types.columns(route.type, rows.batch.data, offset[owner], length[owner])
-        yield Messages(owner, route.topic, route.type, messages, types.plan(route.type)[1], None)
+        yield MessageRows(owner, route.topic, route.type, messages, types.plan(route.type)[1], None)
     for bound in structs_of(rows):
         owner, messages = held_messages(bound, rows)
         plan = context.structs.types.plan(bound.type)[1]
-        yield Messages(owner, bound.topic, bound.type, messages, plan, bound)
+        yield MessageRows(owner, bound.topic, bound.type, messages, plan, bound)
 
 
 def links_of(rows: ColumnRows) -> dict[int, Link]:

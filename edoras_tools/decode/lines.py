@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.decode.contents import Contents, endpoints, links_of, messages_of, read_whole
+from edoras_tools.decode.contents import Contents, endpoints, links_of, message_rows, read_whole
 from edoras_tools.decode.summary import LAYER_TEXTS, message_texts, packet_text
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.wire import cfe
@@ -199,7 +199,7 @@ def _messages(
     ``easy`` is cleared where a message has to be dissected.
     """
     routes = rows.routes()
-    for owner, topic, _, messages, plan, bound in messages_of(rows, easy.copy()):
+    for owner, topic, _, messages, plan, bound in message_rows(rows, easy.copy()):
         layer = _LAYERS.get(bound.key.msg_id) if bound else None
         plain = messages.valid
         if bound:

@@ -77,7 +77,7 @@ def message_texts(messages: MessageColumns, plan: CdrPlan, *, leave_out: str = "
         plan: of their type.
         leave_out: how the fields begin that are not shown.
     """
-    columns = grouped(messages, plan)
+    columns = grouped_columns(messages, plan)
     if columns is None:
         return []
     shown = {
@@ -101,7 +101,7 @@ class Group:
     columns: dict[str, NDArray[Any]]
 
 
-def grouped(messages: MessageColumns, plan: CdrPlan) -> dict[str, Column] | None:
+def grouped_columns(messages: MessageColumns, plan: CdrPlan) -> dict[str, Column] | None:
     """Return the columns of messages, those of a list of messages as one; None for lists inside lists."""
     columns: dict[str, Column] = {}
     lists = [step for step in plan.steps if isinstance(step, Repeat) and not step.plan.single]

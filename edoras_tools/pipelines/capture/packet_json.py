@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.decode.contents import Contents, endpoints, links_of, messages_of, read_whole
+from edoras_tools.decode.contents import Contents, endpoints, links_of, message_rows, read_whole
 from edoras_tools.decode.filters.layers import slot_values
-from edoras_tools.decode.summary import Group, grouped
-from edoras_tools.io.formats.jsonl.texts import plain, value_texts
+from edoras_tools.decode.summary import Group, grouped_columns
+from edoras_tools.io.formats.jsonl.texts import json_value, value_texts
 from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE, Finding
@@ -72,14 +72,14 @@ def as_json(decoded: Decoded) -> dict[str, Any]:
         "destination": str(decoded.datagram.destination),
         "length": len(decoded.datagram.payload),
         "layers": {
-            layer.name: plain(layer.values(), octets=bytes.hex)
+            layer.name: json_value(layer.values(), octets=bytes.hex)
             for layer in decoded.layers
             if layer.name not in {"ros", "cfs"}
         },
         "msg_id": f"0x{packet.values()['msg_id']:04x}" if packet else None,
         "topic": message.topic if message else None,
         "type": message.type if message else None,
-        "message": plain(message.values) if message else None,
+        "message": json_value(message.values) if message else None,
         "findings": decoded.findings.labels,
         "stop": str(decoded.stop) if decoded.stop else None,
     }
@@ -131,7 +131,7 @@ def _tails(rows: ColumnRows) -> list[str | None]:
     shapes = _Shapes(rows)
     easy = read_whole(rows) & shapes.known
     about: dict[str, NDArray[Any]] = {name: np.full(len(rows), "null", object) for name in _ABOUT}
-    for owner, topic, name, messages, plan, _ in messages_of(rows, easy):
+    for owner, topic, name, messages, plan, _ in message_rows(rows, easy):
         texts = _message_texts(messages, plan)
         for key, value in zip(_ABOUT, (_text(topic), _text(name), texts or "null"), strict=True):
             about[key][owner] = value
@@ -229,7 +229,7 @@ def _fixed(link: Link) -> tuple[Layout, ...] | None:
 
 def _message_texts(messages: MessageColumns, plan: CdrPlan) -> list[str] | None:
     """Return the texts of messages; None where a type has lists of messages with lists."""
-    columns = grouped(messages, plan)
+    columns = grouped_columns(messages, plan)
     return None if columns is None else _message_objects(columns, len(messages))
 
 

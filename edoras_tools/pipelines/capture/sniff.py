@@ -84,7 +84,7 @@ def _selected(
             loop.note()
 
 
-def json_texts(
+def packet_texts(
     source: Source,
     bench: Workbench,
     selection: Selection,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.decode import Dissector
-from edoras_tools.io.formats.jsonl.texts import plain
+from edoras_tools.io.formats.jsonl.texts import json_value
 
 if TYPE_CHECKING:
     from edoras_tools.diagnosis.examination import Diagnosis
@@ -43,7 +43,7 @@ def list_missing(
             for row in np.flatnonzero(np.isin(batch.number, list(wanted))).tolist():
                 message = dissector.dissect(batch[row]).message
                 place = wanted[int(batch.number[row])]
-                found[place] = replace(found[place], message=plain(message.values) if message else None)
+                found[place] = replace(found[place], message=json_value(message.values) if message else None)
     finally:
         source.close()
     return found

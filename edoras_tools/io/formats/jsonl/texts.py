@@ -31,7 +31,7 @@ def json_texts(column: TableColumn) -> list[str]:
     return [text if there else "null" for text, there in zip(texts, column.there.tolist(), strict=True)]
 
 
-def plain(value: Any, octets: Callable[[bytes], Any] = list) -> Any:
+def json_value(value: Any, octets: Callable[[bytes], Any] = list) -> Any:
     """Return a value as JSON takes it: numbers that it does not know as texts.
 
     Args:
@@ -39,9 +39,9 @@ def plain(value: Any, octets: Callable[[bytes], Any] = list) -> Any:
         octets: what becomes of bytes; a list of numbers if not given.
     """
     if isinstance(value, dict):
-        return {name: plain(item, octets) for name, item in value.items()}
+        return {name: json_value(item, octets) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(item, octets) for item in value]
+        return [json_value(item, octets) for item in value]
     if isinstance(value, (bytes, bytearray)):
         return octets(bytes(value))
     if isinstance(value, float) and not isfinite(value):
