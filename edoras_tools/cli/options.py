@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.reading import Limits
-    from edoras_tools.pipelines.selection import Moment, Period, Selection
+    from edoras_tools.pipelines.selection import ClockTime, Period, Selection
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.sessions.faults.machine import FaultPlan
 
@@ -137,7 +137,7 @@ def moment(text: str) -> tuple[str, int]:
         ) from None
 
 
-def at(text: str, zone: tzinfo | None) -> Moment:
+def at(text: str, zone: tzinfo | None) -> ClockTime:
     """Read a clock time, with or without a date.
 
     Args:
@@ -147,7 +147,7 @@ def at(text: str, zone: tzinfo | None) -> Moment:
     from datetime import date, time, timedelta, timezone
 
     from edoras_tools.older import UTC
-    from edoras_tools.pipelines.selection import Moment
+    from edoras_tools.pipelines.selection import ClockTime
 
     match = _CLOCK.fullmatch(text)
     assert match, "moment() accepted it"
@@ -164,7 +164,7 @@ def at(text: str, zone: tzinfo | None) -> Moment:
     except ValueError:
         raise typer.BadParameter(f"{text!r} is not a time of the clock or a date") from None
     seconds = (clock[0] * 60 + clock[1]) * 60 + clock[2]
-    return Moment(text, seconds * 10**9 + int((fraction or ".")[1:].ljust(9, "0")), date_, zone)
+    return ClockTime(text, seconds * 10**9 + int((fraction or ".")[1:].ljust(9, "0")), date_, zone)
 
 
 def zone(text: str) -> tuple[tzinfo | None]:

@@ -246,13 +246,13 @@ def carry_out(
         typer.Exit: with code 3, if a datagram was certainly lost, or more than may be, if something expected
             did not come, or the recording was removed.
     """
-    from edoras_tools.pipelines.sending.expect import Expectations
+    from edoras_tools.pipelines.sending.expect import AwaitedResults
     from edoras_tools.render.sending.status import send_status
 
     send_options, (json, quiet) = transmission.options, ending.printing
     if send_options.expect_ns != _TIMEOUT_NS and not send_options.expect:
         raise ConfigError("--expect-within is how long --expect waits: name what is expected")
-    expected = Expectations.of(send_options.expect, send_options.expect_ns, bench.columns.context)
+    expected = AwaitedResults.of(send_options.expect, send_options.expect_ns, bench.columns.context)
     machine = None
     if faults:
         from edoras_tools.pipelines.faults.where import compiler

@@ -34,12 +34,12 @@ def headers_of(profile: SimProfile) -> cfe.Headers:
 
 def from_link(packet: bytes, profile: SimProfile) -> bytes:
     """Return a packet of a link as it is on the bus."""
-    return cfe.converted(packet, headers_of(profile), cfe.STANDARD)
+    return cfe.with_headers(packet, headers_of(profile), cfe.STANDARD)
 
 
 def to_link(packet: bytes, profile: SimProfile) -> bytes:
     """Return a packet of the bus as it is on a link."""
-    return cfe.converted(packet, cfe.STANDARD, headers_of(profile))
+    return cfe.with_headers(packet, cfe.STANDARD, headers_of(profile))
 
 
 def command_length(size: int, profile: SimProfile) -> int:

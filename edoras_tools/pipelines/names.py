@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Packets:
+class PacketKinds:
     """Some kinds of packets.
 
     Attributes:
@@ -44,7 +44,7 @@ class Packets:
         return bool(self.routes or self.keys or self.kinds)
 
     @classmethod
-    def any(cls, several: Iterable[Packets]) -> Packets:
+    def any(cls, several: Iterable[PacketKinds]) -> PacketKinds:
         """Return what at least one of several stands for."""
         found = list(several)
         return cls(
@@ -87,7 +87,7 @@ def fits_topic(topic: str, pattern: str) -> bool:
     return fnmatchcase(topic, wanted)
 
 
-def find_packets(pattern: str, context: Context) -> Packets:
+def find_packets(pattern: str, context: Context) -> PacketKinds:
     """Return what a name stands for: a topic, a MsgId, or a name that tables show, e.g. ``SBN_HEARTBEAT``.
 
     Args:
@@ -102,7 +102,7 @@ def find_packets(pattern: str, context: Context) -> Packets:
     keys += [Key(value) for value, known in MSG_ID_NAMES.items() if fnmatchcase(known, name)]
     if (value := _number(pattern)) is not None:
         keys.append(Key(value))
-    found = Packets(
+    found = PacketKinds(
         frozenset(index for index, route in enumerate(routes) if fits_topic(route.topic, pattern)),
         frozenset(keys),
         frozenset(kind for known, kind in _own_names() if fnmatchcase(known, name)),

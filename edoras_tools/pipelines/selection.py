@@ -10,7 +10,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.older import UTC
-from edoras_tools.pipelines.names import Packets, find_packets
+from edoras_tools.pipelines.names import PacketKinds, find_packets
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _BEFORE_NS: Final = 3600 * SECOND
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class ClockTime:
     """A time of the clock.
 
     Attributes:
@@ -83,8 +83,8 @@ class Period:
 
     start_ns: int = 0
     end_ns: int = 0
-    start: Moment | None = None
-    end: Moment | None = None
+    start: ClockTime | None = None
+    end: ClockTime | None = None
     length_ns: int = 0
 
     def __post_init__(self) -> None:
@@ -165,7 +165,7 @@ class Selection:
     notable: int = 0
     where: str = ""
     _filter: Where | None = field(default=None, repr=False, compare=False)
-    _named: Sequence[Packets] = field(default=(), repr=False, compare=False)
+    _named: Sequence[PacketKinds] = field(default=(), repr=False, compare=False)
     _ready: bool = field(default=False, repr=False, compare=False)
 
     def __bool__(self) -> bool:
@@ -187,7 +187,7 @@ class Selection:
         """
         context = bench.columns.context
         groups = [[hex(item) if isinstance(item, int) else item for item in self.msg_ids], self.topics]
-        named = [Packets.any(find_packets(name, context) for name in names) for names in groups if names]
+        named = [PacketKinds.any(find_packets(name, context) for name in names) for names in groups if names]
         chosen = replace(self, _named=named, _ready=True)
         if not self.where:
             return chosen
@@ -218,7 +218,7 @@ class Selection:
             return False
         return all(msg_id in packets.msg_ids(mission) for packets in self._named)
 
-    def overlaps(self, packets: Packets, mission: Mission) -> bool:
+    def overlaps(self, packets: PacketKinds, mission: Mission) -> bool:
         """Return whether some packets can be among the selected ones, without regard to the filter."""
         links = {mission.routes[index].link for index in packets.routes}
         if self.links and links and links.isdisjoint(self.links):

@@ -236,7 +236,7 @@ def emit_telemetry(
     return head + headers.telemetry.emit({"seconds": seconds, "subseconds": subseconds}) + payload
 
 
-def converted(packet: bytes, old: Headers, new: Headers) -> bytes:
+def with_headers(packet: bytes, old: Headers, new: Headers) -> bytes:
     """Return a packet with the headers of another build: function code or time and what follows stay.
 
     A checksum that was right is right again. A packet shorter than its headers is returned as it is.

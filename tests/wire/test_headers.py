@@ -173,12 +173,12 @@ def test_headers_of_another_build_and_back(word, rest, old, new):
     else:
         time = {"seconds": int.from_bytes(rest[:4], "big"), "subseconds": rest[4]}
         packet, made = (cfe.emit_telemetry(word, rest, headers=item, **time) for item in (old, new))
-    assert cfe.converted(packet, old, new) == made
-    assert cfe.converted(made, new, old) == packet
+    assert cfe.with_headers(packet, old, new) == made
+    assert cfe.with_headers(made, new, old) == packet
 
 
 @given(data=st.binary(max_size=40), old=st.sampled_from(cfe.HEADERS), new=st.sampled_from(cfe.HEADERS))
 def test_headers_of_any_bytes(data, old, new):
     """No bytes are refused; a packet that is shorter than its headers stays as it is."""
-    made = cfe.converted(data, old, new)
+    made = cfe.with_headers(data, old, new)
     assert made == data or len(made) >= min(new.command_bytes, new.telemetry_bytes)

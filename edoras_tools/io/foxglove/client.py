@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from websockets.typing import Subprotocol
 
-    from edoras_tools.io.foxglove.page import Answer
+    from edoras_tools.io.foxglove.page import HttpAnswer
     from edoras_tools.io.topics.rows import Records
     from edoras_tools.model import Endpoint
 
@@ -144,7 +144,7 @@ class FoxgloveClient:
         if wrong is not None and data and not self._answered:
             self._answered = True
             told = "it speaks TLS; use http:// or ws://" if data[0] == _TLS_HANDSHAKE else str(wrong)
-            events.append(protocol.Refused(told))
+            events.append(protocol.RequestRefused(told))
         self._collect()
         return events
 
@@ -164,8 +164,8 @@ class FoxgloveClient:
         self._websocket.send_response(self._websocket.reject(status, f"{text}\n"))
         self._collect()
 
-    def serve(self, page: Answer) -> None:
-        """Answer it with a page instead of a WebSocket."""
+    def serve(self, page: HttpAnswer) -> None:
+        """HttpAnswer it with a page instead of a WebSocket."""
         self._answered = True
         reason = HTTPStatus(page.status).phrase
         self._websocket.send_response(Response(page.status, reason, Headers(page.headers), page.body))

@@ -17,7 +17,7 @@ _STATE: Final = "/live.json"
 _BLOCK: Final = r"<{0}>(.*?)</{0}>"
 
 
-class Answer(NamedTuple):
+class HttpAnswer(NamedTuple):
     """An HTTP answer: status, headers, body."""
 
     status: int
@@ -25,7 +25,7 @@ class Answer(NamedTuple):
     body: bytes
 
 
-def answer(path: str, state: Callable[[], Mapping[str, object]]) -> Answer:
+def answer(path: str, state: Callable[[], Mapping[str, object]]) -> HttpAnswer:
     """Return the answer to a request.
 
     Args:
@@ -40,7 +40,7 @@ def answer(path: str, state: Callable[[], Mapping[str, object]]) -> Answer:
     return _answer(404, "text/plain", f"There is / for people and {_STATE} for programs.\n", {})
 
 
-def _answer(status: int, kind: str, text: str, headers: Mapping[str, str]) -> Answer:
+def _answer(status: int, kind: str, text: str, headers: Mapping[str, str]) -> HttpAnswer:
     body = text.encode()
     always = {
         "Content-Type": f"{kind}; charset=utf-8",
@@ -50,7 +50,7 @@ def _answer(status: int, kind: str, text: str, headers: Mapping[str, str]) -> An
         "Referrer-Policy": "no-referrer",  # the address may have the token
         "X-Content-Type-Options": "nosniff",
     }
-    return Answer(status, {**always, **headers}, body)
+    return HttpAnswer(status, {**always, **headers}, body)
 
 
 @cache

@@ -126,7 +126,7 @@ class Opening(NamedTuple):
     path: str = ""
 
 
-class Refused(NamedTuple):
+class RequestRefused(NamedTuple):
     """Its request was answered with an error already; why, as text of any characters."""
 
     why: str
@@ -139,7 +139,7 @@ class Published(NamedTuple):
     data: bytes
 
 
-ClientEvent = Opening | Refused | Published | Control
+ClientEvent = Opening | RequestRefused | Published | Control
 """The requests of a client that its server must handle."""
 Request = Subscribe | Unsubscribe | Advertise | Unadvertise | Publish | Control
 

@@ -349,7 +349,7 @@ class FoxgloveServer:
                         if other.plays:
                             told = protocol.playback_state(state, request_id if other is client else "")
                             other.tell(told)
-            case protocol.Refused(why):
+            case protocol.RequestRefused(why):
                 self._tell(f"a client at {client.address.address} was refused: {_readable(why)}")
             case protocol.Opening():
                 self._admit(connection, event)

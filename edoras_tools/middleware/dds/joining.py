@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from time import monotonic, sleep
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.names import node_name
@@ -14,10 +13,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.middleware.dds.graph import DdsGraph
     from edoras_tools.ros import TypeStore
-
-_PATIENCE_S: Final = 1.5
-"""Discovery by multicast takes some tenths of a second."""
-_STEP_S: Final = 0.05
 
 
 def open_graph(
@@ -55,24 +50,6 @@ def distro_of_peers(domain: int, options: Mapping[str, str] | None = None) -> st
         ConfigError: an option cannot be honoured, or Cyclone DDS refuses the domain.
         ImportError: cyclonedds is not installed.
     """
-    from cyclonedds.core import DDSException
-    from cyclonedds.domain import DomainParticipant
+    from edoras_tools.middleware.dds.peers import distro_seen
 
-    from edoras_tools.middleware.dds import domain as dds_domain
-    from edoras_tools.middleware.dds.peers import Discovered
-
-    dds_domain.hold(domain, dds_domain.configuration(options or {}))
-    try:
-        participant = DomainParticipant(domain)
-        peers = Discovered(participant)
-        end = monotonic() + _PATIENCE_S
-        while peers.distro is None and monotonic() < end:
-            sleep(_STEP_S)
-            peers.update()
-        for entity in (*peers.entities, participant):  # as the graph leaves: cyclonedds deletes nothing else
-            entity.__del__()
-    except DDSException as error:
-        raise ConfigError(f"dds: no participant in domain {domain}: {error}") from error
-    finally:
-        dds_domain.release(domain)
-    return peers.distro
+    return distro_seen(domain, options or {})

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from difflib import get_close_matches
+from time import monotonic, sleep
 from typing import TYPE_CHECKING, Final
 
 from cyclonedds.builtin import (
@@ -15,19 +16,22 @@ from cyclonedds.builtin import (
     BuiltinTopicDcpsSubscription,
     DcpsEndpoint,
 )
+from cyclonedds.core import DDSException
+from cyclonedds.domain import DomainParticipant
 from cyclonedds.qos import Policy
 
+from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.dds.domain import configuration, hold, release
 from edoras_tools.middleware.dds.presence import OLDER, OLDEST_DISTRO, PRESENCE_TOPIC, gid_bytes_told
 from edoras_tools.middleware.names import dds_name, ros_name
 from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.ros.type_hash import HASH_VERSION
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from uuid import UUID
 
     from cyclonedds.core import Entity
-    from cyclonedds.domain import DomainParticipant
     from cyclonedds.qos import Qos
 
 TYPE_HASH: Final = "typehash="
@@ -36,6 +40,9 @@ _ROS_TOPIC: Final = "rt"
 _AT_ONCE: Final = 256
 _HASH_LENGTH: Final = len(HASH_VERSION) + 64
 _ALIKE: Final = 0.8
+_PATIENCE_S: Final = 1.5
+"""Discovery by multicast takes some tenths of a second."""
+_STEP_S: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +169,29 @@ def _hash_of(qos: Qos) -> str:
         if pair.startswith(TYPE_HASH):
             return pair.removeprefix(TYPE_HASH)
     return ""
+
+
+def distro_seen(domain: int, options: Mapping[str, str]) -> str | None:
+    """Return the distribution that the nodes of a domain tell; None where none is found in a short time.
+
+    Raises:
+        ConfigError: an option cannot be honoured, or Cyclone DDS refuses the domain.
+    """
+    hold(domain, configuration(options))
+    try:
+        participant = DomainParticipant(domain)
+        peers = Discovered(participant)
+        end = monotonic() + _PATIENCE_S
+        while peers.distro is None and monotonic() < end:
+            sleep(_STEP_S)
+            peers.update()
+        for entity in (*peers.entities, participant):  # as the graph leaves: cyclonedds deletes nothing else
+            entity.__del__()
+    except DDSException as error:
+        raise ConfigError(f"dds: no participant in domain {domain}: {error}") from error
+    finally:
+        release(domain)
+    return peers.distro
 
 
 def _difference(ours: OwnEndpoint, item: PeerEndpoint) -> str:

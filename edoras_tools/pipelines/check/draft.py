@@ -18,7 +18,7 @@ from edoras_tools.pipelines.check.expectations import LOSS_KEYS
 from edoras_tools.pipelines.check.observation import Subject
 from edoras_tools.pipelines.check.run import NOTABLE_FINDINGS, Figures
 from edoras_tools.pipelines.doctor.doctor import examine
-from edoras_tools.pipelines.names import Packets
+from edoras_tools.pipelines.names import PacketKinds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -88,7 +88,7 @@ class Draft:
         for index in routes:
             topics.setdefault(self._mission.routes[index].topic, []).append(index)
         return [
-            *(Subject(topic, Packets(frozenset(own))) for topic, own in topics.items()),
+            *(Subject(topic, PacketKinds(frozenset(own))) for topic, own in topics.items()),
             *map(Subject.of, others),
         ]
 

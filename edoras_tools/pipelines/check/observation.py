@@ -13,7 +13,7 @@ from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.pipelines.capture.info import Counting
-from edoras_tools.pipelines.names import Packets, find_packets
+from edoras_tools.pipelines.names import PacketKinds, find_packets
 from edoras_tools.structs.shapes import Key
 from edoras_tools.wire import cfe
 
@@ -41,12 +41,12 @@ class Subject:
     """
 
     name: str
-    packets: Packets
+    packets: PacketKinds
 
     @classmethod
     def of(cls, msg_id: int, name: str = "") -> Subject:
         """Return the messages with a MsgId."""
-        return cls(name or f"0x{msg_id:04x}", Packets(keys=frozenset({Key(msg_id)})))
+        return cls(name or f"0x{msg_id:04x}", PacketKinds(keys=frozenset({Key(msg_id)})))
 
     @classmethod
     def named(cls, name: str, context: Context) -> Subject:

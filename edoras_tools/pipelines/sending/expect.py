@@ -87,7 +87,7 @@ class Expectation:
 
 
 @dataclass(slots=True)
-class Expectations:
+class AwaitedResults:
     """All that has to come, and how long to wait for it.
 
     Attributes:
@@ -101,7 +101,7 @@ class Expectations:
     _begun: bool = False
 
     @classmethod
-    def of(cls, texts: Sequence[str], within_ns: int, context: Context) -> Expectations:
+    def of(cls, texts: Sequence[str], within_ns: int, context: Context) -> AwaitedResults:
         """Read expectations: ``event:TEXT``, ``counter:NAME.FIELD[+N]``, or a name that tables show.
 
         Raises:

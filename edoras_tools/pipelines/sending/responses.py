@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.cfs import command_ingest
 from edoras_tools.cfs.names import message_name
 from edoras_tools.errors import TruncatedError
-from edoras_tools.pipelines.sending.expect import Expectations
+from edoras_tools.pipelines.sending.expect import AwaitedResults
 from edoras_tools.pipelines.sending.ingest import IngestCount
 from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.packet import msg_id_of
@@ -52,13 +52,13 @@ class Responses:
         expected: as given.
     """
 
-    def __init__(self, mission: Mission, expected: Expectations | None = None) -> None:
+    def __init__(self, mission: Mission, expected: AwaitedResults | None = None) -> None:
         self.events: dict[str, ReceivedEvent] = {}
         self.counters: tuple[dict[str, int], dict[str, int]] | None = None
         self.counts: dict[tuple[Link, int], int] = {}
         self.network: dict[str, int] = {}
         self.ingest = IngestCount()
-        self.expected = expected or Expectations()
+        self.expected = expected or AwaitedResults()
         self._mission = mission
 
     def add(self, link: Link, data: bytes, now: int) -> None:

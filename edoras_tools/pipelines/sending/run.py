@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.net.wire import Wire
     from edoras_tools.mission import Mission
     from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.sending.expect import Expectations
+    from edoras_tools.pipelines.sending.expect import AwaitedResults
     from edoras_tools.pipelines.sending.keys import Keys
     from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sending.recording import SentRecording
@@ -127,7 +127,7 @@ class Transmission:
         keys: Keys | None = None,
         watcher: Watcher[SendReport] | None = None,
         recording: Callable[[Wire], SentRecording] | None = None,
-        expected: Expectations | None = None,
+        expected: AwaitedResults | None = None,
         ready: Callable[[Endpoint], None] = lambda _: None,
     ) -> SendReport:
         """Open the sockets and send.

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.links.to import TO
-from edoras_tools.pipelines.sending.expect import Expectations
+from edoras_tools.pipelines.sending.expect import AwaitedResults
 from edoras_tools.pipelines.sending.loop import SendReport
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.pipelines.workbench import Settings
@@ -36,7 +36,7 @@ def bus_housekeeping(lost):
 
 
 def expected(*texts):
-    return Expectations.of(texts, SECOND, CONTEXT)
+    return AwaitedResults.of(texts, SECOND, CONTEXT)
 
 
 @pytest.mark.parametrize(
