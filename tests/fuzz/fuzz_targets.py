@@ -306,7 +306,9 @@ def diagnosis(data: bytes) -> Hashable:
         found.append(examination.diagnose())
         tables.append(table)
         told = json.loads(
-            json.dumps({"source": "fuzz", **found[-1].as_json(), "warnings": []}, allow_nan=False)
+            json.dumps(
+                {"schema": 1, "source": "fuzz", **found[-1].as_json(), "warnings": []}, allow_nan=False
+            )
         )
         check(told, _SCHEMAS["doctor"])
         counts = {"source": "fuzz", "datagrams": ledger.datagrams, "routes": ledger.routes()}

@@ -445,7 +445,10 @@ def test_rates_are_those_of_the_packets_shown(drive):
         assert "packets of the list" in "\n".join(hands.lines(app.rates))
         await hands.filter("link == sbn and msg_id == 0x082a")
         await hands.settle()
-        await hands.until(lambda: len(app.rates._figure.panels[0].lines) == 1, "the graph of what is left")
+        figure = lambda: app.rates._figure  # noqa: E731
+        await hands.until(
+            lambda: figure() and len(figure().panels[0].lines) == 1, "the graph of what is left"
+        )
         (line,) = app.rates._figure.panels[0].lines
         assert (line.label, line.read) == ("sbn /robot_1/cmd_vel", 57)
         await hands.filter("length == 1")
