@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 import pytest
-from places import ROOT, SUPPORT
+from places import ROOT, SAMPLE_MISSIONS, SUPPORT
 from rosbags.highlevel import AnyReader
 
 from edoras_tools.pipelines.capture.record import Target, record
@@ -18,11 +18,6 @@ ABSENT = NPM / "absent"
 WHY = (
     ABSENT.read_text().strip() if ABSENT.exists() else "Foxglove's libraries are not installed: make foxglove"
 )
-SAMPLES = {
-    "a_rover": "rover_ground",
-    "b_arm_single": "single_arm_ground",
-    "f_sbn_disconnect": "two_rovers_ground",
-}
 
 
 def plain(value):
@@ -51,11 +46,11 @@ def same(theirs, ours):
 
 
 @pytest.mark.skipif(not (NPM / "node_modules/@mcap/core").exists(), reason=WHY)
-@pytest.mark.parametrize(("sample", "mission"), SAMPLES.items())
-def test_every_message_is_the_same_to_foxglove_and_to_rosbags(sample, mission, tmp_path):
+@pytest.mark.parametrize(("sample", "missions"), SAMPLE_MISSIONS.items())
+def test_every_message_is_the_same_to_foxglove_and_to_rosbags(sample, missions, tmp_path):
     path = tmp_path / "a.mcap"
     (capture,) = (ROOT / "samples/captures").glob(f"{sample}.pcap*")
-    bench = Settings([ROOT / f"samples/missions/{mission}.yaml"]).workbench()
+    bench = Settings([ROOT / f"samples/missions/{name}.yaml" for name in missions]).workbench()
     record(open_files([capture]), bench, Target(path))
     done = subprocess.run(
         ["node", SUPPORT / "foxglove_reader.mjs", NPM, path], capture_output=True, text=True, check=True
