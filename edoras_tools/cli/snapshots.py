@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.capture.triggers import Triggers
 
 _KINDS = ("finding", "rule", "where")
+_LEAST_BYTES = 1_000_000
 
 
 def trigger(text: str) -> tuple[str, str]:
@@ -115,10 +116,10 @@ class SnapshotOptions(NamedTuple):
         given = self.trigger or []
         labels = {item.label: int(item) for item in Finding}
         usual = SnapshotPlan()
-        bits = [labels[rest] if rest else int(NOTABLE) for kind, rest in given if kind == "finding"]
         findings = 0
-        for item in bits:
-            findings |= item
+        for kind, rest in given:
+            if kind == "finding":
+                findings |= labels[rest] if rest else int(NOTABLE)
         return SnapshotPlan(
             usual.before_ns if self.before is None else self.before,
             usual.after_ns if self.after is None else self.after,
@@ -141,6 +142,3 @@ class SnapshotOptions(NamedTuple):
         is_terminal = sys.stdin is not None and sys.stdin.isatty()
         keys = stack.enter_context(Keys()) if is_terminal else None
         return stack.enter_context(listening(keys, self.socket))
-
-
-_LEAST_BYTES = 1_000_000
