@@ -29,15 +29,8 @@ import pacing
 import proxy
 import rows
 import tui
+from rows import EDORAS, HERE, MISSIONS, ROOT
 
-HERE = Path(__file__).parent
-ROOT = HERE.parent
-EDORAS = str(Path(sys.executable).with_name("edoras"))
-MISSIONS = [
-    argument
-    for side in ("ground", "flight")
-    for argument in ("-c", str(ROOT / f"samples/missions/two_rovers_{side}.yaml"))
-]
 ROUNDS = 3
 LIVE_RATE, LIVE_BYTES, LIVE_SECONDS = 100_000, 200, 10
 LIVE_PORT = 1234
