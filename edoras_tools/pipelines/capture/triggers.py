@@ -8,6 +8,7 @@ import socket
 import stat
 import threading
 import time
+from collections import deque
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -182,12 +183,11 @@ class RuleTrigger:
         self._due_ns = 0
         self._judged_ns = 0
         self._known: set[tuple[str, str | None, int | None]] = set()
-        self._found: list[tuple[int, str]] = []
+        self._found: deque[tuple[int, str]] = deque()
 
     def found(self) -> list[tuple[int, str]]:
         """Return what fired since the last call: the time, and why."""
-        fired, self._found = self._found, []
-        return fired
+        return [self._found.popleft() for _ in range(len(self._found))]
 
     def look(self, kept: Iterable[tuple[PacketBatch, Columns]], newest_ns: int) -> None:
         """Start to judge what is kept, if it is time.
@@ -232,6 +232,6 @@ class RuleTrigger:
         }
         fired = [f"rule {key[0]}: {reason}" for key, reason in found.items() if key not in self._known]
         self._known = set(found)
-        self._found += [(newest_ns, reason) for reason in fired]
+        self._found.extend((newest_ns, reason) for reason in fired)
         if self._apart:
             self._due_ns = time.monotonic_ns() + max(_JUDGE_NS, _JUDGE_TIMES * (time.monotonic_ns() - began))
