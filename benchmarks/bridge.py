@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from paths import MISSION, MISSIONS
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.emulator import Served, Simulation, WireDatagram
@@ -42,8 +43,6 @@ from edoras_tools.wire import cfe, envelope
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-ROOT = Path(__file__).parents[1]
-MISSIONS = ROOT / "samples/missions"
 HOST, CI, TO = "127.0.0.1", 1234, 1235
 CDR = bytes.fromhex("00010000") + bytes(48)
 RATES, SECONDS = (1_000, 20_000, 30_000), 5
@@ -96,7 +95,7 @@ def cfs(rate: int, seconds: float) -> None:
 
 def mission(folder: Path) -> Path:
     """The rover's mission, with a state of fixed size."""
-    text = (MISSIONS / "rover_ground.yaml").read_text().replace("PoseStamped", "Twist")
+    text = MISSION.read_text().replace("PoseStamped", "Twist")
     path = folder / "bench.yaml"
     path.write_text(text)
     return path
@@ -173,8 +172,7 @@ def whole_way(ros: str, options: dict[str, str], other: dict[str, str]) -> dict[
     simulation.feed, simulation.run = entering, leaving
     flight_software = ExitStack()
     flight_software.enter_context(Served(simulation))
-    files = tuple(MISSIONS / f"two_rovers_{side}.yaml" for side in ("ground", "flight"))
-    bridges = Bridges(plan_bridges(Settings(files), BridgeRequest()), ros=ros, options=options)
+    bridges = Bridges(plan_bridges(Settings(MISSIONS), BridgeRequest()), ros=ros, options=options)
     thread = threading.Thread(target=bridges.run)
     thread.start()
     if ros == "local":

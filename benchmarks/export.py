@@ -7,16 +7,17 @@ import struct
 import subprocess
 import sys
 import time
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from paths import EDORAS, MISSION, ROVER
 
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.workbench import Settings
 
-ROOT = Path(__file__).parents[1]
-EDORAS = str(Path(sys.executable).with_name("edoras"))
-ROVER, MISSION = ROOT / "samples/captures/a_rover.pcap", ROOT / "samples/missions/rover_ground.yaml"
+if TYPE_CHECKING:
+    from pathlib import Path
+
 ROUNDS, STEP_US = 3, 100
 LOOP = """
 import sys

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
-from pathlib import Path
+from typing import TYPE_CHECKING
+
+from paths import MISSIONS, captured
 
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.workbench import Settings
 
-HERE = Path(__file__).parent
-MISSIONS = [HERE.parent / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]
+if TYPE_CHECKING:
+    from pathlib import Path
+
 ROUNDS = 3
 FILTERS = {
     "columns": "link == ci and msg_id in 0x1800..0x18ff",
@@ -27,8 +28,7 @@ FILTERS = {
 
 def measure(folder: Path, packets: int) -> dict[str, object]:
     """Evaluate each filter on a capture that is decoded already."""
-    capture = folder / "filters.pcap"
-    subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+    capture = captured(folder, packets)
     bench = Settings(MISSIONS).workbench()
     decoded = [(batch, bench.columns.decode(batch)) for batch in open_file(capture).batches()]
     rates: dict[str, object] = {}

@@ -14,10 +14,9 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
-HERE = Path(__file__).parent
-EDORAS = str(Path(sys.executable).with_name("edoras"))
+from paths import EDORAS, HERE
+
 PORT = 1234
 BYTES, SECONDS = 200, 5
 RATES = (1_000, 20_000, 50_000)

@@ -22,10 +22,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-HERE = Path(__file__).resolve().parent
-EDORAS = str(Path(sys.executable).with_name("edoras"))
-GROUND = HERE.parent / "samples/missions/rover_ground.yaml"
-CAPTURE = HERE.parent / "samples/captures/a_rover.pcap"
+from paths import EDORAS, HERE, MISSION, ROVER
+
 BYTES = 200
 LONGEST_S = 5.0
 
@@ -49,7 +47,7 @@ WAYS = {
     "proxy": Way("proxy ci --listen 127.0.0.1:PORT --target 127.0.0.1:OTHER", "relaying"),
     "bridge": Way("bridge ground --ros local --no-enable -c MISSION", "bridging"),
     "live": Way("live -i lo --ws-port 0 --port ci:PORT", "in Foxglove"),
-    "replay": Way(f"replay {CAPTURE} --to ci --target 127.0.0.1:OTHER --no-listen --rate 2000 --loop 0", ""),
+    "replay": Way(f"replay {ROVER} --to ci --target 127.0.0.1:OTHER --no-listen --rate 2000 --loop 0", ""),
     "inject": Way("inject /cmd_vel {} -c MISSION --target 127.0.0.1:OTHER --no-listen --hz 2000", ""),
 }
 
@@ -90,7 +88,7 @@ def kill(way: Way, rate: int, seed: int) -> Kill:
         target_socket.settimeout(30)
         port, other = free_port(), target_socket.getsockname()[1]
         mission = folder / "ground.yaml"
-        mission.write_text(GROUND.read_text().replace("bridge_port: 1235", f"bridge_port: {port}"))
+        mission.write_text(MISSION.read_text().replace("bridge_port: 1235", f"bridge_port: {port}"))
         put = {"PORT": str(port), "OTHER": str(other), "MISSION": str(mission)}
         words = way.words
         for mark, value in put.items():

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from pathlib import Path
+from typing import TYPE_CHECKING
+
+from paths import MISSIONS, captured
+from rounds import command
 
 from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings
 
-HERE = Path(__file__).parent
-MISSIONS = [HERE.parent / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]
+if TYPE_CHECKING:
+    from pathlib import Path
+
 ROUNDS = 3
 FIELDS = ["-T", "fields", "-e", "frame.number", "-e"]
 PAYLOAD = [*FIELDS, "data.data"]
@@ -31,16 +32,17 @@ What it can say of a payload without our Lua is its bytes: ``data.data`` is the 
 
 def measure(folder: Path, packets: int) -> dict[str, object]:
     """Return CPU seconds without and with our Lua, by turns, the best of each."""
-    capture, script = folder / "lua.pcap", folder / "edoras.lua"
-    subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+    capture, script = captured(folder, packets), folder / "edoras.lua"
     script.write_text(dissector(Settings(MISSIONS))[0])
     report: dict[str, object] = {"packets": packets}
     for name, (bare, dissecting, part) in WORK.items():
         read = ["-r", capture, "-c", packets // part]
         without = with_lua = float("inf")
         for _ in range(ROUNDS):
-            without = min(without, cpu(["tshark", *read, *bare]))
-            with_lua = min(with_lua, cpu(["tshark", "-X", f"lua_script:{script}", *read, *dissecting]))
+            without = min(without, command(["tshark", *read, *bare])["cpu_s"])
+            with_lua = min(
+                with_lua, command(["tshark", "-X", f"lua_script:{script}", *read, *dissecting])["cpu_s"]
+            )
         report[name] = {
             "tshark_s": round(without, 2),
             "with_lua_s": round(with_lua, 2),
@@ -48,12 +50,3 @@ def measure(folder: Path, packets: int) -> dict[str, object]:
             "speed_of_tshark": round(without / with_lua, 2),
         }
     return report
-
-
-def cpu(command: list[object]) -> float:
-    """Run a command; return the CPU seconds that it took."""
-    process = subprocess.Popen(list(map(str, command)), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    if status:
-        sys.exit(f"{command} ended with status {status}")
-    return usage.ru_utime + usage.ru_stime

@@ -15,13 +15,14 @@ import sys
 import threading
 import time
 from operator import itemgetter
-from pathlib import Path
 from typing import TYPE_CHECKING, Self
+
+from paths import EDORAS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
-EDORAS = str(Path(sys.executable).with_name("edoras"))
 RATE, SECONDS = 1000, 10
 LOOPS = 200
 ROUNDS = 2

@@ -19,13 +19,13 @@ import time
 from pathlib import Path
 
 import numpy as np
+from paths import EDORAS
 
 from edoras_tools.io.net.buffer import make_buffer
 from edoras_tools.io.net.sockets import kernel_drops, open_bound, open_socket
 from edoras_tools.io.net.wire import precise_timing
 from edoras_tools.model import Endpoint
 
-EDORAS = str(Path(sys.executable).with_name("edoras"))
 LISTEN, TARGET = 47234, 47235
 BYTES = 200
 LATENCY_RATE, LATENCY_SECONDS = 10_000, 5

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import proxy
+from paths import EDORAS, HERE, MISSION, TWO_ROVERS, captured
 from rosbags.typesys import Stores, get_typestore
 from rounds import ROUNDS, alternated, busy_ns, command, summed_up
 
@@ -28,27 +29,10 @@ from edoras_tools.ros import TypeStore
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-HERE = Path(__file__).parent
-ROOT = HERE.parent
-EDORAS = str(Path(sys.executable).with_name("edoras"))
-MISSIONS = [
-    argument
-    for side in ("ground", "flight")
-    for argument in ("-c", str(ROOT / f"samples/missions/two_rovers_{side}.yaml"))
-]
-MISSION = ["-c", str(ROOT / "samples/missions/rover_ground.yaml")]
 PORT = 47334
 RATES, MANY = (20, 100, 1000, 5000), (50_000,)
 LIMITS = (50_000, 100_000, 150_000, 200_000, 300_000)
 SETTLE_S = 2.0
-
-
-def captured(folder: Path, packets: int) -> Path:
-    """Return a capture of mixed traffic."""
-    capture = folder / f"{packets}.pcap"
-    if not capture.exists():
-        subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
-    return capture
 
 
 def texts(folder: Path) -> dict[str, object]:
@@ -60,9 +44,9 @@ def texts(folder: Path) -> dict[str, object]:
 
     return alternated(
         {
-            "list": partial(each, 50_000, [EDORAS, "sniff", "-r", many, *MISSIONS]),
+            "list": partial(each, 50_000, [EDORAS, "sniff", "-r", many, *TWO_ROVERS]),
             "tshark list": partial(each, 10_000, ["tshark", "-r", fewer]),
-            "json": partial(each, 50_000, [EDORAS, "sniff", "--json", "-r", many, *MISSIONS]),
+            "json": partial(each, 50_000, [EDORAS, "sniff", "--json", "-r", many, *TWO_ROVERS]),
             "tshark json": partial(each, 10_000, ["tshark", "-r", fewer, "-T", "ek"]),
         }
     )
@@ -71,11 +55,11 @@ def texts(folder: Path) -> dict[str, object]:
 def doctor(folder: Path, packets: int) -> dict[str, object]:
     """Doctor and report beside info."""
     capture = captured(folder, packets)
-    report = [EDORAS, "report", "-q", "-r", capture, *MISSIONS, "-o", folder / "report.html"]
+    report = [EDORAS, "report", "-q", "-r", capture, *TWO_ROVERS, "-o", folder / "report.html"]
     ways = {
-        "doctor": [EDORAS, "doctor", "--json", "-r", capture, *MISSIONS],
+        "doctor": [EDORAS, "doctor", "--json", "-r", capture, *TWO_ROVERS],
         "report": report,
-        "info": [EDORAS, "info", "--json", "-r", capture, *MISSIONS],
+        "info": [EDORAS, "info", "--json", "-r", capture, *TWO_ROVERS],
     }
     found = alternated({name: partial(command, arguments) for name, arguments in ways.items()})
     return {"packets": packets, **found}
@@ -121,7 +105,7 @@ def inject(folder: Path) -> dict[str, object]:
             receiver.bind(("127.0.0.1", 0))
             receiver.settimeout(30)
             target = f"127.0.0.1:{receiver.getsockname()[1]}"
-            arguments = [EDORAS, "inject", "/cmd_vel", "{}", *MISSION, "--target", target, *options]
+            arguments = [EDORAS, "inject", "/cmd_vel", "{}", "-c", str(MISSION), "--target", target, *options]
             began = time.perf_counter()
             process = subprocess.Popen(arguments, stderr=subprocess.DEVNULL)
             receiver.recv(2048)
@@ -166,11 +150,11 @@ def relays(folder: Path) -> dict[str, object]:
 def programs(folder: Path) -> dict[str, list[object]]:
     """Return what takes datagrams to the port, each into a file of its own."""
     rule = f"udp port {PORT}"
-    record = [EDORAS, "record", "--force", "--port", f"ci:{PORT}", *MISSION]
+    record = [EDORAS, "record", "--force", "--port", f"ci:{PORT}", "-c", str(MISSION)]
     found: dict[str, list[object]] = {
         "record --listen": [*record, "--listen", f"127.0.0.1:{PORT}", "-o", folder / "listen.mcap"],
         "record -i": [*record, "-i", "lo", "-o", folder / "capture.mcap"],
-        "sniff -i": [EDORAS, "sniff", "-i", "lo", "--port", f"ci:{PORT}", *MISSION],
+        "sniff -i": [EDORAS, "sniff", "-i", "lo", "--port", f"ci:{PORT}", "-c", str(MISSION)],
         "dumpcap": ["dumpcap", "-q", "-i", "lo", "-f", rule, "-w", folder / "dumpcap.pcapng"],
         "tcpdump": ["tcpdump", "-i", "lo", "-w", folder / "tcpdump.pcap", rule],
     }

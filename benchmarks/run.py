@@ -29,7 +29,7 @@ import pacing
 import proxy
 import rows
 import tui
-from rows import EDORAS, HERE, MISSIONS, ROOT
+from paths import EDORAS, HERE, MISSION, ROVER, TWO_ROVERS, captured
 
 ROUNDS = 3
 LIVE_RATE, LIVE_BYTES, LIVE_SECONDS = 100_000, 200, 10
@@ -83,12 +83,11 @@ def first_line(command: list[str]) -> float:
 
 def record_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
     """File to MCAP, beside tshark printing three fields of the same file."""
-    capture = folder / "mixed.pcap"
-    subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+    capture = captured(folder, packets)
     fields = ["-T", "fields", "-e", "frame.time_epoch", "-e", "udp.dstport", "-e", "data.data"]
     recording = folder / "mixed.mcap"
     plain = [EDORAS, "record", "-q", "-r", str(capture), "-o", str(recording)]
-    record = [*plain, *MISSIONS]
+    record = [*plain, *TWO_ROVERS]
     without = timed(plain, makes=recording)
     ours = timed(record, makes=recording)
     theirs = timed(["tshark", "-r", str(capture), *fields], rounds=1)
@@ -114,10 +113,9 @@ def record_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
 
 def memory_of_a_large_file(folder: Path, packets: int) -> dict[str, object]:
     """Peak memory does not grow with the file."""
-    capture = folder / "large.pcap"
-    subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+    capture = captured(folder, packets)
     recording = folder / "large.mcap"
-    record = [EDORAS, "record", "-q", "-r", str(capture), *MISSIONS, "-o", str(recording)]
+    record = [EDORAS, "record", "-q", "-r", str(capture), *TWO_ROVERS, "-o", str(recording)]
     return {
         "packets": packets,
         "seconds": round(timed(record, rounds=1, makes=recording), 2),
@@ -129,7 +127,7 @@ def live(folder: Path) -> dict[str, object]:
     """Datagrams from another process over loopback into a recording, none lost."""
     target = folder / "live.mcap"
     recorder = subprocess.Popen(
-        [EDORAS, "record", "-i", "lo", "-o", str(target), "--json", *MISSIONS],
+        [EDORAS, "record", "-i", "lo", "-o", str(target), "--json", *TWO_ROVERS],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -168,8 +166,7 @@ def live(folder: Path) -> dict[str, object]:
 
 def start_up() -> dict[str, object]:
     """Time until the first thing a user sees."""
-    capture = str(ROOT / "samples/captures/a_rover.pcap")
-    mission = str(ROOT / "samples/missions/rover_ground.yaml")
+    capture, mission = str(ROVER), str(MISSION)
     return {
         "edoras_help_s": round(timed([EDORAS, "--help"], rounds=5), 3),
         "edoras_sniff_first_line_s": round(first_line([EDORAS, "sniff", "-r", capture, "-c", mission]), 3),

@@ -25,7 +25,8 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+from paths import EDORAS, MISSION, ROOT
+
 sys.path[:0] = [str(ROOT / "tests/support")]
 
 import foxglove_client  # noqa: E402
@@ -36,7 +37,6 @@ from edoras_tools.wire import cfe  # noqa: E402
 from edoras_tools.wire.envelope import DEFAULT  # noqa: E402
 
 HOST = "127.0.0.1"
-EDORAS = Path(sys.executable).with_name("edoras")
 PAGE = os.sysconf("SC_PAGE_SIZE")
 TURN_S = 0.01
 TYPES = TypeStore()
@@ -73,7 +73,7 @@ class Watched:
         self.name = name
         self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
         out, err = (stack.enter_context(path.open("wb")) for path in (self._out, self._err))
-        command = [str(EDORAS), *map(str, words)]
+        command = [EDORAS, *map(str, words)]
         self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=err)
         stack.callback(self.process.kill)
         self.first: tuple[int, int] | None = None
@@ -104,7 +104,7 @@ class Watched:
 
 
 def mission(folder: Path, listen: int, target: int) -> Path:
-    text = (ROOT / "samples/missions/rover_ground.yaml").read_text()
+    text = MISSION.read_text()
     path = folder / "rover.yaml"
     path.write_text(text.replace("1235", str(listen)).replace("1234", str(target)))
     return path

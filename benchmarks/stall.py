@@ -22,8 +22,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-SENDER = Path(__file__).with_name("sender.py")
-EDORAS = Path(sys.executable).with_name("edoras")
+from paths import EDORAS, HERE
+
+SENDER = str(HERE / "sender.py")
 FRAMES = 50
 
 
@@ -51,13 +52,13 @@ def stall(rate: int, size: int, seconds: float, folder: Path) -> dict[str, Any]:
     port = free_port()
     ours, theirs = folder / f"{rate}.mcap", folder / f"{rate}.pcap"
     recorders = [
-        started([str(EDORAS), "record", "-i", "lo", "--port", f"ci:{port}", "-o", str(ours)], "capturing")
+        started([EDORAS, "record", "-i", "lo", "--port", f"ci:{port}", "-o", str(ours)], "capturing")
     ]
     if shutil.which("tcpdump"):
         command = ["tcpdump", "-i", "lo", "-w", str(theirs), "udp", "and", "port", str(port)]
         recorders.append(started(command, "listening"))
     sender = subprocess.Popen(
-        [sys.executable, str(SENDER), str(port), str(rate), str(size), str(int(seconds) + 4)],
+        [sys.executable, SENDER, str(port), str(rate), str(size), str(int(seconds) + 4)],
         stdout=subprocess.PIPE,
     )
     time.sleep(2)
@@ -85,7 +86,7 @@ def stall(rate: int, size: int, seconds: float, folder: Path) -> dict[str, Any]:
 def held(file: Path, port: int) -> int:
     """Return how many datagrams to a port a file holds."""
     told = subprocess.run(
-        [str(EDORAS), "info", "--json", "--port", f"ci:{port}", str(file)],
+        [EDORAS, "info", "--json", "--port", f"ci:{port}", str(file)],
         capture_output=True,
         text=True,
         check=False,
@@ -97,7 +98,7 @@ def held(file: Path, port: int) -> int:
 def freshness() -> dict[str, float]:
     """Return how long the line of a single datagram takes to be printed, in ms."""
     port = free_port()
-    command = [str(EDORAS), "sniff", "-i", "lo", "--port", f"ci:{port}", "--json"]
+    command = [EDORAS, "sniff", "-i", "lo", "--port", f"ci:{port}", "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stderr is not None

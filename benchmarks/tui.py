@@ -13,8 +13,8 @@ import sys
 import time
 from pathlib import Path
 
-HERE = Path(__file__).parent
-MISSIONS = [HERE.parent / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]
+from paths import MISSIONS, captured
+
 SIZE = (160, 50)
 FRAMES = 100
 FILTERS = ("link == ci and msg_id in 0x1800..0x18ff", "linear.x > 0.1 and linear.y == 0")
@@ -23,8 +23,7 @@ ROUNDS = 3
 
 def measure(folder: Path, packets: int) -> dict[str, object]:
     """Open a capture in a process of its own, as a user would; the best of three."""
-    capture = folder / "tui.pcap"
-    subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+    capture = captured(folder, packets)
     found = []
     for _ in range(ROUNDS):
         began = time.time()

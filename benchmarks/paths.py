@@ -1,0 +1,23 @@
+"""What the benchmarks read and run: the installed program, the samples, and captures that a script makes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+EDORAS = str(Path(sys.executable).with_name("edoras"))
+ROVER, MISSION = ROOT / "samples/captures/a_rover.pcap", ROOT / "samples/missions/rover_ground.yaml"
+MISSIONS = [ROOT / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]
+"""Of the traffic in the captures that are made."""
+TWO_ROVERS = [argument for path in MISSIONS for argument in ("-c", str(path))]
+
+
+def captured(folder: Path, packets: int) -> Path:
+    """Return a capture of mixed traffic, made where the folder has none."""
+    capture = folder / f"{packets}.pcap"
+    if not capture.exists():
+        subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+    return capture
