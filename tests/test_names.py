@@ -19,7 +19,6 @@ SAME = (
     ("judge", "diagnosis/examination.py diagnosis/rules/*", "what every rule has, and what asks them all"),
     ("ID", "diagnosis/rules/*", "what every rule has: the name that its verdicts carry"),
     ("open_graph", "middleware/*", "what every middleware has, and what chooses one"),
-    ("distro_of_peers", "middleware/*", "what a middleware has, and what asks the chosen one"),
     ("emit", "wire/*", "written and read through the header's module: ccsds.emit, sbn.emit"),
     ("live_table", "render/*", "the view of a command while it runs"),
     ("outcome", "render/*", "the view of what a command did"),

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
-    from edoras_tools.model import Decoded, Endpoint, Layer, Link
+    from edoras_tools.model import Decoded, Endpoint, Link
 
 _LAYERS: Final = {
     cfe.EVENT_MSG_ID: cfe.EVENT,
@@ -131,28 +131,20 @@ class PacketLines:
 
 
 def _content(decoded: Decoded) -> _Content:
-    payload = decoded.datagram.payload
     kind, name, msg_id = "", "", NO_MSG_ID
-    for layer in decoded.layers:
-        if layer.name == "ccsds":
-            word = int.from_bytes(payload[layer.start : layer.start + 2], "big")
-            kind = kind or ("cmd" if cfe.is_command(word) else "tlm")
-            msg_id, name = _msg_id(layer, word)
-            break
-        if layer.name == "sbn":
-            octet = int.from_bytes(payload[layer.start + 2 : layer.start + 3], "big")
-            kind = MSG_TYPE_NAMES.get(octet, f"0x{octet:02x}")
+    if peer := decoded.layer("sbn"):
+        kind = _peer_kind(peer.values()["msg_type"])
+    if packet := decoded.layer("ccsds"):
+        shown = packet.fields[0]  # the dissection puts the MsgId in front
+        msg_id, name = shown.value, shown.text.partition(" ")[2]
+        kind = kind or ("cmd" if cfe.is_command(msg_id) else "tlm")
     if decoded.message and (not name or decoded.layer("edoras")):
         name = decoded.message.topic  # of a C struct the packet's name says as much, and is shorter
     return _Content(kind, msg_id, name, decoded.summary or (str(decoded.stop) if decoded.stop else ""))
 
 
-def _msg_id(layer: Layer, word: int) -> tuple[int, str]:
-    """Return the MsgId and what follows it in its text: the name of the packet."""
-    for item in layer.fields:
-        if item.name == "msg_id":
-            return item.value, item.text.partition(" ")[2]
-    return word, ""
+def _peer_kind(msg_type: int) -> str:
+    return MSG_TYPE_NAMES.get(msg_type, f"0x{msg_type:02x}")
 
 
 def _contents(rows: ColumnRows) -> list[_Content | None]:
@@ -185,7 +177,7 @@ def _kinds(rows: ColumnRows) -> list[str]:
     peers = rows.column("sbn_msg_type")
     for value, members in by_value(peers):
         if value >= 0:
-            name = MSG_TYPE_NAMES.get(value, f"0x{value:02x}")
+            name = _peer_kind(value)
             for row in members.tolist():
                 kinds[row] = name
     return kinds

@@ -17,6 +17,8 @@ from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop, Latency
     from edoras_tools.diagnosis.matching.streams import Stream
@@ -87,6 +89,12 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
             if hop.out is stream
         ],
     }
+
+
+def latency_ms(row: Mapping[str, Any]) -> float | None:
+    """Return the 99th percentile of a row's slowest part; None where the capture shows none."""
+    parts = [item["latency"] for item in row["crossings"]] + [row["delay"], row["to_robot"]]
+    return max((item["p99_ms"] for item in parts if item), default=None)
 
 
 def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measured", "assumed"] | None]:

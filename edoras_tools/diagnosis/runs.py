@@ -24,6 +24,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
@@ -219,9 +220,8 @@ def _routes(run: Run) -> dict[Key, dict[str, Any]]:
         known = rows.get((row["link"], row["msg_id"]), {})
         if known:
             known["sent"] += row["sent"]
-            latencies = [item["latency"] for item in row["crossings"]] + [row["delay"]]
-            worst = [item["p99_ms"] for item in latencies if item]
-            known["latency_ms"] = max([*worst, known["latency_ms"] or 0.0]) if worst else known["latency_ms"]
+            both = known["latency_ms"], latency_ms(row)
+            known["latency_ms"] = max((item for item in both if item is not None), default=None)
     for row in run.doctor["balance"]:
         known = rows.get((row["link"], row["msg_id"]), {})
         if known:

@@ -77,16 +77,17 @@ def open_graph(
 
 
 def distro_of_peers(ros: str, domain: int, options: Mapping[str, str] = {}) -> str | None:
-    """Return the ROS 2 distribution that other nodes tell; None where the middleware or nobody tells.
+    """Return the ROS 2 distribution that other nodes tell; None where nobody does: only nodes on DDS can.
 
     What prevents it is told when the graph is joined.
     """
+    if ros != "dds":
+        return None
     try:
-        module = import_module(f"edoras_tools.middleware.{MIDDLEWARES[ros]}")
-        ask = getattr(module, "distro_of_peers", None)
-        return ask(domain, options) if ask else None
+        told: str | None = import_module("edoras_tools.middleware.dds.peers").distro_seen(domain, options)
     except (ImportError, ConfigError):
         return None
+    return told
 
 
 def _absent(ros: str, error: ImportError) -> str:

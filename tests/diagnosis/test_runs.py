@@ -27,6 +27,7 @@ ACCOUNT = {
     "sent": 100,
     "crossings": [],
     "delay": {"p50_ms": 5.0, "p99_ms": 20.0, "max_ms": 21.0},
+    "to_robot": None,
 }
 BALANCE = {"link": "to", "msg_id": "0x0827", "lost": 0, "superseded": 0, "unaccounted": 0}
 VERDICT = {
@@ -71,6 +72,7 @@ CASES = [
     ({"account": {"delay": {"p99_ms": 31.0}}}, [("latency_ms", True)]),
     ({"account": {"delay": {"p99_ms": 29.0}}}, []),
     ({"account": {"delay": None}}, []),
+    ({"account": {"to_robot": {"p99_ms": 31.0}}}, [("latency_ms", True)]),
     ({"route": {"bytes_max": 136}}, [("bytes", False)]),
     ({"route": {"findings": {}}}, [("finding", False)]),
     ({"route": {"findings": {"stale_tail": 1, "length_mismatch": 1}}}, [("finding", True)]),

@@ -41,15 +41,3 @@ def open_graph(
     from edoras_tools.middleware.dds.graph import DdsGraph
 
     return DdsGraph(store, name, domain, configuration(options or {}))
-
-
-def distro_of_peers(domain: int, options: Mapping[str, str] | None = None) -> str | None:
-    """Return the distribution that the nodes of a domain tell; None where none is found in a short time.
-
-    Raises:
-        ConfigError: an option cannot be honoured, or Cyclone DDS refuses the domain.
-        ImportError: cyclonedds is not installed.
-    """
-    from edoras_tools.middleware.dds.peers import distro_seen
-
-    return distro_seen(domain, options or {})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.diagnosis.balance import sent
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
 from edoras_tools.model import NO_ROUTE
@@ -136,17 +137,15 @@ class Figures:
             max(item.longest_ns, item.first_ns - ledger.start_ns, ledger.end_ns - item.last_ns)
             for item in own
         ]
-        routes = [row for row in diagnosis.routes if _is_about(row, subject, diagnosis)]
-        waits = [item["latency"] for row in routes for item in row["crossings"]]
-        waits += [row[name] for row in routes for name in ("to_robot", "delay")]
-        worst = [item["p99_ms"] for item in waits if item]
+        waits = [latency_ms(row) for row in diagnosis.routes if _is_about(row, subject, diagnosis)]
+        slowest = max((item for item in waits if item is not None), default=None)
         rows = [row for row in diagnosis.balance if packets.takes(row.route, row.msg_id)]
         return cls(
             count=sum(item.count for item in own),
             rate=sum(rates) if rates else None,
             silence=max(silences, default=ledger.end_ns - ledger.start_ns) / SECOND,
             size=(min(item.bytes_min for item in own), max(item.bytes_max for item in own)) if own else None,
-            latency=max(worst) / 1e3 if worst else None,
+            latency=None if slowest is None else slowest / 1e3,
             sent=sent(rows),
             **_losses(rows),
         )

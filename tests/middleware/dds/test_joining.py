@@ -6,7 +6,7 @@ import pytest
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import opening
-from edoras_tools.middleware.dds.joining import distro_of_peers, open_graph
+from edoras_tools.middleware.dds.joining import open_graph
 from edoras_tools.ros import TypeStore
 
 
@@ -32,7 +32,6 @@ def test_an_option_that_does_not_exist_is_refused():
 def test_the_distribution_is_that_of_the_nodes_there(distro, told):
     peer = open_graph(TypeStore(distro), "peer", domain=71)
     try:
-        assert distro_of_peers(71) == told
         assert opening.distro_of_peers("dds", 71) == told
     finally:
         peer.close()
@@ -40,6 +39,6 @@ def test_the_distribution_is_that_of_the_nodes_there(distro, told):
 
 @pytest.mark.own_network
 def test_where_nobody_is_nobody_tells_the_distribution():
-    assert distro_of_peers(72) is None
+    assert opening.distro_of_peers("dds", 72) is None
     assert opening.distro_of_peers("local", 72) is None
     assert opening.distro_of_peers("dds", 72, {"multicast": "odd"}) is None
