@@ -193,7 +193,7 @@ def _list_lost(
         console = output_console()
         console.print(missing_table(found, findings.diagnosis.zero_ns, console.width))
     elif listing is Listing.JSON:
-        print_json({"schema": 1, "lost": len(found), "missing": [item.as_json() for item in found]})
+        print_json({"lost": len(found), "missing": [item.as_json() for item in found]})
     else:
         print_csv([item.as_json() for item in found])
     for warning in findings.diagnosis.capture.warnings:
@@ -221,7 +221,7 @@ def _predict(settings: Settings, profile: SimProfile, scope: Scope, *, json: boo
         if chosen.about(item.route.link.label, item.route.msg_id, bench.mission)
     ]
     if json:
-        print_json({"schema": 1, "routes": [item.as_json() for item in budgets]})
+        print_json({"routes": [item.as_json() for item in budgets]})
         return
     from edoras_tools.render.doctor.doctor import budgets as view
     from edoras_tools.render.terminal.console import output_console

@@ -31,7 +31,7 @@ def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> No
     found = read_host(links, time.time_ns())
     told, share = list(advice(found)), steal(found)
     if json:
-        print_json({"schema": 1, **asdict(found), "steal": share, "advice": told})
+        print_json({**asdict(found), "steal": share, "advice": told})
     else:
         sys.stdout.writelines(f"{line}\n" for line in host_lines(found, links, share, told))
     if any(item.drops for item in found.sockets):

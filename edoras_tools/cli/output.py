@@ -13,11 +13,14 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 
-def print_json(value: Any) -> None:
-    """Print one JSON document; ``settings`` is the path of the settings file, if there is one."""
+def print_json(value: Mapping[str, Any]) -> None:
+    """Print one JSON object, as ``docs/schemas`` describe it.
+
+    ``schema`` is the version of its shape, 1 unless the value has another one; ``settings`` is the path of
+    the settings file, if there is one.
+    """
     file = in_effect()
-    if file is not None and isinstance(value, dict):
-        value = {**value, "settings": str(file.path)}
+    value = {"schema": 1, **value} | ({"settings": str(file.path)} if file else {})
     sys.stdout.write(json.dumps(value, indent=2, ensure_ascii=False) + "\n")
 
 

@@ -15,6 +15,7 @@ import here
 import pytest
 from mcap.reader import make_reader
 from places import ROOT
+from schema import held
 
 EDORAS = Path(sys.executable).with_name("edoras")
 
@@ -66,7 +67,10 @@ def edoras():
 
 @pytest.fixture
 def call(monkeypatch, capsys):
-    """A function: run a command here; gives ``code``, ``out``, ``err`` (lines), ``json()``, ``lines()``."""
+    """A function: run a command here; gives ``code``, ``out``, ``err`` (lines), ``json()``, ``lines()``.
+
+    What the last two give is held to its published schema.
+    """
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["edoras", *map(str, arguments)])
@@ -78,8 +82,8 @@ def call(monkeypatch, capsys):
             code=ending.value.code,
             out=out,
             err=err.splitlines(),
-            json=lambda: json.loads(out),
-            lines=lambda: [json.loads(line) for line in out.splitlines()],
+            json=lambda: held(json.loads(out), sys.argv),
+            lines=lambda: [held(json.loads(line), sys.argv) for line in out.splitlines()],
         )
 
     return run

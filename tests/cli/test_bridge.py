@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 from places import MISSIONS
+from schema import held
 from waiting import HOST, PATIENCE_S, Program, free_ports
 
 from edoras_tools.ros import TypeStore
@@ -64,7 +65,7 @@ def test_it_enables_telemetry_takes_it_and_reports_as_json(started, ci, mission,
     while (told := process.line(process.err)) != "edoras: conversion_node: telemetry arrives\n":
         assert "no telemetry" in told  # as yet, on a slow machine
     out, err = process.end()
-    report = json.loads(out)
+    report = held(json.loads(out), ["bridge", "--json"])
     (bridge,) = report["bridges"]
     order, state = bridge["routes"]
     assert (order["topic"], order["direction"], order["in"]) == ("/cmd_vel", "to_cfs", 0)

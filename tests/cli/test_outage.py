@@ -7,6 +7,7 @@ import struct
 
 import pytest
 from namespace import Cable, inside
+from schema import held
 from waiting import Program
 
 HEADER = bytes.fromhex("1827 0000 0045 01 00") + struct.pack("<QQ", 52, 52) + bytes.fromhex("00010000")
@@ -92,7 +93,7 @@ def test_record_goes_on(command, call, missions, recording, datagrams, suffix, t
             return program.end(signal.SIGINT)
 
     out, err = inside(work)
-    report = json.loads(out)
+    report = held(json.loads(out), ["record", "--json"])
     sent = [100 * number + one for number in range(4) for one in range(20)]
     if suffix == "mcap":
         came = [struct.unpack_from("<d", item.data, 4)[0] for item in recording(path).topics["/cmd_vel"]]

@@ -6,6 +6,7 @@ import socket
 from contextlib import ExitStack
 
 import pytest
+from schema import held
 from waiting import HOST, PATIENCE_S, Program
 
 
@@ -44,7 +45,7 @@ def test_ctrl_c_prints_the_report_and_closes_the_recording(started, target, tmp_
     send(20, listen)
     assert [target.recv(99)[-1] for _ in range(15)] == [number for number in range(20) if number % 4 != 3]
     out, _ = process.end()
-    report = json.loads(out)
+    report = held(json.loads(out), ["proxy", "--json"])
     assert [(way["name"], way["received"], way["sent"]) for way in report["ways"]] == [
         (f"to {HOST}:{target.getsockname()[1]}", 20, 15),
         ("to clients", 0, 0),

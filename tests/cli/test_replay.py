@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from schema import held
 from waiting import HOST, Ear, Program, free_ports, until
 
 from edoras_tools.cfs.profile import Ports, SimProfile
@@ -306,7 +307,7 @@ def test_ctrl_c_prints_the_report(command, captures, receiver, tmp_path):
     with Program(command, *arguments, "-o", tmp_path / "x.mcap") as program:
         sent = []
         program.until(lambda: sent.extend(take()) or len(sent) >= 3, "it sends")
-        report = json.loads(program.end()[0])
+        report = held(json.loads(program.end()[0]), ["replay", "--json"])
     assert report["interrupted"]
     assert 3 <= report["sent"] == len(sent + take()) < 601
     port = f"ci:{target.rpartition(':')[2]}"

@@ -8,6 +8,7 @@ import struct
 from pathlib import Path
 
 import pytest
+from schema import held
 from waiting import HOST, Program, free_ports
 
 
@@ -47,7 +48,7 @@ def test_a_signal_a_socket_and_ctrl_c(command, tmp_path):
         recorder.process.send_signal(signal.SIGUSR1)
         assert "signal USR1" in recorder.line(recorder.err)
         out, _ = recorder.end()
-    report = json.loads(out)
+    report = held(json.loads(out), ["record", "--json"])
     assert report["datagrams"] == count
     assert [item["reasons"] for item in report["snapshots"]] == [["asked for on the socket"], ["signal USR1"]]
     first, second = (numbers(path) for path in report["outputs"])

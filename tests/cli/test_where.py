@@ -109,7 +109,7 @@ def test_statistics(call, captures):
     every = ["routes", "sbn", "sizes", "findings"]
     asked = [word for kind in every for word in ("--stat", kind)]
     found = call("sniff", "-r", captures("f_sbn_disconnect"), *asked, "--json").json()
-    assert list(found) == every
+    assert list(found) == ["schema", *every]
     assert found["findings"]["sbn_version_mismatch"] == 1
 
 

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Link
 
-_SCHEMA: Final = 1
-"""Of what ``doctor --against --json`` prints."""
 _LATE_NS: Final = 100 * MILLISECOND
 _LONGEST_NS: Final = 10 * SECOND
 """No packet is under way between two points for longer."""
@@ -126,7 +124,6 @@ class CaptureComparison:
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --against --json``."""
         return {
-            "schema": _SCHEMA,
             "offset_ns": self.offset_ns,
             "drift_ppm": None if self.drift is None else round(self.drift * 1e6, 1),
             "common": self.common,

@@ -96,7 +96,7 @@ class PacketTexts:
         self._contents = Contents(context, _tail, _tails)
 
     def of(self, rows: ColumnRows) -> list[str]:
-        """Return the text of each row, in order: ``as_json`` without spaces."""
+        """Return the text of each row, in order: ``as_json`` without spaces, behind ``schema``."""
         links = {code: _text(link.label) for code, link in links_of(rows).items()}
         pairs, which = endpoints(rows)
         named = [(_text(str(source)), _text(str(destination))) for source, destination in pairs]
@@ -110,7 +110,7 @@ class PacketTexts:
             strict=True,
         )
         return [
-            f'{{"number":{number},"time_ns":{time_ns},"link":{link},"source":{source},'
+            f'{{"schema":1,"number":{number},"time_ns":{time_ns},"link":{link},"source":{source},'
             f'"destination":{destination},"length":{length},{tail}'
             for number, time_ns, link, (source, destination), length, tail in heads
         ]

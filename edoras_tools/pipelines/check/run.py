@@ -87,7 +87,6 @@ class CheckReport:
     def as_json(self) -> dict[str, Any]:
         """Return it in the form of ``check --json``."""
         return {
-            "schema": 1,
             "source": self.source,
             "expectations": self.file,
             "seconds": self.seconds,

@@ -61,7 +61,6 @@ class Findings:
     def summary(self) -> dict[str, Any]:
         """Return the findings in the shape of ``doctor --json``."""
         return {
-            "schema": 1,
             "source": self.source.info.name,
             **self.diagnosis.as_json(),
             "warnings": list(self.diagnosis.capture.warnings),

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.run import Progress
 
-SCHEMA = 1
-
 
 @dataclass(frozen=True, slots=True)
 class Runs:
@@ -53,7 +51,6 @@ class Runs:
             }
 
         return {
-            "schema": SCHEMA,
             "good": told(self.good),
             "bad": told(self.bad),
             "worse": self.worse,

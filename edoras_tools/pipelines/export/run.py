@@ -116,7 +116,6 @@ class ExportReport:
     def summary(self) -> dict[str, Any]:
         """Return the report in the form of ``export --json``."""
         return {
-            "schema": 1,
             "source": self.source.name,
             "files": [
                 {"path": str(item.path), "topic": item.head.topic, "type": item.head.type, "rows": item.rows}

@@ -178,7 +178,6 @@ class PlotReport:
     def summary(self) -> dict[str, Any]:
         """Return the report in the form of ``plot --json``."""
         return {
-            "schema": 1,
             "sources": [source.name for source in self.sources],
             "panels": [
                 {

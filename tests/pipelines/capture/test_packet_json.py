@@ -89,7 +89,7 @@ def test_every_type_is_told_alike(one, monkeypatch):
     dissector = Dissector(context, detail=False)
     texts, seen = counted(monkeypatch, rows)
     for row, text in enumerate(texts):
-        told = as_json(dissector.dissect(batch[row]))
+        told = {"schema": 1, **as_json(dissector.dissect(batch[row]))}
         assert text == json.dumps(told, ensure_ascii=False, separators=(",", ":"))
         assert told["message"] is not None, told
     assert seen.keys() == nested
