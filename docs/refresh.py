@@ -51,16 +51,25 @@ FENCED: Final = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.D
 _REGION: Final = re.compile(r"(<!-- table: ([\w.]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def refreshed(page: Path, folder: Path) -> str:
+def shell(command: str) -> tuple[int, str]:
+    """Run a command line; return its exit code, and both its outputs as one."""
+    done = subprocess.run(  # noqa: S602  the pages' own commands
+        command, shell=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
+    return done.returncode, done.stdout
+
+
+def refreshed(page: Path, folder: Path, run: Callable[[str], tuple[int, str]] = shell) -> str:
     """Return a page with every output as it is today.
 
     Args:
         page: a Markdown file.
         folder: empty; commands run in it, and find the repository's ``samples`` there.
+        run: as ``shell``.
     """
     (folder / "samples").symlink_to(ROOT / "samples", target_is_directory=True)
     with _inside(folder):
-        runner = _Runner()
+        runner = _Runner(run)
         text = FENCED.sub(runner.block, page.read_text(encoding="utf-8"))
     return _REGION.sub(lambda found: found[1] + TABLES[found[2]]() + found[3], text)
 
@@ -74,7 +83,8 @@ def commands(block: str) -> Iterator[str]:
 class _Runner:
     """Runs the blocks of a page in order; knows the last exit code and what the last program printed."""
 
-    def __init__(self) -> None:
+    def __init__(self, run: Callable[[str], tuple[int, str]]) -> None:
+        self._call = run
         self._code = 0
         self._printed: str | None = None
         self._names: dict[str, object] = {"__name__": "page"}
@@ -103,11 +113,8 @@ class _Runner:
     def _run(self, command: str) -> str:
         if command == "echo $?":
             return f"{self._code}\n"
-        done = subprocess.run(  # noqa: S602  the pages' own commands
-            command, shell=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
-        )
-        self._code = done.returncode
-        return done.stdout
+        self._code, told = self._call(command)
+        return told
 
     def _program(self, code: str) -> str:
         printed = io.StringIO()

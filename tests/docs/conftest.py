@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import re
+import shlex
 
 import pytest
+import warm
 from places import ROOT
 
 
@@ -28,3 +31,16 @@ def make_pictures():
 @pytest.fixture(scope="session")
 def make_house():
     return script("make_house")
+
+
+@pytest.fixture(scope="module")
+def typed(refresh):
+    """A function: what a line that somebody types does; where it is only ``edoras``, no shell is needed."""
+    with warm.server() as run:
+        yield (
+            lambda line: (
+                run(shlex.split(line))
+                if line.startswith("edoras ") and not re.search(r"[|<>;&$*?~`]", line)
+                else refresh.shell(line)
+            )
+        )

@@ -41,10 +41,10 @@ QUICK = [page for page in REFRESHED if page.stem not in {"sweep", "balance"}]
 
 
 @pytest.mark.parametrize("page", long_but(QUICK, REFRESHED), ids=identity)
-def test_the_output_shown_is_the_output(page, refresh, tmp_path):
+def test_the_output_shown_is_the_output(page, refresh, typed, tmp_path):
     for library in LIBRARIES if page.stem == "analysis" else ():
         pytest.importorskip(library)
-    assert without_sizes(refresh.refreshed(page, tmp_path)) == without_sizes(page.read_text())
+    assert without_sizes(refresh.refreshed(page, tmp_path, typed)) == without_sizes(page.read_text())
 
 
 def test_every_page_that_runs_is_refreshed(refresh):
