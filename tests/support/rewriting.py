@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import struct
 from dataclasses import dataclass, replace
+from functools import cache
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,9 @@ import zstandard
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
+
+
+address = cache(ip_address)
 
 
 @dataclass(frozen=True)
@@ -53,8 +57,8 @@ def datagrams(path: Path) -> list[Udp]:
         found.append(
             Udp(
                 seconds * 10**9 + part * unit,
-                (str(ip_address(ip[12:16])), ports[0]),
-                (str(ip_address(ip[16:20])), ports[1]),
+                (str(address(ip[12:16])), ports[0]),
+                (str(address(ip[16:20])), ports[1]),
                 udp[8 : ports[2]],
                 int.from_bytes(ip[4:6], "big"),
                 ip[8],
@@ -104,7 +108,7 @@ def _head(item: Udp, layer: str, *, version: int) -> bytes:
 
 def _packets(item: Udp, cut: int) -> list[bytes]:
     udp = struct.pack(">HHHH", item.source[1], item.destination[1], 8 + len(item.payload), 0) + item.payload
-    source, destination = ip_address(item.source[0]), ip_address(item.destination[0])
+    source, destination = address(item.source[0]), address(item.destination[0])
     if source.version == 6:
         head = struct.pack(">IHBB", 6 << 28, len(udp), 17, item.time_to_live)
         return [head + source.packed + destination.packed + udp]

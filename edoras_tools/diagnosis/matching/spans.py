@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
@@ -104,17 +105,21 @@ def _changes(times: NDArray[np.int64], missing: NDArray[np.int64]) -> list[int]:
     offered = np.bincount(second, weights=1.0 + missing)
     if len(offered) < _FEW:
         return []
-    cuts, begin = [], 0
-    for at in range(2, len(offered) - 1):
+    rates, cuts, begin = offered.tolist(), [], 0
+    known: list[float] = []  # in order, so that the median needs no sorting
+    for at in range(1, len(rates) - 1):
+        insort(known, rates[at - 1])
+        if len(known) > _USUAL:
+            del known[bisect_left(known, rates[at - 1 - _USUAL])]
         if at - begin < 2:
             continue
-        usual = float(np.median(offered[max(begin, at - _USUAL) : at]))
-        now = offered[at : at + 2]
-        low, high = min(usual, float(now.min())), max(usual, float(now.max()))
-        other = bool((now > usual * _CHANGE).all() or (now * _CHANGE < usual).all())
-        if other and high - low > _LEAST_HZ:
+        usual = (known[(len(known) - 1) // 2] + known[len(known) // 2]) / 2
+        low, high = sorted(rates[at : at + 2])
+        other = low > usual * _CHANGE or high * _CHANGE < usual
+        if other and max(usual, high) - min(usual, low) > _LEAST_HZ:
             cuts.append(int(np.searchsorted(second, at)))
             begin = at
+            known.clear()
     return [cut for cut in cuts if 0 < cut < len(times)]
 
 
