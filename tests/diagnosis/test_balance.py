@@ -6,6 +6,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from captures import ROBOT_GOT
 from places import ROOT
 
 from edoras_tools.decode import Options
@@ -35,16 +36,6 @@ TRUTH = {
     "n12_two_hosts_flight": {"after": 83},
     "n12_two_hosts_ground": {"after": 83},
     "p6b_extended_header": {"limit": 23},
-}
-ARRIVED = {
-    # Of 0x1827, at the robot: how many of how many.
-    "a_rover": (508, 600),
-    "b_arm_single": (120, 120),
-    "c4_cmd_rate": (1287, 3080),
-    "n1_to_remove_all": (210, 210),
-    "n3_cfs_restart": (207, 245),
-    "n5_app_restarts": (174, 310),
-    "p6b_extended_header": (277, 300),
 }
 NAMES = sorted(path.name.partition(".")[0] for path in FOLDER.glob("*.pcap.zst"))
 
@@ -116,10 +107,10 @@ def test_what_was_lost_and_why_is_what_was_counted(name, diagnosis):
     assert found.unaccounted == 0
 
 
-@pytest.mark.parametrize("name", ARRIVED)
+@pytest.mark.parametrize("name", ROBOT_GOT)
 def test_what_arrived_at_the_robot_is_what_the_robot_got(name, diagnosis):
     (line,) = [item for item in diagnosis(name).headlines if item.topic == "0x1827"]
-    assert (line.arrived, line.sent) == ARRIVED[name]
+    assert (line.arrived, line.sent) == ROBOT_GOT[name]
     assert line.sent == line.arrived + line.lost
 
 

@@ -18,3 +18,5 @@ SAMPLE_MISSIONS = {
     "f_sbn_disconnect": ("two_rovers_ground", "two_rovers_flight"),
 }
 """The sample captures, each with its missions."""
+SMALL_SAMPLES = [name for name in SAMPLE_MISSIONS if name not in {"c1_tlm_rate_limit4", "d3_cpu1_cpu2"}]
+"""The two others have missions that these have too, and many times the packets."""

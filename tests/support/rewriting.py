@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 
 address = cache(ip_address)
+packed = cache(lambda text: address(text).packed)
 
 
 @dataclass(frozen=True)
@@ -108,10 +109,10 @@ def _head(item: Udp, layer: str, *, version: int) -> bytes:
 
 def _packets(item: Udp, cut: int) -> list[bytes]:
     udp = struct.pack(">HHHH", item.source[1], item.destination[1], 8 + len(item.payload), 0) + item.payload
-    source, destination = address(item.source[0]), address(item.destination[0])
-    if source.version == 6:
+    source, destination = packed(item.source[0]), packed(item.destination[0])
+    if len(source) == 16:
         head = struct.pack(">IHBB", 6 << 28, len(udp), 17, item.time_to_live)
-        return [head + source.packed + destination.packed + udp]
+        return [head + source + destination + udp]
     parts = [(at, udp[at : at + cut]) for at in range(0, len(udp), cut)] if cut else [(0, udp)]
     return [
         struct.pack(
@@ -120,8 +121,8 @@ def _packets(item: Udp, cut: int) -> list[bytes]:
             (at >> 3) | (0x2000 if at + len(part) < len(udp) else 0),
             *(item.time_to_live, 17, 0),
         )
-        + source.packed
-        + destination.packed
+        + source
+        + destination
         + part
         for at, part in parts
     ]

@@ -1,6 +1,9 @@
 """Drafts: they pass on their own recording and on another good run, and fail on one with a fault."""
 
+from itertools import cycle, product
+
 import pytest
+from effort import long_but
 from places import CAPTURES, MISSIONS, ROOT
 
 from edoras_tools.cfs.profile import SimProfile
@@ -24,8 +27,10 @@ def held(source, text, folder, settings=SETTINGS):
     return check(source, settings.workbench(source.info), load_expectations(path))
 
 
-@pytest.mark.parametrize("name", RECORDINGS)
-@pytest.mark.parametrize("configured", [True, False])
+@pytest.mark.parametrize(
+    ("name", "configured"),
+    long_but(list(zip(RECORDINGS, cycle((True, False)))), list(product(RECORDINGS, (True, False)))),
+)
 def test_a_draft_passes_on_its_own_recording(name, configured, tmp_path):
     settings = SETTINGS if configured else Settings()
     path = ROOT / "tests/captures" / name

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import CAPTURES, MISSIONS, SAMPLE_MISSIONS
+from effort import long_but
+from places import CAPTURES, MISSIONS, SAMPLE_MISSIONS, SMALL_SAMPLES
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -98,7 +99,7 @@ def of_duckdb(path):
 READERS = {"pandas": of_pandas, "polars": of_polars, "duckdb": of_duckdb}
 
 
-@pytest.mark.parametrize("name", SAMPLE_MISSIONS)
+@pytest.mark.parametrize("name", long_but(SMALL_SAMPLES, SAMPLE_MISSIONS))
 def test_parquet_holds_what_rosbags_reads(name, tmp_path):
     pytest.importorskip("pyarrow")
     source = open_files([capture(name)])

@@ -7,7 +7,8 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 import pytest
-from places import ROOT, SAMPLE_MISSIONS, SUPPORT
+from effort import long_but
+from places import ROOT, SAMPLE_MISSIONS, SMALL_SAMPLES, SUPPORT
 from rosbags.highlevel import AnyReader
 
 from edoras_tools.pipelines.capture.record import Target, record
@@ -46,11 +47,11 @@ def same(theirs, ours):
 
 
 @pytest.mark.skipif(not (NPM / "node_modules/@mcap/core").exists(), reason=WHY)
-@pytest.mark.parametrize(("sample", "missions"), SAMPLE_MISSIONS.items())
-def test_every_message_is_the_same_to_foxglove_and_to_rosbags(sample, missions, tmp_path):
+@pytest.mark.parametrize("sample", long_but(SMALL_SAMPLES, SAMPLE_MISSIONS))
+def test_every_message_is_the_same_to_foxglove_and_to_rosbags(sample, tmp_path):
     path = tmp_path / "a.mcap"
     (capture,) = (ROOT / "samples/captures").glob(f"{sample}.pcap*")
-    bench = Settings([ROOT / f"samples/missions/{name}.yaml" for name in missions]).workbench()
+    bench = Settings([ROOT / f"samples/missions/{name}.yaml" for name in SAMPLE_MISSIONS[sample]]).workbench()
     record(open_files([capture]), bench, Target(path))
     done = subprocess.run(
         ["node", SUPPORT / "foxglove_reader.mjs", NPM, path], capture_output=True, text=True, check=True
