@@ -41,7 +41,7 @@ KEYS: Final = (
         ("r", "routes and their rates"),
         ("s S", "sequence diagram of SBN, of all links"),
         ("R", "graph of the rates of the packets in the list"),
-        ("o O", "in routes: sort by the next column, the other way round"),
+        ("o O", "sort the list, or the routes, by the next column, the other way round"),
         ("Esc", "back to the packet"),
         ("t", "time: since the start, since the previous line, UTC, epoch"),
         ("c", "columns of the list: any of its own, and any field; the selected one is added"),

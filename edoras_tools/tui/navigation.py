@@ -117,7 +117,7 @@ class Navigation(Panes):
             self.action_search()
             return
         self._notice(f"searching {clean(self._searched)}")
-        self._search(self._searched, self.packets.cursor, back)
+        self._search(self._searched, self.store.place(self.packets.cursor), back)
 
     @work(thread=True, exclusive=True, group="search")
     def _search(self, text: str, row: int, back: bool) -> None:
@@ -133,7 +133,7 @@ class Navigation(Panes):
         if row is None:
             self._notice(f"no packet shown contains {clean(event.text)}", Level.WARNING)
             return
-        wrapped = row <= self.packets.cursor
+        wrapped = self.store.place(row) <= self.store.place(self.packets.cursor)
         self._notice(
             f"found {clean(event.text)}{' · from the other end' if wrapped else ''} · n next, N previous"
         )

@@ -272,6 +272,8 @@ class Panes(App[None]):
             right.append(f"reading {100 * statistics.position // statistics.total_bytes} %  ")
         elif self.reading:
             right.append("● live  " if self.live else "● reading  ", "green")
+        if self.packets.sorted_by:
+            right.append(f"by {self.packets.sorted_by} {'▲' if self.packets.reverse else '▼'}  ")
         if self.packets.follow and self.reading:
             right.append("following  ", "green")
         row = self.packets.cursor + 1 if len(self.store) else 0

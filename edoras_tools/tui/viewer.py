@@ -24,6 +24,7 @@ from edoras_tools.tui.data import messages
 from edoras_tools.tui.data.feed import Feed
 from edoras_tools.tui.data.filter_thread import FilterThread
 from edoras_tools.tui.data.rates import rate_figure
+from edoras_tools.tui.data.sort import sort_order
 from edoras_tools.tui.field_filter import filter_of
 from edoras_tools.tui.lists.hex_pane import HexPane
 from edoras_tools.tui.lists.lines import Lines
@@ -34,6 +35,8 @@ from edoras_tools.tui.wireshark import open_in_wireshark
 
 if TYPE_CHECKING:
     import subprocess
+
+    from numpy.typing import NDArray
 
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Source
@@ -66,6 +69,8 @@ class Viewer(Navigation):
         Binding("ctrl+c", "quit", "Quit", show=False, priority=True),
         Binding("S", "view('sequence', True)", "Sequence of all links", show=False),
         Binding("R", "view('rates')", "Rates", show=False),
+        Binding("o", "sort", "Sort", show=False),
+        Binding("O", "sort(True)", "Other way round", show=False),
         Binding("escape", "leave", "Back", show=False),
         Binding("M", "filter_marks", "Marked only", show=False),
         Binding("equals_sign", "filter_field", "Filter for the field", show=False),
@@ -147,6 +152,8 @@ class Viewer(Navigation):
     def _more_rows(self, gone: int) -> None:
         """Update the list after rows were added."""
         packets = self.packets
+        if gone and self.store.order is not None:
+            self._wanted, gone = self._number or None, 0
         packets.arrived(gone)
         if self._wanted is not None:
             row = self.store.find_number(self._wanted)
@@ -156,6 +163,48 @@ class Viewer(Navigation):
         if self._at_cursor != self._number:
             self._show_packet()
         self._refresh_status()
+
+    # The order of the list
+
+    def action_sort(self, reverse: bool = False) -> None:
+        """Sort by the next column, after the last in the capture's order; or the other way round."""
+        packets = self.packets
+        if not reverse:
+            names = ["", *packets.columns]
+            place = names.index(packets.sorted_by) + 1 if packets.sorted_by in names else 0
+            packets.sorted_by = names[place % len(names)]
+        packets.reverse = reverse and not packets.reverse
+        if packets.sorted_by:
+            self._sort(packets.sorted_by, packets.reverse)
+        else:
+            self._reorder(None)
+
+    @work(thread=True, exclusive=True, group="sort")
+    def _sort(self, column: str, reverse: bool) -> None:
+        worker, forgotten = get_current_worker(), self.store.forgotten
+        given_up = lambda: worker.is_cancelled  # noqa: E731
+        order = sort_order(self.store.parts(), column, self._decoding, reverse=reverse, given_up=given_up)
+        if order is not None and not worker.is_cancelled:
+            self._post(messages.Sorted(column, order, forgotten))
+
+    @on(messages.Sorted)
+    def _take_order(self, event: messages.Sorted) -> None:
+        rows = self.store.forgotten, event.column
+        if rows == (event.forgotten, self.packets.sorted_by) and len(event.order) <= len(self.store):
+            self._reorder(event.order)
+
+    def _reorder(self, order: NDArray[np.int64] | None) -> None:
+        self._wanted = self._number or None
+        self.store.order = order
+        self.packets.forget()
+        self._more_rows(0)
+
+    def _sort_again(self) -> None:
+        """Sort once what came after the last time is an eighth, or is all."""
+        known = 0 if self.store.order is None else len(self.store.order)
+        late = len(self.store) - known
+        if self.packets.sorted_by and late > (known // 8 if self.reading or not self._all_settled else 0):
+            self._sort(self.packets.sorted_by, self.packets.reverse)
 
     # The chosen packet, its fields, its bytes
 
@@ -287,6 +336,7 @@ class Viewer(Navigation):
 
     def _refresh_figures(self) -> None:
         super()._refresh_figures()
+        self._sort_again()
         if self._view == "rates-view" and (self.store.packets, len(self.store)) != self._drawn:
             self._build_rates()
 
@@ -331,7 +381,7 @@ class Viewer(Navigation):
             self._notice("there is no packet to open in Wireshark yet")
             return
         self._notice("opening Wireshark")
-        self._open_wireshark(self.packets.cursor)
+        self._open_wireshark(self.store.place(self.packets.cursor))
 
     @work(thread=True, exclusive=True, group="wireshark")
     def _open_wireshark(self, row: int) -> None:

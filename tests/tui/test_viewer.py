@@ -621,3 +621,40 @@ def test_wireshark_that_is_not_there_is_one_clear_line(drive, monkeypatch):
         assert "\n" not in hands.status
 
     drive(script)
+
+
+def test_the_list_is_sorted_by_any_column(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.filter("pose.position.x > 0.4")
+        await hands.settle()
+        await hands.press("c")
+        app.prompt.input.value = "time topic bytes pose.position.x"
+        await hands.press("enter", "j", "j")
+        chosen = hands.number
+        captured = [app.store.datagram(row).number for row in range(len(app.store))]
+        for column in ("time", "topic", "bytes", "pose.position.x"):
+            await hands.press("o")
+            await hands.until(lambda: app.store.order is not None, column)
+            assert app.packets.sorted_by == column
+        values = lambda: [  # noqa: E731
+            app._bench.dissector.dissect(app.store.datagram(row)).message.values["pose"]["position"]["x"]
+            for row in range(len(app.store))
+        ]
+        await hands.until(lambda: values() == sorted(values()), "rising")
+        assert len(set(values())) == 9
+        await hands.until(lambda: hands.number == chosen, "the cursor stays on its packet")
+        await hands.press("O")
+        await hands.until(lambda: values() == sorted(values(), reverse=True), "falling")
+        await hands.go(captured[-1])
+        assert app.store.find_number(captured[-1]) == app.packets.cursor
+        await hands.press("o")
+        assert [app.store.datagram(row).number for row in range(len(app.store))] == captured
+        await hands.press("o", "o", "f")
+        app.filter_line.input.value = ""
+        await hands.press("enter")
+        await hands.settle()
+        app._refresh_figures()
+        await hands.until(lambda: app.store.order is not None and len(app.store.order) == 1544, "all, sorted")
+
+    drive(script)

@@ -62,6 +62,16 @@ class ConversationReady(Message):
         self.runs = runs
 
 
+class Sorted(Message):
+    """The order of the rows of the list was found."""
+
+    def __init__(self, column: str, order: NDArray[np.int64], forgotten: int) -> None:
+        super().__init__()
+        self.column = column
+        self.order = order
+        self.forgotten = forgotten
+
+
 class RatesReady(Message):
     """The rates of the packets of the list were counted; None if there is no packet."""
 

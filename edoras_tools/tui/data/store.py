@@ -58,6 +58,10 @@ class Store:
 
     Args:
         limit: maximum bytes to keep; the oldest packets are dropped when there are more. 0: no limit.
+
+    Attributes:
+        order: i64, the place in the capture's order of each of the first rows; the others are in that order,
+            and so are all where it is None.
     """
 
     def __init__(self, limit: int = 0) -> None:
@@ -67,6 +71,7 @@ class Store:
         self.forgotten = 0
         self.begin_ns: int | None = None
         self.filtered = False
+        self.order: NDArray[np.int64] | None = None
         self._limit = limit
         self._ends: list[int] = []
 
@@ -96,7 +101,7 @@ class Store:
 
     def restart(self, *, filtered: bool) -> None:
         """Start again: without a filter all rows are shown; with one, no row until it has run."""
-        self.filtered = filtered
+        self.filtered, self.order = filtered, None
         for block in self.blocks:
             block.shown = None if filtered else range(len(block))
         self._ends = []
@@ -116,10 +121,15 @@ class Store:
         """
         if not 0 <= row < len(self):
             raise IndexError(row)
+        row = self.place(row)
         place = bisect_right(self._ends, row)
         block = self.blocks[place]
         assert block.shown is not None
         return block, int(block.shown[row - (self._ends[place - 1] if place else 0)])
+
+    def place(self, row: int) -> int:
+        """Return the place of a row in the capture's order."""
+        return row if self.order is None or row >= len(self.order) else int(self.order[row])
 
     def datagram(self, row: int) -> Datagram:
         """Return the datagram of a shown row."""
@@ -158,8 +168,13 @@ class Store:
                 continue
             found = np.flatnonzero(column[np.asarray(shown)] >= value)
             if len(found):
-                return first + int(found[0])
+                return self._row(first + int(found[0]))
         return None
+
+    def _row(self, place: int) -> int:
+        if self.order is None or place >= len(self.order):
+            return place
+        return int(np.flatnonzero(self.order == place)[0])
 
     def _advance(self) -> None:
         """Count the blocks that the filter has run on since the last call."""
@@ -192,6 +207,8 @@ class Store:
         if gone:
             del self.blocks[:gone]
             self._ends = [end - rows for end in self._ends[gone:]]
+            if self.order is not None:
+                self.order = self.order[self.order >= rows] - rows
         return rows
 
 

@@ -54,6 +54,8 @@ class Packets(Lines):
         empty: text to show when there are no packets.
         drawn: cached lines, by packet number.
         columns: names of the columns besides number and message.
+        sorted_by: name of the column that the list is sorted by; empty for the order of the capture.
+        reverse: the other way round.
     """
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {
@@ -77,6 +79,8 @@ class Packets(Lines):
         self._time_format = time_format
         self._verbose = verbose
         self.columns: Sequence[str] = COLUMNS
+        self.sorted_by = ""
+        self.reverse = False
         self._added: Sequence[Column] = ()
         self._view = self._make_view(80)
         self.drawn: LRUCache[tuple[int, int], Strip] = LRUCache(_KEPT)

@@ -1,0 +1,106 @@
+"""The order of the packets of the list by one of its columns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.decode.filters.filter import fields
+from edoras_tools.decode.filters.rows import ColumnRows
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.filters.field import FilterField
+    from edoras_tools.tui.data.store import Part
+
+_FIELDS: Final = {
+    "time": "time_ns",
+    "ports": "source.port,destination.port",
+    "packet": "link,sbn.msg_type",
+    "bytes": "length",
+}
+"""What the list's own columns are sorted by, where the field has another name."""
+
+
+def sort_order(
+    parts: Sequence[Part],
+    column: str,
+    context: Context,
+    *,
+    reverse: bool,
+    given_up: Callable[[], bool] = lambda: False,
+) -> NDArray[np.int64] | None:
+    """Return the rows of a list by the values of a column; those without one are last, equal ones as before.
+
+    Args:
+        parts: what ``Store.parts`` returned.
+        column: one of the list's columns, or any field.
+        context: how the packets were decoded.
+        reverse: the greatest first.
+        given_up: asked between blocks; the result is None when it returns true.
+    """
+    wanted = [found for _, found in fields(_FIELDS.get(column, column), context, "column")]
+    read = _names if column == "topic" else _values
+    blocks: list[list[tuple[NDArray[Any], NDArray[np.bool_]]]] = []
+    for block, _, shown in parts:
+        if given_up():
+            return None
+        rows = ColumnRows(context, 0, block.batch, block.columns, np.asarray(shown))
+        blocks.append([read(rows, several) for several in wanted])
+    keys: list[NDArray[Any]] = []
+    for pieces in zip(*blocks, strict=True):
+        _, ranks = np.unique(np.concatenate([values for values, _ in pieces]), return_inverse=True)
+        there = np.concatenate([present for _, present in pieces])
+        keys += [~there, np.where(there, -ranks if reverse else ranks, 0)]
+    return np.lexsort(keys[::-1]) if keys else np.zeros(0, np.int64)
+
+
+def _values(rows: ColumnRows, several: Sequence[FilterField]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return the first value of each row, numbers or texts, and which rows have one.
+
+    Args:
+        rows: of a block.
+        several: fields that share a name; a row has the value of the last that it has.
+    """
+    out, there = np.zeros(len(rows)), np.zeros(len(rows), bool)
+    for field in several:
+        series = field.series(rows)
+        values = series.values
+        if series.table is not None:
+            values = np.array([*map(str, series.table), ""])[values]
+        owner, first = np.unique(
+            np.arange(len(rows)) if series.owner is None else series.owner, return_index=True
+        )
+        if not there.any():
+            out = np.zeros(len(rows), values.dtype)
+        elif out.dtype.kind in "US" or values.dtype.kind in "US":
+            out, values = out.astype(str), values.astype(str)
+        out = out.astype(np.promote_types(out.dtype, values.dtype))
+        out[owner] = values[first]
+        there[owner] = True
+    return out, there
+
+
+def _names(rows: ColumnRows, _: Sequence[FilterField]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return what the list shows as topic: that of the route, else the name of the MsgId."""
+    routes = rows.context.mission.routes
+    pairs = np.stack((rows.routes().astype(np.int64), rows.column("msg_id").astype(np.int64)))
+    found, places = np.unique(pairs, axis=1, return_inverse=True)
+    names = np.array(
+        [
+            ""
+            if msg_id == NO_MSG_ID
+            else routes[route].topic
+            if route != NO_ROUTE
+            else rows.context.name(msg_id)
+            for route, msg_id in found.T.tolist()
+        ],
+        str,
+    )[places]
+    return names, names != ""
