@@ -158,7 +158,7 @@ def finish_relay(
     from edoras_tools.render.terminal.text import clean
 
     summary, recorder, (json, quiet) = relay.summary(), relay.recorder, printing
-    shown = recorder.shown.summary() if recorder and recorder.shown else None
+    shown = recorder.recorded.shown if recorder else None
     if json:
         print_json({**summary, "foxglove": shown})
     elif not quiet:
@@ -173,7 +173,7 @@ def finish_relay(
         failure = recorder.failure
     if failure is not None:
         raise failure
-    lost_outputs(recorder.losses if recorder else ())
+    lost_outputs(recorder.recorded.losses if recorder else ())
     if summary["lost"]:
         raise typer.Exit(LOST)
 

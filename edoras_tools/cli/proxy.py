@@ -158,7 +158,11 @@ def _opened(plan: ProxyPlan, bench: Workbench, goal: Target | None, show: Show |
     from edoras_tools.pipelines.recorder import RelayRecorder
 
     name = f"{plan.link.label} {plan.listen} to {plan.targets[0]}"
-    return Proxy(plan, recorder=lambda: RelayRecorder(goal, bench, name, show=show), where=compiler(bench))
+
+    def recorder() -> RelayRecorder:
+        return RelayRecorder(goal, bench, name, show=show, apart=True)
+
+    return Proxy(plan, recorder=recorder, where=compiler(bench))
 
 
 def _run(

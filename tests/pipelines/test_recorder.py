@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 
 import pytest
@@ -26,9 +28,13 @@ def numbered(count, size=12):
     ]
 
 
-def recorder(path, targets, **keywords):
+# From Python 3.12 on forking beside threads is warned of.
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+
+
+def recorder(path, targets, **options):
     bench = as_relayed(Settings(), CI, Endpoint(*targets[0].getsockname())).workbench()
-    return lambda: RelayRecorder(Target(path), bench, "test")
+    return lambda: RelayRecorder(Target(path), bench, "test", **options)
 
 
 def recorded(path, port):
@@ -51,10 +57,11 @@ def recorded(path, port):
     return datagrams, faults
 
 
-def test_a_recording_holds_what_was_sent_and_what_was_done_on_purpose(ends, tmp_path, arena):
+@pytest.mark.parametrize("apart", [False, True])
+def test_a_recording_holds_what_was_sent_and_what_was_done_on_purpose(ends, tmp_path, arena, apart):
     target, path = ends.port(), tmp_path / "a.mcap"
     rules = ["drop:0.2", "corrupt:0.2", "duplicate:0.1"]
-    proxy = ends.proxy(target, rules=rules, recorder=recorder(path, [target]))
+    proxy = ends.proxy(target, rules=rules, recorder=recorder(path, [target], apart=apart))
     client = ends.client(proxy)
     before, arrived = time.time_ns(), []
     for first in range(0, 600, 60):
@@ -110,7 +117,7 @@ def test_a_recording_that_fails_is_told_and_the_relay_goes_on(ends, tmp_path, mo
     def fail(*_):
         raise failure
 
-    monkeypatch.setattr(proxy.recorder._sink, "write", fail)
+    monkeypatch.setattr(proxy.recorder._writer._sink, "write", fail)
     client = ends.client(proxy)
     for _ in range(2):
         client.send(b"x" * 8)
@@ -118,3 +125,25 @@ def test_a_recording_that_fails_is_told_and_the_relay_goes_on(ends, tmp_path, mo
         until(lambda: proxy.recorder.failure is not None)
     proxy.end()
     assert str(proxy.recorder.failure) == told.format(path=tmp_path / "a.mcap")
+
+
+def test_a_second_process_that_is_killed_is_told_and_the_relay_goes_on(ends, tmp_path):
+    target = ends.port()
+    proxy = ends.proxy(target, recorder=recorder(tmp_path / "a.mcap", [target], apart=True))
+    os.kill(proxy.recorder._writer._process, signal.SIGKILL)
+    client = ends.client(proxy)
+    for _ in range(2):
+        client.send(b"x" * 8)
+        assert target.recv(99) == b"x" * 8
+        until(lambda: proxy.recorder.failure is not None)
+    proxy.end()
+    assert "the process that wrote it was killed" in str(proxy.recorder.failure)
+    assert proxy.summary()["recorded"] == 0
+
+
+def test_what_a_second_process_cannot_write_is_told_at_once(ends, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(CaptureError, match="cannot be created"):
+        ends.proxy(ends.port(), recorder=recorder(tmp_path / "file" / "a.mcap", [ends.port()], apart=True))
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)

@@ -39,6 +39,8 @@ _HEADER_BYTES: Final = np.array([0, 0, 0, 0, 20 + _UDP_BYTES, 0, 40 + _UDP_BYTES
 """By IP version: bytes of the headers before each payload."""
 HEADER_BYTES: Final = 40 + _UDP_BYTES + 2
 """Maximum bytes that a page needs for a datagram besides its payload."""
+_COLUMNS: Final = ("time_ns", "_offset", "_length", "_ends")
+"""The arrays of a page with an element for each datagram."""
 _TIME_TO_LIVE: Final = 64
 _UDP: Final = 17
 _ROWS: Final = 256
@@ -77,6 +79,13 @@ class FramePage:
         self._offset = np.empty(rows, np.int64)
         self._length = np.empty(rows, np.int32)
         self._ends = np.empty(rows, _ENDS_COPIED)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state without the space that is not used."""
+        state = dict(vars(self))
+        for name in _COLUMNS:
+            state[name] = state[name][: self.rows]
+        return {**state, "_data": self._data[: self.used + PADDING]}
 
     @property
     def size(self) -> int:
@@ -153,7 +162,7 @@ class FramePage:
             self._data = _grown(self._data, self.used, max(size, 2 * self.used) + PADDING)
         if rows > len(self.time_ns):
             more = max(rows, 2 * self.rows)
-            for name in ("time_ns", "_offset", "_length", "_ends"):
+            for name in _COLUMNS:
                 setattr(self, name, _grown(getattr(self, name), self.rows, more))
 
 

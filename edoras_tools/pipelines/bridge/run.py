@@ -162,7 +162,7 @@ class Bridges:
 
     def summary(self) -> dict[str, Any]:
         """Return the shape of ``bridge --json``."""
-        recorded = self.recorder.ledger.datagrams if self.recorder else None
+        recorded = self.recorder.recorded.datagrams if self.recorder else None
         return {
             "ros": self.ros,
             "bridges": [item.summary() for item in self.stations],

@@ -8,7 +8,8 @@ Rules that it keeps:
    that received them, and while a socket's buffer is full, later ones wait behind earlier ones.
 3. A client has its own socket towards each target, so that answers can be assigned to it.
 4. Every loss here has a count: in the kernel, in a full queue, in the recording, without a client.
-5. After traffic the thread polls again at once for a short time; then it sleeps until something arrives or
+5. Datagrams are forwarded first, then counted and copied for the recording.
+6. After traffic the thread polls again at once for a short time; then it sleeps until something arrives or
    is due.
 """
 
@@ -99,7 +100,7 @@ class Proxy:
         self.to_client = Direction("to clients")
         bind = resolve(plan.bind, f"--bind {plan.bind}")[1] if plan.bind else None
         client = resolve(plan.client, f"--client {plan.client}")[1] if plan.client else None
-        self._active_ns = self._upkeep_ns = 0
+        self._active_ns = self._upkeep_ns = self._untimed = 0
         self._poll = select.poll()
         self._owners: dict[int, tuple[socket.socket, ProxyClient | None]] = {}
         self._listen = open_bound(plan.listen, f"--listen {plan.listen}")
@@ -185,7 +186,7 @@ class Proxy:
     def summary(self) -> dict[str, Any]:
         """Return the shape of ``proxy --json``."""
         machine, recorder = self.machine, self.recorder
-        recorded = recorder.ledger if recorder else None
+        recorded = recorder.recorded if recorder else None
         return {
             **self.plan.summary(),
             "listen": str(self.endpoint),
@@ -208,7 +209,7 @@ class Proxy:
             "recorded": recorded.datagrams if recorded else None,
             "unrecorded": recorder.missed if recorder else 0,
             "lost": self.lost,
-            "routes": recorded.routes() if recorded else [],
+            "routes": list(recorded.routes) if recorded else [],
         }
 
     def _now(self) -> int:
@@ -252,8 +253,9 @@ class Proxy:
                 return
             now = self._arrived(count)
             senders = buffer.senders(count)
-            if count == 1 or (senders == senders[0]).all():
-                self._to_target(self.clients.at(senders[0].tobytes(), now), count, now)
+            packed, every = senders[0].tobytes(), senders.tobytes()
+            if every == packed * count:
+                self._to_target(self.clients.at(packed, now), count, now)
             else:
                 slots: dict[bytes, list[int]] = {}
                 for slot, packed in enumerate(senders.view("V32").ravel().tolist()):
@@ -273,32 +275,32 @@ class Proxy:
                 return
             now = self._arrived(count)
             direction = self.to_client
-            direction.received += count
-            direction.received_bytes += int(self._buffer.length[:count].sum())
             if client is None:
                 direction.unclaimed += count
             else:
                 client.last_ns = now
                 client.answered += count
                 self._relay(client, count, now, to_target=False)
+            direction.received += count
+            direction.received_bytes += int(self._buffer.length[:count].sum())
             if count < SLOTS:
                 return
 
     def _arrived(self, count: int) -> int:
-        """Store when datagrams arrived; return the time."""
-        self._times[:count] = self._buffer.times(count)
+        """Note that datagrams arrived; return the time. ``_send`` asks when, once they are sent."""
+        self._untimed = count
         self._active_ns = now = self._now()
         return now
 
     def _to_target(self, client: ProxyClient, slots: int | NDArray[np.int64], now: int) -> None:
+        client.last_ns = now
+        self._relay(client, slots, now, to_target=True)
         length = self._buffer.length[:slots] if isinstance(slots, int) else self._buffer.length[slots]
         total = int(length.sum())
         for direction in self.to_target:
             direction.received += len(length)
             direction.received_bytes += total
-        client.last_ns = now
         client.received += len(length)
-        self._relay(client, slots, now, to_target=True)
 
     def _relay(
         self, client: ProxyClient, slots: int | NDArray[np.int64], now: int, *, to_target: bool
@@ -321,6 +323,9 @@ class Proxy:
         for outlet in outlets:
             outlet.send(self._buffer, slots)
         sent_ns = time.time_ns()
+        if self._untimed:
+            self._times[: self._untimed] = self._buffer.times(self._untimed)
+            self._untimed = 0
         # Datagrams that faults delayed or made are late on purpose.
         arrived = self._times[:slots] if isinstance(slots, int) else self._times[slots[slots < SLOTS]]
         for outlet in outlets:

@@ -1,6 +1,5 @@
 """A sink in a second process, so that it does not share Python's lock with reading and decoding.
 
-Two threads that work in numpy pass that lock to each other hundreds of times per batch; two processes do not.
 The arrays of a batch are in shared memory, everything else is pickled through a socket. Every request is
 answered when it is done, in order, with nothing or with an exception; after a failure only the request to
 close is carried out.
@@ -8,27 +7,23 @@ close is carried out.
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import mmap
 import os
 import pickle
 import select
-import signal
-import socket
-import sys
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, Final, NoReturn, Protocol
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io import Sink
-from edoras_tools.io.signals import ENDING
+from edoras_tools.io.forked import fork, killed, portable, receive, send, undisturbed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    import socket
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -45,10 +40,6 @@ _ROOM_BYTES: Final = 9 << 20
 """Memory for a source to read into, which need not be copied: for the current batch, and one per slot."""
 _LENT: Final = _ROOMS * _ROOM_BYTES
 _ALIGNMENT: Final = 64
-_LENGTH_BYTES: Final = 8
-"""Bytes of the length before every message."""
-_PR_SET_PDEATHSIG: Final = 1
-"""prctl(2): the signal that a process gets when its parent ends."""
 
 
 class Filing(Sink, Protocol):
@@ -84,8 +75,6 @@ class Apart:
     """
 
     def __init__(self, sink: Filing, statistics: SourceStatistics, path: Path) -> None:
-        if sys.platform != "linux":
-            raise OSError("on other systems, libraries do not support fork")
         self.paths: list[Path] = []
         self.losses: list[OutputLoss] = []
         self.keep: Keep | None = None
@@ -98,17 +87,7 @@ class Apart:
         self._slot = self._room = 0
         self._used = [0] * _ROOMS
         """The last request that used each room."""
-        self._link, there = socket.socketpair()
-        starter = os.getpid()
-        with there, _undisturbed():
-            try:
-                self._process = os.fork()
-            except OSError:
-                self._link.close()
-                raise
-            if not self._process:
-                self._link.close()
-                _serve(sink, statistics, self._memory, there, starter)
+        self._process, self._link = fork(partial(_serve, sink, statistics, self._memory))
         sink.abandon()
 
     def lend(self, size: int) -> NDArray[np.uint8]:
@@ -180,9 +159,9 @@ class Apart:
     def _ask(self, *request: Any) -> int:
         """Send a request; return its number."""
         self._asked += 1
-        with _undisturbed():
+        with undisturbed():
             try:
-                _send(self._link, (self._asked, *request))
+                send(self._link, (self._asked, *request))
             except OSError:
                 self._gone()
         return self._asked
@@ -192,9 +171,9 @@ class Apart:
         answer = None
         while self._answered < request:
             select.select([self._link], [], [])
-            with _undisturbed():
+            with undisturbed():
                 try:
-                    self._answered, failure, answer = _receive(self._link)
+                    self._answered, failure, answer = receive(self._link)
                 except (OSError, EOFError):
                     self._gone()
                     return None
@@ -203,45 +182,12 @@ class Apart:
 
     def _gone(self) -> None:
         self._answered = self._asked
-        self._failure = self._failure or CaptureError(
-            f"{self._path}: the process that wrote it was killed; "
-            f"`edoras recover {self._path}` repairs the file"
-        )
+        self._failure = self._failure or killed(self._path)
 
     def _tell(self) -> None:
         if self._failure is not None:
             self._told = True
             raise self._failure
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Delay Ctrl-C: after half a request or answer, the connection could not be used any more."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
-    try:  # a pending signal raises in the call that blocks, after it has blocked
-        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _send(link: socket.socket, value: Any) -> None:
-    data = pickle.dumps(value, protocol=5)
-    link.sendall(len(data).to_bytes(_LENGTH_BYTES, "big") + data)
-
-
-def _receive(link: socket.socket) -> Any:
-    """Return a message from the other process.
-
-    Raises:
-        EOFError: the process has ended.
-    """
-    length = link.recv(_LENGTH_BYTES, socket.MSG_WAITALL)
-    size = int.from_bytes(length, "big")
-    data = link.recv(size, socket.MSG_WAITALL) if len(length) == _LENGTH_BYTES else b""
-    if not data or len(data) < size:
-        raise EOFError
-    return pickle.loads(data)  # noqa: S301  from our own process
 
 
 def _address(data: NDArray[np.uint8]) -> int:
@@ -250,56 +196,31 @@ def _address(data: NDArray[np.uint8]) -> int:
 
 
 def _serve(
-    sink: Filing,
-    statistics: SourceStatistics,
-    memory: NDArray[np.uint8],
-    link: socket.socket,
-    starter: int,
-) -> NoReturn:
-    """Run in the forked process: serve requests until one asks to close, or the parent process has ended.
-
-    It is killed when its parent ends, so that no process keeps writing after its parent died. The signals
-    that end a program stay blocked as during the fork: the parent handles them.
-    """
-    with suppress(BaseException):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != starter:  # the parent had already ended
-            os._exit(1)
-        gc.freeze()  # a collection would write to all shared pages, and so copy them
-        failed = False
-        kind = ""
-        while kind != "close":
-            try:
-                number, kind, *values = _receive(link)
-            except (OSError, EOFError):
-                number, kind, values = 0, "close", [statistics]
-            failure: Exception | None = None
-            try:
-                if kind == "close":
-                    sink.close(*values)
-                elif failed:
-                    pass
-                elif kind == "write":
-                    _write(sink, statistics, memory, *values)
-                else:
-                    sink.flush()
-            except Exception as error:  # noqa: BLE001  the caller in the other process gets it
-                failed, failure = True, _portable(error)
-            with suppress(OSError):  # the other process has ended: the next read shows it
-                closed = (sink.paths, getattr(sink, "losses", []), getattr(sink, "keep", None))
-                _send(link, (number, failure, closed if kind == "close" else None))
-    os._exit(0)
-
-
-def _portable(error: Exception) -> Exception:
-    """Return an exception that can be pickled; if needed, another one with the same text."""
-    try:
-        pickle.loads(pickle.dumps(error))  # noqa: S301  our own data
-    except Exception:  # noqa: BLE001  unpickling may fail in any way
-        return CaptureError(
-            str(error) if isinstance(error, EdorasError) else f"{type(error).__name__}: {error}"
-        )
-    return error
+    sink: Filing, statistics: SourceStatistics, memory: NDArray[np.uint8], link: socket.socket
+) -> None:
+    """Serve requests in the forked process until one asks to close, or the parent process has ended."""
+    failed = False
+    kind = ""
+    while kind != "close":
+        try:
+            number, kind, *values = receive(link)
+        except (OSError, EOFError):
+            number, kind, values = 0, "close", [statistics]
+        failure: Exception | None = None
+        try:
+            if kind == "close":
+                sink.close(*values)
+            elif failed:
+                pass
+            elif kind == "write":
+                _write(sink, statistics, memory, *values)
+            else:
+                sink.flush()
+        except Exception as error:  # noqa: BLE001  the caller in the other process gets it
+            failed, failure = True, portable(error)
+        with suppress(OSError):  # the other process has ended: the next read shows it
+            closed = (sink.paths, getattr(sink, "losses", []), getattr(sink, "keep", None))
+            send(link, (number, failure, closed if kind == "close" else None))
 
 
 def _write(

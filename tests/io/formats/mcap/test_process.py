@@ -18,6 +18,7 @@ from waiting import until
 
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import CaptureError, FieldError
+from edoras_tools.io import forked
 from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.mcap import process as apart
 from edoras_tools.io.formats.mcap.process import Apart
@@ -271,6 +272,6 @@ def test_ctrl_c_is_heeded_by_the_one_that_asks(tmp_path, made_up):
 
 
 def test_where_no_process_can_be_had(tmp_path, monkeypatch):
-    monkeypatch.setattr(apart.sys, "platform", "darwin")
+    monkeypatch.setattr(forked.sys, "platform", "darwin")
     with pytest.raises(OSError, match="support fork"):
         started(tmp_path)
