@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "8bb11d4584fe171f"
+local DIGEST = "adf9b808c98f1608"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1270,6 +1270,7 @@ D.links = {
 		sender_port = false,
 	},
 }
+D.left = {[5111] = "cfdp", [5222] = "cfdp"}
 D.sure = {by_content = 2, by_address = 4}
 D.doubles = {smallest = 767, largest = 1086}
 D.ports = {ci = {1234, 1235, 1236, 1237}, to = {1235}, sbn = {2234, 2235, 2236}, robot = {8080, 8585}}
@@ -3120,6 +3121,10 @@ local function register_ports()
 		ports[label] = port_set(edoras.prefs[label .. "_ports"])
 		for _, port in ipairs(D.ports[label]) do ports[label][port] = true end
 		for port in pairs(ports[label]) do registered[port] = true end
+	end
+	for port, name in pairs(D.left) do
+		local other = not registered[port] and Dissector.get(name)
+		if other then udp:add(port, other) end
 	end
 	for port in pairs(registered) do udp:add(port, edoras) end
 	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header)

@@ -205,10 +205,16 @@ def _data(knowledge: Knowledge) -> str:
             }
             for item in knowledge.findings
         ],
-        "links": [_link(item) for item in knowledge.links],
+        "links": [_link(item) for item in _ours(knowledge)],
+        "left": {
+            port: item.wireshark
+            for item in knowledge.links
+            if item.wireshark
+            for port in knowledge.ports[item.label]
+        },
         "sure": {"by_content": BY_CONTENT, "by_address": BY_ADDRESS},
         "doubles": {"smallest": SMALLEST_DOUBLE, "largest": LARGEST_DOUBLE},
-        "ports": {link: list(ports) for link, ports in knowledge.ports.items()},
+        "ports": {item.label: list(knowledge.ports[item.label]) for item in _ours(knowledge)},
         "bridge_ports": list(knowledge.bridge_ports),
         "cfs_addresses": list(knowledge.cfs_addresses),
         "identities": [list(pair) for pair in knowledge.identities],
@@ -229,11 +235,16 @@ def _data(knowledge: Knowledge) -> str:
     return "local D = {}\n" + "".join(f"D.{name} = {literal(value)}\n" for name, value in data.items())
 
 
+def _ours(knowledge: Knowledge) -> list[LinkProtocol]:
+    """Return the links that Wireshark has no dissector of its own for."""
+    return [link for link in knowledge.links if not link.wireshark]
+
+
 def _layouts(knowledge: Knowledge) -> dict[str, tuple[Layout, Place]]:
     """Return every header, those of the links among them: each is named as its layout is."""
     own = {
         layout.name: (layout, Place(link.label, layout.name.replace("_", ".")))
-        for link in knowledge.links
+        for link in _ours(knowledge)
         for layout in link.layouts
     }
     return own | LAYOUTS

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.wire.layout import Layout
 
-_LINKS: Final = tuple(link for link in table.links() if not link.forms)
-"""Those whose ports tell what they carry; scapy binds layers to ports, not to lengths."""
+_LINKS: Final = tuple(link for link in table.links() if not (link.forms or link.wireshark))
+"""Those whose ports tell what they carry, with fixed headers: scapy binds layers to ports, not to lengths."""
 CAPTURE_FILTER: Final = " or ".join(
     f"udp port {port}" for port in sorted({port for link in _LINKS for port in link.transport.ports})
 )

@@ -349,6 +349,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
             "sbn.PROTO",
             "envelope.DEFAULT",
             "cdr.ENCAPSULATION",
+            "cfdp.PDU_HEADER",
         )
     },
 }

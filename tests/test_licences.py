@@ -18,7 +18,7 @@ GPL = {"scapy": "GPL-2.0-only"}
 """Imported by dissectors/ and by one back end of live capture, for systems without packet sockets."""
 LICENCES = {
     "MIT": (
-        "annotated-doc ast-serialize duckdb execnet foxglove-sdk iniconfig librt linkify-it-py "
+        "annotated-doc ast-serialize cfdp duckdb execnet fastcrc foxglove-sdk iniconfig librt linkify-it-py "
         "markdown-it-py mcap mdit-py-plugins mdurl mypy mypy-extensions platformdirs pluggy polars "
         "polars-runtime-32 pytest pytest-xdist rich rich-click ruamel-yaml ruff setuptools "
         "textual typer six backrefs charset-normalizer mergedeep mkdocs-get-deps mkdocs-material "
@@ -31,7 +31,8 @@ LICENCES = {
         "babel idna jinja2 markdown markupsafe mkdocs"
     ),
     "Apache-2.0": (
-        "ghp-import junitparser pyarrow requests rosbags sortedcontainers types-pyyaml tzdata watchdog"
+        "deprecation ghp-import junitparser pyarrow requests rosbags sortedcontainers spacepackets "
+        "types-pyyaml tzdata watchdog"
     ),
     "Apache-2.0 or BSD": "packaging",
     "EPL-2.0, or Apache-2.0, or BSD": "cyclonedds eclipse-zenoh",

@@ -23,6 +23,10 @@ local function register_ports()
 		for _, port in ipairs(D.ports[label]) do ports[label][port] = true end
 		for port in pairs(ports[label]) do registered[port] = true end
 	end
+	for port, name in pairs(D.left) do
+		local other = not registered[port] and Dissector.get(name)
+		if other then udp:add(port, other) end
+	end
 	for port in pairs(registered) do udp:add(port, edoras) end
 	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header)
 end

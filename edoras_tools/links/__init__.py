@@ -13,6 +13,7 @@ ROWS: Final = {
     "to": "edoras_tools.links.to:TO",
     "sbn": "edoras_tools.links.sbn:SBN",
     "robot": "edoras_tools.links.robot:ROBOT",
+    "cfdp": "edoras_tools.links.cfdp:CFDP",
 }
 """The built-in links and where each object is; other packages add theirs by entry points."""
 ENTRY_POINT_GROUP: Final = "edoras.links"

@@ -181,6 +181,7 @@ class LinkProtocol(Link):
         constants: fields of its first header with a fixed value; a datagram with another is not this link's.
         port_sure: how sure it is by the port alone.
         sender_port: whether the source port is enough where the destination port decides nothing.
+        wireshark: name of Wireshark's own dissector, which is left the link's datagrams; empty for ours.
     """
 
     layouts: ClassVar[tuple[Layout, ...]] = ()
@@ -188,6 +189,7 @@ class LinkProtocol(Link):
     constants: ClassVar[Mapping[str, int]] = {}
     port_sure: ClassVar[int] = BY_PORT
     sender_port: ClassVar[bool] = False
+    wireshark: ClassVar[str] = ""
 
     @property
     def port_decides(self) -> bool:

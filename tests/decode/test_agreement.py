@@ -183,6 +183,10 @@ GOOD = [
     struct.pack("<6d", 0.5, 0, 0, 0, 0, -0.2),
     struct.pack("<7d", 0.5, 0, 0.7, 0, 0, 0, 1),
     struct.pack(">7d2i", 0.1, 0.5, 0, 0, 0, 0, 1, 1795241709, 5),
+    bytes.fromhex("20000b0001050207000000021c016101 62"),  # CFDP: Metadata, file data with a CRC, NAK, EOF
+    bytes.fromhex("32000b000105020000000c68656c6c6fabcd"),
+    bytes.fromhex("280011000105020800000000000000640000000a00000014"),
+    bytes.fromhex("21000e00010502040001020304000000000000021c"),
 ]
 
 
@@ -202,7 +206,7 @@ ROWS = st.lists(
     st.tuples(
         payloads(),
         st.sampled_from([40000, 1235, 2234, 2235, 2236]),
-        st.sampled_from([1234, 1235, 1236, 2234, 2235, 2236, 8080, 8585, 9]),
+        st.sampled_from([1234, 1235, 1236, 2234, 2235, 2236, 8080, 8585, 5111, 9]),
         st.sampled_from([0, 0, 0, int(Finding.CAPTURE_CUT)]),
     ),
     max_size=12,
@@ -219,7 +223,7 @@ OPTIONS = st.builds(
 @given(rows=ROWS, name=st.sampled_from(sorted(MISSIONS)), options=OPTIONS)
 @example(rows=[], name="none", options=Options())
 @example(
-    rows=[(good, 2236, port, 0) for good in GOOD for port in (1234, 1235, 2234, 8080, 8585)],
+    rows=[(good, 2236, port, 0) for good in GOOD for port in (1234, 1235, 2234, 8080, 8585, 5222)],
     name="rover",
     options=Options(),
 )

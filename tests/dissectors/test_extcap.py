@@ -42,6 +42,7 @@ def test_interfaces(launcher):
         "EDORAS TO}",
         "EDORAS SBN}",
         "EDORAS ROBOT}",
+        "EDORAS CFDP}",
     ]
 
 

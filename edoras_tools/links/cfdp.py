@@ -1,0 +1,143 @@
+"""CFDP over UDP, one protocol data unit a datagram: the files of EDORAS's ``data_transfer``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen, Site
+from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
+from edoras_tools.wire import cfdp
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.reading import Reading
+    from edoras_tools.wire.layout import Layout
+
+_SOURCE, _SEQUENCE = "source_entity_id", "transaction_sequence_number"
+_IDS: Final = {
+    _SOURCE: "of the sender of the file",
+    _SEQUENCE: "tells the files of that sender apart",
+    "destination_entity_id": "of the receiver of the file",
+}
+_TOLD: Final = {
+    "source_file_name": ", {} to {destination_file_name}",
+    "acknowledged_directive": ", for directive {}",
+    "data_length": ", {} bytes at {offset}",
+    "segment_requests": ", missing {}",
+    "file_size": ", {} bytes",
+    "progress": ", {} bytes",
+}
+
+
+class FileDeliveryLink(LinkProtocol):
+    """The link between CFDP entities; its length fields must fit the datagram, other bytes are not of it."""
+
+    code = 5
+    name = "CFDP"
+    label = "cfdp"
+    colour = "blue"
+    doc = "between CFDP entities, one protocol data unit a datagram (file delivery)"
+    transport = Transport(ports=(5111, 5222), first="either")
+    to_cfs = True
+    from_cfs = True
+    layouts = cfdp.EVERY_PDU_LAYOUT
+    wireshark = "cfdp"
+    port_decides = False
+
+    def recognise(self, seen: Seen) -> Any:
+        """Recognise a header of a known version whose lengths add up to the datagram's."""
+        number = {
+            slot.field.name: seen.field(cfdp.PDU_HEADER, slot.field.name) for slot in cfdp.PDU_HEADER.slots
+        }
+        header = 2 * number["entity_id_length"] + number["sequence_number_length"] + cfdp.PDU_HEADER.size + 3
+        known = (number["version"] < cfdp.NEWEST_VERSION + 1) & (number["pdu_data_field_length"] > 0)
+        return BY_CONTENT * (known & (header + number["pdu_data_field_length"] == seen.length))
+
+    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+        """Judge whether PDUs are whole; see :meth:`LinkProtocol.locate`."""
+        del site
+        found = Located(len(rows))
+        found.flag(
+            Finding.TRUNCATED, cfdp.read_pdus(batch.data, batch.offset[rows], batch.length[rows]).truncated
+        )
+        return found
+
+    def dissect(self, reading: Reading, site: Site) -> None:
+        """Read one PDU."""
+        del site
+        read_pdu(reading, 0)
+
+    def places(
+        self, layout: Layout, rows: BatchRows, field: str = ""
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Find the header, the directive code, or the parameters of one kind."""
+        del field
+        owner = np.flatnonzero(rows.column("link") == self)
+        offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]
+        if layout is cfdp.PDU_HEADER:
+            there = length >= layout.size
+            return owner[there], offset[there]
+        pdus = cfdp.read_pdus(rows.batch.data, offset, length)
+        if layout is cfdp.DIRECTIVE:
+            return owner[pdus.directive], pdus.code[pdus.directive]
+        there = np.zeros(len(owner), bool)
+        for large, layouts in enumerate(cfdp.PDU_LAYOUTS):
+            for kind, item in layouts.items():
+                there |= (item is layout) & (pdus.kind == kind) & (pdus.large == large)
+        return owner[there], pdus.start[there]
+
+    def summary(self, decoded: Decoded) -> str:
+        """Return what the PDU says, and of which transaction."""
+        return pdu_text(decoded)
+
+
+CFDP: Final = FileDeliveryLink()
+
+
+def read_pdu(reading: Reading, at: int) -> None:
+    """Read the layers of the PDU from byte ``at`` of a datagram on.
+
+    Raises:
+        TruncatedError: it needs more bytes than there are.
+    """
+    data = reading.data
+    head = reading.read(cfdp.PDU_HEADER, at)
+    pdu = cfdp.read_pdus(np.frombuffer(data, np.uint8), np.array([at]), np.array([len(data) - at]))
+    code, start, behind, end = (int(item[0]) for item in (pdu.code, pdu.start, pdu.data, pdu.end))
+    if code > len(data):
+        reading.truncated(cfdp.PDU_HEADER.name, at, code - at)
+    place, width = at + cfdp.PDU_HEADER.size, head["entity_id_length"] + 1
+    sizes = width, head["sequence_number_length"] + 1, width
+    for (name, doc), size in zip(_IDS.items(), sizes, strict=True):
+        value = int(getattr(pdu, name)[0])
+        reading.extend(LayerField(name, value, place, place + size, str(value), doc))
+        place += size
+    if not head["pdu_type"] and not pdu.directive[0]:
+        reading.truncated(cfdp.DIRECTIVE.name, code, cfdp.DIRECTIVE.size)
+    kind = 0 if head["pdu_type"] else reading.read(cfdp.DIRECTIVE, code)["directive_code"]
+    layout = cfdp.PDU_LAYOUTS[head["large_file_flag"]].get(kind)
+    if layout is None:
+        return
+    if pdu.truncated[0]:
+        reading.truncated(layout.name, start, layout.size)
+    reading.read(layout, start)
+    values = cfdp.parameters(kind, head["large_file_flag"], data[start:end])
+    for name, doc in cfdp.CONTENT_FIELDS.items():
+        if name in values:
+            reading.extend(LayerField(name, values[name], behind, end, str(values[name]), doc))
+
+
+def pdu_text(decoded: Decoded) -> str:
+    """Return a line on a PDU: what it says, and of which transaction; empty where it is cut."""
+    head = decoded.layer(cfdp.PDU_HEADER.name)
+    if head is None or decoded.stop:
+        return ""
+    last, ids = decoded.layers[-1], head.values()
+    values = last.values()
+    told = f"{last.title.removeprefix('CFDP ')} of {ids[_SOURCE]}:{ids[_SEQUENCE]}"
+    told += "".join(form.format(values[name], **values) for name, form in _TOLD.items() if name in values)
+    condition = values.get("condition_code")
+    return f"{told}, {cfdp.CONDITION_NAMES.get(condition, condition)}" if condition else told

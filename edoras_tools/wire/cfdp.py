@@ -1,0 +1,307 @@
+"""CFDP protocol data units (CCSDS 727.0-B-5, 5), big-endian: one by one, and many at once.
+
+A PDU is a header of variable length, then a directive (its code and its parameters) or a piece of the file.
+With the large-file flag, offsets and sizes have 64 bits instead of 32.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.wire.layout import Field, Layout
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class Directive(IntEnum):
+    """What a PDU is: the directive code; ``FILE_DATA``, which has none, is 0."""
+
+    FILE_DATA = 0
+    EOF = 4
+    FINISHED = 5
+    ACK = 6
+    METADATA = 7
+    NAK = 8
+    PROMPT = 9
+    KEEP_ALIVE = 12
+
+
+class ConditionCode(IntEnum):
+    """Condition codes, 727.0-B 5.2.2."""
+
+    NO_ERROR = 0
+    POSITIVE_ACK_LIMIT_REACHED = 1
+    KEEP_ALIVE_LIMIT_REACHED = 2
+    INVALID_TRANSMISSION_MODE = 3
+    FILESTORE_REJECTION = 4
+    FILE_CHECKSUM_FAILURE = 5
+    FILE_SIZE_ERROR = 6
+    NAK_LIMIT_REACHED = 7
+    INACTIVITY_DETECTED = 8
+    INVALID_FILE_STRUCTURE = 9
+    CHECK_LIMIT_REACHED = 10
+    UNSUPPORTED_CHECKSUM_TYPE = 11
+    SUSPEND_REQUEST_RECEIVED = 14
+    CANCEL_REQUEST_RECEIVED = 15
+
+
+class Checksum(IntEnum):
+    """Checksum types that this package computes, of SANA's registry."""
+
+    MODULAR = 0
+    CRC_32 = 3
+    NULL = 15
+
+
+def _words(names: type[IntEnum]) -> dict[int, str]:
+    return {int(item): item.name.lower().replace("_", " ") for item in names}
+
+
+DIRECTIVE_NAMES: Final = {
+    code: name.title() if len(name) > 3 else name.upper() for code, name in _words(Directive).items()
+}
+CONDITION_NAMES: Final = _words(ConditionCode)
+_CODES: Final = {code: name for code, name in DIRECTIVE_NAMES.items() if code}
+
+PDU_HEADER: Final = Layout(
+    "cfdp",
+    "CFDP",
+    Field("version", 3, "0 in issues 1 to 4 of the standard, 1 since", clause="727.0-B 5.1"),
+    Field("pdu_type", 1, "what follows the header", names={0: "directive", 1: "file data"}),
+    Field("direction", 1, "of travel", names={0: "toward receiver", 1: "toward sender"}),
+    Field("transmission_mode", 1, "class 2 or 1", names={0: "acknowledged", 1: "unacknowledged"}),
+    Field("crc_flag", 1, "a CRC-16 of the PDU ends it"),
+    Field("large_file_flag", 1, "offsets and sizes have 64 bits"),
+    Field("pdu_data_field_length", 16, "bytes behind the header"),
+    Field("segmentation_control", 1, "record boundaries are kept"),
+    Field("entity_id_length", 3, "bytes of an entity ID, less 1"),
+    Field("segment_metadata_flag", 1, "metadata is in front of each piece of the file"),
+    Field("sequence_number_length", 3, "bytes of the transaction sequence number, less 1"),
+)
+"""The part of the header that always has one length; the IDs and the sequence number follow."""
+NEWEST_VERSION: Final = 1
+DIRECTIVE: Final = Layout(
+    "cfdp_directive", "CFDP Directive", Field("directive_code", 8, "what the PDU says", names=_CODES)
+)
+_CONDITION: Final = Field("condition_code", 4, "why", names=CONDITION_NAMES, clause="727.0-B 5.2.2")
+_FILE: Final = {0: "discarded", 1: "rejected by the filestore", 2: "retained", 3: "not reported"}
+_STATUS: Final = {0: "undefined", 1: "active", 2: "terminated", 3: "unrecognised"}
+
+
+def _layouts(bits: int, prefix: str) -> dict[int, Layout]:
+    """Return the layout of each kind's parameters; offsets and sizes have so many bits."""
+    parameters = {
+        Directive.FILE_DATA: (Field("offset", bits, "place of the first byte in the file"),),
+        Directive.EOF: (
+            _CONDITION,
+            Field("reserved", 4, "0"),
+            Field("file_checksum", 32, "of the file, by the type that Metadata names", base=16),
+            Field("file_size", bits, "bytes of the file"),
+        ),
+        Directive.FINISHED: (
+            _CONDITION,
+            Field("reserved", 1, "0"),
+            Field("delivery_code", 1, "whether the file is there", names={0: "complete", 1: "incomplete"}),
+            Field("file_status", 2, "what became of it", names=_FILE),
+        ),
+        Directive.ACK: (
+            Field("acknowledged_directive", 4, "its code", names=_CODES),
+            Field("directive_subtype_code", 4, "1 for Finished, else 0"),
+            _CONDITION,
+            Field("reserved", 2, "0"),
+            Field("transaction_status", 2, "at the sender of this PDU", names=_STATUS),
+        ),
+        Directive.METADATA: (
+            Field("reserved", 1, "0"),
+            Field("closure_requested", 1, "in class 1 too, the receiver says when it has finished"),
+            Field("reserved_2", 2, "0"),
+            Field("checksum_type", 4, "of SANA's registry", names=_words(Checksum)),
+            Field("file_size", bits, "bytes of the file; 0 where it is not known"),
+        ),
+        Directive.NAK: (
+            Field("start_of_scope", bits, "first byte of the part that was looked at"),
+            Field("end_of_scope", bits, "one past its last byte"),
+        ),
+        Directive.PROMPT: (
+            Field("response_required", 1, "what to send", names={0: "NAK", 1: "Keep Alive"}),
+            Field("reserved", 7, "0"),
+        ),
+        Directive.KEEP_ALIVE: (Field("progress", bits, "bytes that have come"),),
+    }
+    return {
+        kind: Layout(f"{prefix}_{kind.name.lower()}", f"CFDP {DIRECTIVE_NAMES[kind]}", *items)
+        for kind, items in parameters.items()
+    }
+
+
+_USUAL: Final = _layouts(32, "cfdp")
+_LARGE: Final = {
+    kind: _USUAL[kind] if layout.size == _USUAL[kind].size else layout
+    for kind, layout in _layouts(64, "cfdp_large").items()
+}
+PDU_LAYOUTS: Final = _USUAL, _LARGE
+"""The parameters of each kind, by the large-file flag."""
+EVERY_PDU_LAYOUT: Final = (
+    PDU_HEADER,
+    DIRECTIVE,
+    *_USUAL.values(),
+    *(layout for kind, layout in _LARGE.items() if layout is not _USUAL[kind]),
+)
+_SIZES: Final = np.array(
+    [[layouts[kind].size if kind in layouts else -1 for kind in range(256)] for layouts in PDU_LAYOUTS],
+    np.int16,
+)
+"""Bytes of the parameters by the large-file flag and the kind; -1 for kinds that do not exist."""
+CONTENT_FIELDS: Final = {
+    "data_length": "bytes of the piece",
+    "source_file_name": "name at the sender",
+    "destination_file_name": "name at the receiver",
+    "segment_requests": "parts that are missing: first byte, and one past the last",
+}
+"""What lies behind the parameters of fixed size, as :func:`parameters` reads it."""
+_CRC_BYTES: Final = 2
+UNREAD: Final = -1
+"""``Pdus.kind`` where the kind does not exist, or the PDU is cut."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pdus:
+    """PDUs in columns, one element each; positions point into the data that they were read from.
+
+    Attributes:
+        kind: i16, a ``Directive``; ``UNREAD`` where there is none.
+        truncated: bool, it needs more bytes than there are.
+        directive: bool, it has a directive code.
+        toward_sender: bool, it travels from the receiver to the sender of the file.
+        acknowledged: bool, of class 2.
+        large: u8, the large-file flag.
+        source_entity_id: u64, of the sender of the file.
+        transaction_sequence_number: u64.
+        destination_entity_id: u64, of the receiver of the file.
+        code: i64, position behind the header; of a header that is cut, where it would be.
+        start: i64, position of the parameters.
+        data: i64, position behind the parameters: of the piece of the file, of names, of requests.
+        end: i64, one past the last byte; a CRC is left out.
+        file_offset: u64, place in the file; 0 for directives.
+    """
+
+    kind: NDArray[np.int16]
+    truncated: NDArray[np.bool_]
+    directive: NDArray[np.bool_]
+    toward_sender: NDArray[np.bool_]
+    acknowledged: NDArray[np.bool_]
+    large: NDArray[np.uint8]
+    source_entity_id: NDArray[np.uint64]
+    transaction_sequence_number: NDArray[np.uint64]
+    destination_entity_id: NDArray[np.uint64]
+    code: NDArray[np.int64]
+    start: NDArray[np.int64]
+    data: NDArray[np.int64]
+    end: NDArray[np.int64]
+    file_offset: NDArray[np.uint64]
+
+
+def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> Pdus:
+    """Read many PDUs; nothing in them can make this raise.
+
+    Args:
+        data: u8, contiguous.
+        offset: i64 (n,), where each begins.
+        length: (n,), bytes that are there.
+    """
+    head = PDU_HEADER.columns(gather(data, offset, PDU_HEADER.size))
+    ids = head["entity_id_length"].astype(np.int64) + 1
+    counts = head["sequence_number_length"].astype(np.int64) + 1
+    code = offset + PDU_HEADER.size + 2 * ids + counts
+    there = offset + length
+    whole = (length >= PDU_HEADER.size) & (code <= there)
+    claimed = code - offset + head["pdu_data_field_length"]
+    end = np.minimum(offset + claimed, there) - _CRC_BYTES * head["crc_flag"]
+    # Positions past the end of the data are not read: those of a cut PDU are those of its first byte.
+    first = gather(data, np.where(whole, code, offset), 1)[:, 0]
+    piece = head["pdu_type"] == 1
+    metadata = np.where(head["segment_metadata_flag"] == 1, 1 + (first & 0x3F).astype(np.int64), 0)
+    start = code + np.where(piece, metadata, DIRECTIVE.size)
+    kind = np.where(piece, Directive.FILE_DATA, first).astype(np.int16)
+    large = head["large_file_flag"]
+    size = _SIZES[large, kind].astype(np.int64)
+    behind = start + np.maximum(size, 0)
+    cut = ~whole | (behind > end)
+    kind[cut | (size < 0)] = UNREAD
+    at = np.where(whole, offset + PDU_HEADER.size, offset)
+    of_data = kind == Directive.FILE_DATA
+    return Pdus(
+        kind,
+        cut,
+        whole & ~piece & (start <= end),
+        head["direction"] == 1,
+        head["transmission_mode"] == 0,
+        large,
+        _numbers(data, at, ids),
+        _numbers(data, at + ids * whole, counts),
+        _numbers(data, at + (ids + counts) * whole, ids),
+        code,
+        start,
+        behind,
+        end,
+        _numbers(data, np.where(of_data, start, offset), 4 + 4 * large) * of_data,
+    )
+
+
+def _numbers(
+    data: NDArray[np.uint8], at: NDArray[np.int64], width: NDArray[np.integer[Any]]
+) -> NDArray[np.uint64]:
+    """Read unsigned numbers of 1 to 8 bytes."""
+    word = gather(data, at, 8).view(">u8")[:, 0].astype(np.uint64)
+    return word >> (64 - 8 * width).astype(np.uint64)
+
+
+def parameters(kind: int, large: int, data: bytes) -> dict[str, Any]:
+    """Read the parameters of a PDU, leniently: what lies behind the first ones is read as far as it goes.
+
+    Args:
+        kind: a ``Directive``.
+        large: the large-file flag.
+        data: from the first parameter to the end of the PDU.
+
+    Returns:
+        the fields of its layout, and those of ``CONTENT_FIELDS`` that the kind has.
+
+    Raises:
+        TruncatedError: the fields of the layout are not whole.
+    """
+    layout = PDU_LAYOUTS[large][kind]
+    values = layout.parse(data)
+    rest = data[layout.size :]
+    if kind == Directive.FILE_DATA:
+        values["data_length"] = len(rest)
+    elif kind == Directive.METADATA:
+        for name in ("source_file_name", "destination_file_name"):
+            size = rest[0] if rest else 0
+            values[name], rest = rest[1 : 1 + size].decode("utf-8", "replace"), rest[1 + size :]
+    elif kind == Directive.NAK:
+        width = layout.size // 2
+        ends = [  # a request that is cut is left out
+            int.from_bytes(rest[at : at + width], "big")
+            for at in range(0, len(rest) // layout.size * layout.size, width)
+        ]
+        values["segment_requests"] = [list(pair) for pair in zip(ends[::2], ends[1::2], strict=True)]
+    return values
+
+
+def modular_checksum(piece: bytes, offset: int) -> int:
+    """Return what a piece of a file adds to its modular checksum (727.0-B 4.2.2), modulo 2^32.
+
+    Args:
+        piece: the bytes.
+        offset: of the first of them in the file.
+    """
+    front = offset % 4
+    words = np.frombuffer(bytes(front) + piece + bytes(-(front + len(piece)) % 4), ">u4")
+    return int(words.sum(dtype=np.uint64)) & 0xFFFFFFFF
