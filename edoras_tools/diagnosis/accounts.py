@@ -42,8 +42,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     rows, own = case.rows, stream.rows
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
     times = rows.time_ns[own]
-    losses = [loss for loss in case.losses if loss.stream is stream]
-    lost = sum(loss.lost for loss in losses)
+    lost = sum(loss.lost for loss in case.losses_of(stream))
     seconds = float(times[-1] - times[0]) / SECOND
     to_cfs = route.to_cfs if route else bool(stream.msg_id & 0x1000)
     clean_hz, told_by = clean_rate(case, stream)
@@ -103,7 +102,7 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     Measured: messages of it were lost at Telemetry Output's pipe, and it comes in rounds. Else constants of
     cFS are assumed, unless the capture shows that they are others: more of it got through without a loss.
     """
-    lost_at_pipe = any(loss.stream is stream and loss.kind in PIPE_EVENTS for loss in case.losses)
+    lost_at_pipe = any(loss.kind in PIPE_EVENTS for loss in case.losses_of(stream))
     if lost_at_pipe and stream.link.only_from_cfs:
         rounds = comb(case.rows.time_ns[stream.rows])
         if _is_period(rounds.period_ns, case.profile.to_wake_ns) and 2 * rounds.share >= 1:

@@ -267,6 +267,17 @@ class Case:
         """All that was lost, each message in one of them."""
         return [*self.telemetry.losses, *self.commands.losses]
 
+    def losses_of(self, stream: Stream) -> list[Loss]:
+        """Return what was lost of a stream."""
+        return self._losses_of.get(id(stream), [])
+
+    @cached_property
+    def _losses_of(self) -> dict[int, list[Loss]]:
+        found: dict[int, list[Loss]] = {}
+        for loss in self.losses:
+            found.setdefault(id(loss.stream), []).append(loss)
+        return found
+
     @cached_property
     def has_telemetry(self) -> bool:
         """Whether anything that a cFS sends is in the capture."""

@@ -150,7 +150,7 @@ def _never_came(case: Case, stream: Stream) -> NDArray[np.int64]:
     """
     times = case.rows.time_ns[stream.rows]
     found = np.where(stream.pauses, 0, stream.missing).astype(np.int64)
-    own = [loss for loss in case.losses if loss.stream is stream]
+    own = case.losses_of(stream)
     closed = [int(np.searchsorted(times, loss.start_ns)) for loss in own if loss.closed]
     found[closed] = 0
     for loss in own:

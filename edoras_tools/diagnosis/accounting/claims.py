@@ -170,7 +170,7 @@ def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[i
         exact = [left * weights[at] / total for at in free]
         parts = [min(int(value), most[at] - out[at]) for value, at in zip(exact, free, strict=True)]
         if not any(parts):
-            best = max(free, key=lambda at: exact[free.index(at)] % 1)
+            best = max(zip(free, exact, strict=True), key=lambda each: each[1] % 1)[0]
             parts = [int(at == best) for at in free]
         for at, part in zip(free, parts, strict=True):
             out[at] += part

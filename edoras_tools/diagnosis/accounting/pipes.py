@@ -84,6 +84,8 @@ class Pipes:
 
     def __init__(self, known: Known, counts: Mapping[int, Counts], losses: list[Loss]) -> None:
         self._known, self._counts, self.losses = known, counts, losses
+        self._indexed = 0
+        self._same: dict[tuple[object, ...], Loss] = {}
 
     def settle(self, fates: Sequence[Fate]) -> None:
         """Give messages that did not come out what the software bus counted.
@@ -198,12 +200,12 @@ class Pipes:
             instance: the cFS that counted them.
             among: which they are, or are some of.
         """
-        for loss in self.losses:
-            if (loss.stream, loss.kind, loss.instance) == (stream, kind, instance) and loss.span == cut:
-                loss.lost += number
-                before = loss.among.rows if loss.among else among[:0]
-                loss.among = Among(stream, np.union1d(before, among))
-                return
+        loss = self._known_loss(stream, kind, instance, cut)
+        if loss is not None:
+            loss.lost += number
+            before = loss.among.rows if loss.among else among[:0]
+            loss.among = Among(stream, np.union1d(before, among))
+            return
         reported, said = self._named(stream, kind, instance)
         evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them"]
         if said is not None:
@@ -234,6 +236,13 @@ class Pipes:
                 among=Among(stream, among),
             )
         )
+
+    def _known_loss(self, stream: Stream, kind: PipeKind, instance: int, cut: Span) -> Loss | None:
+        """Return the loss of a span that an instance is known to have counted as a kind."""
+        for loss in self.losses[self._indexed :]:
+            self._same.setdefault((id(loss.stream), loss.kind, loss.instance, loss.span), loss)
+        self._indexed = len(self.losses)
+        return self._same.get((id(stream), kind, instance, cut))
 
     def _named(
         self, stream: Stream, kind: PipeKind, instance: int

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
 
 from edoras_tools.cfs import sbn, software_bus, telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
@@ -60,7 +65,7 @@ class ReportedLoss:
         return bool(sbn.PEER_PIPE.fullmatch(self.pipe))
 
 
-@dataclass(slots=True)
+@dataclass
 class LossEvents:
     """The events about one loss, in order: how many, and when.
 
@@ -87,7 +92,12 @@ class LossEvents:
 
     def within(self, start_ns: int, end_ns: int) -> int:
         """Return how many came in a span of time."""
-        return sum(start_ns <= item.time_ns <= end_ns for item in self.records)
+        times = self._times
+        return int(np.count_nonzero((times >= start_ns) & (times <= end_ns)))
+
+    @cached_property
+    def _times(self) -> NDArray[np.int64]:
+        return np.array([item.time_ns for item in self.records], np.int64)
 
 
 def parse_loss_event(record: EventRecord, instance: int = NOBODY) -> ReportedLoss | None:

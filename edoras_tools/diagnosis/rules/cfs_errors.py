@@ -12,6 +12,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from edoras_tools.diagnosis.accounting.losses import LossKind
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
 
@@ -26,16 +27,17 @@ def judge(case: Case) -> Iterator[Verdict]:
     told = {line for item in case.verdicts for line in item.evidence}
     quoted = "\n".join(told)
     groups: dict[tuple[str, str, int], list[EventRecord]] = {}
+    known = {(loss.kind, loss.msg_id, loss.instance) for loss in case.losses}
     for record in case.payloads.events:
-        if record.event_type >= EventType.ERROR and not _is_told(case, record, quoted):
+        if record.event_type >= EventType.ERROR and not _is_told(case, record, quoted, known):
             groups.setdefault((record.sender, record.app, record.event_id), []).append(record)
     for members in groups.values():
         yield _verdict(case, members)
+    named = (parse_loss_event(record) for record in case.payloads.events)
+    refused = sum(item is not None and item.kind in {"invalid", "too_big"} for item in named)
     for instance, track in case.tracks.items():
         errors = track.growth("send_errors")
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
-        named = (parse_loss_event(record) for record in case.payloads.events)
-        refused = sum(item is not None and item.kind in {"invalid", "too_big"} for item in named)
         if errors > losses + refused and not any("sends failed" in line for line in told):
             yield Verdict(
                 ID,
@@ -51,7 +53,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             )
 
 
-def _is_told(case: Case, record: EventRecord, quoted: str) -> bool:
+def _is_told(case: Case, record: EventRecord, quoted: str, known: set[tuple[LossKind, int, int]]) -> bool:
     """Tell whether a verdict quotes an event, or the balance has what it names."""
     if record.message in quoted:
         return True
@@ -63,10 +65,7 @@ def _is_told(case: Case, record: EventRecord, quoted: str) -> bool:
         return any(item.msg_id == reported.msg_id and item.lost for item in case.verdicts)
     track = case.tracks.get(instance)
     older = track is not None and int(case.instances.made_ns[record.row]) <= track.times[0]
-    return older or any(
-        (loss.kind, loss.msg_id, loss.instance) == (reported.kind, reported.msg_id, instance)
-        for loss in case.losses
-    )
+    return older or (reported.kind, reported.msg_id, instance) in known
 
 
 def _verdict(case: Case, members: list[EventRecord]) -> Verdict:
