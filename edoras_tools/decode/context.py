@@ -244,9 +244,13 @@ class Context:
 
     def _settle_ports(self) -> None:
         """Find the sets of links that claim a port, and what is decided for each of them."""
-        bits = sum(claimed.astype(np.int64) << index for index, claimed in enumerate(self.ports.values()))
-        sets, claim = np.unique(np.append(bits, 0), return_inverse=True)  # the first set is empty
-        self.claim: NDArray[np.uint8] = claim[:-1].astype(np.uint8)
+        bits = np.zeros(65536, np.int64)
+        for index, claimed in enumerate(self.ports.values()):
+            bits[claimed] |= 1 << index
+        ports = np.flatnonzero(bits)
+        sets, claim = np.unique(np.append(bits[ports], 0), return_inverse=True)  # the first set is empty
+        self.claim: NDArray[np.uint8] = np.zeros(len(bits), np.uint8)
+        self.claim[ports] = claim[:-1]
         self.claimants = tuple(
             tuple(link for index, link in enumerate(self.links) if int(item) >> index & 1) for item in sets
         )

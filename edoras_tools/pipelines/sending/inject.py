@@ -7,16 +7,13 @@ from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.commands import ENABLE_OUTPUT, NAMED, Argument
 from edoras_tools.cfs.telemetry_output import USUAL_LIMIT
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import own_address
 from edoras_tools.pipelines.sending.options import Receiver
-from edoras_tools.pipelines.sending.replay import Loaded
+from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sender_of
 from edoras_tools.pipelines.sending.wait_for import enable_output
 from edoras_tools.ros.arbitrary import arbitrary
@@ -208,8 +205,13 @@ def _values(text: str) -> dict[str, Any]:
             raise ConfigError(
                 f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}"
             ) from None
+    if not text.strip():
+        return {}
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
     try:
-        values = YAML(typ="safe", pure=True).load(text) if text.strip() else {}
+        values = YAML(typ="safe", pure=True).load(text)
     except (YAMLError, ValueError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         place = f" line {mark.line + 1}, column {mark.column + 1}:" if mark else ""

@@ -28,7 +28,9 @@ CAP_HZ: Final = 1000.0
 _LISTEN_NS: Final = 2 * SECOND
 _FOLLOW_NS: Final = 30 * SECOND
 """A full socket drains for about 12 s: CI reads 11 datagrams each half second."""
-_NO_LISTEN_NS: Final = 100 * MILLISECOND
+_REFUSAL_NS: Final = 100 * MILLISECOND
+"""Without answers only refusals are waited for; this machine's own come while the datagram is sent."""
+_OWN_REFUSAL_NS: Final = 10 * MILLISECOND
 _IDENTITY: Final = Peer(0x42, 3)
 
 
@@ -164,16 +166,17 @@ class SendOptions:
             Receiver.GROUND: (ground.bridge_port if ground else 1235, None),
         }[self.to]
         target = self.target or Endpoint(LOOPBACK, to_port)
-        listen = self.listen
+        listen, near = self.listen, is_loopback(target.address)
         if listen is None and listen_port is not None:
-            near = is_loopback(target.address)
             listen = Endpoint(LOOPBACK if near else own_address(target), listen_port)
         if self.no_listen and self.to is not Receiver.SBN:
             listen = None
         events = None
         if self.to is Receiver.SBN and not self.no_listen and listen is not None:
             events = Endpoint(listen.address, ground.bridge_port if ground else 1235)
-        linger = _NO_LISTEN_NS if listen is None or self.no_listen else _LISTEN_NS
+        linger = _LISTEN_NS
+        if listen is None or self.no_listen:
+            linger = _OWN_REFUSAL_NS if near else _REFUSAL_NS
         wait_for = self.wait_for or (("peer",) if self.has_session else ())
         return replace(
             self,

@@ -11,6 +11,7 @@ from edoras_tools.errors import CaptureError, ConfigError, WireError
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.sending.options import Receiver
+from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.pipelines.sending.safety import called, fits
 from edoras_tools.sessions.outgoing import Changes, Outgoing, join_datagrams
 from edoras_tools.wire import cfe, sbn
@@ -52,21 +53,6 @@ class ReplaySelection:
     routes: Sequence[str] = ()
     period: Period = field(default_factory=Period)
     count: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Loaded:
-    """What is to be sent, and notes from reading.
-
-    Attributes:
-        out: the datagrams, in the order of the recording.
-        wanted: MsgIds that the recording's own SBN peer subscribed to.
-        notes: for the user, one line each.
-    """
-
-    out: Outgoing
-    wanted: tuple[int, ...] = ()
-    notes: tuple[str, ...] = ()
 
 
 def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choice: ReplaySelection) -> Loaded:

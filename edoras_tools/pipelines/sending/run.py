@@ -34,11 +34,25 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.sending.keys import Keys
     from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sending.recording import SentRecording
-    from edoras_tools.pipelines.sending.replay import Loaded
     from edoras_tools.render.terminal.run import Watcher
     from edoras_tools.sessions.faults.machine import FaultMachine
     from edoras_tools.sessions.outgoing import Changes, Outgoing
     from edoras_tools.sessions.pacing import Timetable
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """What is to be sent, and notes from reading.
+
+    Attributes:
+        out: the datagrams, in the order of the recording.
+        wanted: MsgIds that the recording's own SBN peer subscribed to.
+        notes: for the user, one line each.
+    """
+
+    out: Outgoing
+    wanted: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.cfs import edoras_app
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.pipelines.sending.options import Receiver
-from edoras_tools.pipelines.sending.replay import Loaded
+from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.pipelines.sending.safety import fits
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND
