@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "adf9b808c98f1608"
+local DIGEST = "7b063d40bbe41384"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -115,14 +115,55 @@ D.layouts = {
 		protocol = "robot",
 		title = "Robot command",
 		size = 48,
+		little = true,
 		fields = {
 			{
-				abbreviation = "robot.command.values",
-				name = "values",
+				abbreviation = "robot.command.linear_x",
+				name = "linear_x",
 				start = 0,
-				size = 48,
-				kind = "bytes",
-				doc = "6 doubles in native order: linear and angular x, y, z",
+				size = 8,
+				kind = "double",
+				doc = "velocity, m/s",
+			},
+			{
+				abbreviation = "robot.command.linear_y",
+				name = "linear_y",
+				start = 8,
+				size = 8,
+				kind = "double",
+				doc = "velocity, m/s",
+			},
+			{
+				abbreviation = "robot.command.linear_z",
+				name = "linear_z",
+				start = 16,
+				size = 8,
+				kind = "double",
+				doc = "velocity, m/s",
+			},
+			{
+				abbreviation = "robot.command.angular_x",
+				name = "angular_x",
+				start = 24,
+				size = 8,
+				kind = "double",
+				doc = "velocity, rad/s",
+			},
+			{
+				abbreviation = "robot.command.angular_y",
+				name = "angular_y",
+				start = 32,
+				size = 8,
+				kind = "double",
+				doc = "velocity, rad/s",
+			},
+			{
+				abbreviation = "robot.command.angular_z",
+				name = "angular_z",
+				start = 40,
+				size = 8,
+				kind = "double",
+				doc = "velocity, rad/s",
 			},
 		},
 		place = {},
@@ -132,14 +173,63 @@ D.layouts = {
 		protocol = "robot",
 		title = "Robot pose",
 		size = 56,
+		little = true,
 		fields = {
 			{
-				abbreviation = "robot.pose.values",
-				name = "values",
+				abbreviation = "robot.pose.position_x",
+				name = "position_x",
 				start = 0,
-				size = 56,
-				kind = "bytes",
-				doc = "7 doubles in native order: position x, y, z; quaternion x, y, z, w",
+				size = 8,
+				kind = "double",
+				doc = "m; an arm's joints 1 to 3, rad",
+			},
+			{
+				abbreviation = "robot.pose.position_y",
+				name = "position_y",
+				start = 8,
+				size = 8,
+				kind = "double",
+				doc = "m; an arm's joints 1 to 3, rad",
+			},
+			{
+				abbreviation = "robot.pose.position_z",
+				name = "position_z",
+				start = 16,
+				size = 8,
+				kind = "double",
+				doc = "m; an arm's joints 1 to 3, rad",
+			},
+			{
+				abbreviation = "robot.pose.orientation_x",
+				name = "orientation_x",
+				start = 24,
+				size = 8,
+				kind = "double",
+				doc = "quaternion; an arm's joints 4 to 7, rad",
+			},
+			{
+				abbreviation = "robot.pose.orientation_y",
+				name = "orientation_y",
+				start = 32,
+				size = 8,
+				kind = "double",
+				doc = "quaternion; an arm's joints 4 to 7, rad",
+			},
+			{
+				abbreviation = "robot.pose.orientation_z",
+				name = "orientation_z",
+				start = 40,
+				size = 8,
+				kind = "double",
+				doc = "quaternion; an arm's joints 4 to 7, rad",
+			},
+			{
+				abbreviation = "robot.pose.orientation_w",
+				name = "orientation_w",
+				start = 48,
+				size = 8,
+				kind = "double",
+				doc = "quaternion; an arm's joints 4 to 7, rad",
 			},
 		},
 		place = {},
@@ -149,25 +239,82 @@ D.layouts = {
 		protocol = "robot",
 		title = "Robot state",
 		size = 64,
+		little = true,
 		fields = {
 			{
-				abbreviation = "robot.state.values",
-				name = "values",
+				abbreviation = "robot.state.position_x",
+				name = "position_x",
 				start = 0,
-				size = 56,
-				kind = "bytes",
-				doc = "7 doubles in native order: a rover's position x, y, z and quaternion x, y, z, w; an arm's 7 joints",
+				size = 8,
+				kind = "double",
+				doc = "m; an arm's joints 1 to 3, rad",
 			},
 			{
-				abbreviation = "robot.state.stamp",
-				name = "stamp",
-				start = 56,
+				abbreviation = "robot.state.position_y",
+				name = "position_y",
+				start = 8,
 				size = 8,
-				kind = "bytes",
-				doc = "seconds and nanoseconds, 4 bytes each in native order",
+				kind = "double",
+				doc = "m; an arm's joints 1 to 3, rad",
+			},
+			{
+				abbreviation = "robot.state.position_z",
+				name = "position_z",
+				start = 16,
+				size = 8,
+				kind = "double",
+				doc = "m; an arm's joints 1 to 3, rad",
+			},
+			{
+				abbreviation = "robot.state.orientation_x",
+				name = "orientation_x",
+				start = 24,
+				size = 8,
+				kind = "double",
+				doc = "quaternion; an arm's joints 4 to 7, rad",
+			},
+			{
+				abbreviation = "robot.state.orientation_y",
+				name = "orientation_y",
+				start = 32,
+				size = 8,
+				kind = "double",
+				doc = "quaternion; an arm's joints 4 to 7, rad",
+			},
+			{
+				abbreviation = "robot.state.orientation_z",
+				name = "orientation_z",
+				start = 40,
+				size = 8,
+				kind = "double",
+				doc = "quaternion; an arm's joints 4 to 7, rad",
+			},
+			{
+				abbreviation = "robot.state.orientation_w",
+				name = "orientation_w",
+				start = 48,
+				size = 8,
+				kind = "double",
+				doc = "quaternion; an arm's joints 4 to 7, rad",
+			},
+			{
+				abbreviation = "robot.state.stamp_seconds",
+				name = "stamp_seconds",
+				start = 56,
+				size = 4,
+				kind = "int32",
+				doc = "the robot's time",
+			},
+			{
+				abbreviation = "robot.state.stamp_nanoseconds",
+				name = "stamp_nanoseconds",
+				start = 60,
+				size = 4,
+				kind = "uint32",
+				doc = "the robot's time: beyond its seconds",
 			},
 		},
-		place = {},
+		place = {stamp_seconds = 1, stamp_nanoseconds = 2},
 	},
 	ccsds = {
 		name = "ccsds",
@@ -1259,6 +1406,7 @@ D.links = {
 		to_cfs = true,
 		from_cfs = true,
 		packets = false,
+		values = true,
 		headers = {"robot_command", "robot_pose", "robot_state"},
 		header_bytes = 0,
 		forms = {
@@ -1485,7 +1633,11 @@ function D.read.robot_pose(s, p)
 end
 
 function D.read.robot_state(s, p)
-	return 
+	local b56, b57, b58, b59, b60, b61, b62, b63 = byte(s, p + 56, p + 63)
+	local stamp_seconds = ((b59 * 256 + b58) * 256 + b57) * 256 + b56
+	if stamp_seconds >= 2147483648 then stamp_seconds = stamp_seconds - 4294967296 end
+	local stamp_nanoseconds = ((b63 * 256 + b62) * 256 + b61) * 256 + b60
+	return stamp_seconds, stamp_nanoseconds
 end
 
 function D.read.ccsds(s, p)
@@ -1838,7 +1990,7 @@ end
 
 for _, layout in pairs(D.layouts) do
 	for _, slot in ipairs(layout.fields) do
-		if slot.kind == "string" or slot.kind == "bytes" then
+		if not slot.kind:find("int") then
 			slot.record = new_field(layout.protocol, slot.abbreviation, slot.kind, slot.name, nil, slot.doc)
 		else
 			slot.record = new_field(
@@ -2677,12 +2829,32 @@ local function software_bus_network(s)
 	return nil
 end
 
+-- Return a header as the steps of a message: its values say what it is.
+local function steps_of(layout)
+	if not layout.steps then
+		local leaves = {}
+		for index, slot in ipairs(layout.fields) do
+			local code = ({double = "d", float = "f", int32 = "i4", uint32 = "I4"})[slot.kind]
+			leaves[index] = {
+				name = slot.name, offset = slot.start, size = slot.size, code = code, big = ">" .. code, little = "<" .. code,
+				form = slot.name .. (code:find("[fd]") and "=%.6g" or "=%d"),
+			}
+		end
+		layout.steps = {{leaves = leaves, alignment = 1, size = layout.size}}
+	end
+	return layout.steps
+end
+
 -- Read the headers of a link that has the same ones always, or by its length.
 local function read_headers(s, link)
 	local form, at = link.forms and link.forms[#s], 0
 	for _, name in ipairs(form and form.headers or link.headers) do
 		if not take(L[name], at) then return nil end
-		if not link.packets then W.summary = L[name].title or link.title end
+		if link.values then
+			if W.listed then W.summary = short_message(steps_of(L[name]), s, at + 1, at + 1, false) end
+		elseif not link.packets then
+			W.summary = L[name].title or link.title
+		end
 		at = at + L[name].size
 	end
 	return link.packets and at or nil

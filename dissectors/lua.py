@@ -268,6 +268,7 @@ def _link(link: LinkProtocol) -> dict[str, Any]:
         "to_cfs": link.to_cfs,
         "from_cfs": link.from_cfs,
         "packets": link.packets,
+        "values": link.last_hop or None,
         "headers": [layout.name for layout in link.layouts],
         "header_bytes": link.header_bytes,
         "forms": forms or None,
@@ -314,6 +315,7 @@ def _word(layout: Layout, slot: Slot) -> Slot:
 def _field(slot: Slot, word: Slot, prefix: str) -> dict[str, Any]:
     item, size = slot.field, word.end - word.start
     number = item.kind in {"uint", "int"}
+    kinds = {"text": "string", "float": "double" if size == 8 else "float"}
     whole = slot.mask == (1 << 8 * size) - 1
     shift = slot.shift + 8 * (
         word.end - slot.end
@@ -323,7 +325,7 @@ def _field(slot: Slot, word: Slot, prefix: str) -> dict[str, Any]:
         "name": item.name,
         "start": word.start,
         "size": size,
-        "kind": f"{item.kind}{8 * size}" if number else {"text": "string", "bytes": "bytes"}[item.kind],
+        "kind": f"{item.kind}{8 * size}" if number else kinds.get(item.kind, item.kind),
         "mask": slot.mask << shift if number and not whole else None,
         "hex": (item.base == 16 and number) or None,
         "names": dict(item.names) or None,

@@ -17,15 +17,13 @@ class Number(Field):  # type: ignore[misc]  # scapy has no types
     __slots__ = ("slot",)
 
     def __init__(self, slot: Slot, default: int | None, order: str) -> None:
-        letter = {1: "b", 2: "h", 4: "i", 8: "q"}[slot.end - slot.start]
-        super().__init__(
-            slot.field.name, default, order + (letter if slot.field.kind == "int" else letter.upper())
-        )
+        codes = {"int": "bhiq", "uint": "BHIQ", "float": "__fd"}[slot.field.kind]
+        super().__init__(slot.field.name, default, order + codes[(slot.end - slot.start).bit_length() - 1])
         self.slot = slot
 
     def i2repr(self, _packet: Any, value: Any) -> str:
         """Return the value as people read it."""
-        return self.slot.field.text(value) if isinstance(value, int) else repr(value)
+        return self.slot.field.text(value) if isinstance(value, (int, float)) else repr(value)
 
 
 class Text(StrFixedLenField):  # type: ignore[misc]

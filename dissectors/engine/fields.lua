@@ -59,7 +59,7 @@ end
 
 for _, layout in pairs(D.layouts) do
 	for _, slot in ipairs(layout.fields) do
-		if slot.kind == "string" or slot.kind == "bytes" then
+		if not slot.kind:find("int") then
 			slot.record = new_field(layout.protocol, slot.abbreviation, slot.kind, slot.name, nil, slot.doc)
 		else
 			slot.record = new_field(

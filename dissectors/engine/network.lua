@@ -171,12 +171,32 @@ local function software_bus_network(s)
 	return nil
 end
 
+-- Return a header as the steps of a message: its values say what it is.
+local function steps_of(layout)
+	if not layout.steps then
+		local leaves = {}
+		for index, slot in ipairs(layout.fields) do
+			local code = ({double = "d", float = "f", int32 = "i4", uint32 = "I4"})[slot.kind]
+			leaves[index] = {
+				name = slot.name, offset = slot.start, size = slot.size, code = code, big = ">" .. code, little = "<" .. code,
+				form = slot.name .. (code:find("[fd]") and "=%.6g" or "=%d"),
+			}
+		end
+		layout.steps = {{leaves = leaves, alignment = 1, size = layout.size}}
+	end
+	return layout.steps
+end
+
 -- Read the headers of a link that has the same ones always, or by its length.
 local function read_headers(s, link)
 	local form, at = link.forms and link.forms[#s], 0
 	for _, name in ipairs(form and form.headers or link.headers) do
 		if not take(L[name], at) then return nil end
-		if not link.packets then W.summary = L[name].title or link.title end
+		if link.values then
+			if W.listed then W.summary = short_message(steps_of(L[name]), s, at + 1, at + 1, false) end
+		elseif not link.packets then
+			W.summary = L[name].title or link.title
+		end
 		at = at + L[name].size
 	end
 	return link.packets and at or nil

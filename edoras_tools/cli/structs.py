@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def binding(text: str) -> tuple[Key, str]:
-    """Read ``MSGID=STRUCT`` or ``MSGID/CODE=STRUCT``."""
+    """Read ``MSGID=STRUCT``, ``MSGID/CODE=STRUCT`` or ``udp:PORT=STRUCT``."""
     from edoras_tools.structs.files import parse_key
 
     key, equals, name = text.partition("=")
@@ -50,8 +50,8 @@ def structs(
             "-b",
             metavar="ID=NAME",
             parser=binding,
-            help="The struct of a MsgId, e.g. 0x0890=ROVER_HkTlm_t, or 0x1890/2=X for a function code; "
-            "repeatable.",
+            help="The struct of a MsgId, e.g. 0x0890=ROVER_HkTlm_t, 0x1890/2=X for a function code, or "
+            "udp:8585=X for what is sent to a robot's port; repeatable.",
         ),
     ] = None,
     package: Annotated[

@@ -6,6 +6,7 @@ Offsets and verdicts are the same as :mod:`edoras_tools.decode.stack` gives one 
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -15,6 +16,7 @@ from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_columns
 from edoras_tools.decode.variants import Variants
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Columns, Finding, PacketBatch
+from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cdr import ROUNDED
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
@@ -250,10 +252,10 @@ class _Pass:
 
     def _structs(self) -> None:
         """Judge whether packets are as long as the C structs they should hold."""
-        rows = np.flatnonzero(self.context.structs.has[self.out["msg_id"]])
-        if len(rows):
-            for _, members, fits in self.context.structs.split(rows, self.out.__getitem__):
-                self.flag(Finding.STRUCT_LENGTH, members, ~fits)
+        structs = self.context.structs
+        found = payloads(structs, self.out.__getitem__, partial(getattr, self.batch))
+        for _, members, fits in structs.split(found):
+            self.flag(Finding.STRUCT_LENGTH, members.row, ~fits)
 
     def _envelopes(self, packet: NDArray[np.bool_]) -> None:
         """Read the envelopes of the routes' packets, a route at a time."""

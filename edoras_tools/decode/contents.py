@@ -68,7 +68,7 @@ class Contents(Generic[Content]):
         self._dissector = Dissector(context, detail=False)
         self._of_packet = of_packet
         self._of_columns = of_columns
-        self._kept: dict[tuple[int, int, bytes], Content] = {}
+        self._kept: dict[tuple[int, int, int, bytes], Content] = {}
 
     def of(self, rows: ColumnRows) -> list[Content]:
         """Return what is said of each row."""
@@ -86,7 +86,8 @@ class Contents(Generic[Content]):
             return self._of_packet(self._dissector.dissect(batch[place]))
         start = int(batch.offset[place])
         payload = batch.data[start : start + int(batch.length[place])].tobytes()
-        key = int(columns.link[place]), int(columns.findings[place]), payload
+        bound = rows.context.structs.of_port(batch.destination_port[place])
+        key = int(columns.link[place]), int(columns.findings[place]), int(bound), payload
         content = self._kept.get(key)
         if content is None:
             if len(self._kept) >= _MOST_KEPT:

@@ -184,7 +184,7 @@ class Context:
         self.any_route_of: NDArray[np.int16] = np.full(65536, NO_ROUTE, np.int16)
         self.known = np.zeros(65536, bool)
         self.known[list(names.MSG_ID_NAMES)] = True
-        self.known |= self.structs.has
+        self.known |= self.structs.has[: len(self.known)]
         for index, route in reversed(list(enumerate(self.mission.routes))):
             self.route_of[self.route_row[route.link], route.msg_id] = index
             self.any_route_of[route.msg_id] = index
@@ -237,6 +237,8 @@ class Context:
         for link, claimed in ports.items():
             claimed[list(link.transport.ports)] = True
             claimed[[port for other, port in self.options.ports if other == link]] = True
+            if link.last_hop:
+                claimed[[port for port, _ in self.structs.ports]] = True
             for bridge in self.mission.links:
                 if bridge.kind == link.bridge:
                     claimed[[getattr(bridge, name) for name in link.bridge_ports]] = True

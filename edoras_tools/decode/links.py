@@ -31,8 +31,13 @@ class _Datagram:
         # Bytes that the capture cut off count.
         self.length = self._have + max(datagram.original_length - len(datagram.frame), 0)
         self.destination_port = datagram.destination.port
+        self._context = context
         self.to_cfs = context.is_cfs(datagram.destination)
         self.from_cfs = context.is_cfs(datagram.source)
+
+    @property
+    def bound(self) -> Any:
+        return self._context.structs.on_ports(self.destination_port, self.length)
 
     def field(self, layout: Layout, name: str, at: int = 0) -> Any:
         """Return a number of a header at byte ``at``; -1 where it is not there."""
@@ -58,6 +63,10 @@ class _Rows:
     @cached_property
     def from_cfs(self) -> NDArray[np.bool_]:
         return self._is_cfs(self._batch.source_address[self._rows])
+
+    @property
+    def bound(self) -> Any:
+        return self._context.structs.on_ports(self.destination_port, self.length)
 
     def _is_cfs(self, address: NDArray[np.uint32]) -> NDArray[np.bool_]:
         found = np.zeros(len(address), bool)

@@ -6,7 +6,7 @@ are the same as :mod:`edoras_tools.decode.columns` gives for a batch.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.findings import UNKNOWABLE
@@ -26,6 +26,7 @@ from edoras_tools.model import (
     Link,
     RosMessage,
 )
+from edoras_tools.structs.packets import OWN_LAYERS
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION, ROUNDED
 from edoras_tools.wire.envelope import DEFAULT, detect
@@ -33,9 +34,6 @@ from edoras_tools.wire.packet import length_of, msg_id_of
 
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
-
-_OWN_LAYERS: Final = frozenset({cfe.EVENT.name, cfe.SOFTWARE_BUS_HOUSEKEEPING.name})
-"""Layers that show a struct already."""
 
 
 class Dissector:
@@ -85,6 +83,9 @@ class _Dissection(Reading):
         start = protocol(self.link).dissect(self, self.context)
         if start is not None:
             self.space_packet(start)
+        elif self.link.last_hop:
+            key = int(self.context.structs.of_port(self.datagram.destination.port))
+            self._struct(key, len(self.data), 0, (0, 0, 0, 0, self.link))
 
     def space_packet(self, start: int) -> None:
         """Read the primary header and everything behind it."""
@@ -145,7 +146,7 @@ class _Dissection(Reading):
         if command:
             self._command(msg_id, code or 0, start, min(length, total))
         if bare:
-            self._struct(msg_id, start, header, code)
+            self._packet_struct(msg_id, start, header, code)
             return
         self._payload(msg_id, start, header, code)
 
@@ -180,7 +181,7 @@ class _Dissection(Reading):
             ):
                 if msg_id == known and len(self.data) - at >= layout.size:
                     self.read(layout, at)
-            self._struct(msg_id, start, header, code)
+            self._packet_struct(msg_id, start, header, code)
             return
         if length == header:
             if Finding.LENGTH_MISMATCH in self.findings:
@@ -190,35 +191,40 @@ class _Dissection(Reading):
             return
         self._envelope(route, at)
 
-    def _struct(self, msg_id: int, start: int, header: int, code: int | None) -> None:
-        """Read the C struct that a packet without a route holds, as a message."""
-        length = len(self.data) - start - header
-        bound = self.context.structs.find(msg_id, code, length)
+    def _packet_struct(self, msg_id: int, start: int, header: int, code: int | None) -> None:
+        """Read the C struct that a packet without a route holds."""
+        peer = self.layers[0].values() if self.link.peers else {}
+        sequence = ccsds.PRIMARY.parse(self.data, start)["packet_sequence_count"]
+        origin = (peer.get("processor_id", 0), msg_id, sequence, code or 0, self.link)
+        self._struct(msg_id, code, start + header, origin)
+
+    def _struct(self, key: int, code: int | None, at: int, origin: tuple[int, ...]) -> None:
+        """Read a C struct to the end of the datagram, as a message; key and code are those of ``Key``."""
+        length = len(self.data) - at
+        bound = self.context.structs.find(key, code, length)
         if bound is None:
             return
         if not bound.fits(length):
             self.findings |= Finding.STRUCT_LENGTH
             return
-        peer = self.layers[0].values() if self.link.peers else {}
-        sequence = ccsds.PRIMARY.parse(self.data, start)["packet_sequence_count"]
-        origin = (peer.get("processor_id", 0), msg_id, sequence, code or 0, self.link)
-        cdr = bound.encode_one(self.data[start + header :], origin)
+        cdr = bound.encode_one(self.data[at:], origin)
         values = self.context.structs.types.decode(bound.type, cdr)
         self.message = RosMessage(bound.type, bound.topic, values, cdr)
-        if self.detail and not any(layer.name in _OWN_LAYERS for layer in self.layers):
+        shown = bound.shipped and any(layer.name in OWN_LAYERS for layer in self.layers)
+        if self.detail and not shown:
             fields = tuple(
                 LayerField(
                     path,
                     value,
-                    start + header + low,
-                    start + header + high,
+                    at + low,
+                    at + high,
                     bound.text(member, value),
                     member.doc,
                 )
                 for path, value, low, high, member in bound.spans(values, length)
             )
             title = f"{bound.name}: {bound.struct.doc}" if bound.struct.doc else bound.name
-            self.layers.append(Layer("cfs", title, start + header, len(self.data), fields))
+            self.layers.append(Layer("cfs", title, at, len(self.data), fields))
 
     def _envelope(self, route: int, at: int) -> None:
         envelope = self.context.envelopes[route] or detect(self.data, at) or DEFAULT

@@ -85,6 +85,10 @@ class Seen(Protocol):
     def from_cfs(self) -> Any:
         """Whether its source is the address of a cFS that the mission names."""
 
+    @property
+    def bound(self) -> Any:
+        """Whether it is as long as a C struct that is bound to the port that it is sent to."""
+
     def field(self, layout: Layout, name: str, at: int = 0) -> Any:
         """Return a number of a header that starts at byte ``at``; -1 where its bytes are not there."""
 
@@ -249,7 +253,8 @@ class LinkProtocol(Link):
         del site
         at = 0
         form = self.forms.get(len(reading.data))
-        for layout in form.headers if form else self.layouts:
+        whole = bool(self.forms) and Finding.CAPTURE_CUT not in reading.findings
+        for layout in form.headers if form else () if whole else self.layouts:
             reading.read(layout, at)
             at += layout.size
         return at if self.packets else None

@@ -1,42 +1,18 @@
 """The robot link: between a flight app and its robot over UDP, bare doubles without a header.
 
-The paper calls it serial. Its values are shown as bytes: only the app knows what they mean.
+The paper calls it serial.
 """
 
 from __future__ import annotations
 
-from typing import ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from edoras_tools.links.protocol import Form, LinkProtocol
+from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol
 from edoras_tools.model import Transport
-from edoras_tools.wire.layout import Field, Layout
+from edoras_tools.wire.robot import CFS_PORT, ROBOT_PORT, SENT_TO
 
-CFS_PORT: Final = 8080
-ROBOT_PORT: Final = 8585
-
-ROBOT_COMMAND: Final = Layout(
-    "robot_command",
-    "Robot command",
-    Field("values", 8 * 48, "6 doubles in native order: linear and angular x, y, z", kind="bytes"),
-)
-ROBOT_POSE: Final = Layout(
-    "robot_pose",
-    "Robot pose",
-    Field(
-        "values", 8 * 56, "7 doubles in native order: position x, y, z; quaternion x, y, z, w", kind="bytes"
-    ),
-)
-ROBOT_STATE: Final = Layout(
-    "robot_state",
-    "Robot state",
-    Field(
-        "values",
-        8 * 56,
-        "7 doubles in native order: a rover's position x, y, z and quaternion x, y, z, w; an arm's 7 joints",
-        kind="bytes",
-    ),
-    Field("stamp", 8 * 8, "seconds and nanoseconds, 4 bytes each in native order", kind="bytes"),
-)
+if TYPE_CHECKING:
+    from edoras_tools.links.protocol import Seen
 
 
 class RobotLink(LinkProtocol):
@@ -54,12 +30,15 @@ class RobotLink(LinkProtocol):
     to_cfs = True
     from_cfs = True
     last_hop = True
-    layouts = (ROBOT_COMMAND, ROBOT_POSE, ROBOT_STATE)
+    layouts = tuple(SENT_TO)
     forms: ClassVar = {
-        ROBOT_COMMAND.size: Form((ROBOT_COMMAND,), port=ROBOT_PORT, doubles=6),
-        ROBOT_POSE.size: Form((ROBOT_POSE,), port=ROBOT_PORT, doubles=7),
-        ROBOT_STATE.size: Form((ROBOT_STATE,), port=CFS_PORT, doubles=7),
+        layout.size: Form((layout,), port, doubles=sum(slot.field.kind == "float" for slot in layout.slots))
+        for layout, port in SENT_TO.items()
     }
+
+    def recognise(self, seen: Seen) -> Any:
+        """Return how sure it is: certain where a struct of that length is bound to that port."""
+        return super().recognise(seen) + CERTAIN * seen.bound
 
 
 ROBOT: Final = RobotLink()

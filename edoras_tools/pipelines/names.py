@@ -12,6 +12,7 @@ import numpy as np
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.errors import RouteError
 from edoras_tools.links import table
+from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.structs.shapes import Key
 from edoras_tools.words import did_you_mean
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Columns
+    from edoras_tools.model import Columns, PacketBatch
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,20 +54,19 @@ class PacketKinds:
             frozenset().union(*(item.kinds for item in found)),
         )
 
-    def mask(self, columns: Columns, length: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Return which rows are meant.
-
-        Args:
-            columns: of a batch.
-            length: bytes of the payloads.
-        """
+    def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+        """Return which rows of a batch are meant."""
         found = np.isin(columns.route, list(self.routes))
         found |= np.isin(columns.msg_id, [key.msg_id for key in self.keys if key.function_code is None])
         for key in self.keys:
-            if key.function_code is not None:
+            if key.port is not None:
+                there = among(columns.link, lambda link: link.last_hop)
+                there &= (batch.destination_port == key.port) | (not key.port)
+                found |= there & ((batch.length == key.function_code) | (key.function_code is None))
+            elif key.function_code is not None:
                 found |= (columns.msg_id == key.msg_id) & (columns.function_code == key.function_code)
         if self.kinds:
-            own = table.message_kinds(columns, length)
+            own = table.message_kinds(columns, batch.length)
             for code, kind in self.kinds:
                 found |= (columns.link == code) & (own == kind) & (columns.msg_id == NO_MSG_ID)
         return found

@@ -201,7 +201,7 @@ class Selection:
         if self.links:
             chosen &= np.isin(columns.link, [int(link) for link in self.links])
         for packets in self._named:
-            chosen &= packets.mask(columns, batch.length)
+            chosen &= packets.mask(batch, columns)
         if self.notable:
             chosen &= (columns.findings & np.uint32(self.notable)) != 0
         return chosen

@@ -60,7 +60,7 @@ class Bindings:
         ):
             struct = layout.structs[layout.bindings[key]]
             name = struct.name.removesuffix("_t")
-            topic = f"/cfs/{name}/{key}" if often[name] > 1 else f"/cfs/{name}"
+            topic = f"/cfs/{name}/{key}".replace(":", "_") if often[name] > 1 else f"/cfs/{name}"
             bound.append(Bound(key, layout, struct, topic, self.define(layout, struct, whole=True)))
         self.all: tuple[Bound, ...] = tuple(bound)
         self.by_id: dict[int, list[Bound]] = {}

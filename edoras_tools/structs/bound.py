@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.structs.payloads import StructPayloads
     from edoras_tools.structs.shapes import Key, Member, Struct, StructLayout
 
 
@@ -80,8 +81,9 @@ class Bound:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What is told of its topic: the MsgId, and the struct's name."""
-        return {"msg_id": f"0x{self.key.msg_id:04x}", "struct": self.struct.name}
+        """What is told of its topic: the MsgId or the port, and the struct's name."""
+        named = {"msg_id": f"0x{self.key.msg_id:04x}"} if self.key.port is None else {"port": str(self.key)}
+        return {**named, "struct": self.struct.name}
 
     @property
     def shipped(self) -> bool:
@@ -215,7 +217,7 @@ class Held:
 
     Args:
         bound: the struct.
-        rows: i64 (n,), which packets; at least one.
+        payloads: of these packets; at least one.
         columns: gives the decoder's by name, an element a packet of the batch.
         data: u8, what they point into.
 
@@ -228,17 +230,15 @@ class Held:
     def __init__(
         self,
         bound: Bound,
-        rows: NDArray[np.intp],
+        payloads: StructPayloads,
         columns: Callable[[str], NDArray[Any]],
         data: NDArray[np.uint8],
     ) -> None:
         self.bound = bound
-        self.rows = rows
+        self.rows = payloads.row
         self._columns = columns
         self._data = data
-        header = columns("header_length")[rows]
-        self._offset = columns("packet_offset")[rows] + header
-        self._length = columns("packet_length")[rows] - header
+        self._offset, self._length = payloads.offset, payloads.length
         least, most = int(self._length.min()), int(self._length.max())
         self.size = bound.plan(most).size if least == most else 0
 

@@ -11,7 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.structs.files import layout_of
-from edoras_tools.structs.packets import PACKETS, SHIPPED
+from edoras_tools.structs.packets import DATAGRAMS, PACKETS, SHIPPED, UDP_KEY
 from edoras_tools.structs.shapes import BASIC, Enumeration, Key, Member, Struct, StructLayout
 from edoras_tools.wire import cfe
 
@@ -241,7 +241,7 @@ _WIRE_LAYOUTS: Final = {
     cfe.EVENT_MSG_ID: cfe.EVENT,
     cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
 }
-"""Packets that the wire's own tables describe, by MsgId."""
+"""Packets that the wire's own tables describe, by MsgId; so are ``DATAGRAMS``."""
 
 
 @cache
@@ -268,6 +268,9 @@ def shipped_layout() -> StructLayout:
         name = PACKETS[msg_id]
         structs[name] = _of_header(name, header, enums)
         bindings[Key(msg_id)] = name
+    for size, header in DATAGRAMS.items():
+        structs[header.name] = _of_header(header.name, header, enums)
+        bindings[Key(UDP_KEY, size)] = header.name
     return StructLayout(structs, enums, bindings, origin=LAYOUT_NAME)
 
 
@@ -276,13 +279,7 @@ def _of_header(name: str, header: wire.Layout, enums: dict[str, Enumeration]) ->
     members = []
     for slot in header.slots:
         item, size = slot.field, slot.end - slot.start
-        kind = (
-            BASIC["char"]
-            if item.kind == "text"
-            else BASIC[f"uint{item.bits}"]
-            if item.kind == "uint"
-            else None
-        )
+        kind = BASIC["char"] if item.kind == "text" else BASIC.get(f"{item.kind}{item.bits}")
         if kind is None or item.name == "spare":
             continue
         enum = Enumeration(f"{name}_{item.name}", kind, item.names)

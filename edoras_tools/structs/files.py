@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.arrange import Wanted, arrange
+from edoras_tools.structs.packets import UDP_KEY
 from edoras_tools.structs.shapes import (
     BASIC,
     OPEN,
@@ -353,12 +354,20 @@ _BITS: Final = {BasicKind.INT, BasicKind.UINT, BasicKind.BOOL}
 
 
 def parse_key(raw: Any) -> Key:
-    """Read ``0x0801`` or ``0x1880/6``: a MsgId, and a command's function code.
+    """Read ``0x0801``, a MsgId, ``0x1880/6``, with a function code, or ``udp:8585``, a robot's port.
+
+    With ``/48`` a port means datagrams of so many bytes; ``udp:robot/48`` is any port of the robot link.
 
     Raises:
         ConfigError: it is neither.
     """
     word, slash, code = str(raw).partition("/")
+    if word.startswith("udp:"):
+        port, size = word.removeprefix("udp:"), code if slash else "1"
+        any_port = port == "robot" and bool(slash)
+        if not (any_port or (port.isdecimal() and 1 <= int(port) <= 0xFFFF)) or not size.isdecimal():
+            raise ConfigError(f"{_shown(raw)} is not a UDP port as udp:8585, from 1 to 65535")
+        return Key(UDP_KEY + (0 if any_port else int(port)), int(code) if slash else None)
     try:
         key = Key(int(word, 0), int(code, 0) if slash else None)
     except ValueError:
@@ -376,5 +385,5 @@ def is_package(name: str) -> bool:
 
 
 def _refuse(raw: Any) -> NoReturn:
-    msg_ids = "0x0801, from 1 to 0x1fff, nor one with a function code as 0x1880/6"
+    msg_ids = "0x0801, from 1 to 0x1fff, nor one with a function code as 0x1880/6, nor a port as udp:8585"
     raise ConfigError(f"{_shown(raw)} is not a MsgId as {msg_ids}")

@@ -175,7 +175,7 @@ def member_place(member: Member) -> str:
 
 def header_definition(name: str) -> Definition:
     """Return the definition of the header."""
-    own = [link for link in table.links() if link.packets and link.label in ROWS]
+    own = [link for link in table.links() if link.label in ROWS and (link.packets or link.last_hop)]
     links = tuple(Constant(f"LINK_{link.label.upper()}", "uint8", int(link)) for link in (OTHER, *own))
     return Definition(name, HEADER_FIELDS, links)
 

@@ -1,8 +1,8 @@
-"""The packets of cFE itself and of the lab applications, and the struct of each."""
+"""The packets of cFE itself and of the lab applications, and robots' datagrams: the struct of each."""
 
 from typing import Final
 
-from edoras_tools.wire import cfe
+from edoras_tools.wire import cfe, robot
 
 SHIPPED: Final = "cfe"
 """The name of their layout."""
@@ -20,3 +20,11 @@ PACKETS: Final = {
     0x0884: "CI_LAB_HkTlm",
 }
 """Struct by MsgId; :mod:`edoras_tools.structs.cfe` describes them."""
+UDP_KEY: Final = 1 << 16
+"""A key from here on is a UDP port, not a MsgId: of datagrams of the robot link, on any port if it is 0."""
+DATAGRAMS: Final = {layout.size: layout for layout in robot.SENT_TO}
+"""The header that a datagram on the robot link is, by its bytes."""
+OWN_LAYERS: Final = frozenset(
+    layout.name for layout in (cfe.EVENT, cfe.SOFTWARE_BUS_HOUSEKEEPING, *DATAGRAMS.values())
+)
+"""Headers that are structs as well: their layers show the same fields."""

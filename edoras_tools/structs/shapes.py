@@ -7,6 +7,8 @@ from enum import Enum
 from math import prod
 from typing import TYPE_CHECKING, Final, Literal
 
+from edoras_tools.structs.packets import UDP_KEY
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -154,18 +156,24 @@ class Struct:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Key:
-    """The packets that hold a struct.
+    """The packets that hold a struct, or the datagrams of the robot link.
 
     Attributes:
-        msg_id: of the packet.
-        function_code: of a command; None for all.
+        msg_id: of the packet; of datagrams ``UDP_KEY`` and the port that they are sent to.
+        function_code: of a command; None for all. Of datagrams their bytes.
     """
 
     msg_id: int
     function_code: int | None = None
 
+    @property
+    def port(self) -> int | None:
+        """The port that datagrams are sent to, 0 for any of the robot link; None of packets."""
+        return self.msg_id - UDP_KEY if self.msg_id >= UDP_KEY else None
+
     def __str__(self) -> str:
-        return f"0x{self.msg_id:04x}" + (f"/{self.function_code}" if self.function_code is not None else "")
+        what = f"0x{self.msg_id:04x}" if self.port is None else f"udp:{self.port or 'robot'}"
+        return what + (f"/{self.function_code}" if self.function_code is not None else "")
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,7 @@ import numpy as np
 
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.schema import complete_text
-from edoras_tools.structs.packets import PACKETS
-from edoras_tools.wire import ccsds
+from edoras_tools.structs.packets import PACKETS, UDP_KEY
 from edoras_tools.wire.order import by_value
 
 if TYPE_CHECKING:
@@ -22,9 +21,11 @@ if TYPE_CHECKING:
     from edoras_tools.ros.types.schema import Definition
     from edoras_tools.structs.bindings import Bindings
     from edoras_tools.structs.bound import Bound, Held
+    from edoras_tools.structs.payloads import StructPayloads
     from edoras_tools.structs.shapes import Struct, StructLayout
 
-_MSG_IDS: Final = 65536
+_KEYS: Final = 2 * UDP_KEY + 1
+"""MsgIds, ports, and one that none has: that of ``NO_MSG_ID``."""
 
 
 class Structs:
@@ -34,7 +35,7 @@ class Structs:
         layouts: in that order; None for that of what cFE itself sends, which is read once a packet needs it.
 
     Attributes:
-        has: bool (65536,), MsgIds that one is bound to.
+        has: bool, by MsgId or ``UDP_KEY`` and port, what one is bound to; False for ``NO_MSG_ID``.
 
     Raises:
         ConfigError: a struct cannot become a message.
@@ -43,8 +44,8 @@ class Structs:
     def __init__(self, layouts: Sequence[StructLayout] | None = ()) -> None:
         self._given = layouts
         self._whole = self
-        self.has: NDArray[np.bool_] = np.zeros(_MSG_IDS, np.bool_)
-        self.has[list(PACKETS if layouts is None else self._bindings.by_id)] = True
+        self.has: NDArray[np.bool_] = np.zeros(_KEYS, np.bool_)
+        self.has[[*PACKETS, UDP_KEY] if layouts is None else list(self._bindings.by_id)] = True
 
     @cached_property
     def layouts(self) -> tuple[StructLayout, ...]:
@@ -116,46 +117,52 @@ class Structs:
         left.has[claimed] = False
         return left
 
-    def split(
-        self, rows: NDArray[np.intp], columns: Callable[[str], NDArray[Any]]
-    ) -> Iterator[tuple[Bound, NDArray[np.intp], NDArray[np.bool_]]]:
+    def of_port(self, port: Any) -> Any:
+        """Return the key of datagrams that are sent to a port of the robot link, or to each of many."""
+        key = UDP_KEY + np.asarray(port, np.int32)
+        return np.where(self.has[key], key, UDP_KEY)
+
+    def on_ports(self, port: Any, length: Any) -> Any:
+        """Tell whether a datagram, or each of many, is what a layout says comes to its port."""
+        return sum(((port == own) & item.fits(length) for own, item in self.ports), start=np.False_)
+
+    @cached_property
+    def ports(self) -> tuple[tuple[int, Bound], ...]:
+        """The UDP ports that a layout names, each with its struct."""
+        bound = () if self._given is None else self.all
+        return tuple((port, item) for item in bound if (port := item.key.port))
+
+    def split(self, payloads: StructPayloads) -> Iterator[tuple[Bound, StructPayloads, NDArray[np.bool_]]]:
         """Yield every struct that some of many packets should hold.
 
-        Args:
-            rows: packets whose MsgIds have a struct, where ``has`` says so; increasing.
-            columns: gives the decoder's by name.
-
         Yields:
-            the struct; which of ``rows`` should hold it; bool, which of those are as long as it is.
+            the struct; what should hold it; bool, which of those are as long as it is.
         """
-        header = columns("header_length")[rows]
-        length = columns("packet_length")[rows] - header
-        with_header = header > ccsds.PRIMARY.size
-        for value, members in by_value(columns("msg_id")[rows]):
-            left = members[with_header[members]]
+        for value, members in by_value(payloads.key):
+            left = members
             for item in self._of(value):
                 code = item.key.function_code
-                chosen = length[left] > 0 if code is None else columns("function_code")[rows[left]] == code
-                found = left[chosen]
-                if len(found):
-                    yield item, rows[found], item.fits(length[found])
+                chosen = payloads.length[left] > 0 if code is None else payloads.code[left] == code
+                found = payloads.take(left[chosen])
+                if len(found.row):
+                    yield item, found, item.fits(found.length)
                 left = left[~chosen]
 
     def held(
-        self, rows: NDArray[np.intp], columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
+        self, payloads: StructPayloads, columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
     ) -> Iterator[Held]:
         """Yield the structs that many packets hold, and which of the packets do.
 
         Args:
-            rows: packets whose MsgIds have a struct; increasing.
+            payloads: of packets whose MsgIds have a struct, and of datagrams.
             columns: gives the decoder's by name.
             data: u8, what they point into.
         """
         from edoras_tools.structs.bound import Held
 
-        for item, members, fits in self.split(rows, columns):
+        for item, found, fits in self.split(payloads):
             if fits.any():
-                yield Held(item, members[fits], columns, data)
+                yield Held(item, found.take(fits), columns, data)
 
     def _of(self, msg_id: int) -> Sequence[Bound]:
         return self._bindings.by_id[msg_id] if self.has[msg_id] else ()

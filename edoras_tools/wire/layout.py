@@ -7,9 +7,10 @@ reader :meth:`Layout.columns`, and (elsewhere) the tree view and the dissectors 
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-FieldKind = Literal["uint", "int", "text", "bytes"]
+_WORDS: Final = (1, 2, 4, 8)
+_FLOATS: Final = {4: "f", 8: "d"}
+FieldKind = Literal["uint", "int", "float", "text", "bytes"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +34,8 @@ class Field:
         name: the standard's name, in snake case.
         bits: width. ``text`` and ``bytes`` are whole bytes.
         doc: one line of documentation.
-        kind: ``uint``, ``int`` (two's complement), ``text`` (NUL-terminated ASCII) or ``bytes``.
+        kind: ``uint``, ``int`` (two's complement), ``float`` (IEEE 754), ``text`` (NUL-terminated ASCII) or
+            ``bytes``.
         names: what values mean, where they are enumerated.
         base: how people read the number: 10 or 16.
         clause: where the standard or the source says so.
@@ -49,6 +53,8 @@ class Field:
         """Return a value as text for users: ``0x1827``, ``telecommand (1)``, ``42``."""
         if self.kind in {"text", "bytes"}:
             return value.hex() if isinstance(value, bytes) else str(value)
+        if self.kind == "float":
+            return f"{value:.9g}"
         number = f"0x{value:0{(self.bits + 3) // 4}x}" if self.base == 16 else str(value)
         name = self.names.get(value)
         return f"{name} ({number})" if name else number
@@ -98,7 +104,8 @@ class Layout:
             shift = end * 8 - bit - item.bits
             if byte_order == "little" and (shift or bit % 8):
                 raise ValueError(f"{name}.{item.name}: a little-endian layout holds whole bytes only")
-            if item.kind in {"uint", "int"} and end - start not in {1, 2, 4, 8}:
+            sizes = {"uint": _WORDS, "int": _WORDS, "float": _FLOATS}.get(item.kind)
+            if sizes and end - start not in sizes:
                 raise ValueError(f"{name}.{item.name}: lies across {end - start} bytes, not in a word")
             slots.append(Slot(item, start, end, shift, (1 << item.bits) - 1))
             bit += item.bits
@@ -132,8 +139,13 @@ class Layout:
             return raw
         if slot.field.kind == "text":
             return raw.split(b"\0", 1)[0].decode("utf-8", "replace")
+        if slot.field.kind == "float":
+            return struct.unpack(self._code(slot), raw)[0]
         value = (int.from_bytes(raw, self.byte_order) >> slot.shift) & slot.mask
         return value - slot.mask - 1 if slot.field.kind == "int" and value > slot.mask >> 1 else value
+
+    def _code(self, slot: Slot) -> str:
+        return (">" if self.byte_order == "big" else "<") + _FLOATS[slot.end - slot.start]
 
     def emit(self, values: Mapping[str, Any]) -> bytes:
         """Write a header; fields that are not named are zero.
@@ -152,6 +164,8 @@ class Layout:
                 if len(raw) > size:
                     raise FieldError(self.name, slot.field.name, f"{len(raw)} bytes exceed {size}")
                 out[slot.start : slot.end] = raw.ljust(size, b"\0")
+            elif slot.field.kind == "float":
+                struct.pack_into(self._code(slot), out, slot.start, value)
             else:
                 word = int.from_bytes(out[slot.start : slot.end], self.byte_order)
                 word |= self._bits(slot, value) << slot.shift
@@ -175,11 +189,14 @@ class Layout:
             at: where in a row the header starts; its bytes must be inside the row.
 
         Returns:
-            (n,) of the smallest type of its sign that holds the field.
+            (n,) of the smallest type of its sign that holds the field; float32 or float64 of a float.
         """
         slot = self.by_name[name]
         size = slot.end - slot.start
         order = ">" if self.byte_order == "big" else "<"
+        if slot.field.kind == "float":
+            floats = window[:, at + slot.start : at + slot.end].view(f"{order}f{size}")
+            return floats[:, 0].astype(f"f{size}")
         # Every numeric field lies in a word of 1, 2, 4 or 8 bytes, so one strided read is enough.
         word = window[:, at + slot.start : at + slot.end].view(f"{order}u{size}")
         value: NDArray[Any] = word[:, 0].astype(f"u{size}")
@@ -197,5 +214,5 @@ class Layout:
         return {
             slot.field.name: self.column(slot.field.name, window, at)
             for slot in self.slots
-            if slot.field.kind in {"uint", "int"}
+            if slot.field.kind not in {"text", "bytes"}
         }

@@ -13,8 +13,8 @@ from edoras_tools.decode import Options
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
-from edoras_tools.links.robot import ROBOT_COMMAND, ROBOT_PORT
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.wire.robot import ROBOT_COMMAND, ROBOT_PORT
 
 PLACES = 40
 CI_PORT, TWIST = 1234, 0x1827

@@ -9,8 +9,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
-from edoras_tools.links.robot import CFS_PORT, ROBOT, ROBOT_PORT
+from edoras_tools.decode.filters.filter import Where
+from edoras_tools.decode.filters.messages import structs_of
+from edoras_tools.decode.filters.rows import ColumnRows
+from edoras_tools.errors import ConfigError
+from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import OTHER, PacketBatch
+from edoras_tools.structs import Structs, shipped_structs
+from edoras_tools.structs.files import parse_key, parse_layout
+from edoras_tools.wire.robot import CFS_PORT, ROBOT_PORT
 
 TWIST = struct.pack("<6d", 0.5, 0, 0, 0, 0, -0.2)
 POSE = struct.pack("<7d", 0.5, 0, 0.7, 0, 0, 0, 1)
@@ -123,3 +130,52 @@ def test_any_bytes_are_judged_as_their_doubles_are(payload):
 )
 def test_every_pose_is_of_the_robot(values):
     assert link_of(struct.pack("<7d", *values), ROBOT_PORT) == (ROBOT, ["robot_pose"])
+
+
+LAYOUT = b"""
+edoras_structs: 1
+byte_order: big
+package: rover_msgs
+bind: {'udp:9100': rover_command}
+structs:
+  rover_command: {members: {linear_x: float32, angular_z: float32, mode: uint16}}
+"""
+
+
+def bound(payload, port):
+    """Return a datagram of a robot of one's own by both readers: decoded, and the rows of each struct."""
+    context = Context(structs=Structs([parse_layout(LAYOUT, "rover"), *shipped_structs().layouts]))
+    batch = batch_of(payload, port, len(payload))
+    decoded, columns = Dissector(context).dissect(batch[0]), ColumnDecoder(context).decode(batch)
+    assert (columns.link[0], columns.findings[0]) == (decoded.link, decoded.findings)
+    for expression in ("linear_x > 0", "message", "topic == /cfs/rover_command", "type == RobotCommand"):
+        where = Where(expression, context)
+        in_bulk = where.mask(batch, columns, np.arange(1)).tolist()
+        assert in_bulk == where.judge([decoded]).tolist(), expression
+    held = structs_of(ColumnRows(context, 0, batch, columns))
+    return decoded, [item.topic for item in held]
+
+
+def test_the_doubles_have_names_and_are_a_message():
+    decoded, topics = bound(TWIST, ROBOT_PORT)
+    values = {name: value for name, value in decoded.message.values.items() if name != "header"}
+    assert values == decoded.layer("robot_command").values()
+    assert values == dict.fromkeys(values, 0) | {"linear_x": 0.5, "angular_z": -0.2}
+    assert topics == [decoded.message.topic] == ["/cfs/robot_command"]
+    state = bound(STATE, CFS_PORT)[0].message.values
+    assert (state["orientation_w"], state["stamp_nanoseconds"]) == (1, 999_999_999)
+
+
+def test_a_struct_that_is_bound_to_a_port_is_of_the_robot_whatever_it_holds():
+    decoded, topics = bound(struct.pack(">ffH", 0.5, -1e30, 7), 9100)
+    assert decoded.link is ROBOT
+    assert topics == [decoded.message.topic] == ["/cfs/rover_command"]
+    assert [field.name for field in decoded.layers[0].fields] == ["linear_x", "angular_z", "mode"]
+    assert decoded.message.values["mode"] == 7
+    assert bound(struct.pack(">ffHxxx", 0.5, 0, 7), 9100)[0].link is OTHER  # another length
+
+
+@pytest.mark.parametrize("key", ["udp:0", "udp:65536", "udp:x", "udp:", "udp:robot", "udp:8585/x"])
+def test_a_port_that_is_none_is_refused_in_one_line(key):
+    with pytest.raises(ConfigError, match=r"^'udp:.*' is not a UDP port as udp:8585, from 1 to 65535$"):
+        parse_key(key)

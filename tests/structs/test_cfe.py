@@ -2,6 +2,7 @@
 
 import re
 from contextlib import closing
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from edoras_tools.ros.types.schema import STRINGS
 from edoras_tools.structs import shipped_structs
 from edoras_tools.structs.cfe import shipped_layout as layout
 from edoras_tools.structs.packets import PACKETS
+from edoras_tools.structs.payloads import payloads
 
 CAPTURES = sorted((CAPTURES).glob("*.pcap*"))
 MEASURED = {
@@ -37,13 +39,17 @@ counters only grow, or wrap around."""
 
 
 def test_every_packet_that_is_listed_is_described():
-    assert {key.msg_id: name for key, name in layout().bindings.items()} == PACKETS
+    bound = layout().bindings.items()
+    assert {key.msg_id: name for key, name in bound if key.port is None} == PACKETS
+    robots = {48: "robot_command", 56: "robot_pose", 64: "robot_state"}
+    assert {key.function_code: name for key, name in bound if key.port is not None} == robots
 
 
 @pytest.mark.parametrize("bound", shipped_structs().all, ids=lambda bound: bound.name)
 def test_sizes_are_those_on_the_wire(bound):
-    assert bound.fits(MEASURED[bound.key.msg_id] - 16)
-    assert not bound.fits(MEASURED[bound.key.msg_id] - 16 + 1)
+    size = bound.key.function_code or MEASURED[bound.key.msg_id] - 16
+    assert bound.fits(size)
+    assert not bound.fits(size + 1)
     assert not bound.fits(3)
 
 
@@ -53,8 +59,9 @@ def messages(path):
     with closing(open_file(path)) as source:
         for batch in source.batches():
             columns = decoder.decode(batch)
-            rows = np.flatnonzero(shipped_structs().has[columns.msg_id])
-            for held in shipped_structs().held(rows, lambda name: getattr(columns, name), batch.data):  # noqa: B023
+            column = partial(getattr, columns)
+            found = payloads(shipped_structs(), column, partial(getattr, batch))
+            for held in shipped_structs().held(found, column, batch.data):
                 encoded = held.encode()
                 for row, start, size in zip(held.rows, encoded.start, encoded.size, strict=True):
                     origin = int(columns.link[row]), int(columns.processor_id[row])

@@ -1,6 +1,7 @@
 """Structs in packets: found by MsgId and function code, read one by one and all at once, never by force."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.ros import TypeStore
 from edoras_tools.structs import Structs, cfe, shipped_structs
 from edoras_tools.structs.files import parse_layout
+from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import cfe as wire
 
 LAYOUT = """
@@ -294,8 +296,10 @@ def test_one_by_one_and_all_at_once_agree(items, order):
     batch = batch_of(*packets)
     columns = ColumnDecoder(where).decode(batch)
     found = {}
-    rows = np.flatnonzero(where.structs.has[columns.msg_id])
-    for held in where.structs.held(rows, lambda name: getattr(columns, name), batch.data):
+    column = partial(getattr, columns)
+    for held in where.structs.held(
+        payloads(where.structs, column, partial(getattr, batch)), column, batch.data
+    ):
         encoded = held.encode()
         assert held.size in {0, encoded.width}
         for row, start, size in zip(held.rows.tolist(), encoded.start, encoded.size, strict=True):

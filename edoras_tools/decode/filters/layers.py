@@ -151,6 +151,7 @@ def _field(layout: Layout, slot: Slot, places: Callable[[ColumnRows], Places] | 
     else:
         read, cost = (partial(_gathered, layout, slot, places), BYTES_COST) if places else (None, BYTES_COST)
     kind = {"text": ValueKind.TEXT, "bytes": ValueKind.BYTES}.get(item.kind, ValueKind.NUMBER)
+    real = item.kind == "float"
     low, high = (-(slot.mask >> 1) - 1, slot.mask >> 1) if item.kind == "int" else (0, slot.mask)
     return FilterField(
         path,
@@ -158,8 +159,8 @@ def _field(layout: Layout, slot: Slot, places: Callable[[ColumnRows], Places] | 
         _picker(layout.name, item.name),
         read,
         cost=cost,
-        dtype=np.dtype(np.uint64 if high > 1 << 62 else np.int64),
-        limits=(low, high) if kind is ValueKind.NUMBER else None,
+        dtype=np.dtype(f"f{slot.end - slot.start}" if real else np.uint64 if high > 1 << 62 else np.int64),
+        limits=(low, high) if kind is ValueKind.NUMBER and not real else None,
         base=item.base,
         digits=(item.bits + 3) // 4,
         names=item.names,

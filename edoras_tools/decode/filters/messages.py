@@ -28,6 +28,8 @@ from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.ros.types import grammar, schema
 from edoras_tools.structs.bound import Encoded, Held
 from edoras_tools.structs.names import aliased
+from edoras_tools.structs.packets import UDP_KEY
+from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
@@ -231,7 +233,10 @@ class MessageFieldFinder:
 
 def _is_layer(bound: Bound) -> bool:
     """Tell whether a struct's fields are those of a layer, and found there."""
-    return bound.shipped and bound.key.msg_id in (cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID)
+    return bound.shipped and bound.key.msg_id in (
+        *(cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID),
+        UDP_KEY,
+    )
 
 
 def _wanted(path: str) -> list[tuple[str, int | None]]:
@@ -273,8 +278,8 @@ def structs_of(rows: ColumnRows) -> dict[Bound, Held]:
 
     def make() -> dict[Bound, Held]:
         structs = rows.context.structs
-        there = np.flatnonzero(structs.has[rows.column("msg_id")])
-        return {held.bound: held for held in structs.held(there, rows.column, rows.batch.data)}
+        found = payloads(structs, rows.column, rows.datagram)
+        return {held.bound: held for held in structs.held(found, rows.column, rows.batch.data)}
 
     found: dict[Bound, Held] = rows.once("structs", make)
     return found

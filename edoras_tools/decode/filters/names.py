@@ -14,6 +14,8 @@ from edoras_tools.decode.filters.messages import MessageFieldFinder, structs_of
 from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Endpoint, Finding
 from edoras_tools.ros.types.schema import full_name
+from edoras_tools.structs.packets import OWN_LAYERS
+from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
@@ -32,8 +34,6 @@ _ALIASES: Final = {
 }
 """Names of ``sniff --json`` and of the columns, which win over everything else of that name."""
 _BITS: Final = {bit: finding.label for bit, finding in enumerate(Finding)}
-_STRUCT_LAYERS: Final = frozenset({cfe.EVENT.name, cfe.SOFTWARE_BUS_HOUSEKEEPING.name})
-"""Layers that are C structs like others, and share names with them."""
 _CLOSE: Final = 0.6
 
 
@@ -89,7 +89,7 @@ class Names:
             raise Unknown(lambda: f"{name!r} is more than one field; write {' or '.join(clear)}")
         layers = [self._layers[item] for item in short]
         # A name of the mission's messages has precedence over the same name of a C struct.
-        if messages or (layers and short[0].partition(".")[0] not in _STRUCT_LAYERS):
+        if messages or (layers and short[0].partition(".")[0] not in OWN_LAYERS):
             return messages or layers
         found = layers + self._messages.of_structs(name)
         if not found:
@@ -122,10 +122,12 @@ class Names:
         near = near or [item for item in known if item.endswith(f".{name.lower()}")][:3]
         shown = name if len(name) <= 60 else f"{name[:60]}..."
         why = f"{shown!r} is not a field; "
+        with_mission = "the fields of messages are known once a mission is named with -c"
         if near:
-            return why + f"did you mean {' or '.join(known[item] for item in near)}?"
+            why += f"did you mean {' or '.join(known[item] for item in near)}?"
+            return why if self._messages else f"{why} ({with_mission})"
         if not self._messages:
-            return why + "the fields of messages are known once a mission is named with -c"
+            return why + with_mission
         layers = ", ".join(item for item in self._layers if "." not in item)
         return why + f"there are {', '.join([*self._packet][:7])} and the fields of {layers} and the messages"
 
@@ -319,7 +321,8 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
     def pick(_: PacketRows, decoded: Decoded) -> str | None:
         packet = decoded.layer("ccsds")
         if packet is None:
-            return None
+            bare: str | None = getattr(decoded.message, name, None)
+            return bare
         msg_id = packet.values()["msg_id"]
         route = int(context.routes_on(decoded.link)[msg_id])
         route = route if route != NO_ROUTE else int(context.any_route_of[msg_id])
@@ -331,9 +334,9 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
     def read(rows: ColumnRows) -> Series:
         routes = rows.routes()
         which = np.where(rows.column("msg_id") == NO_MSG_ID, NO_ROUTE, routes).astype(INDEX_DTYPE)
-        candidates = np.flatnonzero(context.structs.has[rows.column("msg_id")])
-        for bound, members, fits in context.structs.split(candidates, rows.column):
-            which[members[fits]] = len(routed) + context.structs.all.index(bound)
+        found = payloads(context.structs, rows.column, rows.datagram)
+        for bound, members, fits in context.structs.split(found):
+            which[members.row[fits]] = len(routed) + context.structs.all.index(bound)
         there = np.flatnonzero(which != NO_ROUTE)
         return Series(len(rows), which[there], there, table=texts)
 

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.evidence import fingerprint
-from edoras_tools.links.robot import ROBOT, ROBOT_COMMAND, ROBOT_PORT, ROBOT_POSE
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.structs.packets import UDP_KEY
+from edoras_tools.wire import robot
 from edoras_tools.wire.fingerprint import of_bytes
 from edoras_tools.wire.window import PADDING, gather
 
@@ -16,18 +18,21 @@ if TYPE_CHECKING:
 
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.ros import TypeStore
+    from edoras_tools.structs import Structs
 
 _TYPES: Final = {
-    ROBOT_COMMAND.size: "geometry_msgs/msg/Twist",
-    ROBOT_POSE.size: "geometry_msgs/msg/Pose",
+    robot.ROBOT_COMMAND.size: "geometry_msgs/msg/Twist",
+    robot.ROBOT_POSE.size: "geometry_msgs/msg/Pose",
 }
 """Bytes of a datagram to the message whose numbers it carries."""
 _ENCAPSULATION: Final = b"\0\1\0\0"
 
 
-def robot_commands(columns: Columns, batch: PacketBatch) -> NDArray[np.bool_]:
-    """Tell which datagrams are commands to a robot."""
-    return np.asarray((columns.link == ROBOT) & (batch.destination_port == ROBOT_PORT))
+def robot_commands(columns: Columns, batch: PacketBatch, structs: Structs) -> NDArray[np.bool_]:
+    """Tell which datagrams are commands to a robot: all but the states that it sends."""
+    port = batch.destination_port
+    state = (batch.length == robot.ROBOT_STATE.size) & (structs.of_port(port) == UDP_KEY)
+    return np.asarray((columns.link == ROBOT) & (port != robot.CFS_PORT) & ~state)
 
 
 def fingerprints(

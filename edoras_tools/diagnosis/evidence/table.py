@@ -154,9 +154,8 @@ class Recorder:
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch; datagrams that carry no packet are left out, but for commands to a robot."""
         self.conversations.add(batch, columns)
-        chosen = np.flatnonzero(
-            among(columns.link, lambda link: link.packets) | robot.robot_commands(columns, batch)
-        )
+        commands = robot.robot_commands(columns, batch, self.context.structs)
+        chosen = np.flatnonzero(among(columns.link, lambda link: link.packets) | commands)
         self.left_out += len(batch) - len(chosen)
         if not len(chosen):
             return

@@ -174,9 +174,8 @@ class Streams:
             event_messages(batch, columns, self._events, published),
             software_bus_messages(batch, columns, self._software_bus, published),
         ]
-        rows = np.flatnonzero(self.structs.has[columns.msg_id])
-        if len(rows) and self._add:
-            streams += struct_messages(batch, columns, rows, self.structs, self._struct_id, published)
+        if self._add:
+            streams += struct_messages(batch, columns, self.structs, self._struct_id, published)
         if self._transforms and transforms and self._transforms.are_in(columns):
             streams += self._transforms.messages(batch, columns, self._place(TRANSFORMS))
         return streams

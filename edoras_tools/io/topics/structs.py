@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
+from edoras_tools.structs.payloads import payloads
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
 def struct_messages(
     batch: PacketBatch,
     columns: Columns,
-    rows: NDArray[np.intp],
     structs: Structs,
     channel_id: Callable[[Bound], int],
     published: NDArray[np.int64],
@@ -31,7 +32,6 @@ def struct_messages(
     Args:
         batch: the datagrams.
         columns: of the same rows.
-        rows: those whose MsgIds have a struct.
         structs: the structs.
         channel_id: returns the MCAP channel of a struct.
         published: i64, publish time, ns since 1970.
@@ -41,7 +41,8 @@ def struct_messages(
         values: NDArray[np.generic] = getattr(columns, name)
         return values
 
-    for held in structs.held(rows, column, batch.data):
+    found = payloads(structs, column, partial(getattr, batch))
+    for held in structs.held(found, column, batch.data):
         yield _messages(held, batch, columns, channel_id(held.bound), published)
 
 

@@ -63,7 +63,7 @@ class Subject:
 
     def mask(self, rows: ColumnRows) -> NDArray[np.bool_]:
         """Return which rows are meant."""
-        return self.packets.mask(rows.columns, rows.batch.length)[rows.indices()]
+        return self.packets.mask(rows.batch, rows.columns)[rows.indices()]
 
 
 EVENT_MESSAGES = Subject.of(cfe.EVENT_MSG_ID, "events")

@@ -8,8 +8,8 @@ from places import ROOT
 
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.robot import ROBOT_PORT
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.wire.robot import ROBOT_PORT
 
 SENT, REACHED_THE_ROBOT = 310, 174
 TWIST, OTHER = 0x1827, 0x1828

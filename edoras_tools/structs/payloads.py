@@ -1,0 +1,72 @@
+"""What of a batch may hold C structs: bytes behind the headers of packets, datagrams of the robot link."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from edoras_tools.links.table import among
+from edoras_tools.wire import ccsds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.structs import Structs
+
+
+class StructPayloads(NamedTuple):
+    """What may hold structs, of packets behind their cFE header; of one length.
+
+    Attributes:
+        row: i64, which packet or datagram of a batch.
+        key: i32, MsgId, or UDP port as in ``Key``.
+        code: i32, function code of a command, bytes of a datagram.
+        offset: i64, the first byte in the data of the batch.
+        length: i32, bytes.
+    """
+
+    row: NDArray[np.intp]
+    key: NDArray[np.int32]
+    code: NDArray[np.int32]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int32]
+
+    def take(self, chosen: NDArray[Any]) -> StructPayloads:
+        """Return some of them."""
+        return StructPayloads(*(column[chosen] for column in self))
+
+    def join(self, others: StructPayloads) -> StructPayloads:
+        """Return these, then others."""
+        pairs: Iterator[tuple[Any, Any]] = zip(self, others, strict=True)
+        return StructPayloads(*(np.concatenate(pair) for pair in pairs))
+
+
+def payloads(
+    structs: Structs, columns: Callable[[str], NDArray[Any]], datagrams: Callable[[str], NDArray[Any]]
+) -> StructPayloads:
+    """Return all that structs are bound to.
+
+    Args:
+        structs: the structs.
+        columns: gives the decoder's columns by name.
+        datagrams: gives the batch's, of the same rows.
+    """
+    header, key = columns("header_length"), columns("msg_id")
+    rows = np.flatnonzero(structs.has[key] & (header > ccsds.PRIMARY.size))
+    header = header[rows]
+    found = StructPayloads(
+        rows,
+        key[rows],
+        columns("function_code")[rows],
+        columns("packet_offset")[rows] + header,
+        columns("packet_length")[rows] - header,
+    )
+    bare = np.flatnonzero(among(columns("link"), lambda link: link.last_hop))
+    if not len(bare):
+        return found
+    length = datagrams("length")[bare]
+    ports = structs.of_port(datagrams("destination_port")[bare])
+    return found.join(StructPayloads(bare, ports, length, datagrams("offset")[bare], length))
