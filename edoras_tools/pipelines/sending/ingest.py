@@ -7,7 +7,7 @@ Rules:
 2. It is known exactly where a count came before anything was sent here, or where it stood still after what
    was sent to enable telemetry: then nothing of it is under way.
 3. A count that stood still for three reports after the last datagram grows no more: CI reads its socket at
-   least twice a second, and reports once. What it has not counted by then never came to it.
+   least twice a second, and reports each 1 to 4 s. What it has not counted by then never came to it.
 4. A count that falls was reset, or CI began anew: it tells nothing any more.
 5. A count that grew by more than was sent here contains what others sent.
 """

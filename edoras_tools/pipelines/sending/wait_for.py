@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.sbn.connection import SbnConnection
 
 _MOST_NAMED: Final = 4
-_ONE_REPORT_NS: Final = 1300 * MILLISECOND
-"""CI reports its count once a second; what is not there by then does not come."""
-_AFTER_ASKING_NS: Final = 3300 * MILLISECOND
+_ONE_REPORT_NS: Final = 4300 * MILLISECOND
+"""CI reports its count as often as SCH_LAB asks: each 4 s as cFS comes, each second in the demos."""
+_AFTER_ASKING_NS: Final = 8300 * MILLISECOND
 """The same, and a second report that repeats it: CI has read what asked for telemetry."""
 
 
