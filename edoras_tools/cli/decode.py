@@ -37,9 +37,10 @@ def decode(
     """Show one packet in full: every layer, field and byte."""
     from edoras_tools.pipelines.capture.packet_json import as_json
     from edoras_tools.pipelines.capture.sniff import decode_packet
+    from edoras_tools.render.capture.watch import Followed
 
     source, bench = open_input(InputOptions(FileOptions([file])), decoding.settings())
-    decoded = decode_packet(source, bench, number)
+    decoded = decode_packet(Followed(source, quiet=json), bench, number)
     for note in bench.columns.context.notes:
         tell(note)
     if json:

@@ -36,7 +36,7 @@ def info(
             raise ConfigError(
                 "--verify checks whole files: options that select a part have no effect with it"
             )
-        _verify(paths, json=printing.json)
+        _verify(paths, printing)
         return
     from edoras_tools.pipelines.capture.info import inspect
     from edoras_tools.render.capture.watch import watcher
@@ -54,20 +54,22 @@ def info(
     finish(report, live=False)
 
 
-def _verify(files: list[Path], *, json: bool) -> None:
+def _verify(files: list[Path], printing: options.PrintOptions) -> None:
     """Check recordings, and the files of rosbag2 directories; the exit code is as for ``recover``.
 
     Raises:
         typer.Exit: with code 3, if one of them lost data.
     """
     from edoras_tools.io.formats.mcap.recover import verify
+    from edoras_tools.render.capture.watch import byte_progress
 
     every = [item for path in files for item in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
     lost = False
     for path in every:
-        report = verify(path)
+        with byte_progress(path, "checking", quiet=printing.quiet or printing.json) as progress:
+            report = verify(path, progress=progress)
         lost |= report.lost
-        if json:
+        if printing.json:
             print_json({"source": str(path), **asdict(report)})
         else:
             sys.stdout.write(f"{path}: {report.text(written=False)}\n")

@@ -296,15 +296,16 @@ def _play(
     from edoras_tools.pipelines.interrupt import on_interrupt
     from edoras_tools.pipelines.live import player as playing
     from edoras_tools.render import units
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
 
     info, bench, reopen = playing.open_recording(files, settings)
-    player = playing.RecordingPlayer(
-        reopen,
-        bench,
-        clock=monotonic_ns,
-        scope=Scope(selection, limits.period),
-        options=playing.PlaybackOptions(playback.speed or 1.0, playback.paused, playback.wait, playback.loop),
-    )
+    how = playing.PlaybackOptions(playback.speed or 1.0, playback.paused, playback.wait, playback.loop)
+    scope = Scope(selection, limits.period)
+    with FileProgress(info.name, console=error_console(), quiet=quiet) as bar:
+        player = playing.RecordingPlayer(
+            reopen, bench, clock=monotonic_ns, scope=scope, options=how, progress=bar
+        )
     start_ns, end_ns = player.range_ns
     sink = serve(bench, info, player=player)
     with on_interrupt(player.stop):

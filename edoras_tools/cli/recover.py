@@ -30,12 +30,14 @@ def recover(
     It keeps what a checksum proves, and counts the rest.
     """
     from edoras_tools.io.formats.mcap.recover import recover as run
+    from edoras_tools.render.capture.watch import byte_progress
 
     target = output or file.parent / f"{file.stem}.recovered.mcap"
     there = in_the_way(target)
     if there and not force and not (file.exists() and target.samefile(file)):
         refuse_existing(there)
-    report = run(file, target, unproved=unproved)
+    with byte_progress(file, "checking", quiet=json) as progress:
+        report = run(file, target, unproved=unproved, progress=progress)
     if json:
         print_json({**asdict(report), "output": None if report.whole else str(target)})
     else:

@@ -158,8 +158,9 @@ def replay(
         pairs = [(old, new) for old, new in pairs if old[:1].isdigit()]
     else:
         from edoras_tools.pipelines.workbench import open_files
+        from edoras_tools.render.capture.watch import Followed
 
-        recording = open_files([source.file])
+        recording = Followed(open_files([source.file]), quiet=ending.printing.quiet or ending.printing.json)
         bench = settings.workbench(recording.info)
         send_options = send_options.placed(bench.mission)
         loaded = pipeline.load_datagrams(recording, bench, send_options, choice)

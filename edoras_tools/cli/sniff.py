@@ -13,6 +13,8 @@ from edoras_tools.cli.endings import nothing_shown
 from edoras_tools.cli.inputs import InputOptions, open_input
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from edoras_tools.model import Decoded
 
 
@@ -38,6 +40,7 @@ def sniff(
     from edoras_tools.render.capture import packet
     from edoras_tools.render.capture import tree as tree_view
     from edoras_tools.render.capture.packet_list import PacketList
+    from edoras_tools.render.capture.watch import Followed
     from edoras_tools.render.severity import NOTABLE
     from edoras_tools.render.terminal.palette import Paint
     from edoras_tools.render.terminal.terminal import look
@@ -58,23 +61,25 @@ def sniff(
     if view.tui:
         show(source, bench, settings, selection, view.time_format, limits, verbose=verbose)
         return
+    terminal = look(sys.stdout)
+    counts = view.sequence or view.stat
+    read = Followed(source, quiet=live or not (counts or terminal.interactive))
     waits = live or "-" in map(str, given.paths)
     if view.fields or view.sequence or view.stat:
         from edoras_tools.pipelines.reading import chosen as chosen_rows
 
-        blocks = chosen_rows(source, bench, selection=selection, limits=limits)
+        rows = chosen_rows(read, bench, selection=selection, limits=limits)
         if view.fields:
             shown = views.print_fields(
-                blocks, bench, view.fields, view.layout or views.FieldFormat.TABLE, flush=waits
+                read.printed(rows), bench, view.fields, view.layout or views.FieldFormat.TABLE, flush=waits
             )
         elif view.sequence:
-            shown = views.print_sequence(blocks, bench, view.sequence)
+            shown = views.print_sequence(rows, bench, view.sequence)
         else:
-            shown = views.print_statistics(blocks, bench, view.stat or (), json=view.json)
+            shown = views.print_statistics(rows, bench, view.stat or (), json=view.json)
         nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)
         return
     bench.dissector.detail = view.tree or view.hexdump
-    terminal = look(sys.stdout)
     packet_list = PacketList(
         terminal.width,
         colour=terminal.colour,
@@ -82,7 +87,7 @@ def sniff(
         names=MSG_ID_NAMES,
         verbose=verbose,
     )
-    taken = source, bench, selection, limits, packet_list.count_from
+    taken = read, bench, selection, limits, packet_list.count_from
 
     def text(decoded: Decoded) -> str:
         if view.hexdump:
@@ -92,10 +97,11 @@ def sniff(
         return "\n".join([*shown, ""])
 
     if view.json:
-        shown = views.print_packets(packet_texts(*taken), "", flush=waits)
+        blocks: Iterator[list[str]] = packet_texts(*taken)
     elif view.hexdump or view.tree:
-        shown = views.print_packets(([text(decoded)] for decoded in packets(*taken)), "", flush=waits)
+        blocks = ([text(decoded)] for decoded in packets(*taken))
     else:
-        listed = ([packet_list.line(line) for line in some] for some in lines(*taken))
-        shown = views.print_packets(listed, packet_list.header(), flush=waits)
+        blocks = ([packet_list.line(line) for line in some] for some in lines(*taken))
+    header = "" if view.json or view.hexdump or view.tree else packet_list.header()
+    shown = views.print_packets(read.printed(blocks), header, flush=waits)
     nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)

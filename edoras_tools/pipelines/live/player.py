@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.foxglove.sink import FoxgloveSink
     from edoras_tools.model import Columns, PacketBatch, SourceInfo
     from edoras_tools.pipelines.workbench import Settings, Workbench
+    from edoras_tools.render.terminal.run import Progress
 
 _TICK_S: Final = 0.02
 """How often messages are sent and requests are handled."""
@@ -103,6 +104,7 @@ class RecordingPlayer:
         clock: monotonic time in ns.
         scope: which datagrams, and which time of them; all by default.
         options: how playback begins and ends.
+        progress: updated while the duration is learned.
 
     Attributes:
         range_ns: when the recording starts and ends, ns since 1970.
@@ -122,13 +124,14 @@ class RecordingPlayer:
         clock: Callable[[], int],
         scope: Scope | None = None,
         options: PlaybackOptions = PlaybackOptions(),
+        progress: Progress | None = None,
     ) -> None:
         self._reopen, self._bench, self._clock, self._options = reopen, bench, clock, options
         scope = scope or Scope()
         self._selection, self._period = scope.selection.over(bench), scope.period
         self._begin_ns: int | None = None
         self.failure: EdorasError | None = None
-        self.range_ns = self._measure()
+        self.range_ns = self._measure(progress)
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._stopping = False
@@ -266,12 +269,14 @@ class RecordingPlayer:
         status = "Ended" if playback.ended else "Playing" if playback.playing else "Paused"
         return PlaybackState(status, self._position(now), playback.speed, seeked)
 
-    def _measure(self) -> tuple[int, int]:
+    def _measure(self, progress: Progress | None) -> tuple[int, int]:
         """Read the recording once; return its start and end."""
         source = self._reopen()
         first, last, last_ns = 1 << 63, -1, -1
         try:
             for batch in source.batches():
+                if progress is not None:
+                    progress.read(source)
                 if len(batch):
                     last_ns = max(last_ns, int(batch.time_ns.max()))
                 if len(batch) and self._begin_ns is None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
+from contextlib import contextmanager, nullcontext
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from edoras_tools.render import units
 from edoras_tools.render.terminal.run import size_of
@@ -13,12 +14,19 @@ from edoras_tools.render.terminal.text import clean
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
     from contextlib import AbstractContextManager
     from pathlib import Path
 
+    from edoras_tools.io import Source
     from edoras_tools.io.formats.watched import Keep
+    from edoras_tools.model import PacketBatch
+    from edoras_tools.render.terminal.progress import FileProgress
     from edoras_tools.render.terminal.run import CountedSource, ReadingRun, Watcher
+
+_Printed = TypeVar("_Printed", bound="Sized")
+_PATIENCE_S: Final = 0.3
+"""Shorter work shows no bar."""
 
 
 def watcher(
@@ -45,6 +53,68 @@ def watcher(
 
     title = f"{name} → {output}" if output else name
     return live_table(title, error_console(), output)
+
+
+class Followed:
+    """A source that shows how far it is read, where standard error is a terminal and that takes a while.
+
+    All else is the source's own.
+
+    Args:
+        source: a file.
+        quiet: show nothing.
+    """
+
+    def __init__(self, source: Source, *, quiet: bool) -> None:
+        self._source = source
+        self._shows = not quiet and look(sys.stderr).interactive
+        self._since = monotonic()
+        self._bar: FileProgress | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._source, name)
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Yield the source's batches; the bar vanishes at their end."""
+        try:
+            for batch in self._source.batches():
+                if self._shows and monotonic() - self._since > _PATIENCE_S:
+                    self._read()
+                yield batch
+        finally:
+            self._clear()
+
+    def printed(self, blocks: Iterable[_Printed]) -> Iterator[_Printed]:
+        """Yield what is about to be printed: the bar gives way to it, and waits again."""
+        for block in blocks:
+            if len(block):
+                self._clear()
+            yield block
+
+    def _read(self) -> None:
+        from edoras_tools.render.terminal.console import error_console
+        from edoras_tools.render.terminal.progress import FileProgress
+
+        self._bar = self._bar or FileProgress(self._source.info.name, console=error_console())
+        self._bar.read(self._source)
+
+    def _clear(self) -> None:
+        if self._bar is not None:
+            self._bar.__exit__()
+        self._bar, self._since = None, monotonic()
+
+
+@contextmanager
+def byte_progress(path: Path, what: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """Show on standard error how many bytes of a file are worked through: yield what takes them and all."""
+    if quiet or not look(sys.stderr).interactive:
+        yield lambda _done, _all: None
+        return
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+
+    with FileProgress(path.name, console=error_console()) as bar:
+        yield lambda done, of: bar.step(what, done, of, units.size)
 
 
 def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | None = None) -> str:

@@ -87,9 +87,9 @@ class FileProgress:
         done = min(statistics.position, total) if total else 0
         self._draw(lambda now: figures(statistics, max(now - self._since, _REFRESH_S)), done, total or None)
 
-    def step(self, what: str, done: int, of: int) -> None:
+    def step(self, what: str, done: int, of: int, shown: Callable[[int], str] = str) -> None:
         """Draw how far other work is, if the last drawing is long enough ago."""
-        self._draw(lambda _: f"{what}, {done} of {of}", done, of)
+        self._draw(lambda _: f"{what}, {shown(done)} of {shown(of)}", done, of)
 
     def _draw(self, text: Callable[[float], str], done: int, of: int | None) -> None:
         now = self._clock()

@@ -55,3 +55,56 @@ def test_recorded_counts_a_directory_and_bears_an_empty_one(summary, tmp_path):
         watch.recorded(nothing, [tmp_path / "gone"])
         == f"{tmp_path / 'gone'}: 0 datagrams, 0 messages on 0 topics"
     )
+
+
+class File:
+    """A file of three batches, each of which takes a second to read."""
+
+    info = SourceInfo("big.pcap", "pcap")
+
+    def __init__(self, now):
+        self.statistics = SourceStatistics(total_bytes=300)
+        self._now = now
+
+    def batches(self):
+        for batch in range(3):
+            self._now[0] += 1
+            self.statistics.position += 100
+            yield [batch]
+
+
+@pytest.mark.usefixtures("terminal")
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_source_that_is_followed_shows_how_far_it_is_until_something_is_printed(monkeypatch, quiet):
+    now, drawn = [0.0], []
+
+    class Bar(FileProgress):
+        def __init__(self, label, **_):
+            drawn.append(label)
+
+        def read(self, source):
+            drawn.append(source.statistics.position)
+
+        def __exit__(self, *_):
+            drawn.append("gone")
+
+    monkeypatch.setattr(watch, "monotonic", lambda: now[0])
+    monkeypatch.setattr("edoras_tools.render.terminal.progress.FileProgress", Bar)
+    source = watch.Followed(File(now), quiet=quiet)
+    assert (source.info.name, hasattr(source, "stop")) == ("big.pcap", False)
+    printed = ([] if item == [0] else item for item in source.batches())
+    assert list(source.printed(printed)) == [[], [1], [2]]
+    told = ["big.pcap", 100, 200, "gone", "big.pcap", 300, "gone"]
+    assert drawn == ([] if quiet else told)
+
+
+@pytest.mark.usefixtures("terminal")
+def test_bytes_are_counted_in_the_bar(monkeypatch):
+    steps = []
+    monkeypatch.setattr(FileProgress, "step", lambda _, *told: steps.append(told))
+    with watch.byte_progress(Path("a.mcap"), "checking", quiet=False) as progress:
+        progress(1024, 4096)
+    with watch.byte_progress(Path("a.mcap"), "checking", quiet=True) as progress:
+        progress(2048, 4096)
+    ((what, done, of, shown),) = steps
+    assert (what, shown(done), shown(of)) == ("checking", "1.0 KiB", "4.0 KiB")

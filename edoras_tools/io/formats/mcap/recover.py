@@ -44,20 +44,26 @@ from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_
 from edoras_tools.io.topics.names import MAGIC
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from edoras_tools.io.formats.mcap.recovery.walk import Walked
 
 _COPY_BYTES = 1 << 20
 
 
-def verify(source: str | Path, *, unproved: bool = False) -> Recovery:
+def verify(
+    source: str | Path, *, unproved: bool = False, progress: Callable[[int, int], None] = lambda *_: None
+) -> Recovery:
     """Read a recording completely, check every checksum, and report what ``recover`` would do.
+
+    ``progress`` is called with the bytes that were read, and with all.
 
     Raises:
         CaptureError: it cannot be read, is not an MCAP file, or has no message that could be kept.
     """
     source = Path(source)
     with FileBytes(source) as file:
-        report = _Assembly(file, None, unproved=unproved).run()
+        report = _Assembly(file, None, unproved=unproved).run(progress)
         if not report.whole and not sum(report.messages.values()):
             known = any(loss.messages for loss in report.losses) or report.left_out
             if not known and file.read(0, len(MAGIC)) != MAGIC:
@@ -66,7 +72,13 @@ def verify(source: str | Path, *, unproved: bool = False) -> Recovery:
     return report
 
 
-def recover(source: str | Path, target: str | Path, *, unproved: bool = False) -> Recovery:
+def recover(
+    source: str | Path,
+    target: str | Path,
+    *,
+    unproved: bool = False,
+    progress: Callable[[int, int], None] = lambda *_: None,
+) -> Recovery:
     """Repair a damaged or cut-off MCAP file, or several in sequence, written by any program.
 
     Intact chunks are kept byte for byte. Message index, chunk index, statistics and summary are built new.
@@ -75,6 +87,7 @@ def recover(source: str | Path, target: str | Path, *, unproved: bool = False) -
         source: the file; it is only read.
         target: the file to write; it appears when it is complete, and only if ``source`` is not intact.
         unproved: also keep readable messages of damaged and cut-off chunks.
+        progress: called with the bytes that were read, and with all; twice if there is something to write.
 
     Returns:
         The report.
@@ -86,7 +99,7 @@ def recover(source: str | Path, target: str | Path, *, unproved: bool = False) -
     source, target = Path(source), Path(target)
     if target.exists() and source.exists() and target.samefile(source):
         raise CaptureError(f"{target}: is the recording itself; name another file to write")
-    report = verify(source, unproved=unproved)
+    report = verify(source, unproved=unproved, progress=progress)
     if report.whole:
         return report
     regular = target.is_file() or not target.exists()
@@ -94,7 +107,7 @@ def recover(source: str | Path, target: str | Path, *, unproved: bool = False) -
     with FileBytes(source) as file:
         out = McapFile(made, header=b"")
         try:
-            report = _Assembly(file, out, unproved=unproved).run()
+            report = _Assembly(file, out, unproved=unproved).run(progress)
             if regular:
                 made.replace(target)
         except BaseException as error:
@@ -133,10 +146,11 @@ class _Assembly:
             self._lost_bytes
         ) = 0
 
-    def run(self) -> Recovery:
+    def run(self, progress: Callable[[int, int], None]) -> Recovery:
         """Process the whole file, and write the end."""
         for piece in self._scan.pieces():
             self._take(piece)
+            progress(piece.end, self._file.size)
         self._parts = [part for part in self._parts if part.ended or part.gaps or part.listed or part.others]
         whole = self._whole()
         if self._out is not None:
