@@ -246,16 +246,12 @@ class Context:
 
     def _settle_ports(self) -> None:
         """Find the sets of links that claim a port, and what is decided for each of them."""
-        bits = np.zeros(65536, np.int64)
-        for index, claimed in enumerate(self.ports.values()):
-            bits[claimed] |= 1 << index
-        ports = np.flatnonzero(bits)
-        sets, claim = np.unique(np.append(bits[ports], 0), return_inverse=True)  # the first set is empty
-        self.claim: NDArray[np.uint8] = np.zeros(len(bits), np.uint8)
-        self.claim[ports] = claim[:-1]
-        self.claimants = tuple(
-            tuple(link for index, link in enumerate(self.links) if int(item) >> index & 1) for item in sets
-        )
+        sets: dict[tuple[Link, ...], int] = {(): 0}
+        self.claim: NDArray[np.uint8] = np.zeros(65536, np.uint8)
+        for port in np.flatnonzero(np.any(list(self.ports.values()), axis=0)).tolist():
+            links = tuple(link for link, claimed in self.ports.items() if claimed[port])
+            self.claim[port] = sets.setdefault(links, len(sets))
+        self.claimants = tuple(sets)
         self.decided = np.zeros(len(sets), np.uint8)
         self.by_sender = np.zeros(len(sets), np.uint8)
         for index, links in enumerate(self.claimants):

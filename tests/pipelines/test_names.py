@@ -1,6 +1,7 @@
 """What names that tables show stand for."""
 
 import pytest
+from effort import long_but
 from places import ROOT
 
 from edoras_tools.errors import RouteError
@@ -24,7 +25,7 @@ def counted(capture, selection=None):
     return inspect(source, bench, selection=selection or Selection())
 
 
-@pytest.mark.parametrize("capture", CAPTURES)
+@pytest.mark.parametrize("capture", long_but(CAPTURES[2:], CAPTURES))
 def test_every_name_that_info_prints_chooses_what_it_counts(capture):
     rows = counted(capture).ledger.routes()
     names = {row[key] for row in rows for key in ("topic", "name", "msg_id") if row[key]}

@@ -57,7 +57,7 @@ def frames(batch):
     ]
 
 
-@pytest.mark.parametrize("step", [10_000, 7])
+@pytest.mark.parametrize("step", [10_000, 97])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize(
     "options",
