@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.ros import TypeStore
 
@@ -246,10 +247,10 @@ class Context:
 
     def _settle_ports(self) -> None:
         """Find the sets of links that claim a port, and what is decided for each of them."""
-        sets: dict[tuple[Link, ...], int] = {(): 0}
+        sets: dict[tuple[LinkProtocol, ...], int] = {(): 0}
         self.claim: NDArray[np.uint8] = np.zeros(65536, np.uint8)
         for port in np.flatnonzero(np.any(list(self.ports.values()), axis=0)).tolist():
-            links = tuple(link for link, claimed in self.ports.items() if claimed[port])
+            links = tuple(link for link in self.links if self.ports[link][port])
             self.claim[port] = sets.setdefault(links, len(sets))
         self.claimants = tuple(sets)
         self.decided = np.zeros(len(sets), np.uint8)
