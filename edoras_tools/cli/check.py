@@ -26,9 +26,7 @@ class CheckOptions(NamedTuple):
     init: Annotated[
         bool, typer.Option("--init", help="Draft expectations from a good recording; EXPECT is not given.")
     ] = False
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="With --init: write the draft here.")
-    ] = None
+    output: Annotated[Path | None, options.output(help="With --init: write the draft here.")] = None
     force: recordings.Force = False
     junit: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")

@@ -63,9 +63,7 @@ def codegen(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", metavar="DIR", help="Folder for the files; default: edoras_msgs, or edoras_gen."
-        ),
+        options.output(metavar="DIR", help="Folder for the files; default: edoras_msgs, or edoras_gen."),
     ] = None,
     config: options.Config = None,
     bounds: BoundOptions,

@@ -121,8 +121,7 @@ def demo(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            *("--output", "-o"),
+        options.output(
             metavar="PATH",
             parser=recordings.recording_path,
             help="The recording; for the tour, the folder for its files.",

@@ -60,12 +60,7 @@ def export(
     inputs: FileOptions,
     output: Annotated[
         str,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE|DIR/",
-            help=f"A file for one topic ({TABLES_WRITTEN}), or a folder.",
-        ),
+        options.output(metavar="FILE|DIR/", help=f"A file for one topic ({TABLES_WRITTEN}), or a folder."),
     ],
     table: TableOptions,
     printing: options.PrintOptions,

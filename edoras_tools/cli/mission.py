@@ -31,10 +31,7 @@ def _mission() -> None:
 def draft(
     *,
     files: FileOptions,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write it here; default: standard output."),
-    ] = None,
+    output: Annotated[Path | None, options.output(help="Write it here; default: standard output.")] = None,
     force: recordings.Force = False,
     quiet: options.Quiet = False,
     decoding: options.DecodingOptions,

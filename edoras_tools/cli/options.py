@@ -348,6 +348,7 @@ Constants = Annotated[
         "--set", metavar="NAME=VALUE", help="A constant of your cFS, e.g. app_msg_limit=8; repeatable."
     ),
 ]
+output = partial(typer.Option, "--output", "-o", metavar="FILE")
 ros_domain = partial(
     typer.Option, metavar="N", min=0, max=MOST_DOMAIN, help="ROS 2 domain; default: ROS_DOMAIN_ID, or 0."
 )

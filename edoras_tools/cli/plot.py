@@ -45,9 +45,7 @@ def plot(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            *("--output", "-o"),
-            metavar="FILE",
+        options.output(
             parser=recordings.recording_path,
             help="Write a picture (.svg, .png) or a page with zoom (.html); default: in the terminal.",
         ),

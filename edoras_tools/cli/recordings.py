@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edoras_tools.cli import options
 from edoras_tools.cli.endings import tell
 from edoras_tools.io.formats.table import WRITTEN
 
@@ -24,9 +25,7 @@ def recording_path(text: str) -> Path:
 
 Output = Annotated[
     Path | None,
-    typer.Option(
-        *("--output", "-o"),
-        metavar="FILE",
+    options.output(
         parser=recording_path,
         help=f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time.",
     ),

@@ -17,10 +17,7 @@ from edoras_tools.io.outputs import in_the_way, refuse_existing
 
 def recover(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A damaged or cut-off MCAP recording.")],
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Output file; default FILE.recovered.mcap."),
-    ] = None,
+    output: Annotated[Path | None, options.output(help="Output file; default FILE.recovered.mcap.")] = None,
     force: recordings.Force = False,
     unproved: options.Unproved = False,
     json: options.Json = False,

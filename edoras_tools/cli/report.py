@@ -22,10 +22,7 @@ from edoras_tools.words import plural
 def report(
     *,
     inputs: FileOptions,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Output file; default FILE.html."),
-    ] = None,
+    output: Annotated[Path | None, options.output(help="Output file; default FILE.html.")] = None,
     constant: options.Constants = None,
     printing: options.PrintOptions,
     part: options.ScopeOptions,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from edoras_tools.cli import options
 from edoras_tools.cli.endings import tell
 from edoras_tools.errors import ConfigError
 
@@ -41,7 +42,7 @@ def structs(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Write .msg files and structs.yaml there."),
+        options.output(metavar="DIR", help="Write .msg files and structs.yaml there."),
     ] = None,
     bind: Annotated[
         list[Any] | None,
