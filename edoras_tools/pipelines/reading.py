@@ -17,6 +17,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.pipelines.interrupt import interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     import threading
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
 
 
+_ENDING_NS: Final = SECOND // 4
+"""After Ctrl-C, what has arrived is shown for so long; the rest is counted."""
 _NO_CLOCK_NS: Final = 946_684_800 * SECOND
 """The year 2000: a machine whose clock shows less has not set it."""
 
@@ -80,6 +83,7 @@ class ReadLoop:
     begin_ns: int | None = None
     last_ns: int = -1
     outside: int = 0
+    _ends_ns: int = 0
 
     @property
     def interrupted(self) -> bool:
@@ -91,6 +95,23 @@ class ReadLoop:
         context = self.bench.columns.context
         context.notes += self.conversations.notes(shown=True)
         context.unnamed = self.conversations.unnamed
+
+    def gives_up(self, left: int) -> bool:
+        """Return whether to show no more: after Ctrl-C, where that would take long; a note then says so.
+
+        Args:
+            left: rows at hand that are not shown yet.
+        """
+        if not self.interrupted or not hasattr(self.source, "stop"):
+            return self.interrupted
+        now = self.limits.clock()
+        self._ends_ns = self._ends_ns or now + _ENDING_NS
+        discard = getattr(self.source, "discard", None)
+        if discard is None or now < self._ends_ns:
+            return False
+        count = plural(left + discard(), "packet")
+        self.bench.columns.context.notes.append(f"not shown: {count} that had arrived before Ctrl-C")
+        return True
 
     def __iter__(self) -> Iterator[ColumnRows]:
         """Yield the selected rows of every batch, even if there are none: live sources give empty batches.
@@ -210,6 +231,10 @@ def chosen(
     """
     with reading(source, bench, selection, limits, conversing=True) as loop:
         try:
-            yield from filter(len, loop)
+            for rows in loop:
+                if loop.gives_up(len(rows)):
+                    return
+                if len(rows):
+                    yield rows
         finally:
             loop.note()

@@ -6,6 +6,7 @@ import signal
 
 import numpy as np
 import pytest
+from waiting import until
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.pipelines.reading import Limits, reading
@@ -121,3 +122,22 @@ def test_ctrl_c_ends_it_after_the_batch_at_hand(number, bench, batches, made_up)
             os.kill(os.getpid(), number)
     assert (taken, loop.interrupted) == ([100], True)
     assert signal.getsignal(number) is before
+
+
+def test_after_ctrl_c_a_live_list_ends_soon_and_says_what_it_does_not_show(bench, batches, made_up):
+    class Live(made_up):
+        def stop(self):
+            pass
+
+        def discard(self):
+            return 1000
+
+    now = [0]
+    with reading(Live(batches), bench, None, Limits(clock=lambda: now[0])) as loop:
+        assert not loop.gives_up(5)
+        os.kill(os.getpid(), signal.SIGINT)
+        until(lambda: loop.interrupted)
+        assert not loop.gives_up(5)
+        now[0] += 10**9
+        assert loop.gives_up(5)
+    assert bench.columns.context.notes == ["not shown: 1,005 packets that had arrived before Ctrl-C"]

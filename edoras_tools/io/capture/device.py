@@ -13,6 +13,7 @@ import select
 import socket
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -204,6 +205,19 @@ class DeviceSource:
             self._waker.send(b"\0")
         except OSError:  # full: it wakes up anyway; closed: nothing to wake up
             return
+
+    def discard(self) -> int:
+        """End ``batches`` at once; return how many frames had arrived and were not yielded."""
+        self.stop()
+        count = 0
+        while self._thread.is_alive() or not self._queue.empty():
+            with suppress(queue.Empty):
+                item = self._queue.get(timeout=_STEP_S)
+                if not (item is None or isinstance(item, BaseException)):
+                    count += len(item)
+                    self._taken += item.data.size
+                    self._room.set()
+        return count
 
     def close(self) -> None:
         """Close the device; what it still holds is discarded."""

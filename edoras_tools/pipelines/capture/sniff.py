@@ -70,14 +70,13 @@ def _selected(
     limits: Limits,
     started: Callable[[int], None],
 ) -> Iterator[ColumnRows]:
-    """Yield the selected rows, some thousands at most, so that Ctrl-C ends the reading of a file at once."""
-    live = hasattr(source, "stop")
+    """Yield the selected rows, some thousands at most, so that Ctrl-C ends it soon."""
     with reading(source, bench, selection, limits, conversing=True) as loop:
         try:
             for rows in loop:
                 started(rows.begin_ns)
                 for first in range(0, len(rows), _AT_ONCE):
-                    if loop.interrupted and not live:
+                    if loop.gives_up(len(rows) - first):
                         return
                     yield rows.take(np.arange(first, min(first + _AT_ONCE, len(rows))))
         finally:

@@ -230,3 +230,11 @@ def test_close_needs_no_consumer_and_may_come_twice(source_of):
     source.stop()
     assert device.closed == 1
     assert not any(thread.name == "capture fake" for thread in threading.enumerate())
+
+
+def test_what_is_discarded_is_counted(source_of):
+    source = source_of(Fake(*(frames(b"x", number) for number in range(1, 6)), holds=[frames(b"y", 6)]))
+    batches = source.batches()
+    shown = len(first(batches))
+    assert shown + source.discard() == 6
+    assert source.discard() == 0
