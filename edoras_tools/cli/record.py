@@ -65,6 +65,14 @@ class TargetOptions(NamedTuple):
             help="Delete the oldest files while all are larger, e.g. 20G.",
         ),
     ] = None
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            parser=options.counted,
+            help="Processes that share the work on a large file; as many as processor cores, at most 3.",
+        ),
+    ] = None
     sync: Annotated[
         int | None,
         typer.Option(
@@ -116,6 +124,7 @@ def record(
         sync_ns=files.sync or 0,
         replace=files.force,
         transforms=files.tf,
+        jobs=files.jobs or 0,
         told=tell,
     )
     if plan and files.rosbag2:

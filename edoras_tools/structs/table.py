@@ -94,18 +94,18 @@ class Structs:
 
         A packet without a payload is a request or a wake-up, unless its function code has its own struct.
         """
-        for item in self._of(msg_id):
+        for item in self.bound_to(msg_id):
             if (length > 0) if item.key.function_code is None else item.key.function_code == function_code:
                 return item
         return None
 
     def name(self, msg_id: int) -> str:
         """Return a short description of the packets of a MsgId; empty if it is not known."""
-        return " or ".join(item.name for item in self._of(msg_id))
+        return " or ".join(item.name for item in self.bound_to(msg_id))
 
     def is_shipped(self, msg_id: int) -> bool:
         """Tell whether the structs of a MsgId are the built-in ones of cFE."""
-        return self._given is None or all(item.shipped for item in self._of(msg_id))
+        return self._given is None or all(item.shipped for item in self.bound_to(msg_id))
 
     def unclaimed(self, msg_ids: Iterable[int]) -> Structs:
         """Return these without the MsgIds that are used otherwise."""
@@ -140,7 +140,7 @@ class Structs:
         """
         for value, members in by_value(payloads.key):
             left = members
-            for item in self._of(value):
+            for item in self.bound_to(value):
                 code = item.key.function_code
                 chosen = payloads.length[left] > 0 if code is None else payloads.code[left] == code
                 found = payloads.take(left[chosen])
@@ -164,7 +164,8 @@ class Structs:
             if fits.any():
                 yield Held(item, found.take(fits), columns, data)
 
-    def _of(self, msg_id: int) -> Sequence[Bound]:
+    def bound_to(self, msg_id: int) -> Sequence[Bound]:
+        """Return the structs of a MsgId, in the order in which they are tried."""
         return self._bindings.by_id[msg_id] if self.has[msg_id] else ()
 
 

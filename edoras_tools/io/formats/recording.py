@@ -21,6 +21,7 @@ class RecordingOptions:
         datagrams: whether to write ``/edoras/datagrams``.
         structs: C structs in packets; None: only cFE's own.
         transforms: whether to write ``/tf``, made of the poses.
+        jobs: how many processes may share the work; more than one only for MCAP, and if not split by size.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
     """
 
@@ -32,6 +33,7 @@ class RecordingOptions:
     structs: Structs | None = None
     offered: str = ""
     transforms: bool = False
+    jobs: int = 1
 
     @property
     def splits(self) -> bool:

@@ -23,10 +23,13 @@ class LatchedTopics:
 
     Args:
         mission: says which topics are latched.
+
+    Attributes:
+        routes: their indices in ``Mission.routes``.
     """
 
     def __init__(self, mission: Mission) -> None:
-        self._routes = [
+        self.routes = [
             index
             for index, route in enumerate(mission.routes)
             if route.handling.transient_local or route.topic.rpartition("/")[2] in LATCHED_NAMES
@@ -40,10 +43,8 @@ class LatchedTopics:
             columns: of the batch.
             messages: its ROS messages.
         """
-        if not self._routes:
-            return
         routes = columns.route[messages.rows]
-        for route in self._routes:
+        for route in self.routes:
             for at in np.flatnonzero(routes == route)[-1:].tolist():
                 start = int(messages.offset[at])
                 head = messages.heads(slice(at, at + 1))[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,16 +19,18 @@ from edoras_tools.io.topics.statistics import LinkStatistics
 from edoras_tools.io.topics.structs import struct_messages
 from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
 from edoras_tools.structs import Structs, shipped_structs
+from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from edoras_tools.io.topics.rows import Messages
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
-    from edoras_tools.structs.bound import Bound
 
 EVENTS_TOPIC: Final = "/edoras/events"
 _SOFTWARE_BUS: Final = "/edoras/software_bus"
@@ -62,6 +65,21 @@ FAULTS: Final = Topic(FAULTS_TOPIC, FAULTS_TYPE)
 """Injected faults; only if there are any."""
 HOST_COUNTERS: Final = Topic(HOST_TOPIC, HOST_TYPE)
 """The kernel's counters of this host; only where datagrams are captured live."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedBatch:
+    """What depends on the batches before a batch; all else follows from the batch itself.
+
+    Attributes:
+        published: i64, publish time of each row, ns since 1970.
+        statistics: the seconds of link statistics that have ended.
+        added: channel ids of the topics that were added so far, by name.
+    """
+
+    published: NDArray[np.int64]
+    statistics: list[Messages]
+    added: Mapping[str, int]
 
 
 class Streams:
@@ -141,6 +159,8 @@ class Streams:
         )
         self._routes = np.array(ids[self._own :], dtype=np.uint16)
         self._added: dict[str, int] = {}
+        self._new = self.structs
+        """Those of which a topic is not added."""
 
     def messages(
         self,
@@ -160,25 +180,70 @@ class Streams:
             statistics: whether link statistics are wanted, for this and every other batch.
             transforms: whether ``/tf`` is wanted now, if it is made at all.
         """
+        prepared = self.prepare(batch, columns, statistics=statistics, transforms=transforms)
+        return self.made(batch, columns, prepared, datagrams=datagrams, transforms=transforms)
+
+    def prepare(
+        self, batch: PacketBatch, columns: Columns, *, statistics: bool = True, transforms: bool = True
+    ) -> PreparedBatch:
+        """Take note of a batch, in the order of the capture, and add the topics that it needs first.
+
+        Args:
+            batch: see ``messages``.
+            columns: see ``messages``.
+            statistics: see ``messages``.
+            transforms: see ``messages``.
+        """
         published = self.clock.publish_times(batch.time_ns, columns)
-        columns = without_trailing(batch, columns, self._types, self._mission.routes)
-        streams = []
-        if statistics:
-            streams.append(self._statistics.messages(batch, columns, self._statistics_id))
+        told = [self._statistics.messages(batch, columns, self._statistics_id)] if statistics else []
+        if self._latched.routes:
+            rows = np.flatnonzero(np.isin(columns.route, self._latched.routes))
+            taken, own = batch.take(rows), columns.take(rows)
+            self._latched.keep(
+                own, ros_messages(taken, self._trimmed(taken, own), self._routes, published[rows])
+            )
+        if self._add:
+            self._place_structs(batch, columns)
+            if self._transforms and transforms and self._transforms.are_in(columns):
+                self._place(TRANSFORMS)
+        return PreparedBatch(published, told, self._added)
+
+    def made(
+        self,
+        batch: PacketBatch,
+        columns: Columns,
+        prepared: PreparedBatch,
+        *,
+        datagrams: bool = True,
+        transforms: bool = True,
+    ) -> list[Messages]:
+        """Return the messages of a prepared batch; this can be done in any order, and in any process.
+
+        Args:
+            batch: see ``messages``.
+            columns: see ``messages``.
+            prepared: what ``prepare`` returned.
+            datagrams: see ``messages``.
+            transforms: see ``messages``.
+        """
+        published, added = prepared.published, prepared.added
+        columns = self._trimmed(batch, columns)
+        streams = [*prepared.statistics]
         if self._datagrams and datagrams:
             streams.append(self._datagrams.messages(batch, columns, published))
-        messages = ros_messages(batch, columns, self._routes, published)
-        self._latched.keep(columns, messages)
         streams += [
-            messages,
+            ros_messages(batch, columns, self._routes, published),
             event_messages(batch, columns, self._events, published),
             software_bus_messages(batch, columns, self._software_bus, published),
         ]
         if self._add:
-            streams += struct_messages(batch, columns, self.structs, self._struct_id, published)
+            streams += struct_messages(batch, columns, self.structs, added, published)
         if self._transforms and transforms and self._transforms.are_in(columns):
-            streams += self._transforms.messages(batch, columns, self._place(TRANSFORMS))
+            streams += self._transforms.messages(batch, columns, added[TF_TOPIC])
         return streams
+
+    def _trimmed(self, batch: PacketBatch, columns: Columns) -> Columns:
+        return without_trailing(batch, columns, self._types, self._mission.routes)
 
     def latched(self, time_ns: int) -> Messages:
         """Return the last message of each latched topic again, for a new file; all belong to row 0."""
@@ -188,8 +253,16 @@ class Streams:
         """Return an event for each time that an interface went away or returned, each in its own row."""
         return outage_messages(news, self._events)
 
-    def _struct_id(self, bound: Bound) -> int:
-        return self._place(Topic(bound.topic, bound.type, bound.metadata))
+    def _place_structs(self, batch: PacketBatch, columns: Columns) -> None:
+        """Add the topics of structs that come for the first time."""
+        found = payloads(self._new, partial(getattr, columns), partial(getattr, batch))
+        for bound, _, fits in self._new.split(found):
+            if fits.any():
+                self._place(Topic(bound.topic, bound.type, bound.metadata))
+        keys = np.flatnonzero(np.bincount(found.key)).tolist()
+        self._new = self._new.unclaimed(
+            key for key in keys if all(item.topic in self._added for item in self._new.bound_to(key))
+        )
 
     def _place(self, topic: Topic) -> int:
         """Return the channel of a topic that is added at first use."""

@@ -11,20 +11,20 @@ from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_rec
 from edoras_tools.structs.payloads import payloads
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.structs import Structs
-    from edoras_tools.structs.bound import Bound, Held
+    from edoras_tools.structs.bound import Held
 
 
 def struct_messages(
     batch: PacketBatch,
     columns: Columns,
     structs: Structs,
-    channel_id: Callable[[Bound], int],
+    channel_ids: Mapping[str, int],
     published: NDArray[np.int64],
 ) -> Iterator[Messages]:
     """Yield the messages of every struct in a batch.
@@ -33,7 +33,7 @@ def struct_messages(
         batch: the datagrams.
         columns: of the same rows.
         structs: the structs.
-        channel_id: returns the MCAP channel of a struct.
+        channel_ids: MCAP channels by topic.
         published: i64, publish time, ns since 1970.
     """
 
@@ -43,7 +43,7 @@ def struct_messages(
 
     found = payloads(structs, column, partial(getattr, batch))
     for held in structs.held(found, column, batch.data):
-        yield _messages(held, batch, columns, channel_id(held.bound), published)
+        yield _messages(held, batch, columns, channel_ids[held.bound.topic], published)
 
 
 def _messages(

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from dataclasses import dataclass, field, replace
 from time import time_ns
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.capture.device import DeviceSource
-from edoras_tools.io.formats.mcap.process import Apart
 from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.formats.split import SplitCaptureSink
-from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, ROSBAG2, Format, written_as
+from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import Keep, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing
@@ -35,7 +36,9 @@ if TYPE_CHECKING:
     from edoras_tools.render.terminal.run import Watcher
 
 _LARGE = 32 << 20
-"""Files of at least this many bytes are written by a second process."""
+"""Files of at least this many bytes are recorded by several processes."""
+_MOST_JOBS = 3
+"""One process reads and decodes; two others compress as fast as it does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +55,7 @@ class Target:
         keep_bytes: delete the oldest files where all are larger than this; 0: keep all.
         replace: overwrite an existing output.
         sync_ns: flush to the disk at this interval, to survive a power cut; 0: never.
+        jobs: how many processes share the work on a large file; 0: as many as there are processor cores.
         transforms: also write ``/tf``, made of the poses, for 3D views.
         told: called with a line if the file is removed while it is written.
     """
@@ -66,6 +70,7 @@ class Target:
     sync_ns: int = 0
     replace: bool = False
     transforms: bool = False
+    jobs: int = 0
     told: Callable[[str], None] = field(default=lambda _: None, compare=False, repr=False)
 
     @property
@@ -152,9 +157,7 @@ def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = Fa
         refuse_existing(in_the_way(target.path, split=split))
 
 
-def open_sink(
-    target: Target, source: Source, bench: Workbench, *, chosen: str = "", apart: bool = True
-) -> WatchedSink | Apart:
+def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str = "") -> WatchedSink:
     """Open a sink for a target that was checked.
 
     Args:
@@ -162,7 +165,6 @@ def open_sink(
         source: what is read.
         bench: mission, types and decoders.
         chosen: the selection, in words.
-        apart: a second process may write a large file; it lends the memory that the source reads into.
 
     Raises:
         CaptureError: it cannot be written.
@@ -183,6 +185,7 @@ def open_sink(
         target.split_count,
         structs=bench.columns.context.structs,
         transforms=target.transforms,
+        jobs=_jobs(target, source),
     )
 
     def part(path: Path) -> CaptureFileSink:
@@ -197,25 +200,21 @@ def open_sink(
         messages: FileSink = make(
             path, bench.mission, bench.types, info, options, statistics=source.statistics
         )
+        lend = getattr(messages, "lend", None)
+        if lend and isinstance(source, RecordSource):
+            source.borrow(lend)
         return messages
 
     sync_s, keep = target.sync_ns / 1e9, Keep(target.keep_files, target.keep_bytes)
-    sink = WatchedSink(target.path, begin, target.told, source.statistics, sync_s=sync_s, keep=keep)
-    return _apart(sink, source, target.path) if apart and format_ is MCAP else sink
+    return WatchedSink(target.path, begin, target.told, source.statistics, sync_s=sync_s, keep=keep)
 
 
-def _apart(sink: WatchedSink, source: Source, path: Path) -> WatchedSink | Apart:
-    """Run the sink of a large file in a second process; the source then reads into shared memory."""
+def _jobs(target: Target, source: Source) -> int:
+    """Return how many processes write a target."""
     if source.statistics.total_bytes < _LARGE:
-        return sink
-
-    try:
-        apart = Apart(sink, source.statistics, path)
-    except OSError:
-        return sink
-    if isinstance(source, RecordSource):
-        source.borrow(apart.lend)
-    return apart
+        return 1
+    cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else 1
+    return target.jobs or min(_MOST_JOBS, cores)
 
 
 def record(
@@ -249,7 +248,7 @@ def record(
     with reading(source, bench, selection, limits, keeps_failure=True) as loop:
         sink = open_sink(target, source, bench, chosen=str(loop.selection))
         report = pour(loop, sink, watcher=watcher, tap=tap, by_route=by_route)
-    report.outputs, report.losses, report.keep = list(sink.paths), sink.losses, sink.keep or Keep()
+    report.outputs, report.losses, report.keep = list(sink.paths), sink.losses, sink.keep
     return report
 
 

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.io import Source
-    from edoras_tools.io.formats.mcap.process import Apart
     from edoras_tools.io.formats.watched import OutputLoss, WatchedSink
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
     from edoras_tools.pipelines.capture.record import CaptureReport, Target
@@ -106,7 +105,7 @@ class Snapshot:
     before_ns: int = 0
     cut: bool = False
     next: int = field(default=0, repr=False)
-    sink: WatchedSink | Apart | None = field(default=None, repr=False)
+    sink: WatchedSink | None = field(default=None, repr=False)
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``record --snapshot --json``."""
@@ -163,7 +162,7 @@ class SnapshotSink:
         source: Source,
         context: Context,
         target: Target,
-        begin: Callable[[Path], WatchedSink | Apart],
+        begin: Callable[[Path], WatchedSink],
         *,
         triggers: Triggers | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
@@ -306,7 +305,7 @@ class SnapshotSink:
         sink.write(batch, columns)
         one.datagrams += len(batch)
 
-    def _started(self, one: Snapshot) -> WatchedSink | Apart:
+    def _started(self, one: Snapshot) -> WatchedSink:
         name = self._target.path
         when = time.strftime("%Y%m%d_%H%M%S", time.localtime(one.trigger_ns // SECOND))
         path = name.with_name(f"{name.stem}_{when}{name.suffix}")
@@ -419,9 +418,9 @@ def record_snapshots(
     with reading(source, bench, selection, limits, keeps_failure=True) as loop:
         about = str(loop.selection)
 
-        def begin(path: Path) -> WatchedSink | Apart:
-            # Kept batches must not lie in memory that a second process lends and takes back.
-            return open_sink(replace(target, path=path), source, bench, chosen=about, apart=False)
+        def begin(path: Path) -> WatchedSink:
+            # Kept batches must not lie in memory that is lent to the source.
+            return open_sink(replace(target, path=path, jobs=1), source, bench, chosen=about)
 
         sink = SnapshotSink(plan, source, bench.columns.context, target, begin, triggers=triggers)
         report = pour(loop, sink, watcher=watcher)

@@ -20,6 +20,7 @@ from edoras_tools.cli import endings
 from edoras_tools.cli.endings import LOST
 from edoras_tools.decode import Options
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
+from edoras_tools.io.formats.mcap import writer
 from edoras_tools.mission import Mission
 from edoras_tools.pipelines.capture import record as module
 from edoras_tools.pipelines.capture.info import inspect
@@ -139,8 +140,8 @@ def test_losses_are_exit_code_3(bench, batches, made_up, sink, capsys):
     )
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="there is no second process elsewhere")
-def test_a_second_process_watches_its_files_too(bench, made_up, tmp_path, monkeypatch):
+@pytest.mark.skipif(sys.platform != "linux", reason="there is one process elsewhere")
+def test_files_are_watched_with_several_processes_too(bench, made_up, tmp_path, monkeypatch):
     monkeypatch.setattr("edoras_tools.pipelines.capture.record._LARGE", 1)
     path, beside, told = tmp_path / "x.mcap", tmp_path / "x_1.mcap", tmp_path / "told"
     with closing(open_files([CAPTURE])) as opened:
@@ -156,7 +157,7 @@ def test_a_second_process_watches_its_files_too(bench, made_up, tmp_path, monkey
         yield batch
 
     source = made_up(endless(), total_bytes=1)
-    target = Target(path, told=told.write_text)
+    target = Target(path, told=told.write_text, jobs=2)
     report = record(source, bench, target, limits=STILL)
     (loss,) = report.losses
     assert (loss.path, loss.fate, loss.kept) == (path, "was deleted", False)
@@ -300,16 +301,15 @@ KEPT = {"split_count": 200, "keep_files": 3}
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 @pytest.mark.parametrize("limits", [{}, {"split_bytes": 60_000}, {"split_ns": 20_000_000_000}, KEPT])
-def test_a_process_of_its_own_for_what_writes_makes_the_same_recording(
-    bench, captures, tmp_path, monkeypatch, limits
-):
+def test_several_processes_make_the_same_recording(bench, captures, tmp_path, monkeypatch, limits):
+    monkeypatch.setattr(module, "_LARGE", 0)
+    monkeypatch.setattr(writer, "_LARGE", 1)
     contents = []
-    for large in (1 << 60, 0):
-        monkeypatch.setattr(module, "_LARGE", large)
+    for jobs in (1, 3):
         report = record(
             open_files([captures("a_rover")]),
             bench,
-            Target(tmp_path / "a.mcap", **limits),
+            Target(tmp_path / "a.mcap", jobs=jobs, **limits),
             limits=replace(STILL, count=1500),
         )
         assert report.ledger.datagrams == 1500
@@ -330,7 +330,7 @@ def test_where_no_process_can_be_forked_it_records_all_the_same(bench, captures,
     monkeypatch.setattr(module, "_LARGE", 0)
     monkeypatch.setattr("os.fork", none)
     source = open_files([captures("a_rover")])
-    report = record(source, bench, Target(tmp_path / "a.mcap"), limits=STILL)
+    report = record(source, bench, Target(tmp_path / "a.mcap", jobs=2), limits=STILL)
     assert report.ledger.datagrams == 1827
     with (tmp_path / "a.mcap").open("rb") as file:
         assert sum(1 for _ in make_reader(file).iter_messages(["/edoras/datagrams"])) == 1827

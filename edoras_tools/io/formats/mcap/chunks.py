@@ -1,17 +1,15 @@
-"""Writes messages as chunks: laid out by numpy, compressed, indexed and written.
+"""Lays out messages as chunks, compresses and indexes them, and writes them in order.
 
 The rules that this file keeps:
 
 1. Rows of a batch are laid out in a buffer: a row's records follow each other in the order of the streams. A
    row that is larger than a buffer gets a buffer of its own.
-2. The thread divides a buffer between messages into chunks of about ``CHUNK_BYTES``, each with a CRC.
+2. A full buffer is divided between messages into chunks of about ``CHUNK_BYTES``, each with a CRC.
 3. A stream with many messages is copied with ``spill_rows``, which also writes beyond the end of each
    message. It is copied first; every other stream, and every head, is written afterwards.
 4. A record's head is written after its body, for the same reason.
 5. Messages are indexed while they go into the buffer; the indexes of its chunks are made from that at once.
-6. The file belongs to the thread from the first full buffer until ``flush`` returns. At most ``_IN_FLIGHT``
-   buffers wait for it; then the caller waits. Errors in the thread are raised by a later call.
-7. Buffers of full size are reused; Python frees the others.
+6. A large batch gets chunks of its own, so that any process can make them: the file is the same.
 
 One wrong byte costs a whole chunk, and a reader has to read a whole chunk for one message. Small chunks
 compress worse, and each has an index of its own: ``docs/recover.md`` has the figures.
@@ -20,22 +18,23 @@ compress worse, and each has an index of its own: ``docs/recover.md`` has the fi
 from __future__ import annotations
 
 from collections import deque
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
 import zstandard
 
+from edoras_tools.io.formats.mcap.file import pack_chunks
 from edoras_tools.io.formats.mcap.index import MessageIndex
 from edoras_tools.io.topics.rows import within_rows
 from edoras_tools.wire.window import copy_rows, put_rows, spill_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.formats.mcap.file import McapFile
+    from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
+    from edoras_tools.io.formats.mcap.workers import Workers
     from edoras_tools.io.topics.rows import Messages
 
 CHUNK_BYTES = 128 << 10
@@ -47,74 +46,33 @@ _LEVEL = -1
 _ENOUGH = 16 << 20
 """Bytes that compressing a buffer may need. Where memory runs out inside ``multi_compress_to_buffer``,
 zstandard 0.25 frees some of it twice and the process aborts; asked for before, it is a ``MemoryError``."""
-_IN_FLIGHT = 3
-"""Buffers that may wait for the thread: limits memory; the caller waits if it is faster."""
+_MOST_MADE = 8
+"""Batches whose chunks may wait for those before them: limits memory."""
 
 
-class ChunkWriter:
-    """Appends messages to a file in chunks; a thread of its own compresses and writes the full ones.
+class ChunkPress:
+    """Makes chunks of messages."""
 
-    Compression does not hold Python's lock, so it runs while the caller continues with the next chunk.
-
-    Args:
-        file: where the chunks go; until ``flush`` returns it belongs to the thread.
-
-    Raises:
-        CaptureError: from every method: the file cannot be written. Errors in the thread are raised by a
-        later
-            call.
-    """
-
-    def __init__(self, file: McapFile) -> None:
-        self._file = file
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="edoras-mcap")
-        self._pending: deque[Future[NDArray[np.uint8]]] = deque()
+    def __init__(self) -> None:
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
         self._buffer = _blank()
-        self._used = 0
         self._index = MessageIndex()
-        self._appended = 0
+        self.used = 0
+        """Bytes that are laid out and not yet in a chunk."""
 
-    @property
-    def size_bound(self) -> int:
-        """Maximum size of the file once everything appended is written, without its summary."""
-        waiting = self._appended - self._file.summary.chunk_bytes
-        return self._file.size + waiting
-
-    def append(self, streams: Sequence[Messages], rows: int) -> None:
+    def append(self, streams: Sequence[Messages], rows: int) -> Iterator[PackedChunks]:
         """Append messages of a batch, row by row, in each row in the order of ``streams``.
 
         Args:
             streams: the messages.
             rows: rows of the batch.
+
+        Yields:
+            the chunks of a buffer that is full; all must be taken.
         """
         streams = [stream for stream in streams if len(stream)]
-        self._appended += sum(
-            len(stream) * stream.head_bytes + int(stream.length.sum()) for stream in streams
-        )
-        if streams:
-            self._lay_out(streams, rows)
-
-    def flush(self) -> None:
-        """End the current chunk, and return when all chunks are written to the operating system."""
-        while self._pending:
-            self._pending.popleft().result()
-        if self._used:  # here, because switching to the thread and back is slow on a busy machine
-            self._buffer = self._press(self._buffer, self._used, self._index)
-            self._used, self._index = 0, MessageIndex()
-
-    def close(self) -> None:
-        """Flush, and end the thread."""
-        try:
-            self.flush()
-        finally:
-            self.abandon()
-
-    def abandon(self) -> None:
-        """End the thread, and discard what it has not begun to write."""
-        self._thread.shutdown(cancel_futures=True)
-
-    def _lay_out(self, streams: Sequence[Messages], rows: int) -> None:
+        if not streams:
+            return
         total = np.zeros(rows, dtype=np.int64)
         within = [within_rows(stream, total) for stream in streams]
         ends = np.cumsum(total)
@@ -128,40 +86,103 @@ class ChunkWriter:
         first = 0
         while first < rows:
             base = int(starts[first])
-            last = int(np.searchsorted(ends, base + len(self._buffer) - self._used, side="right"))
+            last = int(np.searchsorted(ends, base + len(self._buffer) - self.used, side="right"))
             if last == first:
-                if self._used:
-                    self._store()
+                if self.used:
+                    yield from self.finish()
                     continue
                 self._buffer = np.empty(int(total[first]), dtype=np.uint8)
                 last = first + 1
             for part in parts:
-                part.put(last, self._buffer, self._used - base, self._index)
-            self._used += int(ends[last - 1]) - base
+                part.put(last, self._buffer, self.used - base, self._index)
+            self.used += int(ends[last - 1]) - base
             first = last
 
-    def _store(self) -> None:
-        """Hand the current chunk to the thread, and begin another."""
-        if not self._used:
+    def finish(self) -> Iterator[PackedChunks]:
+        """Yield the chunks of what is laid out, if there is anything."""
+        if not self.used:
             return
-        self._pending.append(self._thread.submit(self._press, self._buffer, self._used, self._index))
-        self._buffer = self._pending.popleft().result() if len(self._pending) > _IN_FLIGHT else _blank()
-        self._used = 0
-        self._index = MessageIndex()
-
-    def _press(self, buffer: NDArray[np.uint8], used: int, index: MessageIndex) -> NDArray[np.uint8]:
-        """Compress and write a buffer's chunks; return a buffer that is free."""
-        chunks = index.divide(used, CHUNK_BYTES)
-        segments = np.stack([chunks.edges[:-1], np.diff(chunks.edges)], axis=1).astype(np.uint64)
-        np.empty(used + _ENOUGH, np.uint8)  # asked for, and given back at once
-        # One call and one write for all: each time this thread needs Python's lock, it has to wait.
+        raw = self._buffer[: self.used].data
+        messages = self._index.divide(self.used, CHUNK_BYTES)
+        segments = np.stack([messages.edges[:-1], np.diff(messages.edges)], axis=1).astype(np.uint64)
+        np.empty(self.used + _ENOUGH, np.uint8)  # asked for, and given back at once
         packed = self._compressor.multi_compress_to_buffer(
-            zstandard.BufferWithSegments(buffer[:used].data, segments.tobytes())
+            zstandard.BufferWithSegments(raw, segments.tobytes())
         )
-        self._file.add_chunks(
-            buffer[:used].data, [packed[place].tobytes() for place in range(len(packed))], chunks
-        )
-        return buffer if len(buffer) == _BUFFER_BYTES else _blank()
+        chunks = pack_chunks(raw, [packed[place].tobytes() for place in range(len(packed))], messages)
+        self.used, self._index = 0, MessageIndex()
+        if len(self._buffer) != _BUFFER_BYTES:
+            self._buffer = _blank()
+        yield chunks
+
+
+class ChunkWriter:
+    """Appends messages to a file in chunks.
+
+    Args:
+        file: where the chunks go.
+        press: makes them; with nothing laid out.
+        work: makes chunks of a large batch, see ``append_batch``.
+        workers: run ``work`` too, if there are any.
+
+    Raises:
+        CaptureError: from every method: the file cannot be written, or a worker was killed.
+    """
+
+    def __init__(
+        self,
+        file: McapFile,
+        press: ChunkPress,
+        work: Callable[..., Iterable[PackedChunks]],
+        workers: Workers | None = None,
+    ) -> None:
+        self._file, self._press = file, press
+        self._work, self._workers = work, workers
+        self._made: deque[Iterable[PackedChunks] | None] = deque()
+        """Of the batches not yet written: their chunks, or None where a worker makes them."""
+
+    @property
+    def size_bound(self) -> int:
+        """Maximum size of the file once everything appended here is written, without its summary."""
+        return self._file.size + self._press.used
+
+    def append(self, streams: Sequence[Messages], rows: int) -> None:
+        """Append messages of a batch; see ``ChunkPress.append``."""
+        for chunks in self._press.append(streams, rows):
+            self._put_made(0)
+            self._file.add_chunks(chunks)
+
+    def append_batch(self, *batch: object) -> None:
+        """Append chunks of their own that ``work(*batch)`` returns, made here if all workers are busy."""
+        if self._press.used:
+            self.flush()
+        self._put_made()
+        if self._workers is None or self._workers.full:
+            self._made.append(self._work(*batch))
+        else:
+            self._workers.submit(*batch)
+            self._made.append(None)
+        self._put_made(_MOST_MADE)
+
+    def flush(self) -> None:
+        """End the current chunk, and return when all chunks are written to the operating system."""
+        self._put_made(0)
+        self._put(self._press.finish())
+
+    def _put_made(self, most: int | None = None) -> None:
+        """Write the chunks of batches that are made; wait while there are more than ``most`` others."""
+        while self._made:
+            made, workers = self._made[0], self._workers
+            if made is None and workers is not None:
+                if not workers.ready and (most is None or len(self._made) <= most):
+                    return
+                made = workers.take()
+            del self._made[0]
+            self._put(made or ())
+
+    def _put(self, made: Iterable[PackedChunks]) -> None:
+        for chunks in made:
+            self._file.add_chunks(chunks)
 
 
 def _blank() -> NDArray[np.uint8]:

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from edoras_tools.io.formats.mcap.index import ChunkMessages
 
     _Bytes = bytes | memoryview
@@ -146,6 +148,73 @@ class Summary:
         return end + summary + record_bytes(footer) + MAGIC
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedChunks:
+    """Chunks, each followed by its message indexes, as they stand in a file; n chunks.
+
+    Attributes:
+        data: u8, the records.
+        heads: of the chunks.
+        sizes: bytes of each chunk, and of its indexes.
+        places: ``INDEX_PLACE``, where the indexes start in ``data``.
+        place_edges: i64 (n + 1), the first of each chunk's ``places``, and the end of the last ones.
+        counts: messages of each channel.
+        start_ns: smallest log time.
+        end_ns: largest log time.
+    """
+
+    data: NDArray[np.uint8]
+    heads: Sequence[ChunkHead]
+    sizes: Sequence[tuple[int, int]]
+    places: NDArray[np.void]
+    place_edges: NDArray[np.int64]
+    counts: Mapping[int, int]
+    start_ns: int
+    end_ns: int
+
+
+def pack_chunks(
+    raw: memoryview, packed: Sequence[_Bytes], messages: ChunkMessages, *, proved: bool = True
+) -> PackedChunks:
+    """Put chunks and their message indexes together.
+
+    Args:
+        raw: the records of all chunks.
+        packed: the records of each, compressed with zstd.
+        messages: the messages in them.
+        proved: add checksums; False for records that may already be wrong.
+    """
+    edges = pairwise(messages.edges.tolist())
+    times = zip(messages.start_ns.tolist(), messages.end_ns.tolist(), strict=True)
+    heads = [
+        ChunkHead(*around, end - start, crc32(raw[start:end]) if proved else 0, "zstd", 0, len(data))
+        for data, (start, end), around in zip(packed, edges, times, strict=True)
+    ]
+    return join_chunks(
+        [(_chunk_start(head), data) for head, data in zip(heads, packed, strict=True)], heads, messages
+    )
+
+
+def join_chunks(
+    chunks: Sequence[Sequence[_Bytes]], heads: Sequence[ChunkHead], messages: ChunkMessages
+) -> PackedChunks:
+    """Put chunk records, each in pieces, and their message indexes together."""
+    places, indexes = messages.places.copy(), messages.records.data
+    spans = pairwise(messages.record_edges.tolist()), pairwise(messages.place_edges.tolist())
+    pieces: list[_Bytes] = []
+    sizes: list[tuple[int, int]] = []
+    at = 0
+    for chunk, (start, end), (first, last) in zip(chunks, *spans, strict=True):
+        pieces += *chunk, indexes[start:end]
+        sizes.append((sum(map(len, chunk)), end - start))
+        at += sizes[-1][0]
+        places["offset"][first:last] += np.uint64(at)
+        at += end - start
+    times = int(messages.start_ns.min()), int(messages.end_ns.max())
+    data = np.frombuffer(b"".join(pieces), np.uint8)
+    return PackedChunks(data, heads, sizes, places, messages.place_edges, messages.counts, *times)
+
+
 class McapFile:
     """An MCAP file that is written from start to end; its methods must not run concurrently.
 
@@ -219,53 +288,18 @@ class McapFile:
         self.add_bytes(record)
         self.summary.metadata.append(index)
 
-    def add_chunks(
-        self,
-        raw: memoryview,
-        packed: Sequence[_Bytes],
-        messages: ChunkMessages,
-        *,
-        proved: bool = True,
-    ) -> None:
-        """Write chunks and their message indexes to the operating system, in one call.
-
-        Args:
-            raw: the records of all chunks.
-            packed: the records of each, compressed with zstd.
-            messages: the messages in them.
-            proved: write checksums; False for records that may already be wrong.
-        """
-        edges = pairwise(messages.edges.tolist())
-        times = zip(messages.start_ns.tolist(), messages.end_ns.tolist(), strict=True)
-        heads = [
-            ChunkHead(*around, end - start, crc32(raw[start:end]) if proved else 0, "zstd", 0, len(data))
-            for data, (start, end), around in zip(packed, edges, times, strict=True)
-        ]
-        starts = [_chunk_start(head) for head in heads]
-        self._put_chunks(list(zip(starts, packed, strict=True)), heads, messages)
-
-    def copy_chunk(self, record: bytes, head: ChunkHead, messages: ChunkMessages) -> None:
-        """Write a chunk unchanged from another file, with a new message index."""
-        self._put_chunks([(record,)], [head], messages)
-
-    def _put_chunks(
-        self, chunks: Sequence[Sequence[_Bytes]], heads: Sequence[ChunkHead], messages: ChunkMessages
-    ) -> None:
-        """Write chunks, each in pieces, and their message indexes."""
-        indexes, places = messages.records.data, messages.places.copy()
-        spans = pairwise(messages.record_edges.tolist()), pairwise(messages.place_edges.tolist())
-        pieces: list[_Bytes] = []
+    def add_chunks(self, chunks: PackedChunks) -> None:
+        """Write chunks and their message indexes to the operating system, in one call."""
+        places = chunks.places.copy()
+        places["offset"] += np.uint64(self.size)
         at = self.size
-        for chunk, head, (start, end), (first, last) in zip(chunks, heads, *spans, strict=True):
-            length = sum(map(len, chunk))
-            pieces += *chunk, indexes[start:end]
-            places["offset"][first:last] += np.uint64(at + length)
-            self.summary.add_chunk(head, (at, length), places[first:last].tobytes(), end - start)
-            at += length + end - start
-        self.add_bytes(b"".join(pieces))
-        if messages.counts:
-            times = int(messages.start_ns.min()), int(messages.end_ns.max())
-            self.summary.add_messages(messages.counts, *times)
+        spans = pairwise(chunks.place_edges.tolist())
+        for head, (length, after), (first, last) in zip(chunks.heads, chunks.sizes, spans, strict=True):
+            self.summary.add_chunk(head, (at, length), places[first:last].tobytes(), after)
+            at += length + after
+        self.add_bytes(chunks.data.data)
+        if chunks.counts:
+            self.summary.add_messages(chunks.counts, chunks.start_ns, chunks.end_ns)
 
     def finish(self) -> None:
         """Write the summary and close the file."""

@@ -31,7 +31,7 @@ from mcap.records import (
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.file import McapFile, record_bytes
+from edoras_tools.io.formats.mcap.file import McapFile, join_chunks, pack_chunks, record_bytes
 from edoras_tools.io.formats.mcap.heads import MESSAGE_HEAD, RECORD_HEAD
 from edoras_tools.io.formats.mcap.recovery.numbering import Definitions, Numbering, renumbered
 from edoras_tools.io.formats.mcap.recovery.part import FilePart
@@ -356,12 +356,12 @@ class _Assembly:
         messages = walked.index()
         if stands and piece is not None and piece.head is not None:
             stretch = self._file.read(piece.start, piece.record_end)
-            self._out.copy_chunk(stretch, piece.head, messages)
+            self._out.add_chunks(join_chunks([(stretch,)], [piece.head], messages))
         else:
             raw = walked.data.data
             proved = piece is not None and piece.proof is Proof.CHECKSUM
             packed = zstandard.ZstdCompressor(write_checksum=proved).compress(raw)
-            self._out.add_chunks(raw, [packed], messages, proved=proved)
+            self._out.add_chunks(pack_chunks(raw, [packed], messages, proved=proved))
 
     def _record(self, piece: Piece) -> None:
         part, record = self._part(piece.start), piece.record

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -11,19 +11,23 @@ import numpy as np
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.chunks import ChunkWriter
+from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile
+from edoras_tools.io.formats.mcap.workers import Workers
 from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.io.formats.split import part_path
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.host import host_messages
 from edoras_tools.io.topics.names import OUTAGE_METADATA_NAME
-from edoras_tools.io.topics.streams import FAULTS, HOST_COUNTERS, Streams, Topic
+from edoras_tools.io.topics.streams import FAULTS, HOST_COUNTERS, PreparedBatch, Streams, Topic
 from edoras_tools.model import Finding
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.formats.mcap.file import PackedChunks
     from edoras_tools.io.outputs import OutputFile
     from edoras_tools.mission import Mission
     from edoras_tools.model import (
@@ -46,6 +50,8 @@ _STEPS = 8
 """When files are split by size, the size is checked this many times per file."""
 _STEP_ROWS = 64
 """The fewest datagrams between two checks: each takes 1-2 ms, and a recorder that is behind loses frames."""
+_LARGE = 1 << 20
+"""A batch with frames of this many bytes is compressed on its own."""
 _ROW_BYTES = 200
 """Approximate bytes of a datagram's messages besides its frame."""
 
@@ -107,7 +113,19 @@ class McapSink:
         self._state: Literal["open", "failed", "closed"] = "open"
         self.files: list[McapFile] = []
         self.complete: list[tuple[OutputFile, int]] = []
+        self._press = ChunkPress()
+        self._workers: Workers | None = None
         self._chunks = self._open_file()
+        # To split files by size, the size of what was appended has to be known.
+        if options.jobs > 1 and not options.split_bytes:
+            with suppress(OSError):  # without them it takes longer
+                self._workers = Workers(options.jobs - 1, self._packed, self._path)
+                self._chunks = self._chunk_writer()
+
+    @property
+    def lend(self) -> Callable[[int], NDArray[np.uint8]] | None:
+        """Returns memory for the source to read into, if that saves copying it; see ``Workers.lend``."""
+        return self._workers.lend if self._workers else None
 
     @property
     def paths(self) -> list[Path]:
@@ -165,6 +183,7 @@ class McapSink:
                 self._chunks.append([self._streams.finish()], 1)
                 self._close_file(statistics)
             self._state = "closed"
+            self._end_workers()
 
     def forget(self, output: OutputFile) -> None:
         """Leave a complete file out of ``files`` and ``complete``."""
@@ -174,12 +193,16 @@ class McapSink:
     def abandon(self) -> None:
         """Close the file in its present state; nothing more is written."""
         self._state = "failed"
-        self._chunks.abandon()
+        self._end_workers()
         self.files[-1].abandon()
+
+    def _end_workers(self) -> None:
+        if self._workers:
+            self._workers.close()
 
     def _add_topic(self, topic: Topic) -> int:
         """Create a topic that not every recording has; return its channel."""
-        self._chunks.flush()  # until then the file belongs to the thread
+        self._chunks.flush()  # so that it does not depend on the workers where in the file it is
         structs = self._streams.structs
         types = structs.types if topic.type in structs.definitions else self._types
         file = self.files[-1]
@@ -191,8 +214,17 @@ class McapSink:
         self._attach(int(batch.time_ns[0]))
         if not self._count and len(latched := self._streams.latched(int(batch.time_ns[0]))):
             self._chunks.append([latched], 1)
-        self._chunks.append(self._streams.messages(batch, columns), len(batch))
+        prepared = self._streams.prepare(batch, columns)
+        if int(batch.frame_length.sum()) >= _LARGE:
+            self._chunks.append_batch(batch, columns, prepared)
+        else:
+            self._chunks.append(self._streams.made(batch, columns, prepared), len(batch))
         self._count += len(batch)
+
+    def _packed(self, batch: PacketBatch, columns: Columns, prepared: PreparedBatch) -> list[PackedChunks]:
+        """Return the chunks of a batch; a worker has this sink as it was when the first file was opened."""
+        made = self._streams.made(batch, columns, prepared)
+        return [*self._press.append(made, len(batch)), *self._press.finish()]
 
     def _make_room(self, batch: PacketBatch, first: int) -> int:
         """Start a new file if row ``first`` needs one; return the end of the rows that fit into the file."""
@@ -234,7 +266,10 @@ class McapSink:
         except CaptureError:
             file.abandon()
             raise
-        return ChunkWriter(file)
+        return self._chunk_writer()
+
+    def _chunk_writer(self) -> ChunkWriter:
+        return ChunkWriter(self.files[-1], self._press, self._packed, self._workers)
 
     def _begin(self, file: McapFile) -> None:
         """Write what precedes the messages."""
@@ -250,7 +285,7 @@ class McapSink:
     def _close_file(self, statistics: SourceStatistics | None) -> None:
         file = self.files[-1]
         self._note_outages()
-        self._chunks.close()
+        self._chunks.flush()
         self._attach(0)
         counted = (
             {}
@@ -277,7 +312,6 @@ class McapSink:
             return
         self._noted = outages
         self._chunks.append([self._streams.outages(news)], len(news))
-        self._chunks.flush()  # until then the file belongs to the thread
         for outage in news:
             values = {key: str(value or 0) for key, value in outage.as_json().items()}
             self.files[-1].add_metadata(OUTAGE_METADATA_NAME, values)

@@ -1,0 +1,244 @@
+"""Processes that work on batches while this one reads and decodes the next ones.
+
+Arrays go through shared memory, everything else is pickled through a socket. The rules:
+
+1. The processes take turns, so results come in the order of the tasks. Each has at most ``_SLOTS`` tasks
+   whose results were not taken; whoever submits more takes the oldest first.
+2. What is lent to a source to read into is not copied. It is lent again when the tasks that use it are done.
+3. A process ends when the other end of its socket is closed.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import pickle
+import select
+from collections import deque
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.io.forked import fork, killed, portable, receive, send, undisturbed
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_SLOTS: Final = 2
+"""Tasks of each process: the one that it works on, and the next."""
+_SLOT_BYTES: Final = 32 << 20
+"""Space for the arrays of a task, and again for those of its result; the rest goes through the socket. Only
+pages in use need memory."""
+_ROOM_BYTES: Final = 9 << 20
+"""Memory for a source to read into: one for each task, the current batch, and the next one."""
+_ALIGNMENT: Final = 64
+_STANDARD_ERROR: Final = 2
+
+
+class Workers:
+    """Forked processes that run a function; only on Linux.
+
+    Args:
+        count: how many, at least 1.
+        work: what they run, as it is now; its arguments and its result are pickled.
+        path: the file that the results are for, for errors.
+
+    Raises:
+        OSError: no processes, or no memory for them.
+    """
+
+    def __init__(self, count: int, work: Callable[..., Any], path: Path) -> None:
+        self._path = path
+        self._tasks = _SLOTS * count
+        self._used = [0] * (self._tasks + 2)
+        """The number of the last task that used each room, from 1."""
+        self._lent = len(self._used) * _ROOM_BYTES
+        size = self._lent + 2 * self._tasks * _SLOT_BYTES
+        self._memory: NDArray[np.uint8] = np.frombuffer(mmap.mmap(-1, size), np.uint8)
+        self._room = 0
+        self._asked = self._answered = 0
+        self._results: deque[tuple[Exception | None, Any]] = deque()
+        self._links: list[socket.socket] = []
+        self._processes: list[int] = []
+        try:
+            for _ in range(count):
+                process, link = fork(partial(_serve, work, self._memory, self._lent))
+                self._processes.append(process)
+                self._links.append(link)
+        except OSError:
+            self.close()
+            raise
+
+    def lend(self, size: int) -> NDArray[np.uint8]:
+        """Return memory to read into: u8, ``size`` bytes; tasks that use it need not copy it.
+
+        It belongs to the caller until this has been called as many times as there are rooms; the call waits
+        until its former contents are no longer read.
+        """
+        if size > _ROOM_BYTES:
+            return np.empty(size, np.uint8)
+        self._room = (self._room + 1) % len(self._used)
+        self._await(self._used[self._room])
+        begin = self._room * _ROOM_BYTES
+        return self._memory[begin : begin + size]
+
+    @property
+    def waiting(self) -> int:
+        """How many results can be taken, now or later."""
+        return self._asked - self._answered + len(self._results)
+
+    @property
+    def ready(self) -> bool:
+        """Whether the oldest result can be taken without waiting."""
+        if not self._results and self._answered < self._asked:
+            return bool(select.select([self._next], [], [], 0)[0])
+        return bool(self._results)
+
+    @property
+    def _next(self) -> socket.socket:
+        """Where the next answer comes from."""
+        return self._links[self._answered % len(self._links)]
+
+    @property
+    def full(self) -> bool:
+        """Whether a result must be taken before the next task."""
+        return self.waiting >= self._tasks
+
+    def submit(self, *values: Any) -> None:
+        """Hand over the arguments of a task; afterwards only lent memory is still read."""
+        assert not self.full, "results must be taken first"
+        rooms: set[int] = set()
+
+        def lent(data: NDArray[np.uint8]) -> int | None:
+            at = _address(data) - _address(self._memory)
+            if not 0 <= at < self._lent:
+                return None
+            rooms.add(at // _ROOM_BYTES)
+            return at
+
+        slot = self._asked % self._tasks
+        request = _pack(values, self._memory, self._lent + 2 * slot * _SLOT_BYTES, lent)
+        link = self._links[self._asked % len(self._links)]
+        self._asked += 1
+        with undisturbed():
+            try:
+                send(link, (slot, request))
+            except OSError:
+                self._gone()
+        for room in rooms:
+            self._used[room] = self._asked
+
+    def take(self) -> Any:
+        """Wait for the oldest result, and return it; its arrays are valid until ``submit``.
+
+        Raises:
+            CaptureError: a process was killed.
+            Exception: what the function raised.
+        """
+        self._await(self._asked - self.waiting + 1)
+        failure, result = self._results.popleft()
+        if failure is not None:
+            raise failure
+        return result
+
+    def close(self) -> None:
+        """End the processes; results that were not taken are lost. Closing twice does nothing."""
+        self._answered = self._asked
+        self._results.clear()
+        for link in self._links:
+            link.close()
+        while self._processes:
+            with suppress(ChildProcessError):  # no child is left if SIGCHLD is ignored
+                os.waitpid(self._processes.pop(), 0)
+
+    def _await(self, task: int) -> None:
+        """Wait until a task is done, perhaps long ago."""
+        while self._answered < task:
+            link = self._next
+            select.select([link], [], [])
+            with undisturbed():
+                try:
+                    failure, answer = receive(link)
+                except (OSError, EOFError):
+                    self._gone()
+                    return
+                self._answered += 1
+                self._results.append((failure, answer and _unpack(answer, self._memory)))
+
+    def _gone(self) -> None:
+        self._results += [(killed(self._path), None)] * (self._asked - self._answered)
+        self._answered = self._asked
+
+
+_Packed = tuple[bytes, list[tuple[int, int]]]
+"""A pickle, and where its arrays are in the shared memory."""
+
+
+def _pack(
+    value: Any,
+    memory: NDArray[np.uint8],
+    at: int,
+    lent: Callable[[NDArray[np.uint8]], int | None] = lambda _: None,
+) -> _Packed:
+    """Pickle a value, with its arrays in shared memory.
+
+    Args:
+        value: what is pickled.
+        memory: the shared memory.
+        at: where in it there are ``_SLOT_BYTES`` for arrays.
+        lent: tells where an array is if it is already there.
+    """
+    places: list[tuple[int, int]] = []
+    end = at + _SLOT_BYTES
+
+    def inside(buffer: pickle.PickleBuffer) -> bool:
+        """Put an array into shared memory; return True if it has to stay in the pickle."""
+        nonlocal at
+        data = np.frombuffer(buffer.raw(), np.uint8)
+        there = lent(data)
+        if there is not None:
+            places.append((there, there + len(data)))
+            return False
+        if at + len(data) > end:
+            return True
+        memory[at : at + len(data)] = data
+        places.append((at, at + len(data)))
+        at += -(-len(data) // _ALIGNMENT) * _ALIGNMENT
+        return False
+
+    return pickle.dumps(value, protocol=5, buffer_callback=inside), places
+
+
+def _unpack(packed: _Packed, memory: NDArray[np.uint8]) -> Any:
+    body, places = packed
+    return pickle.loads(body, buffers=[memory[first:end] for first, end in places])  # noqa: S301  our own data
+
+
+def _address(data: NDArray[np.uint8]) -> int:
+    place: int = data.__array_interface__["data"][0]
+    return place
+
+
+def _serve(work: Callable[..., Any], memory: NDArray[np.uint8], lent: int, link: socket.socket) -> None:
+    """Do tasks in a forked process, until the other end is closed."""
+    # The output stays locked, and other processes wait, as long as this one has their files open.
+    for number in map(int, os.listdir("/proc/self/fd")):  # noqa: PTH208  numbers, not paths
+        if number > _STANDARD_ERROR and number != link.fileno():
+            with suppress(OSError):  # the folder itself
+                os.close(number)
+    while True:
+        slot, request = receive(link)
+        failure: Exception | None = None
+        answer: _Packed | None = None
+        try:
+            result = work(*_unpack(request, memory))
+            answer = _pack(result, memory, lent + (2 * slot + 1) * _SLOT_BYTES)
+        except Exception as error:  # noqa: BLE001  the one who takes the result gets it
+            failure = portable(error)
+        send(link, (failure, answer))

@@ -1,0 +1,249 @@
+"""Processes that work on batches: results in order, failures told, nothing read that was written over."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from effort import long_but
+from places import CAPTURES
+from waiting import until
+
+from edoras_tools.decode import ColumnDecoder, Context
+from edoras_tools.errors import CaptureError, FieldError
+from edoras_tools.io import forked
+from edoras_tools.io.formats import stream
+from edoras_tools.io.formats.mcap import workers as module
+from edoras_tools.io.formats.mcap import writer
+from edoras_tools.io.formats.mcap.workers import Workers
+from edoras_tools.io.formats.mcap.writer import McapSink
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.formats.recording import RecordingOptions
+from edoras_tools.mission import Mission
+from edoras_tools.model import SourceStatistics
+
+# From Python 3.12 on forking beside threads, such as those of pytest-xdist, is warned of.
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+PATH = Path("a.mcap")
+KILLED = "the process that wrote it was killed; `edoras recover"
+
+
+def twice(data, slow=0.0):
+    time.sleep(slow)
+    return os.getpid(), data * 2
+
+
+@pytest.fixture
+def started():
+    """Starts workers, and ends them."""
+    made = []
+
+    def start(work=twice, count=1):
+        made.append(Workers(count, work, PATH))
+        return made[-1]
+
+    yield start
+    for item in made:
+        item.close()
+        assert not item.waiting
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("slot", [1 << 20, 1 << 10])  # some arrays do not fit and go through the socket
+def test_results_come_in_order_and_nothing_is_written_over(started, monkeypatch, count, slot):
+    monkeypatch.setattr(module, "_SLOT_BYTES", slot)
+    workers, left, taken, processes = started(count=count), list(range(12)), [], set()
+    while left or workers.waiting:
+        if left and not workers.full:
+            data = np.full(100 * (1 + left[0] % 4), left[0])
+            workers.submit(data, 0.02 * (left[0] % 3 == 0))
+            data[:] = -1
+            del left[0]
+        else:
+            process, result = workers.take()
+            processes.add(process)
+            assert len(result) == 100 * (1 + len(taken) % 4)
+            taken += {*result.tolist()}
+    assert taken == [2 * number for number in range(12)]
+    assert len(processes) == count
+    assert os.getpid() not in processes
+
+
+def test_what_is_lent_is_not_copied(started):
+    workers = started(lambda data: data.__array_interface__["data"][0])
+    lent = [workers.lend(100) for _ in range(4)]
+    assert len({item.__array_interface__["data"][0] for item in lent}) == len(lent)
+    for item in lent[:2]:
+        workers.submit(item)
+    assert [workers.take() for _ in range(2)] == [item.__array_interface__["data"][0] for item in lent[:2]]
+    assert workers.lend(1 << 30).base is None
+
+
+def test_what_is_lent_is_not_lent_again_before_it_was_read(started):
+    workers = started(lambda data: time.sleep(0.1) or int(data.sum()))
+    lent = workers.lend(10)
+    lent[:] = 1
+    workers.submit(lent)
+    for _ in range(4):
+        workers.lend(10)[:] = 2
+    assert workers.ready
+    assert workers.take() == 10
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "words"),
+    [
+        (CaptureError("a.mcap: no"), CaptureError, "a.mcap: no"),
+        (ValueError("no"), ValueError, "no"),
+        (MemoryError("no"), MemoryError, "no"),
+        # This one does not survive pickling.
+        (FieldError("ccsds", "apid", "99999 does not fit"), CaptureError, r"ccsds.*99999 does not fit"),
+    ],
+)
+def test_what_the_function_raises_is_raised_here(started, error, kind, words):
+    def fail(number):
+        if number:
+            raise error
+        return number
+
+    workers = started(fail)
+    workers.submit(0)
+    workers.submit(1)
+    assert workers.take() == 0
+    with pytest.raises(kind, match=words):
+        workers.take()
+    workers.submit(0)
+    assert workers.take() == 0
+
+
+@pytest.mark.parametrize("early", [True, False])
+def test_a_process_that_was_killed(started, early):
+    workers = started(count=2)
+    if not early:
+        workers.submit(1, 60)
+        workers.submit(1)
+    os.kill(workers._processes[0], signal.SIGKILL)
+    if early:
+        os.waitid(os.P_PID, workers._processes[0], os.WEXITED | os.WNOWAIT)
+        workers.submit(workers.lend(10))
+    for _ in range(5):
+        workers.lend(10)  # a source that borrows is not told
+    for _ in range(workers.waiting):
+        with pytest.raises(CaptureError, match=f"a.mcap: {KILLED}"):
+            workers.take()
+
+
+def test_they_go_with_the_one_that_started_them():
+    code = f"""
+import sys, time
+sys.path[:0] = {[str(Path(__file__).parents[up] / name) for up, name in ((0, "."), (3, "support"))]!r}
+from test_workers import PATH, Workers, twice
+workers = Workers(2, twice, PATH)
+workers.submit(1, 60)
+print(*workers._processes, flush=True)
+time.sleep(60)
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as starter:
+        states = [Path(f"/proc/{number}/stat") for number in starter.stdout.readline().split()]
+        assert len(states) == 2
+        assert all(state.exists() for state in states)
+        starter.kill()
+    until(
+        lambda: all(not state.exists() or state.read_text().split()[2] == "Z" for state in states),
+        "a process is still there",
+    )
+
+
+def test_ctrl_c_is_heeded_by_the_one_that_asks(started):
+    workers = started()
+    workers.submit(1, 0.4)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        os.kill(workers._processes[0], number)
+    threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        workers.take()
+    assert workers.take()[1] == 2
+
+
+def test_where_nobody_waits_for_processes(started):
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        workers = started()
+        workers.submit(1)
+        assert workers.take()[1] == 2
+        workers.close()
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+
+
+def test_files_of_the_one_that_started_them_are_not_kept_open(started):
+    read, write = os.pipe()
+    started(count=2)
+    os.close(write)
+    assert os.read(read, 1) == b""
+    os.close(read)
+
+
+def test_where_no_process_can_be_had(monkeypatch):
+    monkeypatch.setattr(forked.sys, "platform", "darwin")
+    with pytest.raises(OSError, match="support fork"):
+        Workers(1, twice, PATH)
+
+
+def recorded(path, types, capture, jobs):
+    """Record a capture read in small windows; return the bytes of the recording."""
+    with closing(open_file(CAPTURES / f"{capture}.pcap")) as source:
+        options = RecordingOptions(jobs=jobs)
+        sink = McapSink(path, Mission(), types, source.info, options, statistics=source.statistics)
+        assert (sink.lend is None) == (jobs == 1)
+        if sink.lend:
+            source.borrow(sink.lend)
+        decoder = ColumnDecoder(Context())
+        for batch in source.batches():
+            sink.write(batch, decoder.decode(batch))
+        sink.close(source.statistics)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("capture", long_but(["a_rover"], ["a_rover", "f_sbn"]))
+@pytest.mark.parametrize(
+    ("room", "slot", "large"),
+    [
+        (1 << 20, 1 << 20, 1),
+        (1 << 20, 1 << 10, 1),  # columns do not fit and go through the socket
+        (1 << 12, 1 << 20, 1),  # windows are too large to be lent
+        (1 << 20, 1 << 20, 7 << 10),  # some batches are too small to be compressed on their own
+    ],
+)
+def test_recordings_are_the_same(tmp_path, types, monkeypatch, capture, room, slot, large):
+    names = {path.stem for path in CAPTURES.glob("*.pcap")}
+    name = next(item for item in sorted(names) if item.startswith(capture[:2]))
+    monkeypatch.setattr(stream, "FIRST", 3 << 10)
+    monkeypatch.setattr(stream, "SLICE", 16 << 10)
+    monkeypatch.setattr(writer, "_LARGE", large)
+    monkeypatch.setattr(module, "_ROOM_BYTES", room)
+    monkeypatch.setattr(module, "_SLOT_BYTES", slot)
+    alone = recorded(tmp_path / "a.mcap", types, name, jobs=1)
+    assert recorded(tmp_path / "b.mcap", types, name, jobs=3) == alone
+
+
+def test_a_recording_whose_worker_was_killed_says_how_to_repair_it(
+    tmp_path, types, mission, info, made_up, monkeypatch
+):
+    monkeypatch.setattr(writer, "_LARGE", 1)
+    path = tmp_path / "a.mcap"
+    sink = McapSink(path, mission, types, info, RecordingOptions(jobs=2))
+    sink.write(*made_up(7, [100] * 300))
+    sink.flush()
+    os.kill(sink._workers._processes[0], signal.SIGKILL)
+    sink.write(*made_up(7, [100] * 300))
+    with pytest.raises(CaptureError, match=f"{path}: {KILLED} {path}`"):
+        sink.flush()
+    sink.close(SourceStatistics())
+    assert path.stat().st_size > 1000
