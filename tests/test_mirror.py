@@ -22,7 +22,6 @@ NO_BEHAVIOUR = (
     "cfs/time_services.py",
     *("io/signals.py", "io/topics/names.py", "links/protocol.py", "middleware/graph.py"),
     *(
-        "render/terminal/palette.py",
         "render/terminal/run.py",
         "sessions/sbn/events.py",
         "sessions/sbn/habits.py",

@@ -38,7 +38,7 @@ class FileDeliveryLink(LinkProtocol):
     code = 5
     name = "CFDP"
     label = "cfdp"
-    colour = "blue"
+    colour = "bright_blue"
     doc = "between CFDP entities, one protocol data unit a datagram (file delivery)"
     transport = Transport(ports=(5111, 5222), first="either")
     to_cfs = True

@@ -27,7 +27,7 @@ class Level(IntEnum):
     @property
     def style(self) -> str:
         """The rich style of this severity, the same in every view."""
-        return ("", "blue", "yellow", "bold red")[self]
+        return ("", "bright_blue", "yellow", "bold red")[self]
 
     @property
     def mark(self) -> str:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
 
-_STYLES: Final = ("cyan", "yellow", "magenta", "green", "blue", "red")
+_STYLES: Final = ("cyan", "yellow", "magenta", "green", "bright_blue", "red")
 _ROWS, _ROWS_BENEATH = 10, 5
 _WIDEST, _NARROWEST = 160, 40
 _BLANK: Final = 0x2800

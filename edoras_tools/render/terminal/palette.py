@@ -1,4 +1,9 @@
-"""Colours: one meaning each, from the terminal's sixteen, so that they work in light and dark themes."""
+"""Colours: one meaning each, read on light and on dark.
+
+Red, green, yellow, magenta, cyan and bright blue; dim, bold and reverse. Not plain blue, which is too dark on
+black, and no other bright colour: cyan and yellow vanish on white, and Solarized's background is its bright
+black. What a colour says is told by a word or a mark, too.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +21,16 @@ CHOSEN: Final = "reverse"
 _LAYERS: Final = {
     "sbn": "magenta",
     "ccsds": "cyan",
-    "cfe": "blue",
+    "cfe": "bright_blue",
     "edoras": "yellow",
-    "cdr": "bright_cyan",
-    "ethernet": "bright_black",
-    "ip": "bright_black",
-    "ipv4": "bright_black",
-    "ipv6": "bright_black",
-    "udp": "bright_black",
-    "frame": "bright_black",
-    "padding": "bright_black",
+    "cdr": "bold bright_blue",
+    "ethernet": DIM,
+    "ip": DIM,
+    "ipv4": DIM,
+    "ipv6": DIM,
+    "udp": DIM,
+    "frame": DIM,
+    "padding": DIM,
 }
 _BODY: Final = "green"
 
