@@ -44,6 +44,15 @@ class TaskOptions(NamedTuple):
             help="Only report how this second capture of the same traffic differs.",
         ),
     ] = None
+    bag: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--bag",
+            metavar="FILE",
+            help="Only report how a rosbag2 folder or MCAP of the ROS side differs from the capture, or from "
+            "the first of several bags; repeatable.",
+        ),
+    ] = None
     predict: Annotated[
         bool, typer.Option("--predict", help="Only report how much each route of the mission can carry.")
     ] = False
@@ -89,6 +98,8 @@ def doctor(
         _predict(settings, profile, scope, json=printing.json)
     elif task.list_lost is not None:
         _list_lost(settings, profile, scope, given, task.list_lost, printing)
+    elif task.bag:
+        _compare_bags(settings, scope, given.paths, task.bag, printing)
     elif task.against is not None:
         _compare(settings, scope, given.paths, task.against, printing)
     else:
@@ -107,7 +118,8 @@ def _check_task(task: TaskOptions, given: InputOptions, duration: int | None) ->
         ConfigError: there are such.
     """
     options.check_duration(duration, given.paths)
-    tasks = {"--predict": task.predict, "--list-lost": task.list_lost, "--against": task.against}
+    tasks: dict[str, object] = {"--predict": task.predict, "--list-lost": task.list_lost}
+    tasks |= {"--against": task.against, "--bag": task.bag}
     asked = [name for name, wanted in tasks.items() if wanted]
     if len(asked) > 1:
         raise ConfigError(f"{' and '.join(asked)} exclude each other; choose one")
@@ -119,8 +131,8 @@ def _check_task(task: TaskOptions, given: InputOptions, duration: int | None) ->
         raise ConfigError(f"{asked[0]} has no effect on live traffic: name files")
     if task.predict and given.paths:
         raise ConfigError("--predict does not read a capture: leave the files out")
-    if task.against and task.constant:
-        raise ConfigError("--set has no effect with --against: leave one out")
+    if task.constant and (task.against or task.bag):
+        raise ConfigError(f"--set has no effect with {asked[0]}: leave one out")
 
 
 def _examine(
@@ -258,4 +270,40 @@ def _compare(
             f"{names} and {against}: no datagram in common; name two captures of the same traffic"
         )
     if found.lost:
+        raise typer.Exit(LOST)
+
+
+def _compare_bags(
+    settings: Settings, scope: Scope, files: list[Path], bags: list[Path], printing: options.PrintOptions
+) -> None:
+    from edoras_tools.pipelines.doctor.bags import against_bag, against_capture
+    from edoras_tools.pipelines.workbench import open_files
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+
+    if not files and len(bags) < 2:
+        raise ConfigError("--bag needs a capture, or a second bag: edoras doctor CAPTURE --bag BAG")
+    if files:
+        source = open_files(files)
+        bench = settings.workbench(source.info)
+        quiet = printing.quiet or printing.json
+        with FileProgress(source.info.name, console=error_console(), quiet=quiet) as bar:
+            found = against_capture(source, bags, bench, scope, bar)
+    elif scope.selection or scope.period:
+        raise ConfigError("--start, --end and what selects packets have no effect on bags alone")
+    else:
+        found = against_bag(bags[0], bags[1:], settings.workbench().types)
+    lost = sum(item.found.lost for item in found)
+    if printing.json:
+        print_json({"schema": 1, "lost": lost, "bags": [item.as_json() for item in found]})
+    else:
+        from edoras_tools.render.doctor.doctor import comparison_table
+        from edoras_tools.render.terminal.console import output_console
+
+        console = output_console()
+        first = ", ".join(map(str, files or bags[:1]))
+        for item in found:
+            console.print(f"first: {first}, second: {item.bag}", markup=False, highlight=False)
+            console.print(comparison_table(item.found, console.width))
+    if lost:
         raise typer.Exit(LOST)

@@ -223,6 +223,24 @@ def test_two_captures_are_held_against_each_other(call, captures, frames, write_
     assert 0 < part["lost"] < done.json()["lost"]
 
 
+def test_a_bag_is_held_against_the_capture_it_was_made_of(call, captures, missions, tmp_path):
+    bag, mission = tmp_path / "bag.mcap", missions("rover_ground")
+    assert call("record", "-r", captures("a_rover"), *mission, "-o", bag, "-q").code == 0
+    done = call("doctor", captures("a_rover"), *mission, "--bag", bag, "--json")
+    (found,) = done.json()["bags"]
+    assert [(row["topic"], row["same"], row["lost"]) for row in found["routes"]] == [
+        ("/cmd_vel", 600, 0),
+        ("/telemetry_pose", 63, 0),
+    ]
+    table = call("doctor", captures("a_rover"), *mission, "--bag", bag, "--topic", "cmd_vel")
+    assert (done.code, table.code) == (0, 0)
+    assert "Nothing lost between the two." in table.out
+    assert "/telemetry_pose" not in table.out
+    alone = call("doctor", "--bag", bag, "--bag", bag, "--json").json()
+    assert alone["lost"] == 0
+    assert {row["topic"] for row in alone["bags"][0]["routes"]} >= {"/cmd_vel", "/cfs/robot_command"}
+
+
 def test_two_hosts_lost_the_same_messages(call):
     ground, flight = (
         ROOT / "tests/captures" / f"n12_two_hosts_{name}.pcap.zst" for name in ("ground", "flight")
@@ -241,6 +259,9 @@ def test_two_hosts_lost_the_same_messages(call):
         ((), 2, "name the input to examine"),
         (("--predict",), 2, "--predict needs a mission"),
         (("--against", "x.pcap"), 2, "--against needs two captures"),
+        (("--bag", "x.mcap"), 2, "--bag needs a capture, or a second bag"),
+        (("--bag", "x.mcap", "--bag", "y.mcap", "--start", "3"), 2, "no effect on bags alone"),
+        (("x.pcap", "--bag", "x.mcap", "--set", "app_msg_limit=8"), 2, "--set has no effect with --bag"),
         (("none.pcap",), 1, "none.pcap"),
         (("x.pcap", "--set", "nothing=1"), 2, "'nothing' is not known"),
         (("x.pcap", "--start", "3", "--end", "2"), 2, "--end is not after --start"),

@@ -98,6 +98,14 @@ class Rows:
     def __len__(self) -> int:
         return len(self.time_ns)
 
+    @classmethod
+    def of_messages(cls, **columns: NDArray[Any]) -> Self:
+        """Return rows of messages without packets: columns that are not given are zero; no count counts."""
+        count, empty = len(columns["time_ns"]), _none()
+        known = {"findings": np.full(count, Finding.SEQUENCE_UNSET, np.uint32), **columns}
+        kinds = {item.name: getattr(empty, item.name).dtype for item in fields(cls)}
+        return cls(**{name: known.get(name, np.zeros(count, kind)) for name, kind in kinds.items()})
+
     def take(self, rows: NDArray[Any] | slice) -> Self:
         """Return the rows that an index array, a mask or a slice chooses."""
         return type(self)(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})

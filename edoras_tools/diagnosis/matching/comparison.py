@@ -1,4 +1,4 @@
-"""Two captures of the same traffic held against each other, taken at two points of its way.
+"""Two records of the same traffic held against each other, taken at two points of its way.
 
 1. The second's clock is set by the first's, by what both hold (``evidence.clocks``); where nothing tells,
    by equal packets.
@@ -9,6 +9,9 @@
    extra; the same packet once more is doubled.
 4. What is left on both sides is altered where its sequence count or its values say that it is the same.
 5. Sequence counts that neither has were lost before both points.
+
+Of a bag and a capture, or of two bags, messages are compared: equal by the values of their CDR, time stamps
+among them, each paired with the latest equal one that was not later. The mission says which way they go.
 """
 
 from __future__ import annotations
@@ -19,24 +22,29 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs.names import message_name
-from edoras_tools.diagnosis.evidence.clocks.alignment import align
+from edoras_tools.diagnosis.evidence.clocks.alignment import align, align_ways
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
+from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.links import table
-from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.model import NO_MSG_ID, OTHER, Finding
 from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.fingerprint import matches
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from edoras_tools.diagnosis.choice import Choice
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.mission import Mission
     from edoras_tools.model import Link
 
 _LATE_NS: Final = 100 * MILLISECOND
+_EARLY_NS: Final = MILLISECOND
+"""Clocks of two records are aligned so well at the best."""
 _LONGEST_NS: Final = 10 * SECOND
 """No packet is under way between two points for longer."""
 _FEW: Final = 0.01
@@ -81,11 +89,12 @@ class Difference:
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --against --json``."""
+        packets = self.link is not OTHER
         return {
-            "link": self.link.label,
-            "msg_id": f"0x{self.msg_id:04x}",
+            "link": self.link.label if packets else None,
+            "msg_id": f"0x{self.msg_id:04x}" if packets else None,
             "topic": self.topic,
-            "name": message_name(self.msg_id) or None,
+            "name": message_name(self.msg_id) or None if packets else None,
             "direction": "second to first" if self.back else "first to second",
             "first": self.first,
             "second": self.second,
@@ -115,6 +124,11 @@ class CaptureComparison:
     drift: float | None
     common: bool
     routes: Sequence[Difference]
+
+    def limited(self, choice: Choice) -> CaptureComparison:
+        """Return the routes that are chosen."""
+        shown = [item for item in self.routes if choice.takes(item.link.label, item.msg_id)]
+        return replace(self, routes=shown)
 
     @property
     def lost(self) -> int:
@@ -164,7 +178,7 @@ def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> Cap
     keys = sorted({key for side in sides for key in _keys(side.rows)})
     pairs = {key: _pair(*sides, key) for key in keys}
     back = _back(*sides, list(pairs.values()))
-    routes = [_difference(*sides, key, pairs[key], back) for key in keys]
+    routes = [_difference(*sides, key, pairs[key], turned=_turned(*sides, key, back)) for key in keys]
     both = [_within(*sides), _within(*sides[::-1])]
     same = sum(len(ours) for ours, _ in pairs.values())
     return CaptureComparison(
@@ -173,6 +187,68 @@ def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> Cap
         same > _FEW * min(both),
         [replace(item, topic=topics.get((item.link, item.msg_id))) for item in routes],
     )
+
+
+def compare_messages(
+    first: Rows, second: Rows, topics: Mapping[_Key, str], ways: Mapping[_Key, bool]
+) -> CaptureComparison:
+    """Hold the messages of two records against each other.
+
+    Args:
+        first: one record; its rows without a MsgId only tell how long it is. ``packet_print`` are messages.
+        second: the other.
+        topics: by link and MsgId the topic of each message.
+        ways: of each of these, whether it goes from the second record to the first; by default it comes from
+            the record that has more of it, or of equally many has it earlier.
+    """
+    nobody, nothing = np.zeros(0, np.str_), np.zeros(0, np.intp)
+    known = {key: _once(first, second, key) for key in topics}
+    back = {key: ways.get(key, _likely_back(first, second, key, pair)) for key, pair in known.items()}
+    which = [np.full(len(pair[0]), back[key]) for key, pair in known.items()]
+    ours, theirs = (np.concatenate([nothing, *(pair[side] for pair in known.values())]) for side in (0, 1))
+    turned = np.concatenate([np.zeros(0, np.bool_), *which])
+    found = align_ways(first.time_ns[ours], second.time_ns[theirs], turned)
+    # Clocks that may be equal are taken as equal.
+    line = ClockLine(0, 0) if found is None or found.low_ns <= 0 <= found.high_ns else found.line
+    moved = replace(second, time_ns=line.set_back(second.time_ns))
+    sides = _Side(first, nobody, nothing), _Side(moved, nobody, nothing)
+    took = moved.time_ns[theirs] - first.time_ns[ours]
+    early_ns = max(_EARLY_NS, -int(np.where(turned, -took, took).min(initial=0)))
+    pairs = {key: _in_order(first, moved, key, early_ns, turned=way) for key, way in back.items()}
+    routes = [_difference(*sides, key, pairs[key], turned=way, once=True) for key, way in back.items()]
+    same = sum(len(pair[0]) for pair in pairs.values())
+    return CaptureComparison(
+        line.offset_ns,
+        line.drift if found is not None and found.drift is not None else None,
+        same > _FEW * min(_within(*sides), _within(*sides[::-1])),
+        [replace(item, topic=topics[item.link, item.msg_id]) for item in routes],
+    )
+
+
+def _once(a: Rows, b: Rows, key: _Key) -> _Pair:
+    """Return the messages that are there once in each."""
+    ours, theirs = _rows(a, *key), _rows(b, *key)
+    in_a, in_b = matches(a.packet_print[ours], b.packet_print[theirs])
+    return ours[in_a], theirs[in_b]
+
+
+def _likely_back(a: Rows, b: Rows, key: _Key, pair: _Pair) -> bool:
+    """Tell whether messages come from the second, which has more of them, or of equally many earlier."""
+    more = len(_rows(b, *key)) - len(_rows(a, *key))
+    earlier = (a.time_ns[pair[0]] - b.time_ns[pair[1]]).sum() > 0
+    return more > 0 or (not more and bool(earlier))
+
+
+def _in_order(a: Rows, b: Rows, key: _Key, early_ns: int, *, turned: bool) -> _Pair:
+    """Pair equal messages: each with the latest one that was not later by so much, each once."""
+    sides = [(rows, _rows(rows, *key)) for rows in (a, b)]
+    (near, into), (far, out) = sides[::-1] if turned else sides
+    went, came = near.time_ns[into], far.time_ns[out]
+    from_ = paired(near.packet_print[into], went, far.packet_print[out], came + early_ns)
+    goes = np.flatnonzero(from_ >= 0)
+    goes = goes[came[goes] - went[from_[goes]] <= _LONGEST_NS]
+    pair = into[from_[goes]], out[goes]
+    return pair[::-1] if turned else pair
 
 
 def _side(recorder: Recorder) -> _Side:
@@ -194,7 +270,7 @@ def _equal(first: Rows, second: Rows) -> int:
     return int(np.median(steps)) if len(steps) else 0
 
 
-def _keys(rows: Rows) -> list[tuple[int, int]]:
+def _keys(rows: Rows) -> list[_Key]:
     packets = rows.msg_id != NO_MSG_ID
     both = np.unique(np.stack((rows.link[packets].astype(np.int64), rows.msg_id[packets])), axis=1)
     return [(int(link), int(msg_id)) for link, msg_id in both.T]
@@ -204,11 +280,13 @@ def _rows(rows: Rows, link: int, msg_id: int) -> NDArray[np.intp]:
     return np.flatnonzero((rows.link == link) & (rows.msg_id == msg_id))
 
 
+_Key = tuple[int, int]
+"""Link and MsgId."""
 _Pair = tuple["NDArray[np.intp]", "NDArray[np.intp]"]
 """Rows of the first, and the rows of the second that are the same packets."""
 
 
-def _pair(first: _Side, second: _Side, key: tuple[int, int]) -> _Pair:
+def _pair(first: _Side, second: _Side, key: _Key) -> _Pair:
     """Pair equal packets: those of one IP identification, then the n-th of one with the n-th of the other."""
     a, b = first.rows, second.rows
     ours, theirs = _rows(a, *key), _rows(b, *key)
@@ -249,13 +327,17 @@ def _back(first: _Side, second: _Side, pairs: Sequence[_Pair]) -> dict[str, bool
     return {name: float(np.median(steps[senders == name])) < 0 for name in np.unique(senders).tolist()}
 
 
+def _turned(first: _Side, second: _Side, key: _Key, back: dict[str, bool]) -> bool:
+    """Tell whether the packets of a MsgId go from the second point to the first."""
+    names = np.concatenate([side.sender[_rows(side.rows, *key)] for side in (first, second)])
+    return back.get(str(names[0]), False)
+
+
 def _difference(
-    first: _Side, second: _Side, key: tuple[int, int], pair: _Pair, back: dict[str, bool]
+    first: _Side, second: _Side, key: _Key, pair: _Pair, *, turned: bool, once: bool = False
 ) -> Difference:
-    """Count one MsgId, from the sender's side to the receiver's."""
+    """Count one MsgId, from the sender's side to the receiver's; with ``once`` equal ones are not timed."""
     every = [_rows(side.rows, *key) for side in (first, second)]
-    names = np.concatenate([side.sender[own] for side, own in zip((first, second), every, strict=True)])
-    turned = back.get(str(names[0]), False)
     near, far = (second, first) if turned else (first, second)
     sent, came = every[::-1] if turned else every
     ours, theirs = pair[::-1] if turned else pair
@@ -269,6 +351,10 @@ def _difference(
     extra = extra[near.during(far.rows.time_ns[extra])]
     again = far.again(extra, theirs)
     altered = _altered(near.rows, far.rows, missing, extra[~again])
+    if once:
+        values, counts = np.unique(near.rows.packet_print[ours], return_counts=True)
+        single = np.isin(near.rows.packet_print[ours], values[counts == 1])
+        took = took[single] if single.any() else took
     lost, added = len(missing) - altered, int((~again).sum()) - altered
     absent = [int(side.rows.missing[own].sum()) for side, own in ((near, sent), (far, came))]
     return Difference(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.evidence.table import Recorder
@@ -40,19 +39,17 @@ def diff(
     scope = scope or Scope()
     chosen = Chosen(scope.selection, bench)
     recorders = (
-        _recorded(first, bench, scope, chosen, progress),
-        _recorded(second, bench, Scope(), chosen, progress),
+        read_capture(first, bench, scope, chosen, progress),
+        read_capture(second, bench, Scope(), chosen, progress),
     )
     found, choice = compare_captures(*recorders, bench.mission), chosen.choice()
-    if choice is None:
-        return found
-    shown = [item for item in found.routes if choice.takes(item.link.label, item.msg_id)]
-    return replace(found, routes=shown)
+    return found if choice is None else found.limited(choice)
 
 
-def _recorded(
+def read_capture(
     source: Source, bench: Workbench, scope: Scope, chosen: Chosen, progress: Progress | None
 ) -> Recorder:
+    """Read a source to its end; see ``diff``."""
     recorder = Recorder(bench.columns.context)
     with reading(source, bench, examined=scope.period) as loop:
         for rows in loop:

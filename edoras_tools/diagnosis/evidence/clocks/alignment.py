@@ -157,6 +157,31 @@ def align(first: Recorder, second: Recorder) -> Alignment | None:
     return told.since(int(second.rows().time_ns.min())) if told else None
 
 
+def align_ways(
+    first_ns: NDArray[np.int64], second_ns: NDArray[np.int64], back: NDArray[np.bool_]
+) -> Alignment | None:
+    """Tell it by messages that both recorded; None where there are none, or they contradict each other.
+
+    Args:
+        first_ns: i64 (n,), when the first recorded each.
+        second_ns: i64 (n,), when the second did, by its own clock.
+        back: bool (n,), it went from the second to the first.
+    """
+    if not len(first_ns):
+        return None
+    ways = [Ordered(first_ns[way], second_ns[way]) for way in (~back, back)]
+    pairs = [ways[0], ways[1]._replace(back=True)]
+    if back.all():
+        swapped = one_way(second_ns, first_ns)
+        pairs = [
+            item._replace(first_ns=item.second_ns, second_ns=item.first_ns, back=True) for item in swapped
+        ]
+    elif not back.any():
+        pairs = one_way(first_ns, second_ns)
+    told = next(filter(None, (_Told.of(pairs, _BOTH, loose_ns) for loose_ns in _LOOSE_NS)), None)
+    return told.since(int(second_ns.min())) if told else None
+
+
 def _side(recorder: Recorder) -> Side:
     rows = recorder.rows()
     return Side(recorder, rows, Instances(rows, recorder.payloads.events, recorder.endpoints))

@@ -1,0 +1,201 @@
+"""What the ROS side published or heard, in a bag, held against what crossed the wire, or another bag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence import fingerprint
+from edoras_tools.diagnosis.evidence.preparation import prepare
+from edoras_tools.diagnosis.evidence.table import Rows
+from edoras_tools.diagnosis.matching.comparison import CaptureComparison, compare_messages
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.io.formats.rosbag2.reader import open_rosbag
+from edoras_tools.model import NO_MSG_ID
+from edoras_tools.pipelines.doctor.compare import read_capture
+from edoras_tools.pipelines.doctor.scope import Chosen
+from edoras_tools.ros.types.schema import full_name
+from edoras_tools.wire.fingerprint import of_bytes
+from edoras_tools.words import listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from edoras_tools.io import Source
+    from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag
+    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.ros import TypeStore
+
+_ENCAPSULATION = 4
+_ALIKE = 0.5
+_OTHER = 0
+"""The link of messages of which no capture tells the link."""
+
+
+class BagComparison(NamedTuple):
+    """A bag held against a capture, or against the first bag.
+
+    Attributes:
+        bag: its path.
+        found: the differences; the bag is the second of the two.
+    """
+
+    bag: Path
+    found: CaptureComparison
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --bag --json``."""
+        return {"bag": str(self.bag), **self.found.as_json()}
+
+
+def against_capture(
+    source: Source, bags: Sequence[Path], bench: Workbench, scope: Scope, progress: Progress | None = None
+) -> list[BagComparison]:
+    """Hold bags against a capture, by the topics of a mission.
+
+    Args:
+        source: the capture; it is read to its end.
+        bags: rosbag2 folders, ``.db3`` files or any MCAP.
+        bench: decodes the capture; the routes of its mission are compared.
+        scope: which time of the capture is compared, and which routes are shown.
+        progress: shows the progress of reading.
+
+    Raises:
+        ConfigError: the mission has no routes.
+        CaptureError: a bag cannot be read, or has nothing that can be compared.
+    """
+    if not bench.mission.routes:
+        source.close()
+        raise ConfigError(
+            "--bag needs a mission that says which topic is which packet: name its files with -c"
+        )
+    mission, types, chosen = bench.mission, bench.types, Chosen(scope.selection, bench)
+    rows = prepare(read_capture(source, bench, scope, chosen, progress), {}).rows
+    choice = chosen.choice()
+    found = []
+    for path in bags:
+        bag = open_rosbag(path)
+        routes = {route.topic: route for route in mission.routes}
+        there = _topics(bag, {topic: route.type for topic, route in routes.items()})
+        keys = {topic: (int(routes[topic].link), routes[topic].msg_id) for topic in there}
+        message = np.zeros(len(rows), bool)
+        for link, msg_id in keys.values():
+            message |= (rows.link == link) & (rows.msg_id == msg_id) & (rows.stamped_print != 0)
+        sent = replace(
+            rows,
+            msg_id=np.where(message, rows.msg_id, NO_MSG_ID),
+            packet_print=rows.stamped_print,
+            missing=np.zeros_like(rows.missing),
+        )
+        ways = {keys[topic]: routes[topic].to_cfs for topic in there}
+        topics = {key: topic for topic, key in keys.items()}
+        heard = _rows(bag, there, keys, types)
+        item = BagComparison(path, compare_messages(sent, heard, topics, ways))
+        _has_something_in_common(item, source.info.name)
+        found.append(item._replace(found=item.found.limited(choice)) if choice else item)
+    return found
+
+
+def against_bag(first: Path, others: Sequence[Path], types: TypeStore) -> list[BagComparison]:
+    """Hold bags against a first one: by topics of one name, then of one type with the same messages.
+
+    Raises:
+        CaptureError: a bag cannot be read, or has nothing that can be compared.
+    """
+    bag, found = open_rosbag(first), []
+    ours = bag.topics()
+    for path in others:
+        other = open_rosbag(path)
+        theirs = {topic: kind for topic, kind in other.topics().items() if kind in ours.values()}
+        shared = {topic: kind for topic, kind in ours.items() if kind in theirs.values()}
+        if not shared:
+            raise CaptureError(f"{path}: has no topic of a type that {first} has, as {_some(ours.values())}")
+        keys = {topic: (_OTHER, number) for number, topic in enumerate(shared)}
+        left = _rows(bag, shared, keys, types)
+        right = _rows(other, theirs, {topic: (_OTHER, number) for number, topic in enumerate(theirs)}, types)
+        names, moved = {}, np.full(len(right), NO_MSG_ID)
+        for number, (topic, kind) in enumerate(theirs.items()):
+            alike = {item: keys[item][1] for item, own in shared.items() if own == kind}
+            same = topic if topic in alike else _most_alike(left, right, alike, number)
+            if same and (key := keys[same]) not in names:
+                names[key] = topic if same == topic else f"{same}, {topic}"
+                moved[right.msg_id == number] = key[1]
+        item = BagComparison(path, compare_messages(left, replace(right, msg_id=moved), names, {}))
+        _has_something_in_common(item, str(first))
+        found.append(item)
+    return found
+
+
+def _most_alike(left: Rows, right: Rows, topics: Mapping[str, int], number: int) -> str | None:
+    """Return the topic of the first bag that has most of the messages of one of the second, at least half."""
+    own = np.unique(right.packet_print[right.msg_id == number])
+    share = {
+        topic: float(np.isin(own, left.packet_print[left.msg_id == place]).mean())
+        for topic, place in topics.items()
+    }
+    best = max(share, key=share.__getitem__)
+    return best if share[best] >= _ALIKE else None
+
+
+def _topics(bag: Rosbag, wanted: Mapping[str, str]) -> dict[str, str]:
+    """Return the topics of a bag that are wanted, with their types.
+
+    Raises:
+        CaptureError: there is none, or its type is another.
+    """
+    found = bag.topics()
+    there = {topic: kind for topic, kind in found.items() if topic in wanted}
+    if not there:
+        has = f"it has {_some(found)}" if found else "it is empty"
+        raise CaptureError(f"{bag.path}: has none of the topics {_some(wanted)}; {has}")
+    for topic, kind in there.items():
+        if full_name(kind) != full_name(wanted[topic]):
+            raise CaptureError(f"{bag.path}: {topic} is {kind}, and {wanted[topic]} is wanted there")
+    return there
+
+
+def _rows(
+    bag: Rosbag, there: Mapping[str, str], keys: Mapping[str, tuple[int, int]], types: TypeStore
+) -> Rows:
+    """Return the messages of some topics in the order in which they were recorded.
+
+    Raises:
+        CaptureError: the bag is damaged, or has no message on them.
+    """
+    parts: list[tuple[Any, ...]] = []
+    for block in bag.blocks(there):
+        plain, stamped = _fingerprints(block, there[block.topic], types)
+        link, msg_id = (np.full(len(plain), number) for number in keys[block.topic])
+        parts.append((block.time_ns, link, msg_id, stamped, plain))
+    if not parts:
+        raise CaptureError(f"{bag.path}: has no message on its topics {_some(there)}")
+    names = ("time_ns", "link", "msg_id", "packet_print", "value_print")
+    columns = {
+        name: np.concatenate(column) for name, column in zip(names, zip(*parts, strict=True), strict=True)
+    }
+    order = np.argsort(columns["time_ns"], kind="stable")
+    return Rows.of_messages(**{name: column[order] for name, column in columns.items()})
+
+
+def _fingerprints(block: RecordedBlock, kind: str, types: TypeStore) -> tuple[Any, Any]:
+    """Return the fingerprints that ``Recorder`` gives to the same messages in packets."""
+    if types.has(kind):
+        return fingerprint.of_values(types, kind, block.data, block.offset, block.length)
+    body = of_bytes(block.data, block.offset + _ENCAPSULATION, np.maximum(block.length - _ENCAPSULATION, 0))
+    return body, body
+
+
+def _some(names: Iterable[str]) -> str:
+    return listed(sorted(set(names)))
+
+
+def _has_something_in_common(item: BagComparison, other: str) -> None:
+    if not item.found.common:
+        raise CaptureError(
+            f"{item.bag}: no message in common with {other}; name a bag that was recorded beside it"
+        )
