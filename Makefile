@@ -4,7 +4,8 @@ BIN := $(VENV)/bin
 FUZZ_SECONDS ?= 60
 SOAK_SECONDS ?= 600
 SOAK_RATE ?= 1000
-WORKERS := --numprocesses 2 --dist loadfile
+# One more than the cores that the machine surely has: tests of live links wait.
+WORKERS := --numprocesses 3 --dist loadfile
 QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis render tui/data io/formats io/frames)
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \
 	$(addprefix io/formats/,mcap/test_recover.py test_split.py))

@@ -160,7 +160,7 @@ def test_fuzzed_datagrams(tshark, write_pcap, tmp_path, judge):
     ids=str,
 )
 def test_fuzzed_datagrams_under_other_options(options, tshark, write_pcap, tmp_path, judge):
-    capture = write_pcap(tmp_path / "fuzz.pcap", mangled(1500, seed=5))
+    capture = write_pcap(tmp_path / "fuzz.pcap", mangled(examples(1500, 3), seed=5))
     frames = tshark(*ROVERS, options=options).frames(capture)
     compared(capture, frames, Context(load(ROVERS), TYPES, options, Structs()), judge)
 
@@ -227,7 +227,7 @@ def test_every_kind_of_field_in_both_byte_orders(distro, zoo, tshark, write_pcap
 def test_scapy_takes_any_bytes():
     scapy_layers.use({0x1827: "geometry_msgs/msg/Twist", 0x0828: "geometry_msgs/msg/PoseStamped"}, TYPES)
     try:
-        for source, destination, data in mangled(3000, seed=7):
+        for source, destination, data in mangled(examples(3000), seed=7):
             datagram = struct.pack(">HHHH", source, destination, 8 + len(data), 0) + data
             read = UDP(datagram)
             assert bytes(read) == datagram

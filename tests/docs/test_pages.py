@@ -7,9 +7,11 @@ import shlex
 from dataclasses import fields
 
 import pytest
+import typer
 from effort import long_but
 from places import ROOT
 
+from edoras_tools.cli import main
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.render.severity import EXPLANATIONS
 
@@ -47,18 +49,18 @@ def test_the_output_shown_is_the_output(page, refresh, typed, tmp_path):
     assert without_sizes(refresh.refreshed(page, tmp_path, typed)) == without_sizes(page.read_text())
 
 
+@pytest.fixture(scope="module")
+def program():
+    return typer.main.get_command(main.program())
+
+
 def test_every_page_that_runs_is_refreshed(refresh):
     assert sorted(refresh.PAGES, key=str) == REFRESHED
 
 
 @pytest.mark.parametrize("page", PAGES, ids=identity)
-def test_options_of_live_commands_exist(page, refresh):
+def test_options_of_live_commands_exist(page, refresh, program):
     """They need a network or a clock, so only their command lines are read."""
-    import typer
-
-    from edoras_tools.cli.main import program as made
-
-    program = typer.main.get_command(made())
     for found in refresh.FENCED.finditer(page.read_text()):
         if found[1] != "console" or "live" not in found[2]:
             continue

@@ -11,7 +11,7 @@ import tempfile
 from contextlib import closing
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import fuzz_inputs
 import fuzz_traffic
@@ -290,6 +290,11 @@ def session(data: bytes) -> Hashable:
     return simulation.scenario, counters.msg_limits, counters.pipe_overflows, frozenset(kinds)
 
 
+def hold(value: dict[str, Any], schema: str) -> None:
+    """Hold what would be printed as JSON to its schema."""
+    check(json.loads(json.dumps({"schema": 1, **value}, allow_nan=False)), _SCHEMAS[schema])
+
+
 def diagnosis(data: bytes) -> Hashable:
     """Valid packets in any order: doctor, page and comparisons say something, in their schemas."""
     frames = fuzz_traffic.batches(data[1:])
@@ -322,11 +327,13 @@ def diagnosis(data: bytes) -> Hashable:
         assert all(verdict.start_ns <= verdict.end_ns for verdict in item.verdicts)
         assert min(row.all_lost for row in item.balance) >= 0 if item.balance else True
     between = compare_captures(tables[0], tables[1], mission)
-    check(json.loads(json.dumps(between.as_json(), allow_nan=False)), _SCHEMAS["against"])
+    hold(between.as_json(), "against")
     align(*tables)
     for good, bad in (runs, runs[::-1]):
         of_runs = Runs(good, bad, run_differences(good, bad, tolerance=0.1, serious=frozenset()))
-        check(json.loads(json.dumps(of_runs.as_json(), allow_nan=False)), _SCHEMAS["compare"])
+        check(
+            {"schema": 1, **json.loads(json.dumps(of_runs.as_json(), allow_nan=False))}, _SCHEMAS["compare"]
+        )
         StringConsole(width=100, file=StringIO()).print(runs_view(good, bad, of_runs.changes))
     assert not run_differences(runs[0], runs[0], tolerance=0.1, serious=frozenset())
     return found[0].bad, frozenset(verdict.rule for verdict in found[0].verdicts)

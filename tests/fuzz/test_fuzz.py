@@ -85,7 +85,7 @@ def test_it_finds_what_is_broken_and_makes_it_small(tmp_path):
 
 
 def test_what_hangs_is_a_finding(monkeypatch):
-    monkeypatch.setattr(fuzz_engine, "HANG_S", 1)
+    monkeypatch.setattr(fuzz_engine, "HANG_S", 0.1)
 
     def hang(data):
         while True:

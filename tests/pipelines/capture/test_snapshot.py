@@ -77,7 +77,7 @@ class Recorder:
 
 @pytest.mark.parametrize("live", [False, True])
 def test_every_datagram_from_30_s_before_to_10_s_after(live, tmp_path):
-    times = np.arange(0, 60 * SECOND, SECOND // 5000)  # 5,000 per second, with a loss in the middle
+    times = np.arange(0, 60 * SECOND, SECOND // 1000)  # 1,000 per second, with a loss in the middle
     times = times[(times < 40 * SECOND) | (times >= 41 * SECOND)]
     recorder = Recorder(tmp_path, live=live)
     fired = 41 * SECOND
