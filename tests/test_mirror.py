@@ -19,7 +19,7 @@ NO_BEHAVIOUR = (
         "cfs/executive_services.py",
     ),
     *("cfs/limits.py", "cfs/names.py", "cfs/sbn.py", "cfs/software_bus.py", "cfs/telemetry_output.py"),
-    "cfs/time_services.py",
+    *("cfs/table_services.py", "cfs/time_services.py"),
     *("io/signals.py", "io/topics/names.py", "links/protocol.py", "middleware/graph.py"),
     *(
         "render/terminal/run.py",

@@ -19,6 +19,9 @@ NAME: Final = "SBN"
 PIPE: Final = "SBN_CMD_PIPE"
 COMMAND_MSG_ID: Final = 0x18FA
 HOUSEKEEPING_MSG_ID: Final = 0x08FA
+TABLE: Final = "SBN.SBN_ConfTbl"
+HOUSEKEEPING, RELOAD = 10, 110
+"""Function codes; Table Services send the second one, with 4 bytes, when the table has a new image."""
 
 HEARTBEAT_S: Final = 6
 """Whole seconds without sending, after which a connected peer is sent a heartbeat."""
@@ -54,6 +57,8 @@ STARTING: Final = (
     EventText(NAME, 4, "{kind} module initialized"),
 )
 """What it says of a module that it loads; a filter's own line comes before the last one."""
+RESTARTING: Final = (STARTING[0], EventText(NAME, 4, "symbol already loaded ({symbol})"), *STARTING[4:])
+"""The same after a reload."""
 MODULES: Final = (
     {"name": "UDP", "symbol": "SBN_UDP_Ops", "file": "sbn_udp", "kind": "protocol"},
     {"name": "Remap", "symbol": "SBN_F_Remap", "file": "sbn_f_remap", "kind": "filter"},
@@ -95,6 +100,45 @@ OTHER_IDENT: Final = EventText(
     NAME, 6, "version number mismatch with peer CpuID {processor_id:d}", EventType.ERROR
 )
 HOUSEKEEPING_SENT: Final = EventText(NAME, 7, "hk command")
+BARE_RELOAD: Final = EventText(
+    NAME,
+    7,
+    "Recevied tbl reload command, but message was wrong size. This command should only be triggered from "
+    "the TBL service, itself, and not called directly.",
+    EventType.ERROR,
+)
+RELOAD_LENGTH: Final = EventText(
+    NAME,
+    7,
+    "invalid message length (Name=reloadtbl ID=0x006E CC=110 Len={length:d} Expected={expected:d})",
+    EventType.ERROR,
+)
+RELOADING: Final = (
+    EventText(NAME, 7, "reload tbl command"),
+    EventText(NAME, 4, "re-initializing SBN with new configuration..."),
+    EventText(NAME, 4, "unloading configuration"),
+)
+SENDING_DISCONNECT: Final = EventText(NAME, 259, "peer {peer} - sending disconnect")
+UNLOADED: Final = EventText(NAME, 259, "unloaded peer: {index:d}\n")
+NET_ENDED: Final = EventText(NAME, 4, "Terminated net: 0")
+UNSUBSCRIBED: Final = EventText(NAME, 8, "unsubscribed 0 message id's from ProcessorID {processor_id:d}")
+ALREADY_DISCONNECTED: Final = EventText(
+    NAME,
+    5,
+    "ERROR: could not disconnect peer: already not connected to peer {peer}",
+    EventType.ERROR,
+)
+RELOADED: Final = EventText(NAME, 4, "SBN re-initialized.")
+NOT_RELOADED: Final = (
+    EventText(NAME, 5, "unable to update table", EventType.ERROR),
+    EventText(NAME, 5, "ERROR: could not reload SBN configuration: could not clean up SBN", EventType.ERROR),
+)
+WITHOUT_PIPE: Final = (
+    EventText("CFE_SB", 19, "Rcv Err:PipeId 1441805 does not exist,app SBN", EventType.ERROR),
+    EventText(NAME, 3, "err from rcvmsg on sub pipe", EventType.ERROR),
+    EventText(NAME, 5, "SBN_CheckSubscriptionPipe failed.", EventType.ERROR),
+)
+"""What each wake-up says after a reload that failed: its pipes are gone."""
 NOT_SUBSCRIBED: Final = EventText(
     NAME,
     8,

@@ -13,6 +13,7 @@ from edoras_tools.emulator.services.clock import Clock
 from edoras_tools.emulator.services.events import Event, EventServices
 from edoras_tools.emulator.services.executive_services import ExecutiveServices
 from edoras_tools.emulator.services.software_bus import Pipe, Publication, SoftwareBus
+from edoras_tools.emulator.services.table_services import TableServices
 from edoras_tools.model import Endpoint
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
@@ -80,6 +81,7 @@ class Cfs:
         self.bus = SoftwareBus(self.profile)
         self.events = EventServices(self.profile)
         self.executive = ExecutiveServices(self)
+        self.tables = TableServices(self.executive)
         self.clock = Clock(self.profile, self.scheduler.now)
 
     def boot(self) -> None:

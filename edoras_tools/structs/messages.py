@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from edoras_tools.links import ROWS, table
 from edoras_tools.model import OTHER
 from edoras_tools.ros.types.schema import Constant, Definition, MessageField, Shape
-from edoras_tools.structs.names import field_name, shown_name
+from edoras_tools.structs.names import INLINED, field_name, shown_name
 from edoras_tools.structs.shapes import OPEN, Basic, BasicKind, Member, Struct, StructLayout
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessageP
                 break
             shift -= shown[0].offset
             shown, struct = list(inner.members), inner
-        members = shown
+        members = [inner for item in shown for inner in _inlined(layout, item)]
     taken = {"header"} if whole else set()
     found = []
     for item in members:
@@ -93,6 +93,14 @@ def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessageP
         name = unique(shown_name(struct.name, item.name), taken)
         found.append(MessagePart(name, replace(item, offset=item.offset - shift) if shift else item, is_open))
     return found
+
+
+def _inlined(layout: StructLayout, member: Member) -> list[Member]:
+    """Return a member itself, or the members of one whose struct does not show."""
+    inner = layout.structs.get(str(member.type)) if member.name == INLINED and not member.dims else None
+    if inner is None:
+        return [member]
+    return [replace(item, offset=member.offset + item.offset) for item in inner.members]
 
 
 def _empty(layout: StructLayout, member: Member) -> bool:

@@ -59,6 +59,7 @@ _SHOWN: Final[dict[str, dict[str, str]]] = {
     "CFE_TBL_HousekeepingTlm": {
         "NumTables": "tables",
         "NumLoadPending": "loads_pending",
+        "ByteAlignPad1": "spare",
         "LastValCrc": "last_validation_crc",
         "LastValStatus": "last_validation_status",
         "LastValTableName": "last_validated_table",
@@ -145,3 +146,5 @@ def _aliases() -> dict[str, frozenset[str]]:
 
 
 _ALIASES: Final = _aliases()
+INLINED: Final = "PacketID"
+"""Member of cFE's event packets: a struct whose members stand in the packet's own message, in its place."""

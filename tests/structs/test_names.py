@@ -43,8 +43,15 @@ typedef struct {
 typedef struct { CFE_ES_AppInfo_t AppInfo; } CFE_ES_OneAppTlm_Payload_t;
 typedef struct { CFE_MSG_TelemetryHeader_t TelemetryHeader; CFE_ES_OneAppTlm_Payload_t Payload; }
     CFE_ES_OneAppTlm_t;
+typedef struct { char AppName[20]; uint16_t EventID, EventType; uint32_t SpacecraftID, ProcessorID; }
+    CFE_EVS_PacketID_t;
+typedef struct { CFE_EVS_PacketID_t PacketID; char Message[122]; uint8_t Spare1, Spare2; }
+    CFE_EVS_LongEventTlm_Payload_t;
+typedef struct { CFE_MSG_TelemetryHeader_t TelemetryHeader; CFE_EVS_LongEventTlm_Payload_t Payload; }
+    CFE_EVS_LongEventTlm_t;
 CFE_TBL_HousekeepingTlm_t a;
 CFE_ES_OneAppTlm_t b;
+CFE_EVS_LongEventTlm_t c;
 """
 
 
@@ -60,7 +67,7 @@ def test_a_layout_from_debug_information_has_the_built_in_fields(tmp_path):
     source.write_text(SOURCE)
     subprocess.run(["gcc", "-g", "-c", source, "-o", made], check=True)
     built_in = shipped_structs().all
-    names = ("CFE_TBL_HousekeepingTlm", "CFE_ES_OneAppTlm")
+    names = ("CFE_TBL_HousekeepingTlm", "CFE_ES_OneAppTlm", "CFE_EVS_LongEventTlm")
     read, made_of = DebugInfo(made).layout([f"{name}_t" for name in names], {}, "cfs_msgs")
     for name in names:
         (ours,) = [item for item in built_in if item.name == name]
@@ -72,6 +79,7 @@ def test_both_names_of_a_field_find_it():
     for path, shown in (
         ("er_log_index", "reset_log_index"),
         ("CFE_TBL_HousekeepingTlm.num_tables", "CFE_TBL_HousekeepingTlm.tables"),
+        ("CFE_EVS_LongEventTlm.packet_id.event_id", "CFE_EVS_LongEventTlm.event_id"),
         ("app_data[2].app_message_squelched_counter", "app_data[2].messages_squelched"),
     ):
         first, second = (finder.of_structs(item) for item in (path, shown))

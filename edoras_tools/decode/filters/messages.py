@@ -27,7 +27,7 @@ from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.ros.types import grammar, schema
 from edoras_tools.structs.bound import Encoded, Held
-from edoras_tools.structs.names import aliased
+from edoras_tools.structs.names import INLINED, aliased, field_name
 from edoras_tools.structs.packets import UDP_KEY
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import cfe
@@ -163,6 +163,8 @@ class MessageFieldFinder:
             fields = definition.fields if definition else ()
             item = next((item for item in fields if item.name == part), None)
             if item is None and definition and definition.name in self._own:
+                if part == field_name(INLINED) and not steps:
+                    continue
                 item = next((item for item in fields if item.name in aliased(part)), None)
             if item is None or (index is not None and item.shape is schema.Shape.SCALAR):
                 return []

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.cfs import event_services, executive_services, software_bus, time_services
+from edoras_tools.cfs import (
+    event_services,
+    executive_services,
+    sbn,
+    software_bus,
+    table_services,
+    time_services,
+)
 from edoras_tools.cfs.core import CORE
 from edoras_tools.cfs.event_services import EventType
 from edoras_tools.cfs.executive_services import ENDING_COMMANDS
@@ -102,12 +109,30 @@ def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
         event = cfs.clock.command(function_code, payload, cfs.scheduler.now)
         cfs.report(event)
         return event.event_type is not EventType.ERROR
+    if core.name == table_services.NAME and function_code in table_services.LENGTHS:
+        return _table(cfs, function_code, size, payload)
     if function_code in core.packets:
         telemetry, size = core.packets[function_code]
         cfs.telemetry(telemetry, bytes(size), core.name)
         return True
     cfs.print(f"{core.name}: command {function_code} is not emulated")
     return False
+
+
+def _table(cfs: Cfs, function_code: int, size: int, payload: bytes) -> bool:
+    """Take a command about a table; tell SBN when its own has a new image."""
+    expected = table_services.LENGTHS[function_code]
+    if size != expected:
+        length, expected = (command_length(item, cfs.profile) for item in (size, expected))
+        cfs.say(table_services.BAD_LENGTH, code=function_code, length=length, expected=expected)
+        return False
+    event = cfs.tables.command(function_code, payload)
+    if event is not None:
+        cfs.report(event)
+        return event.event_type is not EventType.ERROR
+    if payload.startswith(sbn.TABLE.encode() + b"\0"):
+        cfs.publish(cfe.emit_command(sbn.COMMAND_MSG_ID, sbn.RELOAD, bytes(4)), table_services.NAME)
+    return True
 
 
 def _executive(_: Cfs, commands: int, errors: int) -> bytes:
@@ -148,5 +173,5 @@ _BODIES: Final[Mapping[str, Callable[[Cfs, int, int], bytes]]] = {
     event_services.NAME: _events,
     software_bus.NAME: _bus,
     "CFE_TIME": _time,
-    "CFE_TBL": _tables,
+    table_services.NAME: _tables,
 }

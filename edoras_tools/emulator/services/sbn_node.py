@@ -166,6 +166,21 @@ class SbnNode:
             self._serve(state, actions, now)
         return actions
 
+    def unload(self) -> Actions:
+        """Leave every peer, as before a new table: one that is connected is told."""
+        actions = Actions()
+        for index, state in enumerate(self.peers.values()):
+            if state.connected:
+                actions.say(facts.SENDING_DISCONNECT, peer=state.config.peer)
+                self._send(state, state.connection.goodbye(), actions)
+                self._disconnect(state, actions)
+            actions.say(facts.UNLOADED, index=index)
+        actions.say(facts.NET_ENDED)
+        for peer in self.peers:
+            actions.say(facts.UNSUBSCRIBED, processor_id=peer.processor_id)
+            actions.say(facts.ALREADY_DISCONNECTED, peer=peer)
+        return actions
+
     def _serve(self, state: PeerState, actions: Actions, now: int) -> None:
         connection = state.connection
         while state.pipe is not None and (packet := state.pipe.get()) is not None:
