@@ -25,9 +25,12 @@ from edoras_tools.io.net.buffer import make_buffer
 from edoras_tools.io.net.sockets import kernel_drops, open_bound, open_socket
 from edoras_tools.io.net.wire import precise_timing
 from edoras_tools.model import Endpoint
+from edoras_tools.ros import TypeStore
+from edoras_tools.wire import cfe
+from edoras_tools.wire.envelope import DEFAULT
 
 LISTEN, TARGET = 47234, 47235
-BYTES = 200
+BYTES, STAMP = 200, slice(68, 76)
 LATENCY_RATE, LATENCY_SECONDS = 10_000, 5
 RATES, RECORDING_RATES, SECONDS = (100_000, 150_000, 200_000, 250_000), (50_000, 75_000, 100_000), 5
 QUIET_S = 1.0
@@ -68,12 +71,21 @@ def send_random(port: int, count: int) -> None:
     print(json.dumps({"sent": count, "digest": digest.hexdigest()}))
 
 
+def payload() -> bytes:
+    """Return a command with a whole message, padded as C structs are; its last field is the stamp."""
+    packet = cfe.emit_command(0x1827, 1, DEFAULT.emit(TypeStore().encode("geometry_msgs/msg/Twist", {})))
+    assert len(packet) == STAMP.stop
+    head = packet[:4] + (BYTES - 7).to_bytes(2, "big") + packet[6:7] + b"\0"  # no checksum
+    return head + packet[len(head) :] + bytes(BYTES - len(packet))
+
+
 def send_at(port: int, rate: int, seconds: float, burst: int) -> None:
     """Send stamped datagrams at a rate, some at once; print how many."""
     buffer, opened = make_buffer(), connected(port)
     for row in range(burst):
-        buffer.put(row, bytes.fromhex("1827c000") + (BYTES - 7).to_bytes(2, "big") + bytes(BYTES - 6))
-    stamps = buffer.slots[:burst, 8:16]
+        buffer.put(row, payload())
+    stamps, counts = buffer.slots[:burst, STAMP], buffer.slots[:burst, 2:4]
+    rising = np.arange(burst)
     sent, step_ns = 0, burst * 10**9 // rate
     with precise_timing():
         began = due = time.monotonic_ns() + 10**6
@@ -83,6 +95,7 @@ def send_at(port: int, rate: int, seconds: float, burst: int) -> None:
             if ahead > 0:
                 time.sleep(ahead / 1e9)
             stamps[:] = np.frombuffer(time.time_ns().to_bytes(8, "little"), np.uint8)
+            counts[:] = (sent + rising & 0x3FFF | 0xC000).astype(">u2").view(np.uint8).reshape(-1, 2)
             sent += buffer.send(opened, burst, None).done
             due += step_ns
     print(json.dumps({"sent": sent, "seconds": (time.monotonic_ns() - began) / 1e9}))
@@ -101,7 +114,7 @@ def receive(port: int, *, digests: bool) -> None:
                 payload = buffer.payload(row)
                 digest.update(len(payload).to_bytes(4, "big") + payload)
         else:
-            stamps = np.ascontiguousarray(buffer.slots[:rows, 8:16]).view("<i8")[:, 0]
+            stamps = np.ascontiguousarray(buffer.slots[:rows, STAMP]).view("<i8")[:, 0]
             late.append(buffer.times(rows) - stamps)
     late_us = np.concatenate(late) / 1000 if late else np.zeros(1)
     p50, p99 = np.percentile(late_us, (50, 99)).tolist()

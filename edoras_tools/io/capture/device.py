@@ -52,7 +52,7 @@ class Device(Protocol):
     Attributes:
         info: information on the source.
         drops: frames that the kernel lost, as of the last ``count``.
-        linger_s: how long to let frames gather after the first one, except after a silence; 0 if the device
+        linger_s: how long frames may gather after the first one, except after a silence; 0 if the device
             gathers them itself.
         look_s: how often to read even if no file descriptor is readable.
         outages: when an interface was away.
@@ -104,7 +104,8 @@ class DeviceSource:
         statistics: the counts so far.
         started: set when ``batches`` starts.
         gather_s: minimum time between two batches, unless a few MiB wait: a batch of one datagram costs as
-            much as one of a thousand. The first frames after a silence do not wait.
+            much as one of a thousand. The first frames after a silence do not wait. The device is read a few
+            times meanwhile.
     """
 
     def __init__(
@@ -283,9 +284,9 @@ class DeviceSource:
             if self._deadline and (device.drained() or self._late()):
                 break
             if not more and (self._deadline or not failure):
-                poll.poll(5 if self._deadline else 1000 * device.look_s)
+                poll.poll(5 if self._deadline else 1000 * max(device.look_s, self.gather_s / 4))
                 silent = time.monotonic() - came > _SILENCE_S
-                linger_s = min(device.linger_s, _SOON_S) if silent else device.linger_s
+                linger_s = min(device.linger_s, _SOON_S if silent else self.gather_s / 2)
                 time.sleep(0 if self._deadline else linger_s)
         if failure:
             raise CaptureError(failure)
