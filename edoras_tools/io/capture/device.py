@@ -35,7 +35,7 @@ _AT_ONCE = 4 << 20
 """Maximum bytes of one batch, or one read of the device if that is more."""
 _GATHER_S = 0.08
 _STEP_S = 0.02
-"""How often to check, while frames gather, whether enough of them wait."""
+"""How often at most to check, while frames gather, whether enough of them wait."""
 _SILENCE_S = 0.1
 """A frame that comes this long after the last one comes after a silence,"""
 _SOON_S = 0.005
@@ -175,7 +175,7 @@ class DeviceSource:
             left = end - time.monotonic()
             if left <= 0:
                 return
-            time.sleep(min(left, _STEP_S))
+            time.sleep(min(left, max(_STEP_S, self.gather_s / 4)))
 
     def _waiting(self) -> tuple[list[FrameBatch], BaseException | EllipsisType | None]:
         """Take what waits, at most a few MiB: large batches cost less, so a slow consumer can catch up.
