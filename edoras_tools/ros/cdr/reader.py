@@ -11,7 +11,7 @@ import struct
 from typing import Any, Final, NamedTuple
 
 from edoras_tools.errors import FieldError, TruncatedError, WireError
-from edoras_tools.ros.cdr.plan import CdrPlan, PrimitiveRun, Repeat, Text
+from edoras_tools.ros.cdr.plan import WIDE_UNIT, CdrPlan, Leaf, PrimitiveRun, Repeat, Text
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE
 
 ENCAPSULATION_BYTES: Final = 4
@@ -47,8 +47,8 @@ class ValueSpan(NamedTuple):
     end: int
 
 
-class _Misfit(Exception):  # noqa: N818  it never leaves this file
-    """The fast reader stopped; ``value_spans`` finds out where and why."""
+class _Misfit(struct.error):
+    """The fast reader stopped, as where bytes are missing; ``value_spans`` says where and why."""
 
 
 def decode(name: str, plan: CdrPlan, cdr: bytes) -> Any:
@@ -61,7 +61,7 @@ def decode(name: str, plan: CdrPlan, cdr: bytes) -> Any:
     values: list[Any] = []
     try:
         end = _read(plan, order, cdr[ENCAPSULATION_BYTES:], 0, values)
-    except _Misfit:
+    except struct.error:
         end = -1
     if end < 0:
         value_spans(name, plan, cdr)  # raises with the position
@@ -95,7 +95,7 @@ def skip(plan: CdrPlan, order: int, body: bytes, position: int, times: int) -> i
     try:
         for _ in range(times):
             position = _read(plan, order, body, position, [])
-    except _Misfit:
+    except struct.error:
         return None
     return position
 
@@ -127,20 +127,27 @@ def _read(plan: CdrPlan, order: int, body: bytes, position: int, values: list[An
     for step in plan.steps:
         if isinstance(step, PrimitiveRun):
             position = (position + step.alignment - 1) & -step.alignment
-            if position + step.size > len(body):
-                raise _Misfit
             values += step.structs[order].unpack_from(body, position)
             position += step.size
         elif isinstance(step, Text):
-            length, position = _count(order, body, position)
-            end = position + length * step.width
-            if end > len(body) or _unterminated(step, body, end, length) or _over(step, length):
-                raise _Misfit
-            values.append(string_value(step, order, body[position:end]))
-            position = end
+            value, position = _text(step, order, body, position)
+            values.append(value)
         else:
             position = _read_repeat(step, order, body, position, values)
     return position
+
+
+def _text(step: Text, order: int, body: bytes, position: int) -> tuple[str, int]:
+    start = ((position + 3) & -4) + 4
+    (length,) = _COUNTS[order].unpack_from(body, start - 4)
+    end = start + length * step.width
+    if end > len(body) or (step.bound and _over(step, length)):
+        raise _Misfit
+    if step.width > 1:
+        return string_value(step, order, body[start:end]), end
+    if length and body[end - 1]:
+        raise _Misfit
+    return body[start : end - 1].decode("utf-8", "replace"), end  # without characters there is no NUL either
 
 
 def _read_repeat(step: Repeat, order: int, body: bytes, position: int, values: list[Any]) -> int:
@@ -152,9 +159,14 @@ def _read_repeat(step: Repeat, order: int, body: bytes, position: int, values: l
             raise _Misfit
     if position + count * plan.least > len(body):
         raise _Misfit
-    run = plan.uniform
+    run, only = plan.uniform, plan.steps[0]
     if run is None or not count:
-        elements = []
+        elements: list[Any] = []
+        if plan.single and isinstance(only, Text):
+            for _ in range(count):
+                value, position = _text(only, order, body, position)
+                elements.append(value)
+            count = 0
         for _ in range(count):
             flat: list[Any] = []
             position = _read(plan, order, body, position, flat)
@@ -172,20 +184,18 @@ def _read_repeat(step: Repeat, order: int, body: bytes, position: int, values: l
 def _elements(plan: CdrPlan, run: PrimitiveRun, order: int, data: bytes) -> list[Any] | bytes:
     """Read elements without gaps between them."""
     if plan.element is not None:
-        return Octets(data) if plan.element.code == "B" else _numbers(plan.element.code, order, data)
+        return Octets(data) if plan.element.code == "B" else _numbers(plan.element, order, data)
     return [plan.build(iter(flat)) for flat in run.structs[order].iter_unpack(data)]
 
 
-def _numbers(code: str, order: int, data: bytes) -> list[Any]:
-    if code == "B":
+def _numbers(leaf: Leaf, order: int, data: bytes) -> list[Any]:
+    if leaf.code == "B":
         return list(data)
-    return list(struct.unpack(f"{'<>'[order]}{len(data) // struct.calcsize('<' + code)}{code}", data))
+    return list(struct.unpack(f"{'<>'[order]}{len(data) // leaf.size}{leaf.code}", data))
 
 
 def _count(order: int, body: bytes, position: int) -> tuple[int, int]:
     position = (position + 3) & -4
-    if position + 4 > len(body):
-        raise _Misfit
     return _COUNTS[order].unpack_from(body, position)[0], position + 4
 
 
@@ -202,7 +212,7 @@ def string_value(step: Text, order: int, data: bytes) -> str:
     """Return a string from its characters, NUL included."""
     if step.width == 1:
         return data[:-1].decode("utf-8", "replace")
-    units = _numbers("I", order, data)
+    units = struct.unpack(f"{'<>'[order]}{len(data) // WIDE_UNIT}I", data)
     return struct.pack(f"<{len(units)}H", *(unit & 0xFFFF for unit in units)).decode("utf-16-le", "replace")
 
 
@@ -231,7 +241,7 @@ class _Walk:
         for leaf in step.leaves:
             start, end = position + leaf.offset, position + leaf.end
             self._need(path + leaf.name, start, end)
-            values = _numbers(leaf.code, self._order, self._cdr[start:end])
+            values = _numbers(leaf, self._order, self._cdr[start:end])
             self._found.append(
                 ValueSpan(path + leaf.name, values[0] if leaf.count is None else values, start, end)
             )
@@ -263,9 +273,7 @@ class _Walk:
             start = _aligned(position, leaf.size) if count else position
             end = start + count * leaf.size
             self._need(path, start, end)
-            self._found.append(
-                ValueSpan(path, _numbers(leaf.code, self._order, self._cdr[start:end]), begin, end)
-            )
+            self._found.append(ValueSpan(path, _numbers(leaf, self._order, self._cdr[start:end]), begin, end))
             return end
         if not count:
             self._found.append(ValueSpan(path, [], begin, position))
