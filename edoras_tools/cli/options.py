@@ -365,11 +365,20 @@ Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more on st
 
 
 class LinkName(StrEnum):
-    """A link of this project."""
+    """A link of this project that bridges use."""
 
     CI = "ci"
     TO = "to"
     SBN = "sbn"
+
+
+class RelayName(StrEnum):
+    """A link that can be relayed."""
+
+    CI = "ci"
+    TO = "to"
+    SBN = "sbn"
+    CFDP = "cfdp"
 
 
 DISTRO: Final = "jazzy"

@@ -32,7 +32,7 @@ _NEVER_NS = 1 << 62
 class RelayOptions(NamedTuple):
     """What is relayed, from where to where, and at which rates."""
 
-    link: Annotated[options.LinkName, typer.Argument(help="The link to relay.")]
+    link: Annotated[options.RelayName, typer.Argument(help="The link to relay.")]
     listen: Annotated[
         Any,
         typer.Option(

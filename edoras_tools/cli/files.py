@@ -1,0 +1,48 @@
+"""``edoras files``: the files that CFDP transferred."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from edoras_tools.cli import options
+from edoras_tools.cli.endings import LOST, lost, no_datagrams
+from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
+from edoras_tools.cli.output import print_json
+
+
+@options.grouped
+def files(
+    *,
+    inputs: FileOptions,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Write the files to DIR, a new or empty folder."),
+    ] = None,
+    printing: options.PrintOptions,
+    part: options.PartOptions,
+    chosen: options.SelectionOptions,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Show the files that CFDP transferred, and take them out of a capture.
+
+    Names of files that would lie outside DIR are refused.
+    """
+    from edoras_tools.pipelines.export.files import take_out
+
+    limits = part.limits(inputs.named())
+    source, bench = open_input(InputOptions(inputs), decoding.settings())
+    report = take_out(source, bench, output, selection=chosen.selection(), limits=limits)
+    no_datagrams(source)
+    if printing.json:
+        print_json(report.summary())
+    elif not printing.quiet:
+        from edoras_tools.render.capture.exported import files_lines
+
+        sys.stdout.writelines(f"{line}\n" for line in files_lines(report.summary()))
+    if not all(item.good for item in report.files):
+        raise typer.Exit(LOST)
+    lost(source)

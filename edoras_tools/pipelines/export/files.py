@@ -1,0 +1,245 @@
+"""Takes the files of CFDP transactions out of an input.
+
+The rules that this file keeps:
+
+1. Bytes go to the disk as they come, into a folder of their own inside the output; a file gets its name at
+   the end. A file of which bytes are missing gets the suffix ``.incomplete``; zeros are in their place.
+2. A name is taken from the capture only if it stays below the output and can be printed. A file with another
+   name, or none, is called by its transaction. Nothing is overwritten.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.outputs import check_links
+from edoras_tools.links.cfdp import CFDP
+from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.sessions.cfdp import Follower, Transaction
+from edoras_tools.wire.cfdp import Checksum
+from edoras_tools.wire.crc import crc32
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.workbench import Workbench
+
+_LONGEST: Final = 255
+"""Bytes of a part of a path, on all usual file systems."""
+_BLOCK: Final = 1 << 20
+
+
+def safe_path(name: str | None) -> Path | None:
+    """Return the relative path that a file name of a capture stands for; None for one that is refused.
+
+    A slash in front stands for the folder of the receiver, as with EDORAS, and is left out.
+    """
+    parts = (name or "").lstrip("/").split("/")
+    safe = all(
+        part not in {"", ".", ".."}
+        and part.isprintable()
+        and "\\" not in part
+        and len(os.fsencode(part)) <= _LONGEST - len(".incomplete") - 4
+        for part in parts
+    )
+    return Path(*parts) if safe else None
+
+
+@dataclass(slots=True)
+class TakenFile:
+    """A transaction, and what was written of its file.
+
+    Attributes:
+        transaction: what was followed.
+        checksum_right: whether the checksum is that of EOF; None where it cannot be told.
+        path: the file; None if none was written.
+        refused: whether its name was not safe.
+    """
+
+    transaction: Transaction
+    checksum_right: bool | None
+    path: Path | None = None
+    refused: bool = False
+
+    @property
+    def good(self) -> bool:
+        """Whether the file came whole, and its transaction ended well."""
+        return self.transaction.state == "finished" and self.checksum_right is not False
+
+    def summary(self) -> dict[str, Any]:
+        """Return it in the form of ``files --json``."""
+        item = self.transaction
+        names = ("source_entity_id", "transaction_sequence_number", "destination_entity_id", "acknowledged")
+        counts = ("segments", "resent", "filled", "naks")
+        more = ("source_file_name", "destination_file_name", "file_size", "first_ns", "last_ns", "silence_ns")
+        return {
+            **{name: getattr(item, name) for name in (*names, *more, *counts)},
+            "received": item.received.size,
+            "holes": len(item.holes),
+            "state": item.state,
+            "checksum_right": self.checksum_right,
+            "path": str(self.path) if self.path else None,
+            "refused": self.refused,
+        }
+
+
+@dataclass(slots=True)
+class FilesReport:
+    """The result of ``edoras files``.
+
+    Attributes:
+        source: the input.
+        files: one for each transaction, in order of their first PDU.
+        left_out: PDUs of transactions beyond the limit.
+    """
+
+    source: Source
+    files: list[TakenFile] = field(default_factory=list)
+    left_out: int = 0
+
+    def summary(self) -> dict[str, Any]:
+        """Return the report in the form of ``files --json``."""
+        return {
+            "schema": 1,
+            "source": self.source.info.name,
+            "transactions": [item.summary() for item in self.files],
+            "left_out": self.left_out,
+        }
+
+
+def take_out(
+    source: Source,
+    bench: Workbench,
+    folder: Path | None = None,
+    *,
+    selection: Selection | None = None,
+    limits: Limits = Limits(),  # noqa: B008  frozen
+) -> FilesReport:
+    """Follow the CFDP transactions of an input, and write their files; the input is closed.
+
+    Args:
+        source: the input.
+        bench: mission, types and decoders.
+        folder: where files go, new or empty; None to write none.
+        selection: which datagrams.
+        limits: when to end.
+
+    Raises:
+        ConfigError: something is in the folder, or the selection has an error.
+        CaptureError: the input ended early, or the folder cannot be written.
+    """
+    report = FilesReport(source)
+    with ExitStack() as opened:
+        loop = opened.enter_context(reading(source, bench, selection, limits))
+        spool = opened.enter_context(_Spool(folder)) if folder else None
+        follower = Follower(spool.keep if spool else None)
+        for rows in loop:
+            follower.take(rows.batch, rows.indices()[rows.column("link") == CFDP])
+        report.left_out = follower.left_out
+        for item in follower.transactions:
+            taken = TakenFile(item, item.checksum_right)
+            if spool:
+                spool.finish(taken)
+            report.files.append(taken)
+    return report
+
+
+class _Spool:
+    """Writes the files below a folder.
+
+    Args:
+        folder: created if it is not there.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._files: dict[Transaction, Path] = {}
+        try:
+            check_links(folder)
+            folder.mkdir(parents=True, exist_ok=True)
+            if any(folder.iterdir()):
+                raise CaptureError(f"{folder}: is not empty; name a new folder")
+            self._open = Path(tempfile.mkdtemp(prefix=".edoras-", dir=folder))
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        shutil.rmtree(self._open, ignore_errors=True)
+
+    def _failed(self, error: OSError) -> CaptureError:
+        return CaptureError(f"{self._folder}: cannot be written: {error.strerror or error}")
+
+    def _place(self, item: Transaction) -> Path:
+        if item not in self._files:
+            self._files[item] = self._open / str(len(self._files))
+            self._files[item].touch()
+        return self._files[item]
+
+    def keep(self, item: Transaction, offset: int, piece: bytes) -> None:
+        """Write bytes of a file.
+
+        Raises:
+            CaptureError: they cannot be written.
+        """
+        try:
+            with self._place(item).open("r+b", buffering=0) as file:
+                file.seek(offset)
+                while piece:
+                    piece = piece[file.write(piece) :]
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def finish(self, taken: TakenFile) -> None:
+        """Give a file its name.
+
+        Raises:
+            CaptureError: it cannot be renamed.
+        """
+        item = taken.transaction
+        if item not in self._files and not item.complete:
+            return
+        place = self._place(item)
+        if item.complete and item.checksum_type == Checksum.CRC_32:
+            taken.checksum_right = _crc(place) == item.file_checksum
+        name = item.destination_file_name or item.source_file_name
+        path = safe_path(name)
+        taken.refused = path is None and name is not None
+        own = Path(item.name.replace(":", "_"))
+        try:
+            try:
+                taken.path = self._free(path or own, item.complete)
+            except (FileExistsError, NotADirectoryError):  # a file is where a folder is needed
+                taken.path = self._free(own, item.complete)
+            place.rename(taken.path)
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def _free(self, name: Path, complete: bool) -> Path:
+        """Return a path where nothing is, and make its folder."""
+        path = self._folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        number, free = 2, path
+        suffix = "" if complete else ".incomplete"
+        while (found := free.with_name(free.name + suffix)).exists():
+            free, number = path.with_name(f"{path.name}.{number}"), number + 1
+        return found
+
+
+def _crc(path: Path) -> int:
+    value = 0
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            value = crc32(block, value)
+    return value

@@ -1,0 +1,295 @@
+"""CFDP transactions, followed from what a capture has of them: what came, what was missing, how it ended.
+
+The rules that this file keeps:
+
+1. A transaction is known by the sender's entity ID, its sequence number and the two endpoints: on both sides
+   of a relay it is two. Metadata after its end begins another one: numbers start again with the sender.
+2. The first copy of a byte counts, and only it is handed on. A piece of the file without a new byte was sent
+   again; one with new bytes in front of the last one that is known was lost before, or overtaken.
+3. Memory does not grow with files: bytes are handed on, not kept. Transactions, and the ranges that are known
+   of a file, are limited in number; what is beyond is left out, and the file stays incomplete.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+import numpy as np
+
+from edoras_tools.wire.cfdp import (
+    CONDITION_NAMES,
+    UNREAD,
+    Checksum,
+    ConditionCode,
+    Directive,
+    Pdus,
+    modular_checksum,
+    parameters,
+    read_pdus,
+)
+from edoras_tools.wire.order import numbered
+from edoras_tools.wire.window import copy_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import PacketBatch
+
+    Keep: TypeAlias = "Callable[[Transaction, int, bytes], None]"
+
+MOST_TRANSACTIONS: Final = 1 << 14
+MOST_RANGES: Final = 1 << 12
+LARGEST_OFFSET: Final = 1 << 48
+"""In a file; pieces beyond are left out."""
+
+
+class ByteRanges:
+    """Which bytes of a file are known: ranges in order that do not touch."""
+
+    def __init__(self) -> None:
+        self._starts: list[int] = []
+        self._ends: list[int] = []
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return zip(self._starts, self._ends, strict=True)
+
+    @property
+    def end(self) -> int:
+        """One past the last known byte."""
+        return self._ends[-1] if self._ends else 0
+
+    @property
+    def size(self) -> int:
+        """How many bytes are known."""
+        return sum(self._ends) - sum(self._starts)
+
+    def missing(self, start: int, end: int) -> list[tuple[int, int]]:
+        """Return the parts of a range that are not known."""
+        found = []
+        for index in range(bisect_left(self._ends, start), bisect_right(self._starts, end)):
+            if start < self._starts[index]:
+                found.append((start, self._starts[index]))
+            start = max(start, self._ends[index])
+        return [*found, (start, end)] if start < end else found
+
+    def add(self, start: int, end: int) -> bool:
+        """Add a range and return True; one that touches no other is left out if there are too many."""
+        first, last = bisect_left(self._ends, start), bisect_right(self._starts, end)
+        if first < last:
+            start, end = min(start, self._starts[first]), max(end, self._ends[last - 1])
+        elif len(self._starts) >= MOST_RANGES:
+            return False
+        self._starts[first:last] = [start]
+        self._ends[first:last] = [end]
+        return True
+
+
+@dataclass(slots=True, eq=False)
+class Transaction:
+    """One file on its way; None: not captured.
+
+    Attributes:
+        source_entity_id: of the sender of the file.
+        transaction_sequence_number: the sender's.
+        destination_entity_id: of the receiver of the file.
+        acknowledged: of class 2: what is missing is asked for.
+        first_ns: time of its first PDU.
+        last_ns: time of its last PDU.
+        silence_ns: the longest time between two of its PDUs.
+        source_file_name: as Metadata says.
+        destination_file_name: as Metadata says.
+        checksum_type: as Metadata says.
+        file_size: bytes, as EOF says, or Metadata before it.
+        file_checksum: as EOF says.
+        received: the bytes that were captured.
+        modular: the modular checksum of these.
+        segments: pieces of the file.
+        resent: pieces without a byte that was new.
+        filled: pieces with new bytes in front of the last one that was known.
+        naks: NAKs that ask for something.
+        eof: condition code of EOF.
+        finished: condition code of Finished.
+        incomplete: whether Finished says that the receiver does not have the whole file.
+    """
+
+    source_entity_id: int
+    transaction_sequence_number: int
+    destination_entity_id: int
+    acknowledged: bool
+    first_ns: int
+    last_ns: int
+    silence_ns: int = 0
+    source_file_name: str | None = None
+    destination_file_name: str | None = None
+    checksum_type: int | None = None
+    file_size: int | None = None
+    file_checksum: int | None = None
+    received: ByteRanges = field(default_factory=ByteRanges)
+    modular: int = 0
+    segments: int = 0
+    resent: int = 0
+    filled: int = 0
+    naks: int = 0
+    eof: int | None = None
+    finished: int | None = None
+    incomplete: bool = False
+
+    @property
+    def name(self) -> str:
+        """How it is called: ``SOURCE:NUMBER``."""
+        return f"{self.source_entity_id}:{self.transaction_sequence_number}"
+
+    @property
+    def complete(self) -> bool:
+        """Whether every byte of the file was captured."""
+        return self.eof is not None and self.file_size is not None and not self.holes
+
+    @property
+    def holes(self) -> list[tuple[int, int]]:
+        """The parts of the file that were not captured."""
+        return self.received.missing(0, self.file_size or 0)
+
+    @property
+    def checksum_right(self) -> bool | None:
+        """Whether the modular checksum is that of EOF; None: it is of another type, or bytes are missing."""
+        if not self.complete or self.checksum_type != Checksum.MODULAR:
+            return None
+        return self.modular == self.file_checksum
+
+    @property
+    def condition(self) -> int:
+        """The condition code that it ended with; 0 for none."""
+        return self.finished or self.eof or 0
+
+    @property
+    def state(self) -> str:
+        """How it ended: ``finished``, ``cancelled``, the name of another condition, or ``not finished``."""
+        if self.condition:
+            cancelled = self.condition == ConditionCode.CANCEL_REQUEST_RECEIVED
+            return "cancelled" if cancelled else CONDITION_NAMES.get(self.condition, str(self.condition))
+        over = self.finished is not None and not self.incomplete
+        return "finished" if over or (not self.acknowledged and self.complete) else "not finished"
+
+
+class Follower:
+    """Follows every transaction.
+
+    Args:
+        keep: gets each byte of each file once: the transaction, the offset in the file, the bytes.
+
+    Attributes:
+        transactions: in order of their first PDU.
+        left_out: PDUs of transactions beyond the limit.
+    """
+
+    def __init__(self, keep: Keep | None = None) -> None:
+        self.transactions: list[Transaction] = []
+        self.left_out = 0
+        self._keep = keep
+        self._open: dict[tuple[int, ...], Transaction] = {}
+
+    def take(self, batch: PacketBatch, rows: NDArray[np.intp]) -> None:
+        """Take the PDUs in some rows of a batch, in order; nothing in them can make this raise.
+
+        Args:
+            batch: the datagrams.
+            rows: those that hold a PDU.
+        """
+        if not len(rows):
+            return
+        pdus = read_pdus(batch.data, batch.offset[rows], batch.length[rows])
+        source, destination = (
+            getattr(batch, f"{end}_address")[rows].astype(np.uint64) << np.uint64(16)
+            | getattr(batch, f"{end}_port")[rows]
+            for end in ("source", "destination")
+        )
+        ends = (
+            np.where(pdus.toward_sender, destination, source),
+            np.where(pdus.toward_sender, source, destination),
+        )
+        keys = pdus.source_entity_id, pdus.transaction_sequence_number, *ends
+        _, which = numbered(*keys)
+        for first, last in _runs(pdus, which):
+            if pdus.kind[first] == UNREAD:
+                continue
+            key = tuple(int(item[first]) for item in keys)
+            time_ns = batch.time_ns[rows[first:last]]
+            found = self._open.get(key) or self._begin(key, pdus, first, int(time_ns[0]))
+            if found is None:
+                self.left_out += last - first
+                continue
+            silences = np.diff(time_ns, prepend=found.last_ns)
+            found.silence_ns = max(found.silence_ns, int(silences.max()))
+            found.last_ns = max(found.last_ns, int(time_ns[-1]))
+            if pdus.kind[first] == Directive.FILE_DATA:
+                self._file_data(found, batch.data, pdus, slice(first, last))
+            else:
+                body = batch.data[pdus.start[first] : pdus.end[first]].tobytes()
+                kind = int(pdus.kind[first])
+                told = parameters(kind, int(pdus.large[first]), body)
+                if kind == Directive.METADATA and found.finished is not None:
+                    del self._open[key]
+                    found = self._begin(key, pdus, first, int(time_ns[0])) or found
+                _directive(found, kind, told)
+
+    def _begin(self, key: tuple[int, ...], pdus: Pdus, row: int, time_ns: int) -> Transaction | None:
+        if len(self.transactions) >= MOST_TRANSACTIONS:
+            return None
+        receiver, acknowledged = int(pdus.destination_entity_id[row]), bool(pdus.acknowledged[row])
+        made = self._open[key] = Transaction(key[0], key[1], receiver, acknowledged, time_ns, time_ns)
+        self.transactions.append(made)
+        return made
+
+    def _file_data(self, found: Transaction, data: NDArray[np.uint8], pdus: Pdus, rows: slice) -> None:
+        """Take pieces that follow each other in the file."""
+        offset, begin = pdus.file_offset[rows].tolist(), pdus.data[rows]
+        sizes = pdus.end[rows] - begin
+        start, end = offset[0], offset[-1] + int(sizes[-1])
+        if end > LARGEST_OFFSET:
+            return
+        new = found.received.missing(start, end)
+        if new != [(start, end)] and len(offset) > 1:
+            for row in range(rows.start, rows.stop):
+                self._file_data(found, data, pdus, slice(row, row + 1))
+            return
+        found.segments += len(offset)
+        found.resent += not new
+        found.filled += len(offset) if new and start < found.received.end else 0
+        if not new or not found.received.add(start, end):
+            return
+        pieces = np.empty(end - start, np.uint8)
+        copy_rows(pieces, np.cumsum(sizes) - sizes, data, begin, sizes)
+        for first, last in new:
+            piece = pieces[first - start : last - start].tobytes()
+            found.modular = (found.modular + modular_checksum(piece, first)) & 0xFFFFFFFF
+            if self._keep:
+                self._keep(found, first, piece)
+
+
+def _runs(pdus: Pdus, which: NDArray[np.integer[Any]]) -> Iterator[tuple[int, int]]:
+    """Yield directives one by one, and pieces of a file as long as they follow each other."""
+    end = pdus.file_offset + (pdus.end - pdus.data).astype(np.uint64)
+    follows = (pdus.kind[1:] == Directive.FILE_DATA) & (pdus.kind[:-1] == Directive.FILE_DATA)
+    follows &= (which[1:] == which[:-1]) & (pdus.file_offset[1:] == end[:-1])
+    begins = np.flatnonzero(np.concatenate([np.ones(min(len(which), 1), bool), ~follows])).tolist()
+    return zip(begins, [*begins[1:], len(which)], strict=True)
+
+
+def _directive(found: Transaction, kind: int, told: dict[str, Any]) -> None:
+    if kind == Directive.METADATA:
+        found.source_file_name = told["source_file_name"]
+        found.destination_file_name = told["destination_file_name"]
+        found.checksum_type = told["checksum_type"]
+        if found.eof is None:
+            found.file_size = told["file_size"]
+    elif kind == Directive.EOF:
+        found.eof, found.file_size = told["condition_code"], told["file_size"]
+        found.file_checksum = told["file_checksum"]
+    elif kind == Directive.FINISHED:
+        found.finished, found.incomplete = told["condition_code"], bool(told["delivery_code"])
+    elif kind == Directive.NAK:
+        found.naks += bool(told["segment_requests"])

@@ -1,0 +1,224 @@
+"""``edoras files``: EDORAS's own CFDP entity at both ends of ``edoras proxy`` with losses; hostile names."""
+
+import json
+import random
+import time
+from contextlib import ExitStack
+
+import cfdp as peer
+import pytest
+from cfdp.filestore import NativeFileStore
+from cfdp.transport.udp import UdpTransport
+from places import ROOT
+from rewriting import Udp, write
+from waiting import HOST, Program, free_ports, until
+
+from edoras_tools.pipelines.export.files import safe_path
+from edoras_tools.wire import cfdp
+from edoras_tools.wire.cfdp import Directive
+
+SIZES = (60_000, 59_999, 50_000, 40_001, 60_000, 1)
+ENDS = (HOST, 5111), (HOST, 5222)
+
+
+class Entity:
+    """An entity that notes what it sends and gets: (time, PDU)."""
+
+    def __init__(self, number, folder, port, towards):
+        self.sent, self.got = [], []
+        transport = UdpTransport(routing={"*": [(HOST, towards)]})
+        request = transport.request
+        transport.request = lambda pdu: (self.sent.append((time.time_ns(), bytes(pdu))), request(pdu))
+        self.files = folder
+        self.files.mkdir()
+        self.kernel = peer.CfdpEntity(
+            number,
+            NativeFileStore(str(folder)),
+            transport,
+            positive_ack_timer_interval=0.3,
+            positive_ack_timer_expiration_limit=50,
+            nak_timer_interval=0.3,
+            nak_timer_expiration_limit=50,
+        )
+        indication = transport.indication
+        transport.indication = lambda pdu: (self.got.append((time.time_ns(), bytes(pdu))), indication(pdu))
+        transport.bind(HOST, port)
+
+    def close(self):
+        self.kernel.shutdown()
+        self.kernel.transport.unbind()
+
+
+def parts(pdu):
+    """Return the sequence number, the directive code (0: a piece of a file), and what follows."""
+    width, count = 1 + (pdu[3] >> 4 & 7), 1 + (pdu[3] & 7)
+    at = 4 + 2 * width + count
+    number = int.from_bytes(pdu[4 + width : 4 + width + count], "big")
+    return (number, 0, pdu[at:]) if pdu[0] & 0x10 else (number, pdu[at], pdu[at + 1 :])
+
+
+def pieces(noted):
+    """Return (sequence number, offset, size) of each piece of a file."""
+    found = [(number, body) for number, code, body in (parts(pdu) for _, pdu in noted) if not code]
+    return [(number, int.from_bytes(body[:4], "big"), len(body) - 4) for number, body in found]
+
+
+def finished(noted):
+    return {number for number, code, _ in (parts(pdu) for _, pdu in noted) if code == Directive.FINISHED}
+
+
+def counted(noted):
+    """Count pieces by a plain rule: resent have no new byte, filled have one before the last one known."""
+    known, resent, filled = {}, 0, 0
+    for number, offset, size in pieces(noted):
+        have = known.setdefault(number, set())
+        new = set(range(offset, offset + size)) - have
+        resent += not new
+        filled += bool(new) and offset <= max(have, default=-1)
+        have |= new
+    return {"segments": len(pieces(noted)), "resent": resent, "filled": filled}
+
+
+def totals(report):
+    return {
+        name: sum(item[name] for item in report["transactions"]) for name in ("segments", "resent", "filled")
+    }
+
+
+def test_both_ends_through_a_proxy_that_drops_a_tenth(command, call, tmp_path):
+    chance = random.Random(4)
+    ground, flight, listen, bind = free_ports(4)
+    record = tmp_path / "x.mcap"
+    ways = ("--listen", f"{HOST}:{listen}", "--target", f"{HOST}:{flight}", "--bind", f"{HOST}:{bind}")
+    how = ("--client", f"{HOST}:{ground}", "--fault", "drop:10%", "--seed", "3", "-o", record, "--json")
+    how = (*how, "--port", f"cfdp:{ground}")
+    with ExitStack() as opened:
+        proxy = opened.enter_context(Program(command, "proxy", "cfdp", *ways, *how))
+        assert proxy.line(proxy.err).startswith("relaying cfdp")
+        sender = Entity(1, tmp_path / "ground", ground, listen)
+        opened.callback(sender.close)
+        receiver = Entity(2, tmp_path / "flight", flight, bind)
+        opened.callback(receiver.close)
+        for number, size in enumerate(SIZES):
+            (sender.files / f"scan_{number}").write_bytes(chance.randbytes(size))
+            names = {"source_filename": f"/scan_{number}", "destination_filename": f"/data_{number}"}
+            sent = sender.kernel.put(2, transmission_mode=peer.TransmissionMode.ACKNOWLEDGED, **names)
+            until(lambda sent=sent: sender.kernel.is_complete(sent), "the transfer")
+        until(
+            lambda: len(finished(sender.got)) == len(SIZES), "Finished, which is sent again where it is lost"
+        )
+        told = json.loads(proxy.end()[0])
+    dropped = len(sender.sent) + len(receiver.sent) - len(sender.got) - len(receiver.got)
+    assert told["faults"][0]["struck"] == dropped > 3
+
+    behind = call("files", record, "-o", tmp_path / "out", "--json").json()
+    assert len(behind["transactions"]) == len(SIZES)
+    for number, item in enumerate(behind["transactions"]):
+        original = (sender.files / f"scan_{number}").read_bytes()
+        assert (receiver.files / f"data_{number}").read_bytes() == original
+        assert (tmp_path / f"out/data_{number}").read_bytes() == original
+        assert (item["state"], item["checksum_right"], item["holes"]) == ("finished", True, 0)
+    assert totals(behind) == counted(receiver.got)
+
+    both = sorted(
+        [(at, *ENDS, pdu) for at, pdu in sender.sent] + [(at, *ENDS[::-1], pdu) for at, pdu in receiver.sent],
+        key=lambda item: item[0],
+    )
+    in_front = call("files", write(tmp_path / "front.pcap", [Udp(*item) for item in both]), "--json").json()
+    assert totals(in_front) == counted(sender.sent)
+    assert totals(in_front)["resent"] > 0
+
+
+def pdu(kind, body=b"", number=7, **values):
+    layout = cfdp.PDU_LAYOUTS[0][kind]
+    field = (b"" if kind == Directive.FILE_DATA else bytes([kind])) + layout.emit(values) + body
+    head = {"version": 1, "pdu_type": kind == Directive.FILE_DATA, "transmission_mode": 1}
+    return cfdp.PDU_HEADER.emit(head | {"pdu_data_field_length": len(field)}) + bytes([1, number, 2]) + field
+
+
+def transfer(name, content, number=7, *, checksum=None, kind=0):
+    text = bytes([len(name)]) + name
+    total = cfdp.modular_checksum(content, 0) if checksum is None else checksum
+    yield pdu(Directive.METADATA, text + text, number, file_size=len(content), checksum_type=kind)
+    yield pdu(Directive.FILE_DATA, content, number)
+    yield pdu(Directive.EOF, number=number, file_size=len(content), file_checksum=total)
+
+
+@pytest.fixture
+def capture(tmp_path):
+    def make(*payloads):
+        items = [Udp(number, *ENDS, payload) for number, payload in enumerate(payloads)]
+        return write(tmp_path / "x.pcap", items)
+
+    return make
+
+
+NAMES = {
+    b"../../etc/passwd": None,
+    b"/etc/passwd": "etc/passwd",
+    b"a/../../b": None,
+    b"..": None,
+    b"a//b": None,
+    b".": None,
+    b"": None,
+    b"a\\..\\b": None,
+    b"a\0b": None,
+    b"\x1b[2J": None,
+    b"x" * 255: None,
+    b"data/scan 1.bin": "data/scan 1.bin",
+}
+
+
+def test_names_that_lead_outside_are_refused(call, capture, tmp_path):
+    path = capture(*(item for number, name in enumerate(NAMES) for item in transfer(name, b"root", number)))
+    out = tmp_path / "deep/er/out"
+    result = call("files", path, "-o", out)
+    assert result.code == 0
+    expected = {wanted or f"1_{number}" for number, wanted in enumerate(NAMES.values())}
+    assert {str(item.relative_to(out)) for item in out.rglob("*") if item.is_file()} == expected
+    assert {item.name for item in tmp_path.rglob("*") if item.is_file()} == {
+        *(name.rpartition("/")[2] for name in expected),
+        "x.pcap",
+    }
+    assert "the name '../../etc/passwd' is refused" in result.out
+    assert "\x1b" not in result.out
+    assert [safe_path(name.decode()) is None for name in NAMES] == [
+        wanted is None for wanted in NAMES.values()
+    ]
+
+
+def test_the_same_name_again_and_a_file_where_a_folder_is_needed(call, capture, tmp_path):
+    first, again = transfer(b"a", b"one", 1), transfer(b"a", b"two", 2)
+    path = capture(*first, *again, *transfer(b"a/b", b"three", 3))
+    assert call("files", path, "-o", tmp_path / "out").code == 0
+    found = {item.name: item.read_bytes() for item in (tmp_path / "out").iterdir()}
+    assert found == {"a": b"one", "a.2": b"two", "1_3": b"three"}
+
+
+def test_what_is_missing_or_wrong_is_told_with_3(call, capture, tmp_path):
+    begin, piece, end = transfer(b"a", b"x" * 10)
+    result = call("files", capture(begin, piece), "-o", tmp_path / "1")
+    assert (result.code, "not finished" in result.out) == (3, True)
+    assert [item.name for item in (tmp_path / "1").iterdir()] == ["a.incomplete"]
+    result = call("files", capture(*transfer(b"a", b"x" * 10, checksum=5)), "-o", tmp_path / "2")
+    assert (result.code, "wrong checksum" in result.out) == (3, True)
+    for checksum, right in ((0xCBF43926, True), (0, False)):
+        path = capture(*transfer(b"a", b"123456789", checksum=checksum, kind=3))
+        report = call("files", path, "-o", tmp_path / f"crc_{checksum}", "--json")
+        assert report.code == (0 if right else 3)
+        assert report.json()["transactions"][0]["checksum_right"] is right
+    far = pdu(Directive.FILE_DATA, b"far", offset=(1 << 31) - 1)
+    assert call("files", capture(begin, far, end), "-o", tmp_path / "3").code == 3
+    (sparse,) = (tmp_path / "3").iterdir()
+    assert sparse.stat().st_size == (1 << 31) + 2
+    assert sparse.stat().st_blocks < 1000
+
+
+def test_a_folder_that_is_not_empty_is_left_alone(call, capture, tmp_path):
+    result = call("files", capture(*transfer(b"a", b"x")), "-o", tmp_path)
+    assert (result.code, result.err) == (1, [f"edoras: {tmp_path}: is not empty; name a new folder"])
+    assert [item.name for item in tmp_path.iterdir()] == ["x.pcap"]
+
+
+def test_a_capture_without_a_transaction(call):
+    assert call("files", ROOT / "samples/captures/a_rover.pcap").out == "no CFDP transaction\n"
