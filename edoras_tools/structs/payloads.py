@@ -54,9 +54,10 @@ def payloads(
         columns: gives the decoder's columns by name.
         datagrams: gives the batch's, of the same rows.
     """
-    header, key = columns("header_length"), columns("msg_id")
-    rows = np.flatnonzero(structs.has[key] & (header > ccsds.PRIMARY.size))
-    header = header[rows]
+    key = columns("msg_id")
+    rows = np.flatnonzero(structs.has[key])
+    rows = rows[columns("header_length")[rows] > ccsds.PRIMARY.size]
+    header = columns("header_length")[rows]
     found = StructPayloads(
         rows,
         key[rows],

@@ -14,6 +14,8 @@ import numpy as np
 from edoras_tools.wire.fingerprint import MIX, WEIGHTS, finished, stirred
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from edoras_tools.ros import TypeStore
@@ -59,6 +61,13 @@ def of_values(
     plain, stamped = finished(plain), finished(stamped)
     plain[~columns.valid], stamped[~columns.valid] = 0, 0
     return plain, stamped
+
+
+def of_fields(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.uint64]:
+    """Return a fingerprint of some numbers of each message, by their names; of one column at least."""
+    return finished(
+        np.sum([_field(name, column) for name, column in columns.items()], axis=0, dtype=np.uint64)
+    )
 
 
 def latest_equal(

@@ -1,4 +1,4 @@
-"""The columns that a diagnosis keeps of each datagram: 110 bytes, however large the datagram is."""
+"""The columns that a diagnosis keeps of each datagram: 118 bytes, however large the datagram is."""
 
 from __future__ import annotations
 
@@ -60,6 +60,7 @@ class Rows:
         packet_print: u64, fingerprint of the whole space packet.
         value_print: u64, fingerprint of the message's values but its time stamps.
         stamped_print: u64, fingerprint of the message's values.
+        shared_print: u64, fingerprint of what commands share with a robot's own struct; 0 where it has none.
     """
 
     number: NDArray[np.int64]
@@ -94,6 +95,7 @@ class Rows:
     packet_print: NDArray[np.uint64]
     value_print: NDArray[np.uint64]
     stamped_print: NDArray[np.uint64]
+    shared_print: NDArray[np.uint64]
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -137,6 +139,7 @@ class Recorder:
         self.payloads = Payloads()
         self.samples: dict[tuple[int, int], dict[int, bytes]] = {}
         self._index: dict[tuple[int, str, int], int] = {}
+        self._shared = robot.SharedFields(context)
         self._parts: list[Rows] = []
         self._sequences = SequenceCounts()
         self._told: list[SequenceRows] = []
@@ -213,6 +216,7 @@ class Recorder:
                 ),
                 value_print=plain,
                 stamped_print=stamped,
+                shared_print=self._shared.fingerprints(batch, columns, offset, length),
             )
         )
         self._sample(batch, columns, offset, length)
@@ -362,6 +366,6 @@ def _none() -> Rows:
     kinds = {"link": "u1", "header_length": "u1", "sequence_count": "u2", "findings": "u4", "counted": "?"}
     kinds |= dict.fromkeys(("processor_id", "spacecraft_id"), "u4")
     kinds |= {"identification": "u2", "life": "u1"}
-    prints = ("tap", "bytes_print", "packet_print", "value_print", "stamped_print")
+    prints = ("tap", "bytes_print", "packet_print", "value_print", "stamped_print", "shared_print")
     kinds |= dict.fromkeys(prints, "u8")
     return Rows(**{item.name: np.zeros(0, kinds.get(item.name, "i8")) for item in fields(Rows)})

@@ -154,9 +154,10 @@ def _prints(into: Stream, out: Stream, rows: Rows) -> list[tuple[NDArray[np.uint
             return [(_counts(into, rows), _counts(out, rows))]
         return [(rows.packet_print[into.rows], rows.packet_print[out.rows])]
     if out.link.last_hop:
-        # A robot is sent bare numbers: their bytes, and their values as the configured type has them.
-        came = rows.value_print[into.rows]
-        return [(came, kind[out.rows]) for kind in (rows.value_print, rows.stamped_print)]
+        # A robot is sent bare numbers, their bytes or values as the configured type has them, or a struct.
+        came, shared = rows.value_print[into.rows], rows.shared_print
+        plain = [(came, kind[out.rows]) for kind in (rows.value_print, rows.stamped_print)]
+        return [*plain, (shared[into.rows], shared[out.rows])]
     kinds = (rows.stamped_print, rows.value_print)
     return [
         (kind[into.rows], kind[out.rows]) for kind in kinds if kind[into.rows].any() and kind[out.rows].any()
