@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "7b063d40bbe41384"
+local DIGEST = "e0ba3fbe81983283"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1597,6 +1597,7 @@ D.types = {
 }
 D.extended_header = false
 D.telemetry_header = 16
+D.msg_id_version = 1
 
 local byte = string.byte
 D.read = {}
@@ -2867,9 +2868,12 @@ local HEADER_READERS = {sbn = software_bus_network}
 
 local routes = D.routes
 local settings = {}
+local known_of = {}
 
--- Take what the preferences say of the headers; all the rest follows from it.
-local function settle(extended, short)
+-- Take what the preferences say of the headers and MsgIds; all the rest follows from it.
+local function settle(extended, short, second)
+	extended, settings.second = extended or second, second
+	for _, link in ipairs(D.links) do known_of[link.label] = {} end
 	local telemetry = extended and "telemetry_extended" or short and "telemetry_short" or "telemetry"
 	settings.extra = extended and L.extended.size or 0
 	settings.command = extended and L.command_extended or L.command
@@ -2877,7 +2881,9 @@ local function settle(extended, short)
 	settings.command_header = L.ccsds.size + settings.extra + settings.command.size
 	settings.telemetry_header = L.ccsds.size + settings.extra + settings.telemetry.size
 end
-settle(D.extended_header, D.telemetry_header == L.ccsds.size + L.telemetry_short.size)
+settle(
+	D.extended_header, D.telemetry_header == L.ccsds.size + L.telemetry_short.size, D.msg_id_version == 2
+)
 for _, form in ipairs(D.formats) do
 	form.read = read[format("envelope_%d_%s", form.width, form.little and "little" or "big")]
 	form.size = 2 * form.width
@@ -2887,20 +2893,25 @@ for _, route in ipairs(routes) do
 	route.kind = D.types[route.type]
 end
 
--- What is known of a MsgId on a link: its name, the routes that may claim it, its commands.
-local function look_up(link, msg_id)
-	local exact, any_link = D.exact[link], D.any_link[msg_id]
-	local commands = D.commands[msg_id]
-	if not commands and any_link and msg_id % 8192 >= 4096 then commands = D.route_commands end
-	return {
-		claims = exact and exact[msg_id] or any_link, commands = commands,
-		name = D.msg_id_names[msg_id], topic = any_link and routes[any_link[1]].topic or "",
-		unknown = not D.msg_id_names[msg_id] and not any_link, heads = {},
-	}
+-- The MsgId of version 1 that the names and commands of cFE have, of one of version 2.
+local function known_id(msg_id)
+	if not settings.second then return msg_id end
+	local above, low = math.floor(msg_id / 256), msg_id % 256
+	local command, apid = math.floor(low / 128), low % 128
+	return math.floor(above / 32) * 8192 + command * 4096 + (above + 16) % 32 * 128 + apid
 end
 
-local known_of = {}
-for _, link in ipairs(D.links) do known_of[link.label] = {} end
+-- What is known of a MsgId on a link: its name, the routes that may claim it, its commands.
+local function look_up(link, msg_id)
+	local exact, any_link, id = D.exact[link], D.any_link[msg_id], known_id(msg_id)
+	local commands, name = D.commands[id], D.msg_id_names[id]
+	if not commands and any_link and id % 8192 >= 4096 then commands = D.route_commands end
+	return {
+		claims = exact and exact[msg_id] or any_link, commands = commands,
+		name = name, topic = any_link and routes[any_link[1]].topic or "",
+		unknown = not name and not any_link, heads = {},
+	}
+end
 
 local function about(link, msg_id)
 	local known = known_of[link][msg_id]
@@ -3045,12 +3056,12 @@ local function payload(msg_id, start, header, code)
 		W.route = routes[claims[1]]
 		if has("length_mismatch") then return truncated("edoras", at, 1) end
 		if code ~= 0 then note("header_only") end
-	elseif msg_id == D.msg_id.event and #s - at >= L.event.size then
+	elseif known_id(msg_id) == D.msg_id.event and #s - at >= L.event.size then
 		add_layer(L.event, at)
 		if not W.listed then return end
 		local id, _, _, _, app, message = read.event(s, at + 1)
 		W.summary = format("%s %d: %s", utf8_text(app), id, utf8_text(message))
-	elseif msg_id == D.msg_id.software_bus and #s - at >= L.software_bus.size then
+	elseif known_id(msg_id) == D.msg_id.software_bus and #s - at >= L.software_bus.size then
 		add_layer(L.software_bus, at)
 		if not W.listed then return end
 		local values = {read.software_bus(s, at + 1)}
@@ -3069,6 +3080,9 @@ local function space_packet(start)
 	if not take(L.ccsds, start) then return end
 	local version, kind, secondary, apid, flags, count, data_length = read.ccsds(s, start + 1)
 	local msg_id = version * 8192 + kind * 4096 + secondary * 2048 + apid
+	if settings.second then  -- the low byte of the subsystem, where it is there
+		msg_id = (s:byte(start + HEADER + 2) or 0) * 256 + kind * 128 + apid % 128
+	end
 	local extra = settings.extra
 	local is_command, total = kind == 1, data_length + LENGTH_BIAS
 	local after, link = start + HEADER, work.link
@@ -3282,6 +3296,9 @@ edoras.prefs.extended_header = Pref.bool(
 edoras.prefs.short_telemetry_header = Pref.bool(
 	"12-byte telemetry header", D.telemetry_header == 12, "Older cFE builds: no spare in the telemetry header"
 )
+edoras.prefs.msg_ids_of_version_2 = Pref.bool(
+	"MsgIds of version 2", D.msg_id_version == 2, "cFE builds MsgIds with the extended header's subsystem"
+)
 
 local registered = {}
 
@@ -3299,7 +3316,7 @@ local function register_ports()
 		if other then udp:add(port, other) end
 	end
 	for port in pairs(registered) do udp:add(port, edoras) end
-	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header)
+	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header, edoras.prefs.msg_ids_of_version_2)
 end
 
 function edoras.prefs_changed()
@@ -3329,7 +3346,7 @@ end
 local function said_of(known)
 	if not known then return W.stop or format("%d bytes", #W.s) end
 	if W.code then
-		local command = D.commands[W.msg_id] and known.commands[W.code]
+		local command = D.commands[known_id(W.msg_id)] and known.commands[W.code]
 		return format("function code %d", W.code) .. (command and " " .. command.name or "")
 	end
 	return W.bare and "header only" or known.name or ""

@@ -104,6 +104,7 @@ class Knowledge:
             ``engine/cdr.lua`` reads.
         extended_header: packets carry cFE's extended header.
         telemetry_header: 16 or 12.
+        msg_id_version: how MsgIds are built, 1 or 2; 2 has the extended header.
         note: what the head of the file says of where the routes are from.
     """
 
@@ -119,6 +120,7 @@ class Knowledge:
     types: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     extended_header: bool = False
     telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES
+    msg_id_version: int = 1
     note: str = ""
 
 
@@ -231,6 +233,7 @@ def _data(knowledge: Knowledge) -> str:
         "types": dict(knowledge.types),
         "extended_header": knowledge.extended_header,
         "telemetry_header": knowledge.telemetry_header,
+        "msg_id_version": knowledge.msg_id_version,
     }
     return "local D = {}\n" + "".join(f"D.{name} = {literal(value)}\n" for name, value in data.items())
 

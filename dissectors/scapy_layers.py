@@ -26,6 +26,7 @@ from edoras_tools.dissectors.scapy_fields import fields, put
 from edoras_tools.links import table
 from edoras_tools.wire import ccsds, cdr, cfe, sbn
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect
+from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -60,6 +61,7 @@ class Knowledge:
     extended_header: bool = False
     telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES
     envelope: EnvelopeFormat | None = DEFAULT
+    msg_ids: MsgIds = VERSION_1
 
 
 _known = Knowledge()
@@ -72,6 +74,7 @@ def use(
     extended_header: bool = False,
     telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES,
     envelope: EnvelopeFormat | None = DEFAULT,
+    msg_ids: MsgIds = VERSION_1,
 ) -> None:
     """Tell the layers what a mission knows.
 
@@ -81,9 +84,10 @@ def use(
         extended_header: packets carry cFE's extended header.
         telemetry_header: 16, or 12 in older builds.
         envelope: of all routes; None where the bytes shall tell.
+        msg_ids: how MsgIds are built. Version 2 needs the extended header: ``subsystem_id`` is part of them.
     """
     global _known  # noqa: PLW0603  scapy's layers are classes of the process: so is what they know
-    _known = Knowledge(routes, types, extended_header, telemetry_header, envelope)
+    _known = Knowledge(routes, types, extended_header, telemetry_header, envelope, msg_ids)
 
 
 _WORD: Final = 2
@@ -91,14 +95,14 @@ _WORD: Final = 2
 
 
 class SpacePacket(Packet):  # type: ignore[misc]
-    """CCSDS space packet; ``msg_id`` sets or tells its first word, as cFE names packets."""
+    """CCSDS space packet; ``msg_id`` sets its first word, or tells how cFE names the packet."""
 
     name = ccsds.PRIMARY.title
     fields_desc = fields(ccsds.PRIMARY, sequence_flags=ccsds.UNSEGMENTED, packet_data_length=None)
 
     def __init__(self, *args: Any, msg_id: int | None = None, **values: Any) -> None:
         if msg_id is not None:
-            word = msg_id.to_bytes(_WORD, ccsds.PRIMARY.byte_order)
+            word = _known.msg_ids.words(msg_id)[0].to_bytes(_WORD, ccsds.PRIMARY.byte_order)
             first = [slot for slot in ccsds.PRIMARY.slots if slot.end <= _WORD]
             values = {slot.field.name: ccsds.PRIMARY.read(slot, word) for slot in first} | values
         super().__init__(*args, **values)
@@ -106,9 +110,14 @@ class SpacePacket(Packet):  # type: ignore[misc]
     @property
     def msg_id(self) -> int:
         """The MsgId by which cFE knows the packet."""
-        return ccsds.msg_id(
-            {slot.field.name: self.getfieldval(slot.field.name) for slot in ccsds.PRIMARY.slots}
-        )
+        return self.msg_id_with(self.getlayer(ExtendedHeader))
+
+    def msg_id_with(self, extended: ExtendedHeader | None) -> int:
+        """Return the MsgId of the packet with an extended header, which need not be in it yet."""
+        fields = {slot.field.name: self.getfieldval(slot.field.name) for slot in ccsds.PRIMARY.slots}
+        subsystem = extended.subsystem_id & 0xFF if extended is not None else 0
+        head = ccsds.msg_id(fields).to_bytes(_WORD, ccsds.PRIMARY.byte_order)
+        return _known.msg_ids.of(head.ljust(MSG_ID_BYTES - 1, b"\0") + bytes([subsystem]))
 
     def post_build(self, header: bytes, payload: bytes) -> bytes:
         """Fill in the length, and the checksum of a command."""
@@ -165,10 +174,11 @@ class _Secondary(Packet):  # type: ignore[misc]
 
     def guess_payload_class(self, payload: bytes) -> type[Packet]:
         """Choose an event, housekeeping, or an envelope."""
-        packet = self.underlayer
+        packet, extended = self.underlayer, None
         while packet is not None and not isinstance(packet, SpacePacket):
+            extended = packet if isinstance(packet, ExtendedHeader) else extended
             packet = packet.underlayer
-        msg_id = packet.msg_id if packet is not None else -1
+        msg_id = packet.msg_id_with(extended) if packet is not None else -1
         if msg_id in _known.routes:
             chosen = _known.envelope or detect(payload) or DEFAULT
             return ENVELOPES[chosen] if len(payload) >= chosen.size else Raw
@@ -176,7 +186,7 @@ class _Secondary(Packet):  # type: ignore[misc]
             (cfe.EVENT_MSG_ID, Event, cfe.EVENT),
             (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, SoftwareBusHousekeeping, cfe.SOFTWARE_BUS_HOUSEKEEPING),
         ):
-            if msg_id == known and len(payload) >= layout.size:
+            if msg_id == _known.msg_ids.of_known(known) and len(payload) >= layout.size:
                 return layer
         found = None if _known.routes else detect(payload)
         return ENVELOPES[found] if found else Raw

@@ -11,6 +11,9 @@ edoras.prefs.extended_header = Pref.bool(
 edoras.prefs.short_telemetry_header = Pref.bool(
 	"12-byte telemetry header", D.telemetry_header == 12, "Older cFE builds: no spare in the telemetry header"
 )
+edoras.prefs.msg_ids_of_version_2 = Pref.bool(
+	"MsgIds of version 2", D.msg_id_version == 2, "cFE builds MsgIds with the extended header's subsystem"
+)
 
 local registered = {}
 
@@ -28,7 +31,7 @@ local function register_ports()
 		if other then udp:add(port, other) end
 	end
 	for port in pairs(registered) do udp:add(port, edoras) end
-	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header)
+	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header, edoras.prefs.msg_ids_of_version_2)
 end
 
 function edoras.prefs_changed()
@@ -58,7 +61,7 @@ end
 local function said_of(known)
 	if not known then return W.stop or format("%d bytes", #W.s) end
 	if W.code then
-		local command = D.commands[W.msg_id] and known.commands[W.code]
+		local command = D.commands[known_id(W.msg_id)] and known.commands[W.code]
 		return format("function code %d", W.code) .. (command and " " .. command.name or "")
 	end
 	return W.bare and "header only" or known.name or ""

@@ -2,9 +2,12 @@
 
 local routes = D.routes
 local settings = {}
+local known_of = {}
 
--- Take what the preferences say of the headers; all the rest follows from it.
-local function settle(extended, short)
+-- Take what the preferences say of the headers and MsgIds; all the rest follows from it.
+local function settle(extended, short, second)
+	extended, settings.second = extended or second, second
+	for _, link in ipairs(D.links) do known_of[link.label] = {} end
 	local telemetry = extended and "telemetry_extended" or short and "telemetry_short" or "telemetry"
 	settings.extra = extended and L.extended.size or 0
 	settings.command = extended and L.command_extended or L.command
@@ -12,7 +15,9 @@ local function settle(extended, short)
 	settings.command_header = L.ccsds.size + settings.extra + settings.command.size
 	settings.telemetry_header = L.ccsds.size + settings.extra + settings.telemetry.size
 end
-settle(D.extended_header, D.telemetry_header == L.ccsds.size + L.telemetry_short.size)
+settle(
+	D.extended_header, D.telemetry_header == L.ccsds.size + L.telemetry_short.size, D.msg_id_version == 2
+)
 for _, form in ipairs(D.formats) do
 	form.read = read[format("envelope_%d_%s", form.width, form.little and "little" or "big")]
 	form.size = 2 * form.width
@@ -22,20 +27,25 @@ for _, route in ipairs(routes) do
 	route.kind = D.types[route.type]
 end
 
--- What is known of a MsgId on a link: its name, the routes that may claim it, its commands.
-local function look_up(link, msg_id)
-	local exact, any_link = D.exact[link], D.any_link[msg_id]
-	local commands = D.commands[msg_id]
-	if not commands and any_link and msg_id % 8192 >= 4096 then commands = D.route_commands end
-	return {
-		claims = exact and exact[msg_id] or any_link, commands = commands,
-		name = D.msg_id_names[msg_id], topic = any_link and routes[any_link[1]].topic or "",
-		unknown = not D.msg_id_names[msg_id] and not any_link, heads = {},
-	}
+-- The MsgId of version 1 that the names and commands of cFE have, of one of version 2.
+local function known_id(msg_id)
+	if not settings.second then return msg_id end
+	local above, low = math.floor(msg_id / 256), msg_id % 256
+	local command, apid = math.floor(low / 128), low % 128
+	return math.floor(above / 32) * 8192 + command * 4096 + (above + 16) % 32 * 128 + apid
 end
 
-local known_of = {}
-for _, link in ipairs(D.links) do known_of[link.label] = {} end
+-- What is known of a MsgId on a link: its name, the routes that may claim it, its commands.
+local function look_up(link, msg_id)
+	local exact, any_link, id = D.exact[link], D.any_link[msg_id], known_id(msg_id)
+	local commands, name = D.commands[id], D.msg_id_names[id]
+	if not commands and any_link and id % 8192 >= 4096 then commands = D.route_commands end
+	return {
+		claims = exact and exact[msg_id] or any_link, commands = commands,
+		name = name, topic = any_link and routes[any_link[1]].topic or "",
+		unknown = not name and not any_link, heads = {},
+	}
+end
 
 local function about(link, msg_id)
 	local known = known_of[link][msg_id]
@@ -180,12 +190,12 @@ local function payload(msg_id, start, header, code)
 		W.route = routes[claims[1]]
 		if has("length_mismatch") then return truncated("edoras", at, 1) end
 		if code ~= 0 then note("header_only") end
-	elseif msg_id == D.msg_id.event and #s - at >= L.event.size then
+	elseif known_id(msg_id) == D.msg_id.event and #s - at >= L.event.size then
 		add_layer(L.event, at)
 		if not W.listed then return end
 		local id, _, _, _, app, message = read.event(s, at + 1)
 		W.summary = format("%s %d: %s", utf8_text(app), id, utf8_text(message))
-	elseif msg_id == D.msg_id.software_bus and #s - at >= L.software_bus.size then
+	elseif known_id(msg_id) == D.msg_id.software_bus and #s - at >= L.software_bus.size then
 		add_layer(L.software_bus, at)
 		if not W.listed then return end
 		local values = {read.software_bus(s, at + 1)}
@@ -204,6 +214,9 @@ local function space_packet(start)
 	if not take(L.ccsds, start) then return end
 	local version, kind, secondary, apid, flags, count, data_length = read.ccsds(s, start + 1)
 	local msg_id = version * 8192 + kind * 4096 + secondary * 2048 + apid
+	if settings.second then  -- the low byte of the subsystem, where it is there
+		msg_id = (s:byte(start + HEADER + 2) or 0) * 256 + kind * 128 + apid % 128
+	end
 	local extra = settings.extra
 	local is_command, total = kind == 1, data_length + LENGTH_BIAS
 	local after, link = start + HEADER, work.link

@@ -108,7 +108,9 @@ class SimProfile:
         housekeeping_ns: period of the housekeeping requests.
         wakeup_ns: period of the wake-up that the two-robot application sends its commands on.
         generator_msg_id: MsgId of the telemetry generator's commands; 0 where there is no generator.
-        extended_header: whether cFE is built with the extended header; MsgIds are the first word also then.
+        extended_header: whether cFE is built with the extended header.
+        msg_id_version: how its MsgIds are built: 1, or 2, which needs the extended header. MsgIds of this
+            profile are those of version 1 also then; ``wire.msg_id`` says what they are on the links.
         boot_ns: from the start of the processor until all applications run.
         app_start_ns: from the start of an application until it runs.
         app_kill_ns: how long an application may take to end that is told to.
@@ -129,6 +131,7 @@ class SimProfile:
 
     generator_msg_id: int = GENERATOR_MSG_ID
     extended_header: bool = False
+    msg_id_version: int = 1
 
     ci_port: int = 1234
     ci_buffer: int = 768

@@ -229,7 +229,7 @@ def _predict(settings: Settings, profile: SimProfile, scope: Scope, *, json: boo
     chosen = scope.selection.over(bench)
     budgets = [
         item
-        for item in predict(bench.mission, bench.types, profile)
+        for item in predict(bench.mission, bench.types, profile, bench.columns.context.headers)
         if chosen.about(item.route.link.label, item.route.msg_id, bench.mission)
     ]
     if json:

@@ -435,6 +435,12 @@ class DecodingOptions(NamedTuple):
             metavar="BYTES", help="cFE telemetry header: 16, or 12 in older builds. Default: detected."
         ),
     ] = None
+    msg_id_version: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="How cFE builds MsgIds: 1, or 2, with the extended header alone. Default: 1."
+        ),
+    ] = None
     structs: Annotated[
         list[Path] | None,
         typer.Option(
@@ -452,6 +458,7 @@ class DecodingOptions(NamedTuple):
         options = Options(
             extended_header=self.extended_header,
             telemetry_header=self.telemetry_header,
+            msg_id_version=self.msg_id_version,
             envelope=self.envelope,
             ports=tuple(self.port or ()),
         )

@@ -103,6 +103,13 @@ class PartOptions(NamedTuple):
 class ChangeOptions(NamedTuple):
     """What is changed in the packets."""
 
+    write_headers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BUILD",
+            help="Send packets with the headers of another cFE: 16, 12, extended or extended-v2.",
+        ),
+    ] = None
     remap: Annotated[
         list[Any] | None,
         typer.Option(metavar="A:=B", parser=pair, help="Send MsgId, topic or key A as B; repeatable."),
@@ -133,6 +140,7 @@ def replay(
     from edoras_tools.pipelines.sending import replay as pipeline
     from edoras_tools.pipelines.sending.options import Receiver
     from edoras_tools.pipelines.sending.run import Transmission
+    from edoras_tools.wire.cfe import STANDARD
 
     settings = decoding.settings()
     send_options, faults = how.send_options(), how.faults.plan()
@@ -164,7 +172,16 @@ def replay(
         bench = settings.workbench(recording.info)
         send_options = send_options.placed(bench.mission)
         loaded = pipeline.load_datagrams(recording, bench, send_options, choice)
-    names = pipeline.remapped(pairs, bench.mission, extended=bool(settings.options.extended_header))
-    changes = pipeline.changes_for(send_options, names, bench.mission, bench.types, restamp=change.restamp)
+    headers = pipeline.headers_named(change.write_headers) if change.write_headers else None
+    read_as = bench.columns.context.options.headers
+    extended = (headers or read_as or STANDARD).extended
+    target = headers.msg_ids if headers else None
+    names = pipeline.remapped(pairs, bench.mission, extended=extended, target=target)
+    changes = pipeline.changes_for(
+        send_options, names, bench.mission, bench.types, restamp=change.restamp, headers=headers
+    )
+    if headers is not None:
+        loaded, bench = loaded.numbered(bench.mission.msg_ids, headers.msg_ids), bench.with_headers(headers)
+        send_options = replace(send_options, headers=headers)
     transmission = Transmission.of(loaded, send_options, bench.mission, changes)
     sending.carry_out(transmission, bench, faults, ending, inputs=(source.file,))

@@ -34,7 +34,7 @@ PATHS: Final = ("config", "msg-path", "structs")
 """Options whose values are paths, relative to the folder of the file."""
 SETTABLE: Final = (
     *PATHS,
-    *("distro", "port", "envelope", "extended-header", "telemetry-header", "set"),
+    *("distro", "port", "envelope", "extended-header", "telemetry-header", "msg-id-version", "set"),
     *("ros", "domain", "ros-option", "tolerance", "max-loss", "quiet", "verbose", "color"),
 )
 """Names of the options that a file can set."""

@@ -51,6 +51,10 @@ class FlightOptions(NamedTuple):
     extended_header: Annotated[
         bool, typer.Option("--extended-header", help="A cFE built with the extended header.")
     ] = False
+    msg_id_version: Annotated[
+        int,
+        typer.Option(metavar="N", min=1, max=2, help="How it builds MsgIds; 2 has the extended header."),
+    ] = 1
 
 
 @options.grouped
@@ -76,6 +80,7 @@ def sim(
 
     from edoras_tools.cfs.profile import TO_TABLE, SimProfile
     from edoras_tools.emulator import Simulation, serve
+    from edoras_tools.emulator.messages import bus_id
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.interrupt import on_interrupt
 
@@ -93,11 +98,13 @@ def sim(
         to_limits=limits,
         msg_max=flight.msg_max,
         extended_header=flight.extended_header,
-        generator_msg_id=profile.generator_msg_id if flight.generator is None else flight.generator,
+        msg_id_version=flight.msg_id_version,
         address=address,
         sbn_peers=peers,
         sbn_says_start=True,
     )
+    if flight.generator is not None:
+        profile = replace(profile, generator_msg_id=bus_id(flight.generator, profile))
     simulation = Simulation(
         profile, scenario.value, start_ns=time_ns(), bridges=bridges, command_rate_hz=rate, state_rate_hz=rate
     )

@@ -128,7 +128,7 @@ class StepOptions(NamedTuple):
             self.limit,
             self.watch,
             self.duration or 60 * SECOND,
-            self.generator or GENERATOR_MSG_ID,
+            self.generator or send_options.headers.msg_ids.of_known(GENERATOR_MSG_ID),
         )
 
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from edoras_tools.mission import Mission, Route
+    from edoras_tools.wire.msg_id import MsgIds
 
 MSGIDS: Final = "edoras_mission/msgids.h"
 _PACKETS_FILE: Final = "edoras_mission/packets.h"
@@ -29,7 +30,7 @@ def side_files(mission: Mission, command: str) -> dict[str, str]:
     routes = _named(mission.routes)
     return {
         MSGIDS: _msgids(routes, command),
-        _PACKETS_FILE: _packets(routes, command),
+        _PACKETS_FILE: _packets(routes, command, mission.msg_ids),
         _SUBSCRIPTIONS_FILE: _subscriptions(routes, command),
     }
 
@@ -71,11 +72,12 @@ def _about(route: Route) -> str:
     return comment(f"{way}: {route.topic}, {route.type}")
 
 
-def _packets(routes: dict[str, Route], command: str) -> str:
+def _packets(routes: dict[str, Route], command: str, msg_ids: MsgIds) -> str:
     body = f'#include "cfe.h"\n#include "{MSGIDS}"\n#include "{UMBRELLA}"\n'
     for name, route in routes.items():
         if not route.to_cfs:
-            kind, head = ("Command", "CmdHeader") if route.msg_id & 0x1000 else ("Telemetry", "TlmHeader")
+            command_sent = msg_ids.is_command(route.msg_id)
+            kind, head = ("Command", "CmdHeader") if command_sent else ("Telemetry", "TlmHeader")
             body += f"""
 /** 0x{route.msg_id:04X}, {_about(route)} */
 typedef struct

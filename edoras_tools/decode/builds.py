@@ -6,6 +6,8 @@
    has the first of these headers that explains it: what it carries is known to start behind them. Where none
    does it has the first with which an app may accept it.
 
+3. MsgIds are of version 1 where anything is detected: version 2 is never told from the bytes.
+
 A conversation is known by 16 bits of a hash, as is everything that is asked for each datagram.
 """
 
@@ -18,6 +20,7 @@ import numpy as np
 
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
+from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import gather
 
@@ -51,11 +54,11 @@ class Fitting:
         self._commands = commands
         self._head = head
         self._length = length
-        self._msg_id = msg_ids(head)
+        self._msg_id = VERSION_1.column(head, length)
 
     def by(self, headers: cfe.Headers) -> NDArray[np.bool_]:
         """Return which of them some headers explain."""
-        command = (self._msg_id & cfe.COMMAND_BIT) != 0
+        command = VERSION_1.is_command(self._msg_id)
         out = np.zeros(len(command), bool)
         rows = np.flatnonzero(command & (self._length >= headers.command_bytes))
         out[rows] = self._payload_fits(rows, headers.command_bytes) | self._taken(rows, headers)
@@ -66,9 +69,7 @@ class Fitting:
 
     def allowed(self, headers: cfe.Headers) -> NDArray[np.bool_]:
         """Return which of them are commands that an app may accept, if they have these headers."""
-        rows = np.flatnonzero(
-            ((self._msg_id & cfe.COMMAND_BIT) != 0) & (self._length >= headers.command_bytes)
-        )
+        rows = np.flatnonzero(VERSION_1.is_command(self._msg_id) & (self._length >= headers.command_bytes))
         unknown, misfit = self._commands.judge(*self._command(rows, headers))
         out = np.zeros(len(self._msg_id), bool)
         out[rows] = ~unknown & ~misfit
@@ -108,7 +109,7 @@ class Fitting:
                 name = head[members, at : at + 4]
                 exact = (length[members] >= cfe.EVENT.size - 2) & (length[members] <= cfe.EVENT.size)
                 fits[members] = exact & (name >= ord(" ")).all(axis=1) & (name < 127).all(axis=1)
-            elif structs.has[value] and not value & cfe.COMMAND_BIT:
+            elif structs.has[value] and not VERSION_1.is_command(value):
                 for size, some in by_value(length[members]):
                     bound = structs.find(value, None, size)
                     fits[members[some]] = bound is not None and bool(bound.fits(size))
@@ -140,7 +141,7 @@ class Builds:
         Args:
             usual: the headers of the source as a whole.
             places: of conversations, see ``conversations``.
-            found: u8, the headers of each, a bit for each of ``cfe.HEADERS``; 0 where none was found.
+            found: u8, the headers of each, a bit for each of ``cfe.TOLD``; 0 where none was found.
         """
         self.usual = cfe.HEADERS.index(usual)
         self._found[places] = found
@@ -180,14 +181,9 @@ class Builds:
         """Return the first of the headers of each packet's conversation that explains it, else allows it."""
         out, fitting = np.full(len(found), self.usual, np.uint8), Fitting(*self._known, head, length)
         for fits in (fitting.allowed, fitting.by):
-            for number, headers in reversed(list(enumerate(cfe.HEADERS))):
+            for number, headers in reversed(list(enumerate(cfe.TOLD))):
                 out[fits(headers) & ((found >> number & 1) != 0)] = number
         return out
-
-
-def msg_ids(head: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """Return the MsgId of each packet from its first bytes."""
-    return head[:, 0].astype(np.int32) << 8 | head[:, 1]
 
 
 def conversations(batch: PacketBatch) -> NDArray[np.intp]:

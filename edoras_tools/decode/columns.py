@@ -173,10 +173,10 @@ class _Pass:
         offset = self.batch.offset + start
         head = gather(self.batch.data, offset, _PACKET_WINDOW)
         total = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int32) + ccsds.LENGTH_BIAS
-        word = head[:, :2].view(">u2")[:, 0].astype(np.int32)
         sequence = head[:, 2:4].view(">u2")[:, 0].astype(np.uint16)
-        command = (word & cfe.COMMAND_BIT) != 0
-        msg_id = word
+        msg_ids = self.context.msg_ids
+        msg_id = msg_ids.column(head, length)
+        command = msg_ids.is_command(msg_id)
         link = self.out["link"]
         valid = (msg_id > 0) & (msg_id <= cfe.HIGHEST_MSG_ID)
         against = self.context.against[command.view(np.uint8), link]

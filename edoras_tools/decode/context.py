@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.ros import TypeStore
+    from edoras_tools.wire.msg_id import MsgIds
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +40,7 @@ class Options:
         extended_header: packets have cFE's extended header; None to detect it.
         telemetry_header: bytes of the telemetry header, primary header included: 16, or 12 in older builds;
             None to detect it.
+        msg_id_version: how MsgIds are built: 1, or 2, which needs the extended header; None is 1.
         envelope: format of every route that names none: ``8/8`` and the like, ``auto`` where each packet may
             have its own; None to detect it from the first packets of each route.
         ports: further UDP ports by link.
@@ -47,6 +49,7 @@ class Options:
 
     extended_header: bool | None = None
     telemetry_header: int | None = None
+    msg_id_version: int | None = None
     envelope: str | None = None
     ports: tuple[tuple[Link, int], ...] = ()
     listened: tuple[int, ...] = ()
@@ -55,8 +58,12 @@ class Options:
         """Check once.
 
         Raises:
-            ConfigError: the envelope or the header length is not known.
+            ConfigError: the envelope, the header length or the version of MsgIds is not known.
         """
+        if self.msg_id_version not in {None, 1, 2}:
+            raise ConfigError(f"MsgIds of version {self.msg_id_version} are not known; there are 1 and 2")
+        if self.msg_id_version == 2 and (self.extended_header is False or self.telemetry_header == 12):
+            raise ConfigError("MsgIds of version 2 need the extended header: name no other one")
         if self.telemetry_header not in {None, 12, 16}:
             raise ConfigError(
                 f"telemetry header of {self.telemetry_header} bytes is not known; there are 12 and 16"
@@ -67,11 +74,18 @@ class Options:
     @property
     def headers(self) -> cfe.Headers | None:
         """The headers of the options; None to detect them."""
+        if self.msg_id_version == 2:
+            return cfe.WITH_EXTENDED_2
         if self.extended_header:
             return cfe.WITH_EXTENDED
         if self.telemetry_header == cfe.SHORT.telemetry_bytes:
             return cfe.SHORT
         return None if self.extended_header is self.telemetry_header is None else cfe.STANDARD
+
+    @property
+    def msg_ids(self) -> MsgIds:
+        """How MsgIds are built; never detected."""
+        return (self.headers or cfe.STANDARD).msg_ids
 
     def described(self) -> dict[str, str]:
         """Return what was named, in the words of a recording; :meth:`over` reads them."""
@@ -84,15 +98,22 @@ class Options:
             said["listened"] = " ".join(map(str, self.listened))
         return said
 
+    def with_headers(self, headers: cfe.Headers) -> Options:
+        """Return these options with the headers of a build."""
+        return replace(
+            self,
+            extended_header=headers.extended,
+            telemetry_header=headers.telemetry_bytes,
+            msg_id_version=headers.msg_ids.version,
+        )
+
     def over(self, recorded: Mapping[str, str]) -> Options:
         """Return these options, and where they name nothing those that a recording was made with."""
         kinds = {item.name: item for item in cfe.HEADERS}
         headers = kinds.get(recorded.get("headers", "")) if self.headers is None else None
         chosen = self
         if headers is not None:
-            chosen = replace(
-                chosen, extended_header=headers.extended, telemetry_header=headers.telemetry_bytes
-            )
+            chosen = chosen.with_headers(headers)
         if self.envelope is None and recorded.get("envelope"):
             chosen = replace(chosen, envelope=recorded["envelope"])
         links = {link.label: link for link in table.links()}
@@ -132,6 +153,7 @@ class Context:
         any_route_of: i16 (65536,), a route of any link by MsgId: what a packet seen on another link carries.
         known: bool (65536,), MsgIds that cFE or the mission names.
         headers: those behind the primary header; :mod:`edoras_tools.decode.variants` may change them.
+        msg_ids: how MsgIds are built; never detected.
         builds: the headers of conversations that have others.
         envelopes: the envelope format of each route, None where each packet has its own.
         unrouted: the envelope format of telemetry and of commands that no route claims.
@@ -151,7 +173,11 @@ class Context:
         self.mission = mission or Mission()
         self.types = types
         self.options = options or Options()
-        self.structs = (structs or shipped_structs()).unclaimed(route.msg_id for route in self.mission.routes)
+        self.headers = self.options.headers or cfe.STANDARD
+        self.msg_ids = self.options.msg_ids
+        self.structs = (structs or shipped_structs(self.msg_ids)).unclaimed(
+            route.msg_id for route in self.mission.routes
+        )
         self.peers = Peers()
         self.links = table.links()
         self.ports = self._ports()
@@ -184,13 +210,12 @@ class Context:
         self.route_of: NDArray[np.int16] = np.full((len(routed) + 1, 65536), NO_ROUTE, np.int16)
         self.any_route_of: NDArray[np.int16] = np.full(65536, NO_ROUTE, np.int16)
         self.known = np.zeros(65536, bool)
-        self.known[list(names.MSG_ID_NAMES)] = True
+        self.known[[self.msg_ids.of_known(item) for item in names.MSG_ID_NAMES]] = True
         self.known |= self.structs.has[: len(self.known)]
         for index, route in reversed(list(enumerate(self.mission.routes))):
             self.route_of[self.route_row[route.link], route.msg_id] = index
             self.any_route_of[route.msg_id] = index
             self.known[route.msg_id] = True
-        self.headers = self.options.headers or cfe.STANDARD
         usual = "" if self.options.envelope == "auto" else self.options.envelope
         self.unrouted = [EnvelopeFormat.named(usual) if usual else DEFAULT] * 2
         self.notes: list[str] = []
@@ -198,7 +223,8 @@ class Context:
         self.described = self.options.described()
         chosen = [route.envelope or self.options.envelope or str(DEFAULT) for route in self.mission.routes]
         self.envelopes = [None if text == "auto" else EnvelopeFormat.named(text) for text in chosen]
-        named = {*names.COMMANDS, *(route.msg_id for route in self.mission.routes)}
+        apps = map(self.msg_ids.of_known, names.COMMANDS)
+        named = {*apps, *(route.msg_id for route in self.mission.routes)}
         self.command_table = CommandTable(
             {msg_id: commands for msg_id in named if (commands := self.commands(msg_id)) is not None}
         )
@@ -223,13 +249,14 @@ class Context:
         """Return how packets of a MsgId are called: cFE's name, else a route's topic or a struct's name."""
         route = int(self.any_route_of[msg_id])
         topic = self.mission.routes[route].topic if route != NO_ROUTE else ""
-        return names.message_name(msg_id) or topic or self.structs.name(msg_id)
+        return names.message_name(self.msg_ids.known(msg_id)) or topic or self.structs.name(msg_id)
 
     def commands(self, msg_id: int) -> Mapping[int, names.Command] | None:
         """Return the function codes a command MsgId's app takes, or None where that is not known."""
-        if msg_id in names.COMMANDS:
-            return names.COMMANDS[msg_id]
-        if self.any_route_of[msg_id] != NO_ROUTE and cfe.is_command(msg_id):
+        known = self.msg_ids.known(msg_id)
+        if known in names.COMMANDS:
+            return names.COMMANDS[known]
+        if self.any_route_of[msg_id] != NO_ROUTE and self.msg_ids.is_command(msg_id):
             return names.ROUTE_COMMANDS
         return None
 

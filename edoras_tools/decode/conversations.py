@@ -27,6 +27,7 @@ import numpy as np
 from edoras_tools.links import table
 from edoras_tools.model import OTHER, Endpoint, Finding, Link
 from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.order import numbered
 from edoras_tools.wire.window import gather
 
@@ -258,7 +259,8 @@ def _marks(
 ) -> dict[str, NDArray[np.bool_]]:
     """Return what each of some datagrams looks like, by the names of ``Flow``."""
     msg_id, findings = columns.msg_id[rows], columns.findings[rows]
-    begins = (msg_id >= 0) & ((msg_id & _BEGINNING[0]) == _BEGINNING[1])
+    first = cfe.known_ids(msg_id, columns.headers[rows])
+    begins = (msg_id >= 0) & ((first & _BEGINNING[0]) == _BEGINNING[1])
     mismatched = (findings & np.uint32(Finding.LENGTH_MISMATCH)) != 0
     sound = begins & (~mismatched | known[msg_id])
     peer = columns.sbn_msg_type[rows] >= 0
@@ -281,7 +283,7 @@ def _alike(batch: PacketBatch, rows: NDArray[np.intp]) -> dict[str, NDArray[np.b
     word = head[:, 0].astype(np.int32) << 8 | head[:, 1]
     total = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int64) + ccsds.LENGTH_BIAS
     agrees = (have >= ccsds.PRIMARY.size) & ((word & _BEGINNING[0]) == _BEGINNING[1]) & (total == length)
-    command = (word & cfe.COMMAND_BIT) != 0
+    command = VERSION_1.is_command(word)
     size = sbn.HEADER.column("msg_size", head).astype(np.int64)
     fits = (have >= sbn.HEADER.size) & (size == length - sbn.HEADER.size)
     fits |= (have >= sbn.LEGACY_HEADER.size) & (size == length - sbn.LEGACY_HEADER.size)

@@ -30,7 +30,7 @@ _LAYERS: Final = {
     cfe.EVENT_MSG_ID: cfe.EVENT,
     cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
 }
-"""Packets whose layer has a text of its own."""
+"""Packets whose layer has a text of its own, by MsgId of version 1."""
 
 
 class PacketLine(NamedTuple):
@@ -137,7 +137,7 @@ def _content(decoded: Decoded) -> _Content:
     if packet := decoded.layer("ccsds"):
         shown = packet.fields[0]  # the dissection puts the MsgId in front
         msg_id, name = shown.value, shown.text.partition(" ")[2]
-        kind = kind or ("cmd" if cfe.is_command(msg_id) else "tlm")
+        kind = kind or ("cmd" if packet.values()["packet_type"] else "tlm")
     if decoded.message and (not name or decoded.layer("edoras")):
         name = decoded.message.topic  # of a C struct the packet's name says as much, and is shorter
     return _Content(kind, msg_id, name, decoded.summary or (str(decoded.stop) if decoded.stop else ""))
@@ -167,13 +167,15 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
             if routed[row] or not name:
                 name = topic
         else:
-            text = packet_text(value, codes[row] if value & cfe.COMMAND_BIT else None)
+            code = codes[row] if context.msg_ids.is_command(value) else None
+            text = packet_text(context.msg_ids.known(value), code)
         out[row] = _Content(kinds[row], value, name, text)
     return out
 
 
 def _kinds(rows: ColumnRows) -> list[str]:
-    kinds: list[str] = np.where((rows.column("msg_id") & cfe.COMMAND_BIT) != 0, "cmd", "tlm").tolist()
+    command = rows.context.msg_ids.is_command(rows.column("msg_id"))
+    kinds: list[str] = np.where(command, "cmd", "tlm").tolist()
     peers = rows.column("sbn_msg_type")
     for value, members in by_value(peers):
         if value >= 0:
@@ -192,7 +194,7 @@ def _messages(
     """
     routes = rows.routes()
     for owner, topic, _, messages, plan, bound in message_rows(rows, easy.copy()):
-        layer = _LAYERS.get(bound.key.msg_id) if bound else None
+        layer = _LAYERS.get(rows.context.msg_ids.known(bound.key.msg_id)) if bound else None
         plain = messages.valid
         if bound:
             plain = plain & (routes[owner] == NO_ROUTE)

@@ -30,7 +30,7 @@ from edoras_tools.structs.packets import OWN_LAYERS
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION, ROUNDED
 from edoras_tools.wire.envelope import DEFAULT, detect
-from edoras_tools.wire.packet import length_of, msg_id_of
+from edoras_tools.wire.packet import length_of
 
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
@@ -62,7 +62,7 @@ class Dissector:
         if Finding.CAPTURE_CUT in findings:
             findings &= ~UNKNOWABLE
         decoded = Decoded(datagram, link, tuple(work.layers), findings, work.message, stop)
-        return summarise(decoded)
+        return summarise(decoded, self.context.msg_ids)
 
 
 class _Dissection(Reading):
@@ -95,7 +95,8 @@ class _Dissection(Reading):
             self.truncated("ccsds", start, ccsds.PRIMARY.size)
         packet = data[start:]
         headers = self.headers = self.context.builds.of_packet(self.datagram, packet)
-        msg_id = msg_id_of(packet)
+        msg_ids = self.context.msg_ids
+        msg_id = msg_ids.of(packet)
         name = self.context.name(msg_id)
         self.read(
             ccsds.PRIMARY,
@@ -107,12 +108,12 @@ class _Dissection(Reading):
                     start,
                     start + 2,
                     f"0x{msg_id:04x} {name}".strip(),
-                    "cFE's key: the first word",
+                    "cFE's key: the first word" + ", or of version 2",
                 ),
             ),
         )
         total = length_of(packet)
-        command = cfe.is_command(msg_id)
+        command = msg_ids.is_command(msg_id)
         if total != length:
             self.findings |= Finding.LENGTH_MISMATCH
         if data[start + 2 : start + 4] == b"\0\0":
@@ -179,7 +180,7 @@ class _Dissection(Reading):
                 (cfe.EVENT_MSG_ID, cfe.EVENT),
                 (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING),
             ):
-                if msg_id == known and len(self.data) - at >= layout.size:
+                if self.context.msg_ids.known(msg_id) == known and len(self.data) - at >= layout.size:
                     self.read(layout, at)
             self._packet_struct(msg_id, start, header, code)
             return

@@ -14,6 +14,7 @@ from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.ros.cdr.plan import Repeat
 from edoras_tools.ros.types.schema import PLACEHOLDER
 from edoras_tools.wire import cfe
+from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Decoded
     from edoras_tools.ros.cdr.columns import MessageColumns
     from edoras_tools.ros.cdr.plan import CdrPlan
+    from edoras_tools.wire.msg_id import MsgIds
 
     Column: TypeAlias = "NDArray[Any] | Ragged | Group"
 
@@ -38,12 +40,12 @@ _MOST_FIELDS: Final = 8
 _MOST_ITEMS: Final = 3
 
 
-def summarise(decoded: Decoded) -> Decoded:
-    """Return the value with its summary."""
-    return replace(decoded, summary=_text(decoded))
+def summarise(decoded: Decoded, msg_ids: MsgIds = VERSION_1) -> Decoded:
+    """Return the value with its summary; MsgIds are of a version."""
+    return replace(decoded, summary=_text(decoded, msg_ids))
 
 
-def _text(decoded: Decoded) -> str:
+def _text(decoded: Decoded, msg_ids: MsgIds) -> str:
     for layer in decoded.layers:
         if layer.name in LAYER_TEXTS:
             fields, form = LAYER_TEXTS[layer.name]
@@ -58,11 +60,17 @@ def _text(decoded: Decoded) -> str:
         return text or (str(decoded.stop) if decoded.stop else f"{len(decoded.datagram.payload)} bytes")
     if command is not None and not packet.values()["packet_type"]:
         return "header only"
-    return packet_text(packet.values()["msg_id"], command.values()["function_code"] if command else None)
+    known = msg_ids.known(packet.values()["msg_id"])
+    return packet_text(known, command.values()["function_code"] if command else None)
 
 
 def packet_text(msg_id: int, function_code: int | None) -> str:
-    """Return what is said of a packet without a message; no function code: of telemetry."""
+    """Return what is said of a packet without a message.
+
+    Args:
+        msg_id: of version 1.
+        function_code: None for telemetry.
+    """
     if function_code is None:
         return names.message_name(msg_id)
     name = names.command_name(msg_id, function_code)

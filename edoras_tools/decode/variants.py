@@ -1,6 +1,6 @@
 """Detects the headers and envelopes of a source from its first packets.
 
-Three kinds of build are in use (:data:`edoras_tools.wire.cfe.HEADERS`), and five formats of the envelope.
+Three kinds of build are in use (:data:`edoras_tools.wire.cfe.TOLD`), and five formats of the envelope.
 Nothing in a packet names them, so each sound packet is a vote for every kind that fits it:
 
 1. Telemetry with a 16-byte header has four spare bytes of 0 at its end. Where they are not 0, the bytes are
@@ -21,12 +21,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.decode.builds import LOOKED_AT, PLACES, Fitting, conversations, msg_ids
+from edoras_tools.decode.builds import LOOKED_AT, PLACES, Fitting, conversations
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Endpoint
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
+from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import gather
 
@@ -51,7 +52,7 @@ _SAMPLE: Final = 256
 """So many packets of a batch are looked at later, when at least so many have passed."""
 _NAMED: Final = 3
 _EXTENDED: Final = cfe.HEADERS.index(cfe.WITH_EXTENDED)
-_PLAIN: Final = len(cfe.HEADERS)
+_PLAIN: Final = len(cfe.TOLD)
 """What a command shows that has no extended header: it is the same with both telemetry headers."""
 _NOTHING: Final = _PLAIN + 1
 _LEAST: Final = 2
@@ -125,7 +126,9 @@ class Variants:
         total = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int64) + ccsds.LENGTH_BIAS
         sound = (length > ccsds.PRIMARY.size) & (total == length)
         sound &= ccsds.PRIMARY.column("packet_version_number", head) == 0
-        sound &= ccsds.PRIMARY.column("secondary_header_flag", head) == 1
+        if self._context.msg_ids is VERSION_1:
+            # With version 2, cFE sets the flag only where an app does.
+            sound &= ccsds.PRIMARY.column("secondary_header_flag", head) == 1
         return _Kept(head[sound], length[sound], batch.time_ns[rows][sound] // SECOND, rows[sound])
 
     def _tell(self) -> None:
@@ -133,7 +136,7 @@ class Variants:
         if self._seek_headers:
             votes = [int(part.sum()) for part in self._explained(self._kept)]
             best = int(np.argmax(votes))
-            found = cfe.HEADERS[best] if votes[best] >= _LEAST else cfe.STANDARD
+            found = cfe.TOLD[best] if votes[best] >= _LEAST else cfe.STANDARD
             if found is not context.headers:
                 context.headers = found
                 context.described["headers"] = found.name
@@ -151,7 +154,7 @@ class Variants:
     def _explained(self, kept: _Kept) -> list[NDArray[np.bool_]]:
         """Return for each kind of headers which packets it explains; an extended header's clock goes on."""
         told = self._fitting(kept)
-        found = [told.by(headers) for headers in cfe.HEADERS]
+        found = [told.by(headers) for headers in cfe.TOLD]
         timed = np.flatnonzero(found[_EXTENDED] & ~_commands(kept))
         if len(timed):
             found[_EXTENDED][timed] = _goes_on(kept.take(timed))
@@ -195,7 +198,7 @@ class Variants:
     def _first(self, kept: _Kept, conversation: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the first kind that explains each packet; what a plain command shows; ``_NOTHING``."""
         first = np.full(len(kept.length), _NOTHING)
-        for number, headers in enumerate(cfe.HEADERS):
+        for number, headers in enumerate(cfe.TOLD):
             open_ = np.flatnonzero(first == _NOTHING)
             rest = kept.take(open_)
             fits = open_[self._fitting(rest).by(headers)]
@@ -231,7 +234,7 @@ class Variants:
             more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
             kinds = {
                 headers.name
-                for number, headers in enumerate(cfe.HEADERS)
+                for number, headers in enumerate(cfe.TOLD)
                 for bits in others.values()
                 if bits >> number & 1
             }
@@ -244,12 +247,13 @@ class Variants:
     def _tell_envelopes(self) -> None:
         """Give each route the format that most of its packets carry."""
         context = self._context
-        msg_id = msg_ids(self._kept.head)
+        msg_ids = context.msg_ids
+        msg_id = msg_ids.column(self._kept.head, self._kept.length)
         for index, members in by_value(context.any_route_of[msg_id]):
             if index != NO_ROUTE and index not in self._seek_envelopes:
                 continue
             for command in (False, True):
-                rows = members[((msg_id[members] & cfe.COMMAND_BIT) != 0) == command]
+                rows = members[msg_ids.is_command(msg_id[members]) == command]
                 found = self._format(rows, command=command)
                 if found is None:
                     continue
@@ -273,7 +277,7 @@ class Variants:
 
 
 def _commands(kept: _Kept) -> NDArray[np.bool_]:
-    return np.asarray((kept.head[:, 0] & (cfe.COMMAND_BIT >> 8)) != 0)
+    return np.asarray(VERSION_1.is_command(VERSION_1.column(kept.head, kept.length)))
 
 
 def _goes_on(kept: _Kept) -> NDArray[np.bool_]:

@@ -44,14 +44,14 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     times = rows.time_ns[own]
     lost = sum(loss.lost for loss in case.losses_of(stream))
     seconds = float(times[-1] - times[0]) / SECOND
-    to_cfs = route.to_cfs if route else bool(stream.msg_id & 0x1000)
+    to_cfs = route.to_cfs if route else stream.is_command
     clean_hz, told_by = clean_rate(case, stream)
     rounds = comb(times)
     behind = stream.link.only_to_cfs or (stream.link.peers and to_cfs)
     return {
         "topic": route.topic if route else None,
         "type": route.type if route else None,
-        "name": message_name(stream.msg_id) or None,
+        "name": message_name(stream.known_id) or None,
         "link": stream.link.label,
         "msg_id": f"0x{stream.msg_id:04x}",
         "sender": str(case.endpoints[stream.sender]),
@@ -108,7 +108,7 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
         if _is_period(rounds.period_ns, case.profile.to_wake_ns) and 2 * rounds.share >= 1:
             return rounds.most * SECOND / case.profile.to_wake_ns, "measured"
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
-    to_cfs = route.to_cfs if route else bool(stream.msg_id & 0x1000)
+    to_cfs = route.to_cfs if route else stream.is_command
     assumed_hz, _, _ = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
     fate = case.commands.fates.get(id(stream))
     arrives = fate.seen if fate is not None else stream.link.only_from_cfs

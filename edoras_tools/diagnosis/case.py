@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
@@ -117,7 +117,9 @@ class Case:
         self.endpoints: Sequence[Endpoint] = recorder.endpoints
         self.samples = recorder.samples
         self.context: Context = recorder.context
-        self.profile = profile
+        msg_ids = recorder.context.msg_ids
+        limits = {msg_ids.of_known(item): limit for item, limit in profile.to_limits.items()}
+        self.profile = replace(profile, to_limits=limits)
         self.capture = capture
         self.refused: list[Refused] = []
         self.verdicts: list[Verdict] = []
@@ -300,8 +302,16 @@ class Case:
         """Return how people are told of a MsgId: ``0x1827 (/cmd_vel)``."""
         if msg_id == NO_MSG_ID:
             return "an unknown MsgId"
-        told = self.topic(msg_id) or message_name(msg_id)
+        told = self.topic(msg_id) or self.packet_name(msg_id)
         return f"0x{msg_id:04x} ({told})" if told else f"0x{msg_id:04x}"
+
+    def packet_name(self, msg_id: int) -> str:
+        """Return cFE's name for a MsgId, or an empty string."""
+        return message_name(self.mission.msg_ids.known(msg_id))
+
+    def of_known(self, msg_id: int) -> int:
+        """Return what a MsgId of version 1 that facts of cFS name is here."""
+        return self.mission.msg_ids.of_known(msg_id)
 
     @cached_property
     def _event_times(self) -> list[int]:
@@ -342,7 +352,8 @@ class Case:
         target = f" --target {next(iter(places))}" if len(places) == 1 and places != {usual} else ""
         lengths = self.rows.header_length[to_ci]
         extended = bool(len(lengths)) and bool((lengths == cfe.WITH_EXTENDED.command_bytes).mean() > _MOST)
-        return target + " --extended-header" * extended
+        version = self.mission.msg_ids.version
+        return target + " --extended-header" * extended + f" --msg-id-version {version}" * (version != 1)
 
     def inject(self, name: str, *arguments: str) -> str:
         """Return what to type to send a named command to the CI of the capture."""

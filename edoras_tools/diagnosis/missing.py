@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs import telemetry_output
-from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.accounting.losses import Among, LossKind
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links import table
@@ -280,4 +279,4 @@ def _message(case: Case, share: _Share, unit: int, what: str) -> Missing:
 
 
 def _name(case: Case, msg_id: int) -> str | None:
-    return case.topic(msg_id) or message_name(msg_id) or None
+    return case.topic(msg_id) or case.packet_name(msg_id) or None

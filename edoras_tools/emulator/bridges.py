@@ -13,7 +13,6 @@ from edoras_tools.sessions.sbn.events import AppMessage
 from edoras_tools.sessions.sbn.habits import PUBLIC_BRIDGE
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe, envelope
-from edoras_tools.wire.packet import msg_id_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -89,13 +88,13 @@ class GroundBridge:
     def receive_datagram(self, data: bytes) -> None:
         """Take a datagram of cFS; the buffer holds 1024 bytes."""
         if len(data[: limits.BRIDGE_BUFFER]) >= cfe.COMMAND_HEADER_BYTES:
-            wanted = msg_id_of(data)
+            wanted = self.headers.msg_ids.of(data)
             self.received[wanted] = self.received.get(wanted, 0) + 1
 
     def _enable(self) -> None:
         address = self.endpoint.address.encode().ljust(16, b"\0")
         command = cfe.emit_command(
-            telemetry_output.COMMAND_MSG_ID,
+            self.headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID),
             telemetry_output.ENABLE,
             address,
             sequence_flags=0,
@@ -178,7 +177,7 @@ class FlightBridge:
         """Pass a command of cFS to its robot."""
         if len(packet) < cfe.TELEMETRY_HEADER_BYTES:
             return
-        wanted = msg_id_of(packet)
+        wanted = self.headers.msg_ids.of(packet)
         self.received[wanted] = self.received.get(wanted, 0) + 1
         robot = self._commanded.get(wanted)
         values = robot and messages.decode_envelope(robot.command_type, packet[cfe.TELEMETRY_HEADER_BYTES :])

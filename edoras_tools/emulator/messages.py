@@ -29,6 +29,8 @@ def _types() -> TypeStore:
 
 def headers_of(profile: SimProfile) -> cfe.Headers:
     """Return the headers of packets on the links. On the emulated bus they are always the usual ones."""
+    if profile.msg_id_version == 2:
+        return cfe.WITH_EXTENDED_2
     return cfe.WITH_EXTENDED if profile.extended_header else cfe.STANDARD
 
 
@@ -40,6 +42,16 @@ def from_link(packet: bytes, profile: SimProfile) -> bytes:
 def to_link(packet: bytes, profile: SimProfile) -> bytes:
     """Return a packet of the bus as it is on a link."""
     return cfe.with_headers(packet, cfe.STANDARD, headers_of(profile))
+
+
+def bus_id(msg_id: int, profile: SimProfile) -> int:
+    """Return what a MsgId of a link, or in a payload, is on the bus."""
+    return headers_of(profile).msg_ids.known(msg_id)
+
+
+def link_id(msg_id: int, profile: SimProfile) -> int:
+    """Return what a MsgId of the bus is on a link, and in payloads and events."""
+    return headers_of(profile).msg_ids.of_known(msg_id)
 
 
 def command_length(size: int, profile: SimProfile) -> int:

@@ -10,7 +10,7 @@ from edoras_tools.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
 from edoras_tools.emulator.boot import Apps
 from edoras_tools.emulator.bridges import FlightBridge, GroundBridge, GroundOperator
 from edoras_tools.emulator.cfs import Cfs
-from edoras_tools.emulator.messages import headers_of
+from edoras_tools.emulator.messages import headers_of, link_id
 from edoras_tools.emulator.robots import Arm, Rover
 from edoras_tools.emulator.scheduler import Scheduler
 from edoras_tools.errors import ConfigError
@@ -18,7 +18,7 @@ from edoras_tools.model import Endpoint
 from edoras_tools.units import MICROSECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from typing_extensions import Self
 
@@ -100,7 +100,8 @@ class Simulation:
         self.flight: FlightBridge | None = None
         if bridges:
             command_type = messages_of(scenario)[0]
-            commands = TwoRobotApp.commands if "two" in scenario else (SingleRobotApp.command,)
+            commands: Sequence[int] = TwoRobotApp.commands if "two" in scenario else (SingleRobotApp.command,)
+            commands = _on_links(commands, profile)
             operator = GroundOperator(command_type, commands, command_rate_hz, count=command_count)
             ground = Endpoint(profile.address, profile.to_port)
             self.ground = GroundBridge(self._scheduler, ground, self.cfs.ci_endpoint, operator, self._send)
@@ -118,7 +119,8 @@ class Simulation:
             if self.scenario == "two-rovers"
             else [Arm(now=self.now, name=name) for name in ("big_arm", "little_arm")]
         )
-        links = zip(TwoRobotApp.states, TwoRobotApp.flight, strict=True)
+        names = (_on_links(item, profile) for item in (TwoRobotApp.states, TwoRobotApp.flight))
+        links = zip(*names, strict=True)
         return FlightBridge(
             self._scheduler,
             Endpoint(peer.address, peer.port),
@@ -189,6 +191,10 @@ class Simulation:
         self._outbox.append(WireDatagram(self.now, source, destination, payload))
         if self.routed and destination in self.endpoints:
             self._scheduler.call_at(self.now + _LOOPBACK_NS, self.deliver, destination, payload)
+
+
+def _on_links(msg_ids: Sequence[int], profile: SimProfile) -> list[int]:
+    return [link_id(item, profile) for item in msg_ids]
 
 
 def messages_of(scenario: Scenario) -> tuple[str, str]:

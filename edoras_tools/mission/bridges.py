@@ -20,12 +20,14 @@ from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Handling,
 from edoras_tools.mission.report import printable
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import EnvelopeFormat
+from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from edoras_tools.mission.parameters import NodeParameters
     from edoras_tools.mission.report import Mistakes
+    from edoras_tools.wire.msg_id import MsgIds
 
     CheckType = Callable[[str], str | None]
     from edoras_tools.model import Link
@@ -75,7 +77,11 @@ def find_bridges(nodes: list[NodeParameters]) -> list[NodeParameters]:
 
 
 def read_bridge(
-    node: NodeParameters, report: Mistakes, claims: Claims, check_type: CheckType | None
+    node: NodeParameters,
+    report: Mistakes,
+    claims: Claims,
+    check_type: CheckType | None,
+    msg_ids: MsgIds = VERSION_1,
 ) -> tuple[Bridge | None, list[Route]]:
     """Return the valid part of a bridge, without routes that another bridge has; mistakes go to ``report``.
 
@@ -84,10 +90,11 @@ def read_bridge(
         report: of its file.
         claims: the owner of each MsgId on each link, over all bridges; this call adds to it.
         check_type: tells what is wrong with a ROS type, None where nothing is.
+        msg_ids: the version of its MsgIds.
     """
     fields = Fields(node, report)
     flight, link = _communication(fields)
-    reader = _Routes(fields, flight, claims, check_type)
+    reader = _Routes(fields, flight, claims, check_type, msg_ids)
     for direction in _DIRECTIONS:
         for item in fields.keys(direction):
             # The bridge ignores a key without a mapping; [''] is ROS 2's spelling of an empty list.
@@ -133,11 +140,19 @@ def _communication(fields: Fields) -> tuple[bool, GroundLink | FlightLink | None
 class _Routes:
     """Collects the routes of one bridge, key by key."""
 
-    def __init__(self, fields: Fields, flight: bool, claims: Claims, check_type: CheckType | None) -> None:
+    def __init__(
+        self,
+        fields: Fields,
+        flight: bool,
+        claims: Claims,
+        check_type: CheckType | None,
+        msg_ids: MsgIds,
+    ) -> None:
         self.fields = fields
         self.flight = flight
         self.claims = claims
         self.check_type = check_type
+        self.msg_ids = msg_ids
         self.routes: list[Route] = []
         self.whole: list[Route] = []
         self.defaults = read_handling(fields, HANDLING_GROUP, Handling())
@@ -265,14 +280,16 @@ class _Routes:
         return False
 
     def _warn_of_msg_id(self, route: Route) -> None:
-        name, command = f"{route.key}.mid", bool(route.msg_id & cfe.COMMAND_BIT)
-        if not route.msg_id & _SECONDARY_HEADER_BIT:
+        name, msg_ids = f"{route.key}.mid", self.msg_ids
+        command = msg_ids.is_command(route.msg_id)
+        if msg_ids is VERSION_1 and not route.msg_id & _SECONDARY_HEADER_BIT:
             what = f"0x{route.msg_id:04X} lacks 0x0800, the secondary header bit that cFE messages have"
             self.fields.warn(name, f"{what}; is it hexadecimal, written without 0x?")
         elif not self.flight and command != route.to_cfs:
-            kind, usual = ("a command", "0x08xx") if command else ("a telemetry", "0x18xx")
+            kind, usual = ("a command", "lacks") if command else ("a telemetry", "has")
             what = f"0x{route.msg_id:04X} is {kind} MsgId under {route.direction}"
-            self.fields.warn(name, f"{what}; a ground bridge's {route.direction} is {usual} as a rule")
+            usual = f"{usual} the bit 0x{msg_ids.command_bit:04X} as a rule"
+            self.fields.warn(name, f"{what}; a ground bridge's {route.direction} {usual}")
 
     def warn_of_unlisted(self) -> None:
         """Warn of mappings that are in neither list."""

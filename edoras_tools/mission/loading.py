@@ -14,18 +14,23 @@ from edoras_tools.mission.model import Mission
 from edoras_tools.mission.parameters import read_nodes
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.mission.tree import LARGEST_FILE, yaml_text
+from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping
 
     from edoras_tools.mission.bridges import CheckType, Claims
     from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Route
+    from edoras_tools.wire.msg_id import MsgIds
 
 _PARAMETERS: Final = b"ros__parameters"
 
 
 def load(
-    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, check_type: CheckType | None = None
+    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+    *,
+    check_type: CheckType | None = None,
+    msg_ids: MsgIds = VERSION_1,
 ) -> Mission:
     """Read EDORAS bridge files, ground and flight alike, into one mission.
 
@@ -34,6 +39,7 @@ def load(
             it; those that are no parameter files of ROS 2, or have no bridge, are left out with a warning.
         check_type: asked for every ROS type; returns None where it is known, else what is wrong, as
             ``unknown type a/msg/B; did you mean a/msg/C?``.
+        msg_ids: the version of their MsgIds.
 
     Raises:
         ConfigError: all mistakes of all files at once.
@@ -46,16 +52,18 @@ def load(
         for item in ([(os.fspath(path), _read(path))] if files is None else files)
     ]
     of_folders = {name for _, files in folders for name, _ in files or ()}
-    return _mission(contents, check_type, of_folders)
+    return _mission(contents, check_type, msg_ids, of_folders)
 
 
-def loads(files: Mapping[str, bytes], *, check_type: CheckType | None = None) -> Mission:
+def loads(
+    files: Mapping[str, bytes], *, check_type: CheckType | None = None, msg_ids: MsgIds = VERSION_1
+) -> Mission:
     """Read bridge files that are in memory, by name, as ``Mission.files`` and the attachments of a recording.
 
     Raises:
         ConfigError: all mistakes of all files at once.
     """
-    return _mission(list(files.items()), check_type)
+    return _mission(list(files.items()), check_type, msg_ids)
 
 
 def _files(path: str | os.PathLike[str]) -> list[tuple[str, bytes | str]] | None:
@@ -84,7 +92,10 @@ def _read(path: str | os.PathLike[str]) -> bytes | str:
 
 
 def _mission(
-    contents: list[tuple[str, bytes | str]], check_type: CheckType | None, of_folders: Container[str] = ()
+    contents: list[tuple[str, bytes | str]],
+    check_type: CheckType | None,
+    msg_ids: MsgIds,
+    of_folders: Container[str] = (),
 ) -> Mission:
     reports = []
     files: dict[str, bytes] = {}
@@ -109,7 +120,7 @@ def _mission(
             what = "no node here is a bridge; it needs communication, command and telemetry"
             (report.warn if name in of_folders else report.mistake)(nodes[0].line, nodes[0].name, what)
         for node in bridges:
-            bridge, found = read_bridge(node, report, claims, check_type)
+            bridge, found = read_bridge(node, report, claims, check_type, msg_ids)
             routes += found
             if bridge is not None:
                 whole.append(bridge)
@@ -119,7 +130,9 @@ def _mission(
     if mistakes:
         raise ConfigError(*mistakes)
     warnings = _in_order(report.warnings for report in reports)
-    return Mission(tuple(routes), tuple(links), MappingProxyType(files), tuple(warnings), tuple(whole))
+    return Mission(
+        tuple(routes), tuple(links), MappingProxyType(files), tuple(warnings), tuple(whole), msg_ids
+    )
 
 
 def _in_order(found: Iterable[list[tuple[int, str]]]) -> list[str]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.model import Endpoint, Link
+from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from edoras_tools.wire.msg_id import MsgIds
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +172,7 @@ class Mission:
         files: raw contents by base name, for attachments.
         warnings: one line each: what a bridge accepts but is probably a mistake.
         bridges: link and routes of each bridge together.
+        msg_ids: the version of the MsgIds.
     """
 
     routes: tuple[Route, ...] = ()
@@ -176,6 +180,19 @@ class Mission:
     files: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()
     bridges: tuple[Bridge, ...] = ()
+    msg_ids: MsgIds = VERSION_1
+
+    def numbered(self, msg_ids: MsgIds) -> Mission:
+        """Return the same mission with the MsgIds that its packets have in another version."""
+        if msg_ids is self.msg_ids:
+            return self
+
+        def made(routes: tuple[Route, ...]) -> tuple[Route, ...]:
+            known, of_known = self.msg_ids.known, msg_ids.of_known
+            return tuple(replace(item, msg_id=of_known(known(item.msg_id))) for item in routes)
+
+        bridges = tuple(replace(item, routes=made(item.routes)) for item in self.bridges)
+        return replace(self, routes=made(self.routes), bridges=bridges, msg_ids=msg_ids)
 
     @property
     def ground(self) -> tuple[GroundLink, ...]:

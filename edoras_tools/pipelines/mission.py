@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.wire.msg_id import MsgIds
 
 _SAMPLES: Final = 64
 """Most different messages of a MsgId that types are tried on."""
@@ -95,7 +96,10 @@ class _Traffic:
         peers: of each SBN peer how many datagrams came from where.
         flight: peers that are cFS, as its events or its own messages on SBN show.
         configured: MsgIds that the missions name, which are not drafted.
+        msg_ids: their version.
     """
+
+    msg_ids: MsgIds
 
     streams: dict[tuple[Link, int, int], _Stream] = field(default_factory=dict)
     ways: dict[Link, Counter[tuple[str, Endpoint]]] = field(default_factory=dict)
@@ -110,7 +114,8 @@ class _Traffic:
         carries = bridged & (columns.msg_id != NO_MSG_ID)
         self.configured.update(np.unique(columns.msg_id[carries & (columns.route != NO_ROUTE)]).tolist())
         self._add_ways(batch, columns, np.flatnonzero(bridged))
-        events = np.flatnonzero(carries & (columns.msg_id == cfe.EVENT_MSG_ID))[:_OF_A_BATCH]
+        known = cfe.known_ids(columns.msg_id, columns.headers)
+        events = np.flatnonzero(carries & (known == cfe.EVENT_MSG_ID))[:_OF_A_BATCH]
         for payload in (_payload(batch, columns, row) for row in events.tolist()):
             if len(payload) >= cfe.EVENT.size - 2:  # some builds leave the last two bytes away
                 event = cfe.EVENT.parse(payload.ljust(cfe.EVENT.size, b"\0"))
@@ -122,8 +127,8 @@ class _Traffic:
 
     def _add_stream(self, batch: PacketBatch, columns: Columns, key: int, members: NDArray[np.intp]) -> None:
         link, msg_id, processor_id = table.link(key >> 32 & 0xFF), key >> 40, key & 0xFFFFFFFF
-        if message_name(msg_id):
-            if link.peers and not msg_id & cfe.COMMAND_BIT:
+        if message_name(self.msg_ids.known(msg_id)):
+            if link.peers and not self.msg_ids.is_command(msg_id):
                 self.flight[processor_id] += len(members)
             return
         stream = self.streams.setdefault((link, msg_id, processor_id), _Stream(link, msg_id, processor_id))
@@ -181,7 +186,7 @@ def draft_mission(source: Source, bench: Workbench, *, progress: Progress | None
     Raises:
         CaptureError: the source cannot be read, or holds no EDORAS message under such a MsgId.
     """
-    traffic = _Traffic()
+    traffic = _Traffic(bench.mission.msg_ids)
     with reading(source, bench) as loop:
         for rows in loop:
             traffic.add(rows)
@@ -221,7 +226,8 @@ class _Writer:
         return MissionDraft(text, self._topics, self._sure, self._notes)
 
     def _is_message(self, stream: _Stream) -> bool:
-        valid = stream.msg_id & _SECONDARY_HEADER and stream.msg_id <= cfe.HIGHEST_MSG_ID
+        first, _ = self._traffic.msg_ids.words(stream.msg_id)
+        valid = first & _SECONDARY_HEADER and stream.msg_id <= cfe.HIGHEST_MSG_ID
         whole = stream.formats.total()
         if valid and whole and whole >= min(stream.bare, _ENOUGH):
             return True

@@ -99,7 +99,8 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
     """
     name, routes = pattern.upper(), context.mission.routes
     keys = [item.key for item in context.structs.all if fits_topic(item.topic, pattern)]
-    keys += [Key(value) for value, known in MSG_ID_NAMES.items() if fnmatchcase(known, name)]
+    of_known = context.msg_ids.of_known
+    keys += [Key(of_known(value)) for value, known in MSG_ID_NAMES.items() if fnmatchcase(known, name)]
     if (value := _number(pattern)) is not None:
         keys.append(Key(value))
     found = PacketKinds(

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Source
     from edoras_tools.model import SourceInfo
+    from edoras_tools.wire.cfe import Headers
 
 _LAYOUTS: Final = "structs/"
 """Prefix of the names of layouts in a recording, which also contains the mission files."""
@@ -39,6 +40,14 @@ class Workbench:
     types: TypeStore
     columns: ColumnDecoder
     dissector: Dissector
+
+    def with_headers(self, headers: Headers) -> Workbench:
+        """Return one for packets with the headers of another build, and its MsgIds."""
+        old = self.columns.context
+        mission, options = self.mission.numbered(headers.msg_ids), old.options.with_headers(headers)
+        structs = old.structs if headers.msg_ids is old.msg_ids else None
+        context = Context(mission, self.types, options, structs)
+        return Workbench(mission, self.types, ColumnDecoder(context), Dissector(context))
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +79,16 @@ class Settings:
             ConfigError: a mission, a type folder or an option has errors.
         """
         attached = info.attachments if info else {}
+        options = self.options.over(info.read_with) if info else self.options
+        msg_ids = options.msg_ids
         types = TypeStore(self.distro, self.msg_paths, info.definitions if info else None)
         if self.configs:
-            mission = load(self.configs, check_type=types.check)
+            mission = load(self.configs, check_type=types.check, msg_ids=msg_ids)
         else:
             bridges = {name: data for name, data in attached.items() if not name.startswith(_LAYOUTS)}
-            mission = loads(bridges, check_type=types.check) if bridges else Mission()
+            mission = loads(bridges, check_type=types.check, msg_ids=msg_ids)
         carried = {name: data for name, data in attached.items() if name.startswith(_LAYOUTS)}
-        structs = shipped_structs()
+        structs = shipped_structs(msg_ids)
         if self.structs or carried:
             from edoras_tools.structs.files import parse_layout as loads_layout
             from edoras_tools.structs.files import read_layout
@@ -85,11 +96,10 @@ class Settings:
             given = [read_layout(path) for path in self.structs]
             contents = [(str(file), data) for file, data in given] or list(carried.items())
             layouts = [loads_layout(data, name) for name, data in contents]
-            structs = Structs([*layouts, *structs.layouts])
+            structs = Structs([*layouts, *structs.layouts], msg_ids)
             names = [f"{_LAYOUTS}{place}_{file.name}" for place, (file, _) in enumerate(given, 1)]
             files = dict(zip(names or carried, (data for _, data in contents), strict=True))
             mission = replace(mission, files={**mission.files, **files})
-        options = self.options.over(info.read_with) if info else self.options
         context = Context(mission, types, options, structs)
         return Workbench(mission, types, ColumnDecoder(context), Dissector(context))
 

@@ -3,7 +3,7 @@
 Rules that it keeps:
 
 1. Columns only: each change works on all datagrams at once, on a copy.
-2. Changes act in this order: MsgId and sender, time stamps, sequence counts, checksums.
+2. Changes act in this order: headers, MsgId and sender, time stamps, sequence counts, checksums.
 3. What is the same in every pass is changed once (``Changes.once``), the rest in each (``Changes.each``).
 4. A datagram without the field in question stays as it is.
 """
@@ -21,9 +21,9 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link, Peer
 from edoras_tools.older import StrEnum
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, VERSION_2
 from edoras_tools.wire.order import by_value
-from edoras_tools.wire.packet import msg_id_of
-from edoras_tools.wire.window import copy_rows, put_rows, xor_bytes
+from edoras_tools.wire.window import copy_rows, put_rows, read_at, xor_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,9 +32,15 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.wire.layout import Layout
 
 _COUNTS: Final = 1 << 14
 _UNSEGMENTED: Final = ccsds.UNSEGMENTED << 14
+_SIZES: Final = np.array(
+    [[item.command_bytes for item in cfe.HEADERS], [item.telemetry_bytes for item in cfe.HEADERS]]
+)
+"""Header bytes of commands and of telemetry, by ``Outgoing.headers``."""
+_STARTS: Final = np.array([item.start for item in cfe.HEADERS])
 _STAMP_AT: Final = 4
 """Where a message that starts with a ``std_msgs/Header`` has its time: behind the encapsulation."""
 
@@ -69,6 +75,7 @@ class Outgoing:
         packet_offset: i64, start of the space packet; -1 where there is none.
         packet_length: i32, bytes of the space packet.
         header_length: u8, cFE header bytes.
+        headers: u8, place in ``cfe.HEADERS`` of the headers that the packet has.
         msg_id: i32, ``NO_MSG_ID`` where there is none.
         cdr_offset: i64, start of the CDR; -1 where there is none.
         route: i16, index into the mission's routes, or ``NO_ROUTE``.
@@ -82,6 +89,7 @@ class Outgoing:
     packet_offset: NDArray[np.int64]
     packet_length: NDArray[np.int32]
     header_length: NDArray[np.uint8]
+    headers: NDArray[np.uint8]
     msg_id: NDArray[np.int32]
     cdr_offset: NDArray[np.int64]
     route: NDArray[np.int16]
@@ -118,6 +126,7 @@ class Outgoing:
             packet_offset=_moved(columns.packet_offset, shift),
             packet_length=columns.packet_length,
             header_length=columns.header_length,
+            headers=columns.headers,
             msg_id=columns.msg_id,
             cdr_offset=_moved(columns.cdr_offset, shift),
             route=columns.route,
@@ -154,8 +163,8 @@ class Outgoing:
         length = packet_length + np.int32(extra)
         offset = np.cumsum(length, dtype=np.int64) - length
         cdr = np.array([row.cdr_at for row in rows], np.int64)
-        msg_id = np.array([msg_id_of(row.packet) for row in rows], np.int32)
-        command = (msg_id & cfe.COMMAND_BIT) != 0
+        msg_id = np.array([headers.msg_ids.of(row.packet) for row in rows], np.int32)
+        command = headers.msg_ids.is_command(msg_id)
         header = np.where(command, headers.command_bytes, headers.telemetry_bytes)
         return cls(
             link=link,
@@ -166,10 +175,62 @@ class Outgoing:
             packet_offset=offset + extra,
             packet_length=packet_length,
             header_length=header.astype(np.uint8),
+            headers=np.full(len(rows), cfe.HEADERS.index(headers), np.uint8),
             msg_id=msg_id,
             cdr_offset=np.where(cdr < 0, -1, offset + extra + cdr),
             route=np.array([row.route for row in rows], np.int16),
         )
+
+    @property
+    def command(self) -> NDArray[np.bool_]:
+        """bool, which are commands; also true without a MsgId."""
+        found: NDArray[np.bool_] = VERSION_1.is_command(cfe.known_ids(self.msg_id, self.headers))
+        return found
+
+    def with_headers(self, new: cfe.Headers) -> Outgoing:
+        """Return the datagrams with the headers of another build, as ``cfe.with_headers`` gives one packet.
+
+        The size that the SBN header tells changes too. Packets shorter than their headers stay as they are.
+        """
+        number, command = cfe.HEADERS.index(new), self.command
+        size = np.where(command, *_SIZES[:, self.headers])
+        wanted = np.where(command, new.command_bytes, new.telemetry_bytes)
+        changed = (self.msg_id != NO_MSG_ID) & (self.headers != number) & (self.packet_length >= size)
+        grown = np.where(changed, wanted - size, 0).astype(np.int32)
+        length, before = self.length + grown, np.where(changed, self.packet_offset - self.offset, self.length)
+        offset = np.cumsum(length, dtype=np.int64) - length
+        shift, rows = offset - self.offset, np.flatnonzero(changed)
+        old, at, own = self.packet_offset[rows], (offset + before)[rows], self.headers[rows]
+        data = np.zeros(int(length.sum()), np.uint8)
+        copy_rows(data, offset, self.data, self.offset, before)
+        copy_rows(data, at, self.data, old, np.full(len(rows), ccsds.PRIMARY.size))
+        both = np.array([item.extended and new.extended for item in cfe.HEADERS])[own]
+        behind = ccsds.PRIMARY.size
+        copy_rows(data, at + behind, self.data, old + behind, both * cfe.EXTENDED.size)
+        shared = np.where(command[rows], cfe.COMMAND.size, cfe.TELEMETRY_SHORT.size)
+        copy_rows(data, at + new.start, self.data, old + _STARTS[own], shared)
+        rest = (self.offset + self.length)[rows] - old - size[rows]
+        copy_rows(data, at + wanted[rows], self.data, old + size[rows], rest)
+        made = replace(
+            self,
+            data=data,
+            offset=offset,
+            length=length,
+            packet_offset=_moved(self.packet_offset, shift),
+            packet_length=self.packet_length + grown,
+            header_length=np.where(changed, wanted, self.header_length).astype(np.uint8),
+            headers=np.where(changed, number, self.headers).astype(np.uint8),
+            msg_id=self.msg_id.copy(),
+            cdr_offset=_moved(self.cdr_offset, shift + grown),
+        )
+        known = cfe.known_ids(self.msg_id, self.headers)[rows]
+        _put_msg_ids(made, rows, new.msg_ids.of_known(known))
+        _grow(data, at, ccsds.PRIMARY, "packet_data_length", grown[rows])
+        if self.link.peers:
+            _grow(data, offset[rows], sbn.HEADER, "msg_size", grown[rows])
+        right = xor_bytes(self.data, old, self.packet_length[rows]) == cfe.CHECKSUM_SEED
+        _check(made, ChecksumRule.FIX, rows[right & command[rows]])
+        return made
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,6 +278,7 @@ class Changes:
     """What is changed in the datagrams before they are sent; nothing by default.
 
     Attributes:
+        headers: those of the cFE that they are sent to, which all packets get; None keeps what was captured.
         msg_ids: MsgId to its replacement; of another type (command, telemetry) only where all packets have
             extended headers, whose lengths are equal: the function code is then 1, the time 0.
         sequence: of every space packet.
@@ -231,6 +293,7 @@ class Changes:
     checksum: ChecksumRule = ChecksumRule.KEEP
     restamp: NDArray[np.bool_] | None = None
     sender: Peer | None = None
+    headers: cfe.Headers | None = None
 
     @property
     def differ(self) -> bool:
@@ -239,20 +302,20 @@ class Changes:
 
     def once(self, out: Outgoing) -> Outgoing:
         """Return the datagrams with the changes that are the same in every pass."""
-        if not self.msg_ids and self.sender is None:
+        if not self.msg_ids and self.sender is None and self.headers is None:
             return out if self.differ else self.each(out)
-        out = out.copy()
+        old_ids = out.msg_id
+        out = out.copy() if self.headers is None else out.with_headers(self.headers)
         if self.sender is not None and out.link.peers:
             self._write_sender(out, self.sender)
         if self.msg_ids:
-            msg_id = out.msg_id.copy()
+            out = replace(out, msg_id=out.msg_id.copy())
             for old, new in self.msg_ids.items():
-                rows = np.flatnonzero(out.msg_id == old)
-                put_rows(out.data, out.packet_offset[rows], np.full(len(rows), new, ">u2"))
-                msg_id[rows] = new
-                if cfe.is_command(old) != cfe.is_command(new):
-                    _put_other_header(out, rows[out.packet_length[rows] >= out.header_length[rows]], new)
-            out = replace(out, msg_id=msg_id)
+                rows = np.flatnonzero(old_ids == old)
+                before = out.command[rows]
+                _put_msg_ids(out, rows, np.full(len(rows), new, np.int32))
+                other = rows[out.command[rows] != before]
+                _put_other_header(out, other[out.packet_length[other] >= out.header_length[other]])
         return out if self.differ else self.each(out)
 
     def each(self, out: Outgoing, *, sent: int = 0, start_ns: int = 0, due_ns: Any = 0) -> Outgoing:
@@ -286,16 +349,38 @@ class Changes:
         put_rows(out.data, whole + slot.start, np.repeat(identity, len(whole)))
 
 
-def _put_other_header(out: Outgoing, rows: NDArray[np.intp], msg_id: int) -> None:
-    """Write the header of a command or of telemetry behind extended headers, where the other one is."""
+def _put_msg_ids(out: Outgoing, rows: NDArray[np.intp], msg_id: NDArray[np.int32]) -> None:
+    """Write MsgIds into packets, as their headers have them."""
+    out.msg_id[rows] = msg_id
+    for number, members in by_value(out.headers[rows]):
+        headers, at = cfe.HEADERS[number], out.packet_offset[rows[members]]
+        word, subsystem = headers.msg_ids.words(msg_id[members])
+        put_rows(out.data, at, word.astype(">u2"))
+        if headers.msg_ids is VERSION_2:
+            there = out.packet_length[rows[members]] >= MSG_ID_BYTES
+            out.data[at[there] + MSG_ID_BYTES - 1] = np.broadcast_to(subsystem, len(at))[there]
+
+
+def _put_other_header(out: Outgoing, rows: NDArray[np.intp]) -> None:
+    """Write the headers of commands and of telemetry behind extended headers, where the other ones are."""
     headers = cfe.WITH_EXTENDED
-    values = {"function_code": edoras_app.SET} if cfe.is_command(msg_id) else {}
-    header = (headers.command if values else headers.telemetry).emit(values)
-    put_rows(
-        out.data,
-        out.packet_offset[rows] + headers.start,
-        np.full(len(rows), np.void(header), f"V{len(header)}"),
-    )
+    for command in (False, True):
+        chosen = rows[out.command[rows] == command]
+        layout = headers.command if command else headers.telemetry
+        header = layout.emit({"function_code": edoras_app.SET} if command else {})
+        put_rows(
+            out.data,
+            out.packet_offset[chosen] + headers.start,
+            np.full(len(chosen), np.void(header), f"V{len(header)}"),
+        )
+
+
+def _grow(
+    data: NDArray[np.uint8], at: NDArray[np.int64], layout: Layout, name: str, by: NDArray[np.int32]
+) -> None:
+    """Add to a size of 16 bits in headers of a layout."""
+    at = at + layout.by_name[name].start
+    put_rows(data, at, (read_at(data, at, ">u2").astype(np.int32) + by).astype(">u2"))
 
 
 def _stamp(out: Outgoing, rows: NDArray[np.intp], time_ns: NDArray[np.int64]) -> None:
@@ -316,12 +401,11 @@ def _number(out: Outgoing, rule: SequenceRule, sent: int) -> None:
     put_rows(out.data, out.packet_offset[rows] + 2, word)
 
 
-def _check(out: Outgoing, rule: ChecksumRule) -> None:
-    whole = out.packet_length >= out.header_length
-    rows = np.flatnonzero((out.msg_id != NO_MSG_ID) & ((out.msg_id & cfe.COMMAND_BIT) != 0) & whole)
-    extended = out.header_length[rows] == cfe.WITH_EXTENDED.command_bytes
-    start = np.where(extended, cfe.WITH_EXTENDED.start, cfe.STANDARD.start)
-    at = out.packet_offset[rows] + start + cfe.CHECKSUM_BYTE
+def _check(out: Outgoing, rule: ChecksumRule, rows: NDArray[np.intp] | None = None) -> None:
+    if rows is None:
+        whole = out.packet_length >= out.header_length
+        rows = np.flatnonzero((out.msg_id != NO_MSG_ID) & out.command & whole)
+    at = out.packet_offset[rows] + _STARTS[out.headers[rows]] + cfe.CHECKSUM_BYTE
     out.data[at] = 0
     if rule is not ChecksumRule.ZERO:
         right = xor_bytes(out.data, out.packet_offset[rows], out.packet_length[rows]) ^ np.uint8(

@@ -11,12 +11,14 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.structs.files import layout_of
-from edoras_tools.structs.packets import DATAGRAMS, PACKETS, SHIPPED, UDP_KEY
+from edoras_tools.structs.packets import DATAGRAMS, PACKETS, SHIPPED, UDP_KEY, packets
 from edoras_tools.structs.shapes import BASIC, Enumeration, Key, Member, Struct, StructLayout
 from edoras_tools.wire import cfe
+from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from edoras_tools.wire import layout as wire
+    from edoras_tools.wire.msg_id import MsgIds
 
 LAYOUT_NAME: Final = SHIPPED
 """What the command line calls these layouts."""
@@ -241,15 +243,19 @@ _WIRE_LAYOUTS: Final = {
     cfe.EVENT_MSG_ID: cfe.EVENT,
     cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
 }
-"""Packets that the wire's own tables describe, by MsgId; so are ``DATAGRAMS``."""
+"""Packets that the wire's own tables describe, by MsgId of version 1; so are ``DATAGRAMS``."""
 
 
 @cache
-def shipped_layout() -> StructLayout:
-    """Return the layout of what cFE itself sends."""
+def shipped_layout(msg_ids: MsgIds = VERSION_1) -> StructLayout:
+    """Return the layout of what cFE itself sends, with MsgIds of a version."""
     raw = {
         "enums": _ENUMS,
-        "bind": {msg_id: name for msg_id, name in PACKETS.items() if msg_id not in _WIRE_LAYOUTS},
+        "bind": {
+            msg_id: name
+            for msg_id, name in packets(msg_ids).items()
+            if msg_ids.known(msg_id) not in _WIRE_LAYOUTS
+        },
         "structs": {
             name: {
                 "doc": doc,
@@ -267,7 +273,7 @@ def shipped_layout() -> StructLayout:
     for msg_id, header in _WIRE_LAYOUTS.items():
         name = PACKETS[msg_id]
         structs[name] = _of_header(name, header, enums)
-        bindings[Key(msg_id)] = name
+        bindings[Key(msg_ids.of_known(msg_id))] = name
     for size, header in DATAGRAMS.items():
         structs[header.name] = _of_header(header.name, header, enums)
         bindings[Key(UDP_KEY, size)] = header.name

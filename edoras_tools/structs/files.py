@@ -23,6 +23,7 @@ from edoras_tools.structs.shapes import (
     Struct,
     StructLayout,
 )
+from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
 
 if TYPE_CHECKING:
     import os
@@ -42,7 +43,7 @@ _TOP: Final = {"edoras_structs", "byte_order", "package", "bind", "enums", "stru
 _STRUCT: Final = {"size", "header", "union", "packed", "members", "doc"}
 _PACKAGE: Final = re.compile(r"[a-z](?:_?[a-z0-9])*", re.ASCII)
 _IN_C: Final = re.compile(r"[A-Za-z_]\w*", re.ASCII)
-_COMMAND: Final = 0x1000
+_SECONDARY_HEADER: Final = 0x0800
 _HIGHEST: Final = 0x1FFF
 """The highest MsgId; tables by MsgId keep rows without a packet (-1) at 0xFFFF."""
 
@@ -374,7 +375,9 @@ def parse_key(raw: Any) -> Key:
         _refuse(raw)
     if not 1 <= key.msg_id <= _HIGHEST or not 0 <= (key.function_code or 0) <= 0x7F:
         _refuse(raw)
-    if slash and not key.msg_id & _COMMAND:
+    # A file does not say its version of MsgIds; those of version 1 have the bit of the secondary header.
+    version = VERSION_1 if key.msg_id & _SECONDARY_HEADER else VERSION_2
+    if slash and not (VERSION_1.is_command(key.msg_id) or version.is_command(key.msg_id)):
         raise ConfigError(f"{_shown(raw)}: telemetry has no function code; commands are 0x1000 to 0x1fff")
     return key
 

@@ -1,8 +1,13 @@
 """The packets of cFE itself and of the lab applications, and robots' datagrams: the struct of each."""
 
-from typing import Final
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.wire import cfe, robot
+
+if TYPE_CHECKING:
+    from edoras_tools.wire.msg_id import MsgIds
 
 SHIPPED: Final = "cfe"
 """The name of their layout."""
@@ -19,7 +24,7 @@ PACKETS: Final = {
     0x0880: "TO_LAB_HkTlm",
     0x0884: "CI_LAB_HkTlm",
 }
-"""Struct by MsgId; :mod:`edoras_tools.structs.cfe` describes them."""
+"""Struct by MsgId of version 1; :mod:`edoras_tools.structs.cfe` describes them."""
 UDP_KEY: Final = 1 << 16
 """A key from here on is a UDP port, not a MsgId: of datagrams of the robot link, on any port if it is 0."""
 DATAGRAMS: Final = {layout.size: layout for layout in robot.SENT_TO}
@@ -28,3 +33,8 @@ OWN_LAYERS: Final = frozenset(
     layout.name for layout in (cfe.EVENT, cfe.SOFTWARE_BUS_HOUSEKEEPING, *DATAGRAMS.values())
 )
 """Headers that are structs as well: their layers show the same fields."""
+
+
+def packets(msg_ids: MsgIds) -> dict[int, str]:
+    """Return :data:`PACKETS` by the MsgIds of a version, without one that would be 0, which cFE refuses."""
+    return {msg_id: name for known, name in PACKETS.items() if (msg_id := msg_ids.of_known(known))}

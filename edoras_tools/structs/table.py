@@ -10,7 +10,8 @@ import numpy as np
 
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.schema import complete_text
-from edoras_tools.structs.packets import PACKETS, UDP_KEY
+from edoras_tools.structs.packets import UDP_KEY, packets
+from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.order import by_value
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs.bound import Bound, Held
     from edoras_tools.structs.payloads import StructPayloads
     from edoras_tools.structs.shapes import Struct, StructLayout
+    from edoras_tools.wire.msg_id import MsgIds
 
 _KEYS: Final = 2 * UDP_KEY + 1
 """MsgIds, ports, and one that none has: that of ``NO_MSG_ID``."""
@@ -33,19 +35,22 @@ class Structs:
 
     Args:
         layouts: in that order; None for that of what cFE itself sends, which is read once a packet needs it.
+        msg_ids: the version of their MsgIds.
 
     Attributes:
+        msg_ids: as given.
         has: bool, by MsgId or ``UDP_KEY`` and port, what one is bound to; False for ``NO_MSG_ID``.
 
     Raises:
         ConfigError: a struct cannot become a message.
     """
 
-    def __init__(self, layouts: Sequence[StructLayout] | None = ()) -> None:
+    def __init__(self, layouts: Sequence[StructLayout] | None = (), msg_ids: MsgIds = VERSION_1) -> None:
+        self.msg_ids = msg_ids
         self._given = layouts
         self._whole = self
         self.has: NDArray[np.bool_] = np.zeros(_KEYS, np.bool_)
-        self.has[[*PACKETS, UDP_KEY] if layouts is None else list(self._bindings.by_id)] = True
+        self.has[[*packets(msg_ids), UDP_KEY] if layouts is None else list(self._bindings.by_id)] = True
 
     @cached_property
     def layouts(self) -> tuple[StructLayout, ...]:
@@ -53,7 +58,7 @@ class Structs:
         if self._given is None:
             from edoras_tools.structs import cfe
 
-            return (cfe.shipped_layout(),)
+            return (cfe.shipped_layout(self.msg_ids),)
         return tuple(self._given)
 
     @property
@@ -170,6 +175,6 @@ class Structs:
 
 
 @cache
-def shipped_structs() -> Structs:
-    """Return the structs of what cFE itself sends."""
-    return Structs(None)
+def shipped_structs(msg_ids: MsgIds = VERSION_1) -> Structs:
+    """Return the structs of what cFE itself sends, with MsgIds of a version."""
+    return Structs(None, msg_ids)

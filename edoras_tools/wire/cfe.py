@@ -5,17 +5,21 @@ Headers are big-endian; telemetry payloads are in the flight processor's order, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
 
 from edoras_tools.errors import FieldError
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.layout import Field, Layout
+from edoras_tools.wire.msg_id import VERSION_1, VERSION_2, MsgIds
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 HIGHEST_MSG_ID: Final = 0x1FFF
 """cFE refuses a larger MsgId (CFE_PLATFORM_SB_HIGHEST_VALID_MSGID)."""
-COMMAND_BIT: Final = 0x1000
-"""Set in the MsgId of a command; it, not the link, decides which header follows."""
 CHECKSUM_SEED: Final = 0xFF
 
 COMMAND: Final = Layout(
@@ -129,12 +133,14 @@ class Headers:
         extended: whether the extended header comes first.
         command: what follows in a command.
         telemetry: what follows in telemetry.
+        msg_ids: how MsgIds are built from the headers.
     """
 
     name: str
     extended: bool
     command: Layout
     telemetry: Layout
+    msg_ids: MsgIds = VERSION_1
 
     @property
     def start(self) -> int:
@@ -151,13 +157,29 @@ class Headers:
         """All header bytes of telemetry."""
         return self.start + self.telemetry.size
 
+    def size(self, msg_id: int) -> int:
+        """Return all header bytes of what a MsgId names."""
+        return self.command_bytes if self.msg_ids.is_command(msg_id) else self.telemetry_bytes
+
+    def emit(self, msg_id: int, total: int, sequence_flags: int, sequence_count: int) -> bytes:
+        """Write the headers in front of the command or telemetry header, of a packet of ``total`` bytes."""
+        word, subsystem = self.msg_ids.words(msg_id)
+        head = ccsds.emit(word, total, sequence_flags=sequence_flags, sequence_count=sequence_count)
+        return head + (EXTENDED.emit({"subsystem_id": subsystem}) if self.extended else b"")
+
 
 STANDARD: Final = Headers("16-byte telemetry header", False, COMMAND, TELEMETRY)
 SHORT: Final = Headers("12-byte telemetry header", False, COMMAND, TELEMETRY_SHORT)
 WITH_EXTENDED: Final = Headers("extended header", True, COMMAND_EXTENDED, TELEMETRY_EXTENDED)
-HEADERS: Final = (STANDARD, SHORT, WITH_EXTENDED)
-"""Every kind of build, the usual one first."""
+WITH_EXTENDED_2: Final = replace(
+    WITH_EXTENDED, name="extended header and MsgIds of version 2", msg_ids=VERSION_2
+)
+TOLD: Final = (STANDARD, SHORT, WITH_EXTENDED)
+"""The kinds of build that the bytes tell apart, the usual one first."""
+HEADERS: Final = (*TOLD, WITH_EXTENDED_2)
+"""Every kind of build."""
 
+_SECOND: Final = HEADERS.index(WITH_EXTENDED_2)
 CHECKSUM_BYTE: Final = 1
 """Place of the checksum in the command header."""
 COMMAND_HEADER_BYTES: Final = ccsds.PRIMARY.size + COMMAND.size
@@ -165,6 +187,17 @@ TELEMETRY_HEADER_BYTES: Final = ccsds.PRIMARY.size + TELEMETRY.size
 EVENT_MSG_ID: Final = 0x0808
 SHORT_EVENT_MSG_ID: Final = 0x0809
 SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: Final = 0x0803
+
+
+def known_ids(msg_id: NDArray[np.int32], headers: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Return the MsgIds of many packets as of version 1 (see :mod:`edoras_tools.wire.msg_id`).
+
+    Args:
+        msg_id: of each, or a negative number.
+        headers: u8, place in ``HEADERS`` of the headers of each.
+    """
+    second = headers == _SECOND
+    return np.where(second, VERSION_2.known(msg_id), msg_id) if second.any() else msg_id
 
 
 def checksum(packet: bytes | memoryview) -> int:
@@ -177,11 +210,6 @@ def checksum(packet: bytes | memoryview) -> int:
     for shift in (32, 16, 8):
         word ^= word >> shift
     return (word ^ CHECKSUM_SEED) & 0xFF
-
-
-def is_command(msg_id: int) -> bool:
-    """Tell whether a MsgId's packet carries the command header."""
-    return bool(msg_id & COMMAND_BIT)
 
 
 def emit_command(
@@ -201,11 +229,10 @@ def emit_command(
     Raises:
         FieldError: a value does not fit its field, or the MsgId is a telemetry one.
     """
-    if not is_command(msg_id):
-        raise FieldError("cfe_command", "msg_id", f"0x{msg_id:04x} lacks the command bit 0x1000")
-    total = headers.command_bytes + len(payload)
-    head = ccsds.emit(msg_id, total, sequence_flags=sequence_flags, sequence_count=sequence_count)
-    head += EXTENDED.emit({}) if headers.extended else b""
+    if not headers.msg_ids.is_command(msg_id):
+        bit = f"0x{headers.msg_ids.command_bit:04x}"
+        raise FieldError("cfe_command", "msg_id", f"0x{msg_id:04x} lacks the command bit {bit}")
+    head = headers.emit(msg_id, headers.command_bytes + len(payload), sequence_flags, sequence_count)
     packet = head + headers.command.emit({"function_code": function_code}) + payload
     if not with_checksum:
         return packet
@@ -228,26 +255,30 @@ def emit_telemetry(
     Raises:
         FieldError: a value does not fit its field, or the MsgId is a command one.
     """
-    if is_command(msg_id):
-        raise FieldError("cfe_telemetry", "msg_id", f"0x{msg_id:04x} has the command bit 0x1000")
-    total = headers.telemetry_bytes + len(payload)
-    head = ccsds.emit(msg_id, total, sequence_flags=sequence_flags, sequence_count=sequence_count)
-    head += EXTENDED.emit({}) if headers.extended else b""
+    if headers.msg_ids.is_command(msg_id):
+        bit = f"0x{headers.msg_ids.command_bit:04x}"
+        raise FieldError("cfe_telemetry", "msg_id", f"0x{msg_id:04x} has the command bit {bit}")
+    head = headers.emit(msg_id, headers.telemetry_bytes + len(payload), sequence_flags, sequence_count)
     return head + headers.telemetry.emit({"seconds": seconds, "subseconds": subseconds}) + payload
 
 
 def with_headers(packet: bytes, old: Headers, new: Headers) -> bytes:
     """Return a packet with the headers of another build: function code or time and what follows stay.
 
-    A checksum that was right is right again. A packet shorter than its headers is returned as it is.
+    A MsgId becomes that of the other version (:mod:`edoras_tools.wire.msg_id`). A checksum that was right is
+    right again. A packet shorter than its headers is returned as it is.
     """
-    command = bool(packet) and is_command(packet[0] << 8)
+    msg_id = old.msg_ids.known(old.msg_ids.of(packet)) if len(packet) > 1 else 0
+    command = VERSION_1.is_command(msg_id)
     size, wanted = (item.command_bytes if command else item.telemetry_bytes for item in (old, new))
     if old is new or len(packet) < size:
         return packet
     shared = COMMAND.size if command else TELEMETRY_SHORT.size
     length = (int.from_bytes(packet[4:6], "big") + wanted - size) & 0xFFFF
-    head = packet[:4] + length.to_bytes(2, "big") + (EXTENDED.emit({}) if new.extended else b"")
+    head = new.emit(new.msg_ids.of_known(msg_id), ccsds.LENGTH_BIAS + length, 0, 0)
+    head = head[:2] + packet[2:4] + head[4:]
+    if old.extended and new.extended:
+        head = head[:6] + packet[6:7] + head[7:8] + packet[8:10]
     made = (head + packet[old.start : old.start + shared]).ljust(wanted, b"\0") + packet[size:]
     at = new.start + CHECKSUM_BYTE
     if command and checksum(packet) == 0:

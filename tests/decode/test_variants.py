@@ -55,7 +55,7 @@ def routes(path, **options):
     return inspect(source, settings.workbench(source.info))
 
 
-@pytest.mark.parametrize("headers", cfe.HEADERS, ids=lambda item: item.name)
+@pytest.mark.parametrize("headers", cfe.TOLD, ids=lambda item: item.name)
 def test_the_headers_of_a_real_capture_are_told_from_its_bytes(tmp_path, headers):
     path = rewritten(CAPTURES / "a_rover.pcap", tmp_path / "x.pcap", lambda data: with_headers(data, headers))
     report = routes(path)

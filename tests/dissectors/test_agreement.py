@@ -1,5 +1,6 @@
 """Three readers, one answer: our own decoder, the scapy layers, and tshark with our Lua."""
 
+import re
 from contextlib import closing
 
 import pytest
@@ -14,10 +15,11 @@ from edoras_tools.emulator import Simulation
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import load
-from edoras_tools.model import NO_MSG_ID, OTHER
+from edoras_tools.model import NO_MSG_ID, OTHER, Finding
 from edoras_tools.ros import TypeStore
 from edoras_tools.structs import Structs
 from edoras_tools.units import SECOND
+from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
 
 COMMITTED = ROOT / "dissectors/edoras.lua"
 OF_EACH_KIND = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")
@@ -131,23 +133,37 @@ EXTENDED = LAYERS | {
 }
 
 
-def test_packets_with_extended_headers_that_we_wrote(tshark, taught, judge, write_pcap, tmp_path):
+@pytest.mark.parametrize(
+    ("version", "preference"), [(VERSION_1, "extended_header"), (VERSION_2, "msg_ids_of_version_2")]
+)
+def test_packets_with_extended_headers_that_we_wrote(
+    version, preference, tshark, taught, judge, write_pcap, tmp_path
+):
     """The traffic of an emulated cFS and its bridges, to four readers; all headers have 16 bytes."""
-    simulation = Simulation(SimProfile(extended_header=True), "two-rovers")
+    profile = SimProfile(extended_header=True, msg_id_version=version.version)
+    simulation = Simulation(profile, "two-rovers")
     sent = [(item.source.port, item.destination.port, item.payload) for item in simulation.run(8 * SECOND)]
     capture = write_pcap(tmp_path / "extended.pcap", sent)
-    configs = missions(["two_rovers_ground", "two_rovers_flight"])
-    mission, options = load(configs), Options(extended_header=True)
-    taught(mission, extended_header=True)
-    frames = tshark(*configs).frames(capture, "-o", "edoras.extended_header:TRUE")
-    seen = dict.fromkeys(("cfe_command", "cfe_telemetry", "message"), 0)
+    configs = [
+        numbered(path, version, tmp_path) for path in missions(["two_rovers_ground", "two_rovers_flight"])
+    ]
+    mission = load(configs, msg_ids=version)
+    assert not mission.warnings
+    options = Options(extended_header=True, msg_id_version=version.version)
+    taught(mission, extended_header=True, msg_ids=version)
+    frames = tshark(*configs).frames(capture, "-o", f"edoras.{preference}:TRUE")
+    seen = dict.fromkeys(("cfe_command", "cfe_telemetry", "cfe_event", "message"), 0)
+    found = Finding(0)
     for packet in decoded(capture, mission, options):
         judge(packet, frames[packet.datagram.number])
         agree_with_scapy(packet, EXTENDED)
         for name in {layer.name for layer in packet.layers} & seen.keys():
             seen[name] += 1
         seen["message"] += packet.message is not None
+        found |= packet.findings
+    assert seen.pop("cfe_event") > 20
     assert min(seen.values()) > 100
+    assert not found & (Finding.UNKNOWN_MSG_ID | Finding.WRONG_DIRECTION)
     decoder = ColumnDecoder(Context(mission, TYPES, options))
     with closing(open_file(capture)) as source:
         for batch in source.batches():
@@ -155,3 +171,11 @@ def test_packets_with_extended_headers_that_we_wrote(tshark, taught, judge, writ
             assert set(columns.header_length[columns.msg_id != NO_MSG_ID].tolist()) == {16}
             seen["message"] -= int((columns.cdr_offset >= 0).sum())
     assert seen["message"] == 0
+
+
+def numbered(path, version, folder):
+    """Write a mission file with the MsgIds that its packets have in a version."""
+    text = path.read_text()
+    made = re.sub(r"0x1?8[0-9A-Fa-f]{2}\b", lambda item: f"0x{version.of_known(int(item[0], 0)):04X}", text)
+    (folder / path.name).write_text(made)
+    return folder / path.name

@@ -214,8 +214,8 @@ WARNINGS = [
     ("telemetry_ip", "rate: 3\n      telemetry_ip", ["7: communication.rate: ignored; a ground bridge reads bridge_port, fsw_port, fsw_ip, telemetry_ip, bridge_ip (optional)"]),
     ("mid: 0x827", "mid: 0x827\n      envelop: 4/4", ["18: pose.envelop: ignored; did you mean envelope? read are type, topic, mid, envelope, max_rate, keep, to_limit"]),
     ("0x1827", "1827", ["13: drive.mid: 0x0723 lacks 0x0800, the secondary header bit that cFE messages have; is it hexadecimal, written without 0x?"]),
-    ("0x1827", "0x828", ["13: drive.mid: 0x0828 is a telemetry MsgId under command; a ground bridge's command is 0x18xx as a rule"]),
-    ("0x827", "0x1828", ["17: pose.mid: 0x1828 is a command MsgId under telemetry; a ground bridge's telemetry is 0x08xx as a rule"]),
+    ("0x1827", "0x828", ["13: drive.mid: 0x0828 is a telemetry MsgId under command; a ground bridge's command has the bit 0x1000 as a rule"]),
+    ("0x827", "0x1828", ["17: pose.mid: 0x1828 is a command MsgId under telemetry; a ground bridge's telemetry lacks the bit 0x1000 as a rule"]),
 ]  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from edoras_tools.sessions.outgoing import (
     join_datagrams,
 )
 from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.msg_id import VERSION_1
 
 PEER = Peer(0x42, 3)
 STAMPED = bytes.fromhex("00010000") + struct.pack("<II", 7, 8) + b"rest"
@@ -151,7 +152,7 @@ def test_a_command_becomes_telemetry_behind_an_extended_header(old, new):
 
     def packet(msg_id):
         made = {"sequence_flags": 0, "headers": cfe.WITH_EXTENDED}
-        if cfe.is_command(msg_id):
+        if VERSION_1.is_command(msg_id):
             return cfe.emit_command(msg_id, 1, payload, with_checksum=False, **made)
         return cfe.emit_telemetry(msg_id, payload, **made)
 
@@ -159,3 +160,40 @@ def test_a_command_becomes_telemetry_behind_an_extended_header(old, new):
     changed = Changes({old: new}).once(out)
     assert changed[0] == packet(new)
     assert changed[1] == packet(new)[:9]
+
+
+@pytest.mark.parametrize("old", cfe.HEADERS, ids=lambda item: item.name)
+@pytest.mark.parametrize("new", cfe.HEADERS, ids=lambda item: item.name)
+@pytest.mark.parametrize("link", [CI, SBN], ids=lambda item: item.label)
+def test_headers_of_another_build_as_one_packet_gets_them(old, new, link):
+    """Lengths, MsgIds, checksums and what SBN says of the size: all packets at once as each by itself."""
+    of, sender = old.msg_ids.of_known, PEER if link is SBN else None
+    packets = [
+        cfe.emit_command(of(0x1827), 1, b"\1" * 9, headers=old),
+        cfe.emit_command(of(0x1828), 2, b"", with_checksum=False, headers=old),
+        cfe.emit_telemetry(of(0x0827), b"\2" * 30, seconds=7, subseconds=9, sequence_count=5, headers=old),
+        cfe.emit_telemetry(of(0x0808), b"", headers=old)[:11],
+        b"\x18\x27\0\0\0",
+    ]
+    rows = [Packet(item, cdr_at=old.command_bytes + 2 if n == 0 else -1) for n, item in enumerate(packets)]
+    out = Outgoing.packets(link, rows, sender=sender, headers=old)
+    changed = Changes(headers=new).once(out)
+    wanted = [cfe.with_headers(item, old, new) for item in packets]
+    if sender:
+        wanted = [sbn.emit(sbn.MsgType.APP, sender, item) for item in wanted]
+    assert [changed[row] for row in range(len(out))] == wanted
+    assert changed.msg_id.tolist()[:3] == [new.msg_ids.of_known(item) for item in (0x1827, 0x1828, 0x0827)]
+    assert changed.command.tolist()[:3] == [True, True, False]
+    assert int(changed.cdr_offset[0]) == int(changed.packet_offset[0]) + new.command_bytes + 2
+    back = Changes(headers=old).once(changed)
+    assert [back[row] for row in range(len(out))] == [out[row] for row in range(len(out))]
+
+
+def test_a_msg_id_is_replaced_in_the_numbers_of_the_other_build():
+    out = outgoing(command(), command(0x1828))
+    changed = Changes({0x1827: 0x0191}, headers=cfe.WITH_EXTENDED_2, checksum=ChecksumRule.FIX).once(out)
+    wanted = [
+        cfe.emit_command(msg_id, 1, b"payload", sequence_flags=0, headers=cfe.WITH_EXTENDED_2)
+        for msg_id in (0x0191, 0x00A8)
+    ]
+    assert [changed[row] for row in range(2)] == wanted

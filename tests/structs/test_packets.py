@@ -19,6 +19,7 @@ from edoras_tools.structs import Structs, cfe, shipped_structs
 from edoras_tools.structs.files import parse_layout
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import cfe as wire
+from edoras_tools.wire.msg_id import VERSION_1
 
 LAYOUT = """
 package: rover_msgs
@@ -289,7 +290,7 @@ def test_one_by_one_and_all_at_once_agree(items, order):
     where = context(order)
     packets = [
         wire.emit_command(msg_id, code, data)
-        if wire.is_command(msg_id)
+        if VERSION_1.is_command(msg_id)
         else wire.emit_telemetry(msg_id, data)
         for msg_id, code, data in items
     ]

@@ -74,7 +74,7 @@ def _others() -> Iterator[FilterField]:
         base=16,
         digits=4,
         words=words,
-        doc="cFE's key: the first word",
+        doc="cFE's key: the first word, or of version 2",
     )
     yield FilterField(
         "sbn_sub.msg_ids",
@@ -257,7 +257,8 @@ def _body(rows: ColumnRows) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArr
 
 def _housekeeping(layout: Layout, msg_id: int, rows: ColumnRows) -> Places:
     whole, start, size = _body(rows)
-    owner = np.flatnonzero(whole & (rows.column("msg_id") == msg_id) & (size >= layout.size))
+    own = rows.column("msg_id") == rows.context.msg_ids.of_known(msg_id)
+    owner = np.flatnonzero(whole & own & (size >= layout.size))
     owner = owner[rows.routes()[owner] == NO_ROUTE]
     return owner, start[owner]
 

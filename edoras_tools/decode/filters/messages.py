@@ -28,7 +28,7 @@ from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.ros.types import grammar, schema
 from edoras_tools.structs.bound import Encoded, Held
 from edoras_tools.structs.names import INLINED, aliased, field_name
-from edoras_tools.structs.packets import UDP_KEY
+from edoras_tools.structs.packets import PACKETS, UDP_KEY
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import cfe
 
@@ -233,12 +233,13 @@ class MessageFieldFinder:
         return ""
 
 
+_LAYERS: Final = {PACKETS[item] for item in (cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID)}
+"""Structs whose fields are those of a layer."""
+
+
 def _is_layer(bound: Bound) -> bool:
     """Tell whether a struct's fields are those of a layer, and found there."""
-    return bound.shipped and bound.key.msg_id in (
-        *(cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID),
-        UDP_KEY,
-    )
+    return bound.shipped and (bound.struct.name in _LAYERS or bound.key.msg_id == UDP_KEY)
 
 
 def _wanted(path: str) -> list[tuple[str, int | None]]:

@@ -57,9 +57,11 @@ class Budget:
         }
 
 
-def predict(mission: Mission, types: TypeStore, profile: SimProfile) -> list[Budget]:
-    """Return the budget of every route of a mission."""
-    return [_budget(route, types, profile) for route in mission.routes]
+def predict(
+    mission: Mission, types: TypeStore, profile: SimProfile, headers: cfe.Headers = cfe.STANDARD
+) -> list[Budget]:
+    """Return the budget of every route of a mission, for a cFE with some headers."""
+    return [_budget(route, types, profile, headers) for route in mission.routes]
 
 
 def limit(link: Link, msg_id: int, profile: SimProfile, *, to_cfs: bool) -> tuple[float, str, str]:
@@ -105,22 +107,22 @@ def _ratio(count: int, period_ns: int, hop: str, text: str) -> tuple[float, str,
     return count * SECOND / period_ns, hop, text.format(count, period_ns // 1_000_000)
 
 
-def _budget(route: Route, types: TypeStore, profile: SimProfile) -> Budget:
+def _budget(route: Route, types: TypeStore, profile: SimProfile, headers: cfe.Headers) -> Budget:
     limit_hz, hop, reason = limit(route.link, route.msg_id, profile, to_cfs=route.to_cfs)
     fixed = types.fixed_size(route.type) if types.has(route.type) else None
     size = None
     if fixed is not None:
         named = route.envelope if route.envelope and route.envelope != "auto" else str(DEFAULT)
-        header = cfe.COMMAND_HEADER_BYTES if cfe.is_command(route.msg_id) else cfe.TELEMETRY_HEADER_BYTES
         network = HEADER.size if route.link.peers else 0
-        size = network + header + EnvelopeFormat.named(named).size + fixed
-    return Budget(route, limit_hz, hop, reason, size, tuple(_traps(route, size, profile)))
+        size = network + headers.size(route.msg_id) + EnvelopeFormat.named(named).size + fixed
+    command = headers.msg_ids.is_command(route.msg_id)
+    return Budget(route, limit_hz, hop, reason, size, tuple(_traps(route, size, profile, command=command)))
 
 
-def _traps(route: Route, size: int | None, profile: SimProfile) -> list[str]:
-    if cfe.is_command(route.msg_id) and route.link.only_from_cfs:
+def _traps(route: Route, size: int | None, profile: SimProfile, *, command: bool) -> list[str]:
+    if command and route.link.only_from_cfs:
         return [f"0x{route.msg_id:04x} is a command MsgId: TO carries telemetry"]
-    if not cfe.is_command(route.msg_id) and route.link.only_to_cfs:
+    if not command and route.link.only_to_cfs:
         return [f"0x{route.msg_id:04x} is a telemetry MsgId: applications take commands from CI"]
     if size is None:
         return []

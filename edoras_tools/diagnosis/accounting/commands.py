@@ -110,7 +110,7 @@ class Commands:
             self._unfollowed(fate)
         self._number(fates)
         for fate in fates:
-            if fate.stream.msg_id == telemetry_output.COMMAND_MSG_ID and fate.stream.link.only_to_cfs:
+            if fate.stream.known_id == telemetry_output.COMMAND_MSG_ID and fate.stream.link.only_to_cfs:
                 self._commanded(fate)
 
     def refusals(self, item: Refused) -> int:
@@ -162,7 +162,7 @@ class Commands:
             for fate in fates
             if fate.stream.link.only_to_cfs
             and not fate.seen
-            and (fate.stream.msg_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE)
+            and (fate.stream.known_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE)
         ]
         if not len(there) or len(unseen) != 1 or any(hop.out.link.last_hop for hop in self._known.hops):
             return

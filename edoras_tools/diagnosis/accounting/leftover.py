@@ -213,7 +213,7 @@ class Leftover:
         known, profile = self._known, self._known.profile
         leaving = {stream.msg_id for stream in known.streams if stream.link.only_from_cfs}
         for stream in known.streams:
-            if stream.msg_id in names.MSG_ID_NAMES and stream.route == NO_ROUTE:
+            if stream.known_id in names.MSG_ID_NAMES and stream.route == NO_ROUTE:
                 continue
             fate = self.fates.get(id(stream))
             if stream.link.only_to_cfs and not (fate and fate.seen):

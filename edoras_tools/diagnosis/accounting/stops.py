@@ -41,7 +41,7 @@ def stopped(known: Known, fates: Sequence[Fate]) -> list[Loss]:
     taken = [
         fate
         for fate in fates
-        if fate.stream.msg_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE
+        if fate.stream.known_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE
     ]
     found = [loss for item in gone for fate in taken if fate.seen for loss in _followed(known, fate, item)]
     for fate in taken:
@@ -65,7 +65,7 @@ def _asked(known: Known, fate: Fate) -> None:
         if ends and not answered and fate.stream.receiver == rows.destination[item.row]:
             fate.unfollowed = rows.time_ns[fate.stream.rows] > when
             fate.unfollowed_since = (
-                f"packet {rows.number[item.row]}: {executive_services.COMMAND_MSG_ID:#06x}, function code "
+                f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
                 f"{code}, for {item.app}; no event that answers it can be read here"
             )
             return

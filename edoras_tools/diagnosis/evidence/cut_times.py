@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.evidence.table import followed
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
-from edoras_tools.wire import cfe
+from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,7 +31,7 @@ HANDED_ON_NS: Final = 2 * SECOND
 def with_cut_times(rows: Rows) -> Rows:
     """Return rows in which packets on SBN have the times that Telemetry Output shows of the same packets."""
     bare = rows.has(Finding.CAPTURE_CUT) & (rows.mission_time_ns <= 0) & rows.counted
-    bare &= (rows.msg_id & cfe.COMMAND_BIT) == 0
+    bare &= ~VERSION_1.is_command(rows.known_id)
     network = np.flatnonzero(bare & among(rows.link, lambda link: link.peers))
     output = np.flatnonzero(
         among(rows.link, lambda link: link.only_from_cfs) & rows.counted & (rows.mission_time_ns > 0)

@@ -106,7 +106,7 @@ class Instances:
         # Who hands on others' packets does so through Telemetry Output: on SBN everyone speaks for himself.
         own = members[among(rows.link[members], lambda link: link.peers)]
         if not len(own):
-            events = members[rows.msg_id[members] == cfe.EVENT_MSG_ID]
+            events = members[rows.known_id[members] == cfe.EVENT_MSG_ID]
             own = np.array([row for row in events.tolist() if row in says], np.intp)
         sent_from = self.hosts[rows.source[own if len(own) else members]]
         host = int(np.bincount(sent_from).argmax())
@@ -152,7 +152,7 @@ class Instances:
     @staticmethod
     def _name(rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> str:
         """Return an instance's own name: from its events, else as SBN sender."""
-        events = members[rows.msg_id[members] == cfe.EVENT_MSG_ID]
+        events = members[rows.known_id[members] == cfe.EVENT_MSG_ID]
         told = Counter(says[row] for row in events.tolist() if row in says)
         if told:
             return told.most_common(1)[0][0]
@@ -183,7 +183,7 @@ class Instances:
         telemetry = among(rows.link, lambda link: link.only_from_cfs) & (self.of_row != NOBODY)
         for source in np.unique(rows.source[telemetry]).tolist():
             own = telemetry & (rows.source == source)
-            said = own & (rows.msg_id == cfe.EVENT_MSG_ID)
+            said = own & (rows.known_id == cfe.EVENT_MSG_ID)
             found = self.of_row[said if said.any() else own]
             values, first, counts = np.unique(found, return_index=True, return_counts=True)
             if said.any():
@@ -269,7 +269,7 @@ def _publishers(
     ]
     # What a Telemetry Output sends is its own, or was handed on and crossed SBN before.
     from_ = handed_on(rows, network, output)
-    events = output[rows.msg_id[output] == cfe.EVENT_MSG_ID]
+    events = output[rows.known_id[output] == cfe.EVENT_MSG_ID]
     owner = {int(rows.source[row]): says[row] for row in events.tolist() if row in says}
     first, port = numbered(rows.source[output])
     peers = tuple(names)
@@ -295,7 +295,7 @@ def _conflict(rows: Rows, members: NDArray[np.intp]) -> bool:
 
     Where frames are cut, less is left of it on one link than on another, and that is no other content.
     """
-    counters = members[rows.msg_id[members] == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID]
+    counters = members[rows.known_id[members] == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID]
     _, given = numbered(rows.sequence_count[counters], rows.packet_length[counters])
     different, _ = numbered(given, rows.packet_print[counters])
     counts = np.bincount(given[different])

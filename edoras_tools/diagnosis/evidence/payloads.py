@@ -196,12 +196,13 @@ class Payloads:
             base: row of the table that the batch's first datagram has.
         """
         downward = among(columns.link, lambda link: link.from_cfs and link.packets)
+        known = cfe.known_ids(columns.msg_id, columns.headers)
         for samples, msg_id, layout, names in (
             (self.housekeeping, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, *_BUS_COUNTERS),
             (self.ingest, command_ingest.HOUSEKEEPING_MSG_ID, *_CI_COUNTERS),
             (self.commanded, telemetry_output.HOUSEKEEPING_MSG_ID, *_TO_COUNTERS),
         ):
-            rows = np.flatnonzero(downward & (columns.msg_id == msg_id))
+            rows = np.flatnonzero(downward & (known == msg_id))
             # What follows the counters is not read; a capture may have cut it off.
             size = max(layout.by_name[name].end for name in names)
             have = columns.packet_length[rows] - columns.header_length[rows]
@@ -209,15 +210,15 @@ class Payloads:
             payload = gather(batch.data, columns.packet_offset[rows] + columns.header_length[rows], size)
             counters = [layout.column(name, payload) for name in names]
             samples.add(base + rows, batch.time_ns[rows], *counters)
-        for row in np.flatnonzero(downward & (columns.msg_id == cfe.EVENT_MSG_ID)).tolist():
+        for row in np.flatnonzero(downward & (known == cfe.EVENT_MSG_ID)).tolist():
             self._event(batch, row, base, _payload(batch, columns, row))
         listed = (columns.sbn_msg_type == sbn.MsgType.SUB) | (columns.sbn_msg_type == sbn.MsgType.UNSUB)
         listed &= (columns.findings & np.uint32(Finding.CAPTURE_CUT)) == 0
         self._subscribe(batch, np.flatnonzero(listed), base)
-        output = (columns.msg_id == telemetry_output.COMMAND_MSG_ID) & (columns.function_code >= 0)
+        output = (known == telemetry_output.COMMAND_MSG_ID) & (columns.function_code >= 0)
         for row in np.flatnonzero(output & ~among(columns.link, lambda link: link.only_from_cfs)).tolist():
             self._output(int(columns.function_code[row]), row, base, _payload(batch, columns, row))
-        executive = columns.msg_id == executive_services.COMMAND_MSG_ID
+        executive = known == executive_services.COMMAND_MSG_ID
         for row in np.flatnonzero(executive & (columns.function_code >= 0) & ~downward).tolist():
             self._executive(int(columns.function_code[row]), base + row, _payload(batch, columns, row))
 

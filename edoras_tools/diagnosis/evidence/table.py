@@ -17,6 +17,7 @@ from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.wire import cfe
 from edoras_tools.wire.fingerprint import of_bytes
+from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.order import numbered
 from edoras_tools.wire.window import gather
 
@@ -44,6 +45,7 @@ class Rows:
         number: i64, place in the source, from 1.
         time_ns: i64, capture time.
         length: i32, bytes of the UDP payload.
+        known_id: i32, its MsgId as of version 1, as facts of cFS name it.
         space: i32, bytes of a packet behind the envelope, padding included; 0 where there is no envelope.
         claimed: i32, bytes of CDR that an envelope claims and its packet does not hold; 0 elsewhere.
         identification: u16, of the IPv4 packet; 0 for IPv6.
@@ -72,6 +74,7 @@ class Rows:
     processor_id: NDArray[np.uint32]
     spacecraft_id: NDArray[np.uint32]
     msg_id: NDArray[np.int32]
+    known_id: NDArray[np.int32]
     sequence_count: NDArray[np.uint16]
     function_code: NDArray[np.int16]
     mission_time_ns: NDArray[np.int64]
@@ -191,6 +194,7 @@ class Recorder:
                 processor_id=columns.processor_id,
                 spacecraft_id=columns.spacecraft_id,
                 msg_id=columns.msg_id,
+                known_id=cfe.known_ids(columns.msg_id, columns.headers),
                 sequence_count=columns.sequence_count,
                 function_code=columns.function_code,
                 mission_time_ns=columns.mission_time_ns,
@@ -265,8 +269,9 @@ class Recorder:
         end = columns.packet_offset + columns.packet_length
         space = np.where(offset >= 0, (end - offset), 0).astype(np.int32)
         vain = np.zeros(len(batch), np.int32)
-        open_ = (offset < 0) & (columns.packet_offset >= 0) & ~np.isin(columns.msg_id, list(MSG_ID_NAMES))
-        command = (columns.msg_id & cfe.COMMAND_BIT) != 0
+        known = cfe.known_ids(columns.msg_id, columns.headers)
+        open_ = (offset < 0) & (columns.packet_offset >= 0) & ~np.isin(known, list(MSG_ID_NAMES))
+        command = VERSION_1.is_command(known)
         for envelope, asked in zip(self.context.unrouted, (open_ & ~command, open_ & command), strict=True):
             behind = (end - payload - envelope.size).astype(np.int32)
             rows = np.flatnonzero(asked & (behind >= _ENCAPSULATION))

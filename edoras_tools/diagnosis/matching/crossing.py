@@ -30,7 +30,6 @@ _NEWER_NS: Final = 550 * MILLISECOND
 """Messages that go in further apart are taken in two rounds of CI."""
 _BURST_NS: Final = 20 * MILLISECOND
 _FEW_TOGETHER: Final = 0.1
-_COMMAND: Final = 0x1000
 _ALIKE: Final = 0.5
 _LEAST_DIFFERENT: Final = 3
 _NEARLY_ALL: Final = 0.9
@@ -137,12 +136,12 @@ def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, 
 
 def _may_follow(into: Stream, out: Stream) -> bool:
     if out.link.last_hop:
-        return bool(into.msg_id & _COMMAND)
+        return into.is_command
     if into is out or (into.link.peers and out.link.peers and into.receiver != out.sender):
         return False
     if into.msg_id == out.msg_id:
         return into.instance == out.instance or NOBODY in {into.instance, out.instance}
-    return bool(into.msg_id & _COMMAND) != bool(out.msg_id & _COMMAND)
+    return into.is_command != out.is_command
 
 
 def _prints(into: Stream, out: Stream, rows: Rows) -> list[tuple[NDArray[np.uint64], NDArray[np.uint64]]]:

@@ -17,6 +17,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
+from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.order import by_value, numbered
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ class Stream:
         duplicates: rows that repeat one.
         reordered: rows that came late.
         restarts: times the count began anew.
+        known_id: its MsgId as of version 1, as facts of cFS name it.
     """
 
     link: Link
@@ -66,6 +68,12 @@ class Stream:
     duplicates: int = 0
     reordered: int = 0
     restarts: int = 0
+    known_id: int = NO_MSG_ID
+
+    @property
+    def is_command(self) -> bool:
+        """Whether its packets are commands."""
+        return bool(VERSION_1.is_command(self.known_id))
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -214,6 +222,7 @@ def _stream(rows: Rows, members: NDArray[np.intp], instance: NDArray[np.int32]) 
         reordered=int(rows.reordered[members].sum()),
         # Another cFS counts anew; that is no restart of this one's count.
         restarts=max(0, int(rows.restarts[members[1:]].sum())),
+        known_id=int(rows.known_id[first]),
     )
 
 

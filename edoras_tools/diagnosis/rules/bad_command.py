@@ -251,7 +251,7 @@ def _events_cut(case: Case, start_ns: int) -> bool:
     """Tell whether the capture cut off what cFS said within the time of an answer."""
     rows = case.rows
     there = (rows.time_ns >= start_ns) & (rows.time_ns <= start_ns + _ANSWERED_NS)
-    return bool((there & (rows.msg_id == cfe.EVENT_MSG_ID) & rows.has(Finding.CAPTURE_CUT)).any())
+    return bool((there & (rows.known_id == cfe.EVENT_MSG_ID) & rows.has(Finding.CAPTURE_CUT)).any())
 
 
 def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:

@@ -22,7 +22,7 @@ ID = "not_observable"
 def judge(case: Case) -> Iterator[Verdict]:
     """Say what cannot be known from here, and which capture point would tell."""
     rows = case.rows
-    cut = (rows.msg_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) & rows.has(Finding.CAPTURE_CUT)
+    cut = (rows.known_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) & rows.has(Finding.CAPTURE_CUT)
     if not case.tracks and cut.any():
         yield _verdict(
             case,
@@ -57,7 +57,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             case,
             "0x803 is not in the capture: how many messages the software bus lost is not observable from "
             "here",
-            f"have Telemetry Output send it: {case.inject('to-add', '0x0803')}",
+            f"have Telemetry Output send it: {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
         )
 
 

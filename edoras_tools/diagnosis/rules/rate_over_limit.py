@@ -26,7 +26,7 @@ _OVER: Final = 1.05
 def judge(case: Case) -> Iterator[Verdict]:
     """Hold the rates to CI against the budget, where no counter does it better."""
     for stream in case.streams:
-        if stream.link is not CI or len(stream) < _LEAST or stream.msg_id in MSG_ID_NAMES:
+        if stream.link is not CI or len(stream) < _LEAST or stream.known_id in MSG_ID_NAMES:
             continue
         clean, hop, why = limit(CI, stream.msg_id, case.profile, to_cfs=True)
         times = case.rows.time_ns[stream.rows]

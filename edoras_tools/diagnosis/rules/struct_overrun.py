@@ -11,7 +11,6 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding, Link
 from edoras_tools.units import SECOND
-from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,7 +34,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             sizes, counts = np.unique(rows.packet_length[all_], return_counts=True)
             # Another size than the struct's: somebody else's packet under this MsgId.
             members = members[rows.packet_length[members] == sizes[counts.argmax()]]
-            if len(members) and not cfe.is_command(msg_id):
+            if len(members) and not case.mission.msg_ids.is_command(msg_id):
                 yield _verdict(case, link, msg_id, members, len(all_))
 
 

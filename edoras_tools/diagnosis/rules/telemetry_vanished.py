@@ -40,7 +40,7 @@ def judge(case: Case) -> Iterator[Verdict]:
     """Look for a stream that ended for good, and for what happened just then."""
     stops = outages(case.known)
     for stream in case.streams:
-        if stream.link is not TO or len(stream) < _LEAST or stream.msg_id in _EVENTS:
+        if stream.link is not TO or len(stream) < _LEAST or stream.known_id in _EVENTS:
             continue
         if _asked_for(case, stream) or _stopped(case, stream, stops):
             continue

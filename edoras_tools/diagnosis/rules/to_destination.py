@@ -61,7 +61,7 @@ def _no_address(case: Case, item: OutputCommand) -> Verdict:
         Severity.WARNING,
         f"Telemetry Output was enabled for {item.address!r}, which is no address: where it sends then is up "
         "to the flight host",
-        msg_id=telemetry_output.COMMAND_MSG_ID,
+        msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         link="ci",
         hop="TO_LAB_APP",
         start_ns=start_ns,
@@ -90,7 +90,7 @@ def _fight(case: Case, members: list[OutputCommand]) -> Verdict:
             if fighting
             else "Telemetry Output was redirected: the first ground station gets nothing from then on"
         ),
-        msg_id=telemetry_output.COMMAND_MSG_ID,
+        msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         link="to",
         hop="TO_LAB_APP",
         start_ns=times[0],

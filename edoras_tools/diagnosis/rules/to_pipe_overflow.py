@@ -93,7 +93,7 @@ def _verdict(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
     if beside:
         listed = ", ".join(f"{case.name(item.msg_id)} {item.lost:,}" for item in beside)
         evidence.append(f"lost with it: {listed}")
-    if any(item.msg_id == cfe.EVENT_MSG_ID for item in beside):
+    if any(item.msg_id == case.of_known(cfe.EVENT_MSG_ID) for item in beside):
         evidence.append("events are among the lost: that none names the pipe proves nothing")
     return loss_verdict(
         case,

@@ -60,14 +60,14 @@ def judge(case: Case) -> Iterator[Verdict]:
             lost=known["lost"],
             evidence=(
                 (
-                    f"packet {rows.number[item.row]}: {telemetry_output.COMMAND_MSG_ID:#06x}, function code "
+                    f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
                     f"{item.function_code}, from {case.endpoints[rows.source[item.row]].address}"
                 ),
                 *known["evidence"],
             ),
             remedy=f"add it again: {case.inject('to-add', f'0x{item.msg_id:04x}')}"
             if item.msg_id >= 0
-            else f"add what is wanted again, e.g. {case.inject('to-add', '0x0803')}",
+            else f"add what is wanted again, e.g. {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
         )
     streams = [stream for stream in case.streams if stream.link is TO]
     moved = sorted(

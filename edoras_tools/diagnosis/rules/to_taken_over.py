@@ -38,7 +38,7 @@ def judge(case: Case) -> Iterator[Verdict]:
                 Severity.SECURITY,
                 f"{new} had all telemetry sent to {after.address}; {before.address}, for which {old} had "
                 "enabled it, gets none from then on",
-                msg_id=telemetry_output.COMMAND_MSG_ID,
+                msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
                 link="to",
                 hop=telemetry_output.NAME,
                 start_ns=time_ns,

@@ -57,9 +57,10 @@ def judge(case: Case) -> Iterator[Verdict]:
     for stream in case.streams:
         published = stream.link.from_cfs or stream.link.peers
         # Of packets without a time nothing tells whether their cFS ran on.
-        dated = stream.instance != NOBODY or not (stream.counted or stream.msg_id in MSG_ID_NAMES)
+        dated = stream.instance != NOBODY or not (stream.counted or stream.known_id in MSG_ID_NAMES)
         dated &= id(stream) not in case.telemetry.untold
-        if published and dated and len(stream) >= _LEAST and stream.msg_id not in _SAID | told:
+        told_of = stream.known_id in _SAID or stream.msg_id in told
+        if published and dated and len(stream) >= _LEAST and not told_of:
             yield from _silences(case, stream)
 
 
@@ -102,7 +103,7 @@ def _ends(case: Case, stream: Stream) -> int:
 
 def _surely_silent(stream: Stream, before: NDArray[np.int64], length: int) -> bool:
     """Tell whether what came irregularly is silent for longer than ever before; housekeeping may be."""
-    housekeeping = stream.msg_id in MSG_ID_NAMES and stream.route == NO_ROUTE
+    housekeeping = stream.known_id in MSG_ID_NAMES and stream.route == NO_ROUTE
     if housekeeping or len(before) < _LEAST:
         return False
     return length > max(_LONG_NS, _IRREGULAR * int(np.diff(before).max()))

@@ -9,7 +9,6 @@ import numpy as np
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
-from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,7 +22,7 @@ def judge(case: Case) -> Iterator[Verdict]:
     """Hold the configured routes against the traffic."""
     rows = case.rows
     for route in case.mission.routes:
-        command = cfe.is_command(route.msg_id)
+        command = case.mission.msg_ids.is_command(route.msg_id)
         against = (route.link is CI and not command) or (route.link is TO and command)
         elsewhere = TO if route.link is CI else CI if route.link is TO else None
         there = np.flatnonzero((rows.link == route.link) & (rows.msg_id == route.msg_id))
@@ -46,7 +45,8 @@ def judge(case: Case) -> Iterator[Verdict]:
         yield Verdict(
             ID,
             Severity.WARNING,
-            f"{case.name(route.msg_id)} is {wrong}: commands have the bit 0x1000, telemetry does not",
+            f"{case.name(route.msg_id)} is {wrong}: commands have the bit "
+            f"0x{case.mission.msg_ids.command_bit:04x}, telemetry does not",
             msg_id=route.msg_id,
             topic=route.topic,
             link=route.link.label,

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs.event_services import EventText, EventType
 from edoras_tools.cfs.profile import GENERATOR_MSG_ID
-from edoras_tools.emulator.messages import FixedStruct, command_length, pose_stamped
+from edoras_tools.emulator.messages import FixedStruct, bus_id, command_length, pose_stamped
 from edoras_tools.emulator.scheduler import Receive, SleepUntil, Work
 from edoras_tools.units import MICROSECOND, SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.packet import function_code_of, whole_packet
 
 if TYPE_CHECKING:
@@ -73,7 +74,8 @@ class Generator:
                 self._cfs.say(_BAD_COMMAND, code=code, length=length)
             yield Work(self._cfs.profile.work_ns)
 
-    def _set(self, slot: int, msg_id: int, rate: int, kind: int, length: int) -> None:
+    def _set(self, slot: int, named: int, rate: int, kind: int, length: int) -> None:
+        msg_id = bus_id(named, self._cfs.profile)
         reason = _refusal(slot, msg_id, kind, length) if rate or slot >= _SLOTS else ""
         if reason:
             self._cfs.say(_REFUSED, slot=slot, reason=reason)
@@ -101,7 +103,7 @@ def _refusal(slot: int, msg_id: int, kind: int, length: int) -> str:
     """Return why a slot cannot be set; empty if it can."""
     if slot >= _SLOTS:
         return "there is no such slot"
-    if not 0 < msg_id <= cfe.HIGHEST_MSG_ID or cfe.is_command(msg_id):
+    if not 0 < msg_id <= cfe.HIGHEST_MSG_ID or VERSION_1.is_command(msg_id):
         return "the MsgId is none of telemetry"
     if length > _LONGEST:
         return "the message is too long"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import command_ingest as facts
-from edoras_tools.emulator.messages import command_length, from_link, headers_of
+from edoras_tools.emulator.messages import bus_id, command_length, from_link, headers_of
 from edoras_tools.emulator.services.events import Event
 from edoras_tools.wire import cfe
 from edoras_tools.wire.packet import function_code_of, length_of
@@ -77,7 +77,13 @@ class CommandIngest:
             self.ingest_errors += 1
             word, second = self._buffer[0] << 8 | self._buffer[1], self._buffer[2] << 8 | self._buffer[3]
             return Ingested(
-                event=Event.of(facts.TOO_SHORT, line=369, msg_id=word, second=second, length=len(data))
+                event=Event.of(
+                    facts.TOO_SHORT,
+                    line=369,
+                    msg_id=bus_id(word, self.profile),  # it tells the two first words as they are
+                    second=second,
+                    length=len(data),
+                )
             )
         self.ingest_packets += 1
         held = max(len(data), length_of(data))

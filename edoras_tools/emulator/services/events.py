@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping  # noqa: TC003  Application's annotations are read by people and tools
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import event_services as facts
 from edoras_tools.cfs.event_services import NAME, SQUELCHED, USUAL_TYPES
+from edoras_tools.emulator.messages import link_id
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
 
@@ -29,18 +30,25 @@ class Event:
         app: name of the application.
         event_id: its number for it.
         event_type: severity.
-        message: text; what does not fit in 121 bytes is cut when it is sent.
+        text: what it says, with names in braces where values go.
+        values: by name; ``msg_id`` as on the bus.
     """
 
     app: str
     event_id: int
     event_type: EventType
-    message: str
+    text: str
+    values: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, event: EventText, **values: object) -> Self:
         """Return an event of cFS with its values."""
-        return cls(event.app, event.event_id, event.event_type, event.text.format(**values))
+        return cls(event.app, event.event_id, event.event_type, event.text, values)
+
+    @property
+    def message(self) -> str:
+        """Its text with its values; what does not fit in 121 bytes is cut when it is sent."""
+        return self.text.format(**self.values) if self.values else self.text
 
     def __str__(self) -> str:
         return f"{self.app} {self.event_id}: {self.message}"
@@ -157,6 +165,9 @@ class EventServices:
         application.squelched = 0
         application.sent += 1
         self.sent += 1
+        if "msg_id" in event.values:
+            msg_id = link_id(event.values["msg_id"], self.profile)
+            event = replace(event, values={**event.values, "msg_id": msg_id})
         return [event]
 
     def _spend(self, application: Application, now: int) -> bool:

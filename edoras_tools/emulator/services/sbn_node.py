@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs import sbn as facts
-from edoras_tools.emulator.messages import from_link, to_link
+from edoras_tools.emulator.messages import bus_id, from_link, headers_of, link_id, to_link
 from edoras_tools.emulator.services.events import Event
 from edoras_tools.model import Peer
 from edoras_tools.sessions.sbn.connection import SbnConnection
@@ -26,7 +26,7 @@ from edoras_tools.sessions.sbn.habits import STOCK
 from edoras_tools.sessions.sbn.states import Trigger
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.packet import length_of, msg_id_of, whole_packet
+from edoras_tools.wire.packet import length_of, whole_packet
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -143,7 +143,7 @@ class SbnNode:
             return actions
         connection = state.connection
         if not connection.connected:
-            connection.wanted = tuple(self._reportable(0))
+            connection.wanted = tuple(self._named(self._reportable(0)))
         step = connection.receive_datagram(whole, now=now)
         for event in step.events:
             self._happened(state, event, len(data) - sbn.HEADER.size, actions)
@@ -160,7 +160,7 @@ class SbnNode:
         for wanted in list(self._reportable(self._reported)):
             # To every peer of the table, connected or not, one MsgId a datagram.
             for state in self.peers.values():
-                self._send(state, state.connection.subscribe([wanted], now=now), actions)
+                self._send(state, state.connection.subscribe(self._named([wanted]), now=now), actions)
         self._reported = len(self.bus.subscribed)
         for state in self.peers.values():
             self._serve(state, actions, now)
@@ -222,10 +222,10 @@ class SbnNode:
                     actions.fail(facts.OTHER_IDENT, facts.MESSAGE_FAILED, processor_id=identity.processor_id)
                     return
                 for item in msg_ids:
-                    self._subscription(state, msg_type, item, actions)
+                    self._subscription(state, msg_type, bus_id(item, self.profile), actions)
             case AppMessage():
                 packet = event.packet
-                if msg_id_of(packet) > cfe.HIGHEST_MSG_ID:
+                if headers_of(self.profile).msg_ids.of(packet) > cfe.HIGHEST_MSG_ID:
                     actions.fail(facts.BAD_MSG_ID, facts.MESSAGE_FAILED)
                     return
                 size = max(length_of(packet), carried, cfe.COMMAND_HEADER_BYTES)
@@ -262,6 +262,9 @@ class SbnNode:
 
     def _send(self, state: PeerState, datagrams: Iterable[bytes], actions: Actions) -> None:
         actions.sends += [PeerDatagram(state.config, data) for data in datagrams]
+
+    def _named(self, msg_ids: Iterable[int]) -> list[int]:
+        return [link_id(item, self.profile) for item in msg_ids]
 
     def _reportable(self, start: int) -> Iterator[int]:
         return (item for item in self.bus.subscribed[start:] if item not in NOT_REPORTED)

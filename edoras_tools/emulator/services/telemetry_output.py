@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import software_bus
 from edoras_tools.cfs import telemetry_output as facts
+from edoras_tools.emulator.messages import bus_id
 from edoras_tools.emulator.services.events import Event
 from edoras_tools.wire import cfe
 from edoras_tools.wire.packet import function_code_of, whole_packet
@@ -82,7 +83,7 @@ class TelemetryOutput:
         if function_code == facts.ADD_PACKET:
             return self._add(payload)
         if function_code == facts.REMOVE_PACKET:
-            return self._remove(int.from_bytes(payload[:4], "little"))
+            return self._remove(self._msg_id(payload))
         if function_code == facts.REMOVE_ALL:
             for wanted in list(self.pipe.limits):
                 self.bus.unsubscribe(self.pipe, wanted)
@@ -102,7 +103,7 @@ class TelemetryOutput:
         return _says(facts.ENABLED, address=text)
 
     def _add(self, payload: bytes) -> Answer:
-        wanted, limit = int.from_bytes(payload[:4], "little"), payload[6] or self.profile.to_default_limit
+        wanted, limit = self._msg_id(payload), payload[6] or self.profile.to_default_limit
         if not 0 < wanted <= cfe.HIGHEST_MSG_ID:
             return _says(facts.NOT_ADDED, line=470, msg_id=wanted, status=software_bus.BAD_ARGUMENT)
         known = wanted in self.pipe.limits
@@ -123,6 +124,9 @@ class TelemetryOutput:
             return Answer((removed,))
         # cFE calls it a success, and TO believes it.
         return Answer((self._bus_says(software_bus.NOTHING_TO_UNSUBSCRIBE, wanted), removed))
+
+    def _msg_id(self, payload: bytes) -> int:
+        return bus_id(int.from_bytes(payload[:4], "little"), self.profile)
 
     def _bus_says(self, event: EventText, wanted: int) -> Event:
         return Event.of(event, msg_id=wanted, pipe=self.pipe.name, app=facts.NAME)

@@ -161,7 +161,7 @@ def _telemetry(
     batch: PacketBatch, columns: Columns, msg_id: int, payload: np.dtype[np.void]
 ) -> tuple[NDArray[np.int64], NDArray[np.void]]:
     """Find cFE telemetry of one MsgId that is long enough, and gather its payloads."""
-    rows = np.flatnonzero(columns.msg_id == msg_id)
+    rows = np.flatnonzero(cfe.known_ids(columns.msg_id, columns.headers) == msg_id)
     link, header = columns.link[rows], columns.header_length[rows].astype(np.int64)
     rows = rows[
         among(link, lambda item: item.from_cfs and item.packets)

@@ -119,9 +119,8 @@ class Streams:
         structs = structs or shipped_structs()
         claimed = {route.msg_id for route in mission.routes}
         # Messages of cFE itself have topics of this package.
-        claimed |= {
-            item for item in (EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) if structs.is_shipped(item)
-        }
+        own_ids = map(structs.msg_ids.of_known, (EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID))
+        claimed |= set(filter(structs.is_shipped, own_ids))
         self.structs = structs.unclaimed(claimed)
         self._add = add
         self._transforms = Transforms(mission, types) if transforms and add else None

@@ -114,7 +114,7 @@ class BridgePlan:
         Raises:
             ConfigError: two bridges use one MsgId on one kind of link; a recording cannot distinguish them.
         """
-        mission = load(self.settings.configs)
+        mission = load(self.settings.configs, msg_ids=self.settings.options.msg_ids)
         known = tuple(route for route in mission.routes if self.types.has(route.type))
         context = Context(replace(mission, routes=known), self.types, self.settings.options)
         return Workbench(context.mission, self.types, ColumnDecoder(context), Dissector(context))
@@ -145,7 +145,7 @@ def plan_bridges(settings: Settings, request: BridgeRequest) -> BridgePlan:
     bridges: list[Bridge] = []
     for path in dict.fromkeys(settings.configs):
         try:
-            mission = load(path)
+            mission = load(path, msg_ids=settings.options.msg_ids)
         except ConfigError as error:
             mistakes += error.mistakes
             continue

@@ -254,7 +254,7 @@ class Station:
             largest, far = SBN_LARGEST, bridge.link
             own = Peer(far.spacecraft_id, far.processor_id)
             peer = Peer(far.peer_spacecraft_id, far.peer_processor_id)
-            link = FlightSession(own, peer, [route.msg_id for route in back], now=now)
+            link = FlightSession(own, peer, [route.msg_id for route in back], now=now, headers=headers)
         bridge_options = BridgeOptions(
             headers, options.envelope or str(DEFAULT), bridge.max_size or largest, bridge.max_rate_total
         )

@@ -166,8 +166,9 @@ class _Shapes:
         fixed = [code for code, link in self._links.items() if _fixed(link) is not None]
         self.known = np.isin(rows.column("link"), fixed)
         self._inside = np.zeros(len(rows), np.uint8)
-        for number, (msg_id, layout) in enumerate(_INSIDE, 1):
-            there = (rows.column("msg_id") == msg_id) & (left >= layout.size) & (rows.routes() == NO_ROUTE)
+        msg_ids, bare = rows.context.msg_ids, rows.routes() == NO_ROUTE
+        for number, (known, layout) in enumerate(_INSIDE, 1):
+            there = (rows.column("msg_id") == msg_ids.of_known(known)) & (left >= layout.size) & bare
             self._inside[there] = number
         enclosed = rows.column("cdr_length") > 0
         formats = np.array([ENVELOPE_FORMATS.index(item) + 1 if item else 0 for item in envelopes])
@@ -176,7 +177,7 @@ class _Shapes:
         self._cdr, length = rows.column("cdr_offset"), rows.column("cdr_length")
         self.known &= ~enclosed | ((self._envelope > 0) & (self._cdr == self._body + sizes[self._envelope]))
         self._padding = np.where(enclosed, self._start + rows.column("packet_length") - self._cdr - length, 0)
-        self._command = (rows.column("msg_id") & cfe.COMMAND_BIT) != 0
+        self._command = msg_ids.is_command(rows.column("msg_id"))
 
     def of(self, rows: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], dict[Path, Texts]]]:
         """Yield those of some rows that have the same layers, and the fields of these."""

@@ -9,7 +9,6 @@ from edoras_tools.errors import ConfigError, TruncatedError
 from edoras_tools.pipelines.names import find_packets
 from edoras_tools.structs.table import Structs
 from edoras_tools.wire import cfe
-from edoras_tools.wire.packet import msg_id_of
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
@@ -73,7 +72,7 @@ class Expectation:
 
     def _counter(self, data: bytes, structs: Structs, *, counts: bool) -> None:
         body = data[cfe.TELEMETRY_HEADER_BYTES :]
-        bound = structs.find(msg_id_of(data), None, len(body))
+        bound = structs.find(structs.msg_ids.of(data), None, len(body))
         if bound is None or not bound.fits(len(body)):
             return
         values: Any = structs.types.decode(bound.type, bound.encode_one(body, _NOBODY))
@@ -121,7 +120,7 @@ class AwaitedResults:
 
     def take(self, data: bytes) -> None:
         """Take a packet that was received; any bytes are accepted."""
-        msg_id = msg_id_of(data)
+        msg_id = self._structs.msg_ids.of(data)
         for item in self.items:
             if msg_id in item.msg_ids:
                 try:
@@ -137,7 +136,7 @@ class AwaitedResults:
 def _read(what: str, context: Context) -> Expectation:
     kind, colon, rest = what.partition(":")
     if kind == "event" and rest:
-        return Expectation(what, frozenset({cfe.EVENT_MSG_ID}), text=rest)
+        return Expectation(what, frozenset({context.msg_ids.of_known(cfe.EVENT_MSG_ID)}), text=rest)
     if kind == "counter" and rest:
         return _counter(what, rest, context)
     if colon or not what:

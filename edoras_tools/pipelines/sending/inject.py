@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
     from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.wire.msg_id import MsgIds
 
 _MOST: Final = 1 << 17
 """Maximum random messages that are made before the first is sent; a longer run repeats them."""
@@ -115,7 +116,7 @@ def _named(injection: Injection, mission: Mission, options: SendOptions) -> byte
             raise ConfigError(f"to-enable takes an IPv4 address, not {address!r}")
         return enable_output(address, options.headers)
     if name == "noop":
-        return _command(_noop(argument), 0, b"", options.headers)
+        return _command(_noop(argument, options.headers.msg_ids), 0, b"", options.headers)
     if name not in NAMED:
         return None
     command = NAMED[name]
@@ -125,15 +126,16 @@ def _named(injection: Injection, mission: Mission, options: SendOptions) -> byte
         payload = command.payload(argument, USUAL_LIMIT if injection.limit is None else injection.limit)
     except ConfigError as error:
         raise ConfigError(f"{name} {error}") from None
-    return _command(command.msg_id, command.function_code, payload, options.headers)
+    msg_id = options.headers.msg_ids.of_known(command.msg_id)
+    return _command(msg_id, command.function_code, payload, options.headers)
 
 
-def _noop(text: str) -> int:
+def _noop(text: str, msg_ids: MsgIds) -> int:
     """Return the MsgId for a no-op: given as a number, or by the name of its app."""
     apps = {name.removesuffix("-noop"): item.msg_id for name, item in NAMED.items() if name.endswith("-noop")}
     wanted = text.strip().lower()
     if wanted in apps:
-        return apps[wanted]
+        return msg_ids.of_known(apps[wanted])
     try:
         return int(wanted, 0)
     except ValueError:

@@ -15,6 +15,7 @@ from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.pipelines.sending.safety import called, fits
 from edoras_tools.sessions.outgoing import Changes, Outgoing, join_datagrams
 from edoras_tools.wire import cfe, sbn
+from edoras_tools.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,11 +28,18 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.ros import TypeStore
+    from edoras_tools.wire.msg_id import MsgIds
 
 _WHAT: Final = {
     Receiver.CI: "commands to Command Ingest",
     Receiver.SBN: "SBN datagrams towards cFS",
     Receiver.GROUND: "telemetry from Telemetry Output",
+}
+_BUILDS: Final = {
+    "16": cfe.STANDARD,
+    "12": cfe.SHORT,
+    "extended": cfe.WITH_EXTENDED,
+    "extended-v2": cfe.WITH_EXTENDED_2,
 }
 _SBN_PORT: Final = 2234
 _MOST_BYTES: Final = 4 << 30
@@ -160,8 +168,25 @@ def _nothing(to: Receiver, links: NDArray[np.int64], there: int) -> str:
     return f"contains no {_WHAT[to]}; {hint}"
 
 
+def headers_named(name: str) -> cfe.Headers:
+    """Return the headers of a build by the name that ``replay --write-headers`` gives it.
+
+    Raises:
+        ConfigError: there is no such build.
+    """
+    if name not in _BUILDS:
+        raise ConfigError(f"--write-headers: {name!r} is not known; there are {listed([*_BUILDS])}")
+    return _BUILDS[name]
+
+
 def changes_for(
-    options: SendOptions, remap: Mapping[int, int], mission: Mission, types: TypeStore, *, restamp: bool
+    options: SendOptions,
+    remap: Mapping[int, int],
+    mission: Mission,
+    types: TypeStore,
+    *,
+    restamp: bool,
+    headers: cfe.Headers | None = None,
 ) -> Changes:
     """Return what is changed in the datagrams.
 
@@ -171,13 +196,14 @@ def changes_for(
         mission: its routes show which messages have a stamp.
         types: the message types.
         restamp: whether header stamps become the time of sending.
+        headers: those that all packets get; None keeps what was captured.
     """
     stamped = None
     if restamp:
         stamped = np.array([_is_stamped(types, route.type) for route in mission.routes], bool)
         if not stamped.any():
             raise ConfigError("--restamp: no configured topic has a type that starts with a std_msgs/Header")
-    return Changes(remap, options.sequence, options.checksum, stamped, options.sender)
+    return Changes(remap, options.sequence, options.checksum, stamped, options.sender, headers)
 
 
 def _is_stamped(types: TypeStore, name: str) -> bool:
@@ -187,24 +213,33 @@ def _is_stamped(types: TypeStore, name: str) -> bool:
     return any(span[0] == _STAMP and span[2] == 4 for span in types.spans(name, types.encode(name, {})))
 
 
-def remapped(pairs: Sequence[tuple[str, str]], mission: Mission, *, extended: bool = False) -> dict[int, int]:
+def remapped(
+    pairs: Sequence[tuple[str, str]],
+    mission: Mission,
+    *,
+    extended: bool = False,
+    target: MsgIds | None = None,
+) -> dict[int, int]:
     """Return pairs of MsgIds for pairs of MsgIds, topics or keys.
 
     Args:
         pairs: old and new.
         mission: knows topics and keys.
         extended: whether all packets have extended headers, which are as long in commands as in telemetry.
+        target: the version of the new MsgIds; None for that of the mission.
 
     Raises:
         ConfigError: a command would become telemetry or the reverse, whose header has another length.
         RouteError: a topic is not configured.
     """
     found: dict[int, int] = {}
+    other = mission.numbered(target or mission.msg_ids)
     for old, new in pairs:
-        before, after = _msg_id(old, mission), _msg_id(new, mission)
-        if not extended and cfe.is_command(before) != cfe.is_command(after):
+        before, after = _msg_id(old, mission), _msg_id(new, other)
+        differs = mission.msg_ids.is_command(before) != other.msg_ids.is_command(after)
+        if differs and not extended:
             raise ConfigError(
-                f"--remap {old}:={new}: of {called(before, mission)} and {called(after, mission)} one is a "
+                f"--remap {old}:={new}: of {called(before, mission)} and {called(after, other)} one is a "
                 "command, one telemetry; their headers differ"
             )
         found[before] = after

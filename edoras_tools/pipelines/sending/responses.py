@@ -11,7 +11,6 @@ from edoras_tools.errors import TruncatedError
 from edoras_tools.pipelines.sending.expect import AwaitedResults
 from edoras_tools.pipelines.sending.ingest import IngestCount
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.packet import msg_id_of
 
 if TYPE_CHECKING:
     from edoras_tools.mission import Mission
@@ -80,15 +79,16 @@ class Responses:
             data = data[sbn.HEADER.size :]
         if len(data) < 2:
             return
-        msg_id = msg_id_of(data)
+        msg_id = self._mission.msg_ids.of(data)
         self.counts[link, msg_id] = self.counts.get((link, msg_id), 0) + 1
         self.expected.take(data)
         try:
-            if msg_id == cfe.EVENT_MSG_ID:
+            known = self._mission.msg_ids.known(msg_id)
+            if known == cfe.EVENT_MSG_ID:
                 self._event(data, now)
-            elif msg_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID:
+            elif known == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID:
                 self._bus(data)
-            elif msg_id == command_ingest.HOUSEKEEPING_MSG_ID:
+            elif known == command_ingest.HOUSEKEEPING_MSG_ID:
                 values = cfe.COMMAND_INGEST_HOUSEKEEPING.parse(data, cfe.TELEMETRY_HEADER_BYTES)
                 self.ingest.reported(values["ingest_packets"] + values["ingest_errors"])
         except TruncatedError:
@@ -149,7 +149,7 @@ class Responses:
                     "link": link.label,
                     "msg_id": f"0x{msg_id:04x}",
                     "topic": routes.get((link, msg_id)),
-                    "name": message_name(msg_id) or None,
+                    "name": message_name(self._mission.msg_ids.known(msg_id)) or None,
                     "count": count,
                 }
                 for (link, msg_id), count in sorted(self.counts.items())

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.machine import FaultMachine
     from edoras_tools.sessions.outgoing import Changes, Outgoing
     from edoras_tools.sessions.pacing import Timetable
+    from edoras_tools.wire.msg_id import MsgIds
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +54,10 @@ class Loaded:
     out: Outgoing
     wanted: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def numbered(self, old: MsgIds, new: MsgIds) -> Loaded:
+        """Return it with what was subscribed to by the MsgIds of another version."""
+        return replace(self, wanted=tuple(sorted(new.of_known(old.known(item)) for item in self.wanted)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +101,10 @@ class Transmission:
         table = options.pacing(out, mission).timetable(out.time_ns, out.msg_id)
         ready = changes.once(in_order(out, table))
         check_allowed(ready, options.allow, mission)
-        command = (ready.msg_id != NO_MSG_ID) & ((ready.msg_id & cfe.COMMAND_BIT) != 0)
-        if (ready.header_length[command] == cfe.WITH_EXTENDED.command_bytes).any():
-            options = replace(options, headers=cfe.WITH_EXTENDED)
+        found = ready.headers[(ready.msg_id != NO_MSG_ID) & ready.command]
+        for headers in (cfe.WITH_EXTENDED, cfe.WITH_EXTENDED_2):
+            if (found == cfe.HEADERS.index(headers)).any():
+                options = replace(options, headers=headers)
         wanted = tuple(sorted(subscribed)) or loaded.wanted
         return cls(ready, table, options, mission, changes, wanted, loaded.notes)
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def names_of(msg_id: int, mission: Mission) -> list[str]:
     """Return all names of a MsgId: hex, cFE's, topics with and without the leading slash, keys."""
-    found = [f"0x{msg_id:04x}", f"0x{msg_id:x}", message_name(msg_id) or "-"]
+    found = [f"0x{msg_id:04x}", f"0x{msg_id:x}", message_name(mission.msg_ids.known(msg_id)) or "-"]
     for route in mission.routes:
         if route.msg_id == msg_id:
             found += [route.topic, route.topic.removeprefix("/"), route.key]

@@ -59,7 +59,7 @@ class Encoder:
         """Return a space packet; sequence word and checksum are 0, as the bridges send them."""
         body = self.envelope.emit(cdr)
         msg_id, headers = self.route.msg_id, self.headers
-        if cfe.is_command(msg_id):
+        if headers.msg_ids.is_command(msg_id):
             data = cfe.emit_command(
                 msg_id, self.function_code, body, sequence_flags=0, with_checksum=False, headers=headers
             )

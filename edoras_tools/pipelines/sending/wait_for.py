@@ -180,7 +180,7 @@ def enable_output(address: str, headers: cfe.Headers = cfe.STANDARD) -> bytes:
         headers: those of the cFE that it goes to.
     """
     return cfe.emit_command(
-        telemetry_output.COMMAND_MSG_ID,
+        headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID),
         telemetry_output.ENABLE,
         address.encode().ljust(16, b"\0"),
         sequence_flags=0,

@@ -174,4 +174,4 @@ class Line:
 
 def reset_filters(headers: cfe.Headers) -> bytes:
     """Return the command that resets the event filters: after 16 of a kind, the bus sends no more events."""
-    return cfe.emit_command(0x1801, 14, b"CFE_SB".ljust(20, b"\0"), headers=headers)
+    return cfe.emit_command(headers.msg_ids.of_known(0x1801), 14, b"CFE_SB".ljust(20, b"\0"), headers=headers)

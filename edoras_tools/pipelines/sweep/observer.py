@@ -21,7 +21,6 @@ from edoras_tools.model import Endpoint, Link
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.packet import msg_id_of
 
 if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
@@ -86,7 +85,7 @@ class Observer:
         self.largest = 0
         options = replace(known.options, ports=((carrying("ground", to_cfs=False), _TO_PORT),))
         self._context = Context(Mission(routes=bench.mission.routes), bench.types, options)
-        self._route = route
+        self._route, self._msg_ids = route, bench.mission.msg_ids
         self._datagrams: list[tuple[int, WireDatagram]] = []
         self._latest: dict[int, WireDatagram] = {}
         self._counters: dict[int, bytes] = {}
@@ -98,19 +97,20 @@ class Observer:
         """Record a datagram that was sent, at ``now``, ns since 1970."""
         link = carrying("flight" if self._route.link.peers else "ground", to_cfs=True)
         here, there = _ends(link)
-        self._datagrams.append((_msg_id(_packet(link, data)), WireDatagram(now, here, there, data)))
+        self._datagrams.append((self._msg_id(_packet(link, data)), WireDatagram(now, here, there, data)))
 
     def received(self, link: Link, data: bytes, now: int) -> None:
         """Record a datagram that was received, any bytes, at ``now``, ns since 1970."""
         self.seen.add(link, data, now)
         here, there = _ends(link)
         packet, item = _packet(link, data), WireDatagram(now, there, here, data)
-        msg_id = _msg_id(packet)
+        msg_id = self._msg_id(packet)
+        known = self._msg_ids.known(msg_id)
         self._datagrams.append((msg_id, item))
-        if msg_id in _COUNTERS:
+        if known in _COUNTERS:
             self._latest[msg_id] = item
             self._counters[msg_id] = packet[cfe.TELEMETRY_HEADER_BYTES :]
-            self._reports += msg_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
+            self._reports += known == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
         if msg_id == self._route.msg_id:
             self._compare(packet)
 
@@ -140,7 +140,7 @@ class Observer:
         self._datagrams = sorted(last + self._datagrams, key=lambda item: item[1].time_ns)
 
     def _forget(self, since_ns: int) -> None:
-        judged = {self._route.msg_id, cfe.EVENT_MSG_ID}
+        judged = {self._route.msg_id, self._msg_ids.of_known(cfe.EVENT_MSG_ID)}
         kept = [item for item in self._datagrams if item[1].time_ns >= since_ns and item[0] not in judged]
         older = [item for item in self._latest.items() if item[1].time_ns < since_ns]
         self._datagrams = sorted(older, key=lambda item: item[1].time_ns) + kept
@@ -155,6 +155,9 @@ class Observer:
             counters=tuple(self._counters.values()),
             differs_at=self._differs_at,
         )
+
+    def _msg_id(self, packet: bytes) -> int:
+        return self._msg_ids.of(packet) if len(packet) >= cfe.COMMAND_HEADER_BYTES else -1
 
     def diagnose(self, profile: SimProfile) -> Diagnosis:
         """Diagnose the step, as the doctor does with a capture."""
@@ -171,7 +174,3 @@ def _packet(link: Link, data: bytes) -> bytes:
         return data
     carries = len(data) >= sbn.HEADER.size and sbn.HEADER.parse(data)["msg_type"] == sbn.MsgType.APP
     return data[sbn.HEADER.size :] if carries else b""
-
-
-def _msg_id(packet: bytes) -> int:
-    return msg_id_of(packet) if len(packet) >= cfe.COMMAND_HEADER_BYTES else -1

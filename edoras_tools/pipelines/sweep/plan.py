@@ -22,7 +22,7 @@ from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import DEFAULT
-from edoras_tools.wire.packet import msg_id_of, with_length
+from edoras_tools.wire.packet import with_length
 
 if TYPE_CHECKING:
     from edoras_tools.emulator import Scenario
@@ -116,7 +116,9 @@ class SweepPlan:
             )
         packets = [Packet(item) for item in self.packets(bench)]
         check_allowed(
-            Outgoing.packets(carrying("ground", to_cfs=True), packets), self.options.allow, bench.mission
+            Outgoing.packets(carrying("ground", to_cfs=True), packets, headers=self.headers),
+            self.options.allow,
+            bench.mission,
         )
 
     def packets(self, bench: Workbench) -> list[bytes]:
@@ -132,7 +134,7 @@ class SweepPlan:
 
     def as_json(self, bench: Workbench) -> dict[str, Any]:
         """Return the output of ``--dry-run --json``."""
-        names = {f"0x{msg_id_of(item):04x}": None for item in self.packets(bench)}
+        names = {f"0x{self.headers.msg_ids.of(item):04x}": None for item in self.packets(bench)}
         return {
             "dry_run": True,
             "route": self.route.topic,
@@ -168,7 +170,7 @@ def route_of(name: str, link: Link | None, mission: Mission) -> Route:
     if number and not there:
         if not 0 < number <= cfe.HIGHEST_MSG_ID:
             raise RouteError(f"{name} is not a MsgId from 0x0001 to 0x{cfe.HIGHEST_MSG_ID:04x}")
-        towards = cfe.is_command(number)
+        towards = mission.msg_ids.is_command(number)
         link = link or carrying("ground", to_cfs=towards)
         return Route(f"0x{number:04x}", "", number, link, "command" if towards else "telemetry")
     found = mission.find(name)
@@ -190,10 +192,10 @@ def command_receiver(link: Link) -> Receiver:
 def natural_size(route: Route, bench: Workbench) -> int:
     """Return the size in bytes of a route's space packet with default values."""
     headers = bench.columns.context.options.headers or cfe.STANDARD
-    header = headers.command_bytes if cfe.is_command(route.msg_id) else headers.telemetry_bytes
+    header = headers.size(route.msg_id)
     if not route.type:
         return header
-    if route.type == messages.POSE_STAMPED and not cfe.is_command(route.msg_id):
+    if route.type == messages.POSE_STAMPED and not headers.msg_ids.is_command(route.msg_id):
         return header + _POSE_BYTES
     return header + DEFAULT.size + len(bench.types.encode(route.type, {}))
 
@@ -208,7 +210,7 @@ def message(route: Route, bench: Workbench, size: int) -> bytes:
             cfe.emit_command(
                 route.msg_id, edoras_app.SET, sequence_flags=0, with_checksum=False, headers=headers
             )
-            if cfe.is_command(route.msg_id)
+            if headers.msg_ids.is_command(route.msg_id)
             else cfe.emit_telemetry(route.msg_id, sequence_flags=0, headers=headers)
         )
     if size <= len(packet):
@@ -230,7 +232,7 @@ def generator_command(plan: SweepPlan, rate_hz: int, size: int) -> bytes:
 def echo(msg_id: int, headers: cfe.Headers = cfe.STANDARD) -> tuple[bytes, bytes]:
     """Return the commands that make Telemetry Output also send a MsgId to the ground, and stop it again."""
     add = struct.pack("<IBBBx", msg_id, 0, 0, _ECHO_LIMIT)
-    wanted = telemetry_output.COMMAND_MSG_ID
+    wanted = headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID)
     return (
         cfe.emit_command(wanted, telemetry_output.ADD_PACKET, add, headers=headers),
         cfe.emit_command(wanted, telemetry_output.REMOVE_PACKET, struct.pack("<I", msg_id), headers=headers),

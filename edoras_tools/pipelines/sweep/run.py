@@ -115,7 +115,8 @@ class _Sweeper:
         self._judge = Judge(plan.route, profile, measures=plan.scenario is None)
         session = None
         if plan.route.link.peers:
-            wanted = [cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.EVENT_MSG_ID]
+            own = (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.EVENT_MSG_ID)
+            wanted = [*map(plan.headers.msg_ids.of_known, own)]
             wanted += [] if plan.to_cfs else [plan.route.msg_id]
             session = SbnConnection(plan.options.identity(bench.mission), wanted, now=wire.now())
         self.line = Line(wire, name, self.observer, session)
@@ -125,6 +126,7 @@ class _Sweeper:
             plan.options.to.link,
             [Packet(packets.message(plan.route, bench, plan.sizes[0]))],
             sender=session.own if session else None,
+            headers=plan.headers,
         )
         out = first if plan.to_cfs else first.take(slice(0, 0))
         seen = self.observer.seen

@@ -73,7 +73,12 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
         mission: provides the SBN identity.
     """
     options, route, limit = plan.options, plan.route, plan.limit
-    profile = SimProfile(generator_msg_id=plan.generator, extended_header=plan.headers.extended)
+    msg_ids = plan.headers.msg_ids
+    profile = SimProfile(
+        generator_msg_id=msg_ids.known(plan.generator),
+        extended_header=plan.headers.extended,
+        msg_id_version=msg_ids.version,
+    )
     if plan.scenario is None:
         return profile
     assert options.target is not None
@@ -81,7 +86,8 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
     if limit is not None and plan.to_cfs:
         profile = replace(profile, app_msg_limit=limit)
     elif limit is not None:
-        profile = replace(profile, to_limits=TO_TABLE | {route.msg_id: limit}, sbn_msg_limit=limit)
+        limits = TO_TABLE | {msg_ids.known(route.msg_id): limit}
+        profile = replace(profile, to_limits=limits, sbn_msg_limit=limit)
     if route.link.peers:
         peer = SbnPeerConfig(options.identity(mission), options.listen.port)
         return replace(profile, sbn_port=options.target.port, sbn_peers=(peer,))

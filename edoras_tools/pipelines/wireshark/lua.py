@@ -47,7 +47,7 @@ def dissector(settings: Settings) -> tuple[str, list[str]]:
     """
     types = TypeStore(settings.distro, settings.msg_paths)
     if settings.configs:
-        missions = [load(settings.configs)]
+        missions = [load(settings.configs, msg_ids=settings.options.msg_ids)]
         note = f"Routes of {', '.join(missions[0].files)}; ROS 2 {settings.distro}."
     else:
         missions = [_demo(names) for names in DEMOS]
@@ -103,6 +103,7 @@ def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
         },
         extended_header=headers.extended,
         telemetry_header=headers.telemetry_bytes,
+        msg_id_version=headers.msg_ids.version,
     )
 
 

@@ -19,7 +19,7 @@ from edoras_tools.sessions.sbn.habits import BRIDGE
 from edoras_tools.sessions.sbn.states import Trigger
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.packet import msg_id_of
+from edoras_tools.wire.cfe import STANDARD, Headers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -41,6 +41,7 @@ class FlightSession:
         own: identity of this side. peer: identity of cFS; all others are refused. msg_ids: what this side
             subscribes to.
         now: ns.
+        headers: those of the cFE at the other end.
 
     Attributes:
         connection: the SBN connection.
@@ -50,13 +51,21 @@ class FlightSession:
         notes: lines for people; the reader empties the list.
     """
 
-    def __init__(self, own: Peer, peer: Peer, msg_ids: Iterable[int] = (), *, now: int) -> None:
+    def __init__(
+        self,
+        own: Peer,
+        peer: Peer,
+        msg_ids: Iterable[int] = (),
+        *,
+        now: int,
+        headers: Headers = STANDARD,
+    ) -> None:
         self.connection = SbnConnection(own, msg_ids, habits=BRIDGE, peer=peer, now=now)
         self.connections = 0
         self.losses = {"disconnect": 0, "timeout": 0}
         self.refused: dict[str, int] = {}
         self.notes: list[str] = []
-        self._peer = peer
+        self._peer, self._headers = peer, headers
         self._told: set[str] = set()
         self._unwanted: set[int] = set()
 
@@ -105,7 +114,7 @@ class FlightSession:
 
     def frame(self, packet: bytes) -> bytes:
         """Return the datagram of a packet, 32,767 bytes at the most."""
-        msg_id = msg_id_of(packet)
+        msg_id = self._headers.msg_ids.of(packet)
         if msg_id not in self.connection.subscribed:
             self._unwanted.add(msg_id)
         return self.connection.frame(packet)

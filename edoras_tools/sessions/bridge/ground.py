@@ -123,7 +123,8 @@ class GroundSession:
 
     def _ask(self) -> list[list[bytes]]:
         assert self._address is not None
-        command, write = telemetry_output.COMMAND_MSG_ID, self._writer.write
+        write = self._writer.write
+        command = self._writer.of_known(telemetry_output.COMMAND_MSG_ID)
         bursts = [[write(command, self._address.encode("ascii").ljust(16, b"\0"), telemetry_output.ENABLE)]]
         for msg_id, limit in self._add.items():
             if len(bursts[-1]) > _AT_ONCE - 2:

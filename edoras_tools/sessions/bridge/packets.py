@@ -42,15 +42,18 @@ class PacketWriter:
         self, *, checksum: bool = False, sequence: bool = False, headers: cfe.Headers = cfe.STANDARD
     ) -> None:
         self._checksum, self._sequence, self._headers = checksum, sequence, headers
-        self._gap = bytes(headers.start - ccsds.PRIMARY.size)
         self._spare = bytes(headers.command_bytes - headers.start - 2)
-        self._rest = bytes(headers.telemetry_bytes - ccsds.PRIMARY.size)
+        self._rest = bytes(headers.telemetry_bytes - headers.start)
+        self._starts: dict[int, tuple[int, bytes, bool]] = {}
         self._counts: dict[int, int] = {}
 
     def overhead(self, msg_id: int) -> int:
         """Return the bytes of the header that a MsgId has."""
-        headers = self._headers
-        return headers.command_bytes if msg_id & cfe.COMMAND_BIT else headers.telemetry_bytes
+        return self._headers.size(msg_id)
+
+    def of_known(self, msg_id: int) -> int:
+        """Return what a MsgId of version 1 is for the cFE that reads."""
+        return self._headers.msg_ids.of_known(msg_id)
 
     def write(self, msg_id: int, payload: bytes, code: int = edoras_app.SET) -> bytes:
         """Return a packet. A telemetry MsgId gets the telemetry header with time 0, and no function code."""
@@ -59,15 +62,24 @@ class PacketWriter:
             count = self._counts.get(msg_id, 0)
             self._counts[msg_id] = (count + 1) % MODULUS
             word = _UNSEGMENTED | count
-        if not msg_id & cfe.COMMAND_BIT:
-            rest = self._rest + payload
-            return _PRIMARY.pack(msg_id, word, len(rest) - 1) + rest
-        rest = self._gap + bytes((code, 0)) + self._spare + payload
-        packet = _PRIMARY.pack(msg_id, word, len(rest) - 1) + rest
+        first, between, command = self._starts.get(msg_id) or self._start(msg_id)
+        if not command:
+            rest = between + self._rest + payload
+            return _PRIMARY.pack(first, word, len(rest) - 1) + rest
+        rest = between + bytes((code, 0)) + self._spare + payload
+        packet = _PRIMARY.pack(first, word, len(rest) - 1) + rest
         if not self._checksum:
             return packet
         at = self._headers.start + cfe.CHECKSUM_BYTE
         return packet[:at] + bytes((cfe.checksum(packet),)) + packet[at + 1 :]
+
+    def _start(self, msg_id: int) -> tuple[int, bytes, bool]:
+        """Return a packet's first word, what is between its primary header and the next, and its kind."""
+        head = self._headers.emit(msg_id, self._headers.size(msg_id), 0, 0)
+        between = head[ccsds.PRIMARY.size :]
+        command = bool(self._headers.msg_ids.is_command(msg_id))
+        self._starts[msg_id] = found = int.from_bytes(head[:2], "big"), between, command
+        return found
 
 
 class Envelope:
@@ -133,7 +145,7 @@ class PacketPlace:
     """A space packet in a datagram.
 
     Attributes:
-        msg_id: its first word.
+        msg_id: as its cFE builds it.
         body: where its cFE header ends.
         end: where it ends, by its own length and the datagram's.
     """
@@ -147,7 +159,7 @@ def find_packet(data: bytes, at: int, headers: cfe.Headers = cfe.STANDARD) -> Pa
     """Return the space packet that starts somewhere in a datagram; None where its header is not whole."""
     if len(data) - at < ccsds.PRIMARY.size:
         return None
-    msg_id = data[at] << 8 | data[at + 1]
-    header = headers.command_bytes if msg_id & cfe.COMMAND_BIT else headers.telemetry_bytes
+    msg_id = headers.msg_ids.of(data, at)
+    header = headers.size(msg_id)
     end = min(len(data), at + (data[at + 4] << 8 | data[at + 5]) + ccsds.LENGTH_BIAS)
     return PacketPlace(msg_id, at + header, end) if at + header <= end else None

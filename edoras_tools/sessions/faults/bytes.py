@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.sessions.faults.chance import draw
 from edoras_tools.wire import ccsds, cdr, cfe, envelope, sbn
-from edoras_tools.wire.packet import msg_id_of
+from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -94,7 +94,7 @@ def break_checksum(
     """Write a wrong checksum."""
     del values, chance
     at = packet_offset(payload, link)
-    if at < 0 or not cfe.is_command(msg_id_of(payload[at : at + 2])):
+    if at < 0 or not VERSION_1.is_command(VERSION_1.of(payload, at)):
         return Altered(payload, "")
     if len(payload) - at < headers.command_bytes:
         return Altered(payload, "")
@@ -184,7 +184,7 @@ def _envelope(payload: bytes, link: Link, headers: cfe.Headers) -> tuple[int, en
     at = packet_offset(payload, link)
     if at < 0:
         return -1, envelope.DEFAULT
-    command = cfe.is_command(msg_id_of(payload[at : at + 2]))
+    command = VERSION_1.is_command(VERSION_1.of(payload, at))
     at += headers.command_bytes if command else headers.telemetry_bytes
     found = envelope.detect(payload, at)
     return (-1, envelope.DEFAULT) if found is None else (at, found)

@@ -133,6 +133,7 @@ class FaultMachine:
         self.struck = [0] * len(self.rules)
         self.held_bytes = self.overflowed = 0
         self._start = now
+        self._msg_ids = headers.msg_ids
         self._serial = 0
         self._heap: list[tuple[int, int, Pending]] = []
         self._counters: dict[tuple[int, bool, int], list[StreamCounter]] = {}
@@ -145,7 +146,8 @@ class FaultMachine:
                 if where is None:
                     raise ConfigError(f"fault {rule}: where is not available here; leave it out")
                 matches = where(rule.scope.where)
-            self._active.append(ActiveRule(index, rule, ordinal, matches, effect_of(rule, headers)))
+            effect = effect_of(rule, headers)
+            self._active.append(ActiveRule(index, rule, ordinal, matches, effect, headers.msg_ids))
 
     @property
     def held(self) -> int:
@@ -345,7 +347,7 @@ class FaultMachine:
         stream: int,
         verdicts: list[tuple[StreamCounter, bool, int]],
     ) -> tuple[list[Delivery], list[Fault]]:
-        msg_id = datagram_msg_id(payload, link)
+        msg_id = datagram_msg_id(payload, link, self._msg_ids)
         items = [Pending(payload, now, stream, to_cfs)]
         faults = []
         for counter, hit, number in verdicts:

@@ -10,7 +10,7 @@ import numpy as np
 from edoras_tools.model import NO_MSG_ID, Link
 from edoras_tools.sessions.faults.bytes import packet_offset
 from edoras_tools.wire import ccsds, sbn
-from edoras_tools.wire.packet import msg_id_of
+from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,17 +19,18 @@ if TYPE_CHECKING:
 
     from edoras_tools.sessions.faults.effects import Effect
     from edoras_tools.sessions.faults.rules import Rule
+    from edoras_tools.wire.msg_id import MsgIds
 
     Predicate = Callable[[bytes, Link], bool]
 
-HEAD_BYTES: Final = sbn.HEADER.size + 2
+HEAD_BYTES: Final = sbn.HEADER.size + MSG_ID_BYTES
 """First bytes of each datagram that ``BatchHeads`` needs: the SBN header and a MsgId."""
 
 
-def datagram_msg_id(payload: bytes, link: Link) -> int:
+def datagram_msg_id(payload: bytes, link: Link, msg_ids: MsgIds = VERSION_1) -> int:
     """Return a datagram's MsgId, ``NO_MSG_ID`` where it has none."""
     at = packet_offset(payload, link)
-    return msg_id_of(payload[at : at + 2]) if at >= 0 else NO_MSG_ID
+    return msg_ids.of(payload, at) if at >= 0 else NO_MSG_ID
 
 
 @dataclass(slots=True)
@@ -42,6 +43,7 @@ class ActiveRule:
         ordinal: its number among the rules of its kind.
         matches: its filter expression, compiled; None where it has none.
         effect: what it does, with the state that it keeps.
+        msg_ids: the version of MsgIds.
     """
 
     index: int
@@ -49,6 +51,7 @@ class ActiveRule:
     ordinal: int
     matches: Predicate | None
     effect: Effect
+    msg_ids: MsgIds = VERSION_1
 
     def looks_at(self, link: Link, *, to_cfs: bool) -> bool:
         """Tell whether datagrams of a link and direction may be in its scope."""
@@ -58,7 +61,7 @@ class ActiveRule:
     def inside(self, payload: bytes, link: Link) -> bool:
         """Tell whether a datagram of a link and direction that it looks at is in its scope."""
         scope = self.rule.scope
-        if scope.msg_ids and datagram_msg_id(payload, link) not in scope.msg_ids:
+        if scope.msg_ids and datagram_msg_id(payload, link, self.msg_ids) not in scope.msg_ids:
             return False
         if scope.sbn_types and (
             not link.peers
@@ -108,7 +111,7 @@ class BatchHeads:
         scope = active.rule.scope
         inside = np.ones(len(self._length), bool)
         if scope.msg_ids:
-            inside &= np.isin(self._msg_ids(), list(scope.msg_ids))
+            inside &= np.isin(self._msg_ids(active.msg_ids), list(scope.msg_ids))
         if scope.sbn_types:
             inside &= np.isin(self._heads[:, sbn.MSG_TYPE_AT], list(scope.sbn_types))
             inside &= (self._length >= sbn.HEADER.size) & (self._link.peers)
@@ -117,13 +120,13 @@ class BatchHeads:
                 inside[row] = active.matches(payload(row), self._link)
         return inside
 
-    def _msg_ids(self) -> NDArray[np.int32]:
+    def _msg_ids(self, msg_ids: MsgIds) -> NDArray[np.int32]:
         if self._msg_id is None:
             at = sbn.HEADER.size if self._link.peers else 0
             heads = self._heads
-            word = heads[:, at].astype(np.int32) << 8 | heads[:, at + 1]
+            found = msg_ids.column(heads[:, at:], self._length - at)
             there = self._length >= at + ccsds.PRIMARY.size
             if self._link.peers:
                 there &= heads[:, sbn.MSG_TYPE_AT] == sbn.MsgType.APP
-            self._msg_id = np.where(there, word, NO_MSG_ID).astype(np.int32)
+            self._msg_id = np.where(there, found, NO_MSG_ID).astype(np.int32)
         return self._msg_id

@@ -35,9 +35,13 @@ def test_real_checksums_and_counts_where_they_are_wanted():
 def test_packets_have_the_headers_of_their_cfe(headers, checksum):
     """The same bytes as wire.cfe writes; their sizes are those of cFE's own structs."""
     writer = PacketWriter(headers=headers, checksum=checksum)
+    state, command = map(headers.msg_ids.of_known, (0x0827, 0x1827))
     for msg_id, made in (
-        (0x0827, cfe.emit_telemetry(0x0827, CDR, sequence_flags=0, headers=headers)),
-        (0x1827, cfe.emit_command(0x1827, 1, CDR, sequence_flags=0, with_checksum=checksum, headers=headers)),
+        (state, cfe.emit_telemetry(state, CDR, sequence_flags=0, headers=headers)),
+        (
+            command,
+            cfe.emit_command(command, 1, CDR, sequence_flags=0, with_checksum=checksum, headers=headers),
+        ),
     ):
         packet = writer.write(msg_id, CDR)
         assert packet == made

@@ -65,8 +65,8 @@ def test_only_this_is_wrong(case):
 def test_faults_behind_the_headers_of_each_build(headers):
     """A right checksum and the envelope are found where they are; what is before them stays."""
     body = envelope.DEFAULT.emit(CDR)
-    command = cfe.emit_command(0x1827, 1, body, headers=headers)
-    telemetry = cfe.emit_telemetry(0x0827, body, headers=headers)
+    command = cfe.emit_command(headers.msg_ids.of_known(0x1827), 1, body, headers=headers)
+    telemetry = cfe.emit_telemetry(headers.msg_ids.of_known(0x0827), body, headers=headers)
     for rule, payload, link, place, said in (
         ("checksum", command, CI, headers.start + 1, "checksum"),
         ("envelope-length:+1", command, CI, headers.command_bytes, "buffer_length 52 -> 53"),

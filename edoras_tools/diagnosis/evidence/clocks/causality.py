@@ -20,8 +20,9 @@ from edoras_tools.diagnosis.evidence.clocks.lines import Ordered
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire import cfe, sbn
+from edoras_tools.wire import sbn
 from edoras_tools.wire.fingerprint import matches
+from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.order import by_value
 
 if TYPE_CHECKING:
@@ -137,10 +138,10 @@ def _begins(times: NDArray[np.int64]) -> NDArray[np.int64]:
 def _values(cause: Rows, effect: Rows, about: ClockLine | None, *, back: bool) -> Iterator[_Pairs]:
     """Yield when messages went into cFS and the same came out, read and written anew."""
     into = np.flatnonzero(
-        (cause.msg_id != NO_MSG_ID) & ((cause.msg_id & cfe.COMMAND_BIT) != 0) & (cause.value_print != 0)
+        (cause.msg_id != NO_MSG_ID) & VERSION_1.is_command(cause.known_id) & (cause.value_print != 0)
     )
     robot = among(effect.link, lambda item: item.last_hop)
-    out = np.flatnonzero(robot | ((effect.msg_id != NO_MSG_ID) & ((effect.msg_id & cfe.COMMAND_BIT) == 0)))
+    out = np.flatnonzero(robot | ((effect.msg_id != NO_MSG_ID) & ~VERSION_1.is_command(effect.known_id)))
     for prints in (effect.value_print, effect.stamped_print):
         ours, theirs = matches(cause.value_print[into], prints[out])
         pairs = _near((cause.time_ns[into[ours]], effect.time_ns[out[theirs]]), about, back=back)

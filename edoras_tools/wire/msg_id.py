@@ -1,0 +1,112 @@
+"""MsgIds: by which a software bus knows a packet, and which cFE builds from its headers in one of two ways.
+
+1. Version 1, the default: the first word of the packet.
+2. Version 2, only with the extended header: the low byte of its subsystem, the bit that tells commands, and
+   the low 7 bits of the APID. The first word has its type bit too, which tells commands in both versions.
+3. Where this project knows a MsgId of cFE or of an app, that is one of version 1. What cFE's sample missions
+   gave it with version 2 follows from its bits: 0x1806 becomes 0x0086, 0x0808 becomes 0x0008. The bits of an
+   APID above 0x7F go into the subsystem, so that no two become one. A mission may choose others.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import numpy as np
+
+from edoras_tools.wire import ccsds
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+MSG_ID_BYTES: Final = ccsds.PRIMARY.size + 2
+"""First bytes of a packet that hold its MsgId in every version."""
+
+_Ids = TypeVar("_Ids", int, "NDArray[np.int32]")
+"""One MsgId, or a column of them."""
+_APID: Final = 0x7F
+_COMMAND_2: Final = 0x80
+_SECONDARY: Final = 0x0800
+"""Bit of the first word: a secondary header follows, as in every cFE packet."""
+_SUBSYSTEM_AT: Final = MSG_ID_BYTES - 1
+"""Where the low byte of the subsystem is."""
+
+
+class MsgIds:
+    """MsgIds of version 1: the first word of the packet.
+
+    Attributes:
+        version: as cFE numbers it.
+        command_bit: set in the MsgId of a command; it, not the link, decides which header follows.
+    """
+
+    version = 1
+    command_bit = 0x1000
+
+    def is_command(self, msg_id: Any) -> Any:
+        """Tell whether a MsgId's packet is a command: bool of one, an array of bool of many."""
+        return (msg_id & self.command_bit) != 0
+
+    def of(self, packet: bytes, at: int = 0) -> int:
+        """Return the MsgId of the packet that starts at a place; its first word must be there."""
+        return packet[at] << 8 | packet[at + 1]
+
+    def column(self, head: NDArray[np.uint8], length: NDArray[Any]) -> NDArray[np.int32]:
+        """Return the MsgIds of many packets.
+
+        Args:
+            head: u8 (n, ``MSG_ID_BYTES`` or more), first bytes of each.
+            length: bytes of each that are there.
+        """
+        del length
+        return _first_words(head)
+
+    def words(self, msg_id: _Ids) -> tuple[_Ids, int | NDArray[np.int32]]:
+        """Return the first word of a packet, and the subsystem in its extended header."""
+        return msg_id, 0
+
+    def of_known(self, known: _Ids) -> _Ids:
+        """Return what a MsgId that the project knows, one of version 1, is in this version."""
+        return known
+
+    def known(self, msg_id: _Ids) -> _Ids:
+        """Return the MsgId of version 1 of what has this one: the reverse of :meth:`of_known`."""
+        return msg_id
+
+
+class _Version2(MsgIds):
+    """MsgIds of version 2: subsystem, type bit, 7 bits of the APID. Bytes that are not there count as 0."""
+
+    version = 2
+    command_bit = _COMMAND_2
+
+    def of(self, packet: bytes, at: int = 0) -> int:
+        low = packet[at + 1] & _APID | (_COMMAND_2 if VERSION_1.is_command(packet[at] << 8) else 0)
+        subsystem = packet[at + _SUBSYSTEM_AT] if len(packet) - at > _SUBSYSTEM_AT else 0
+        return subsystem << 8 | low
+
+    def column(self, head: NDArray[np.uint8], length: NDArray[Any]) -> NDArray[np.int32]:
+        word = _first_words(head)
+        low = word & _APID | VERSION_1.is_command(word) * np.int32(_COMMAND_2)
+        subsystem = head[:, _SUBSYSTEM_AT].astype(np.int32) << 8
+        found: NDArray[np.int32] = np.where(length > _SUBSYSTEM_AT, subsystem, np.int32(0)) | low
+        return found
+
+    def words(self, msg_id: _Ids) -> tuple[_Ids, int | NDArray[np.int32]]:
+        return _SECONDARY | (msg_id & _COMMAND_2) << 5 | msg_id & _APID, msg_id >> 8
+
+    def of_known(self, known: _Ids) -> _Ids:
+        above = (known & 0x0F80) << 1 ^ _SECONDARY << 1
+        return known & 0xE000 | above | (known & VERSION_1.command_bit) >> 5 | known & _APID
+
+    def known(self, msg_id: _Ids) -> _Ids:
+        above = (msg_id & 0x1F00 ^ _SECONDARY << 1) >> 1
+        return msg_id & 0xE000 | above | (msg_id & _COMMAND_2) << 5 | msg_id & _APID
+
+
+def _first_words(head: NDArray[np.uint8]) -> NDArray[np.int32]:
+    return head[:, :2].view(">u2")[:, 0].astype(np.int32)
+
+
+VERSION_1: Final = MsgIds()
+VERSION_2: Final = _Version2()
