@@ -317,7 +317,7 @@ class Columns:
         spacecraft_id: u32, SBN SpacecraftID of the sender; 0 where there is none.
         packet_offset: i64, start of the space packet; -1 where there is none.
         packet_length: i32, bytes of the space packet that are there; 0 where there is none.
-        msg_id: i32, cFE MsgId (the first packet word); ``NO_MSG_ID`` where there is none.
+        msg_id: i32, cFE MsgId; ``NO_MSG_ID`` where there is none.
         sequence_flags: u8, 0 to 3.
         sequence_count: u16, 0 to 16383.
         function_code: i16, of a command; -1 for telemetry or none.

@@ -108,7 +108,7 @@ class _Dissection(Reading):
                     start,
                     start + 2,
                     f"0x{msg_id:04x} {name}".strip(),
-                    "cFE's key: the first word" + ", or of version 2",
+                    f"cFE's key: {msg_ids.made_of}",
                 ),
             ),
         )

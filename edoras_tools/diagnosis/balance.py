@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import telemetry_output
-from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKET
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
@@ -68,6 +67,7 @@ class Row:
         not_captured: how many could not be followed: nothing here shows what became of them.
         unaccounted: how many are missing without a cause that the capture shows.
         counted: figure to where it was counted.
+        name: cFE's name for the packet, if it has one.
     """
 
     route: int
@@ -84,6 +84,7 @@ class Row:
     not_captured: int = 0
     unaccounted: int = 0
     counted: Mapping[str, str] = field(default_factory=dict)
+    name: str = ""
 
     @property
     def all_lost(self) -> int:
@@ -101,7 +102,7 @@ class Row:
         """Return it in the shape of ``doctor --json``."""
         return {
             "topic": topic,
-            "name": message_name(self.msg_id) or None if self.msg_id is not None else None,
+            "name": self.name or None,
             "link": self.link or None,
             "msg_id": None if self.msg_id is None else f"0x{self.msg_id:04x}",
             "instance": self.instance,
@@ -183,7 +184,7 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
         if row.msg_id is not None and (row.hop in _HOPS or row.link in {"to", "sbn"}):
             groups.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
     named = {key: members for key, members in groups.items() if key[0] != NO_ROUTE}
-    others = {key: members for key, members in groups.items() if not message_name(key[2])}
+    others = {key: members for key, members in groups.items() if not members[0].name}
     unnamed = {key: members for key, members in others.items() if key not in named}
     missing = {
         key: members
@@ -249,7 +250,7 @@ def balance(case: Case) -> list[Row]:
         rows.append(
             Row(NO_ROUTE, "", None, None, "capture", drops + seen, seen, not_captured=drops, counted=counted)
         )
-    return rows
+    return [row if row.msg_id is None else replace(row, name=case.packet_name(row.msg_id)) for row in rows]
 
 
 def summed(rows: Iterable[Row]) -> tuple[Row, ...]:

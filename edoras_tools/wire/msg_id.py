@@ -37,10 +37,12 @@ class MsgIds:
 
     Attributes:
         version: as cFE numbers it.
+        made_of: what of the headers.
         command_bit: set in the MsgId of a command; it, not the link, decides which header follows.
     """
 
     version = 1
+    made_of = "the first word"
     command_bit = 0x1000
 
     def is_command(self, msg_id: Any) -> Any:
@@ -78,6 +80,7 @@ class _Version2(MsgIds):
     """MsgIds of version 2: subsystem, type bit, 7 bits of the APID. Bytes that are not there count as 0."""
 
     version = 2
+    made_of = "subsystem, type and APID"
     command_bit = _COMMAND_2
 
     def of(self, packet: bytes, at: int = 0) -> int:

@@ -13,7 +13,7 @@ from waiting import HOST, Ear, Program, free_ports, until
 
 from edoras_tools.cfs.profile import Ports, SimProfile
 from edoras_tools.emulator import Served, Simulation
-from edoras_tools.wire import sbn
+from edoras_tools.wire import cfe, sbn
 
 TWIST = bytes.fromhex("1827")
 
@@ -78,6 +78,26 @@ def test_pace_and_report(call, captures, receiver):
     assert report["rate_achieved_hz"] > 0
     assert report["duration_s"] + report["lateness_us"]["max"] / 1e6 > 1.0
     assert report["lateness_us"]["p50"] <= report["lateness_us"]["p99"] <= report["lateness_us"]["max"]
+
+
+@pytest.mark.parametrize(
+    ("build", "headers"), [("extended", cfe.WITH_EXTENDED), ("extended-v2", cfe.WITH_EXTENDED_2)]
+)
+def test_a_usual_capture_into_another_build_and_what_was_sent_back(
+    build, headers, call, captures, missions, datagrams, receiver, tmp_path
+):
+    """Commands of a usual cFS, sent to one with extended headers, recorded, and sent to the usual again."""
+    (target, take), there = receiver, str(tmp_path / "there.mcap")
+    to = ("--to", "ci", "--target", target, *FAST, "-q")
+    call("replay", captures("a_rover"), *missions("rover_ground"), *to, "--write-headers", build, "-o", there)
+    wanted = [
+        cfe.with_headers(item, cfe.STANDARD, headers)
+        for item in commands(datagrams, captures("a_rover"))[:500]
+    ]
+    assert take() == wanted
+    port = ("--port", f"ci:{target.rpartition(':')[2]}")
+    call("replay", there, *port, *to, "--write-headers", "16")  # it remembers what it was written with
+    assert take() == [cfe.with_headers(item, headers, cfe.STANDARD) for item in wanted]
 
 
 def test_what_is_changed_on_the_way(call, captures, missions, receiver):
@@ -272,6 +292,7 @@ def test_a_peer_that_never_answers(call, captures, receiver):
         (["replay", "{a_rover}", "--to", "ci", "--rate", "fast"], 2, "'fast' is not a rate"),
         (["replay", "{a_rover}", "--to", "ci", "--speed", "0"], 2, "'0' is not a number above 0"),
         (["replay", "{a_rover}", "--to", "ci", "--remap", "a=b"], 2, "'a=b' is not A:=B"),
+        (["replay", "{a_rover}", "--to", "ci", "--write-headers", "v2"], 2, "there are 16, 12, extended"),
         (["replay", "{a_rover}", "--to", "ci", "--speed", "2", "--max"], 2, "exclude each other"),
         (["replay", "{a_rover}", "--to", "ci", "--end", "5", "--duration", "5"], 2, "both say when to stop"),
         (["replay", "{a_rover}", "--to", "ci", "--as", "three"], 2, "'three' is not SC:CPU"),

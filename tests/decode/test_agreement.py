@@ -212,12 +212,13 @@ ROWS = st.lists(
     ),
     max_size=12,
 )
+ENVELOPE = st.sampled_from(["8/8", "4/4 be", "1/1", "auto"])
 OPTIONS = st.builds(
     Options,
     extended_header=st.booleans(),
     telemetry_header=st.sampled_from([12, 16]),
-    envelope=st.sampled_from(["8/8", "4/4 be", "1/1", "auto"]),
-)
+    envelope=ENVELOPE,
+) | st.builds(Options, msg_id_version=st.just(2), envelope=ENVELOPE)
 
 
 @settings(max_examples=examples(400))

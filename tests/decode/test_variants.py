@@ -7,6 +7,7 @@ from places import CAPTURES, MISSIONS, ROOT
 from rewriting import datagrams, rewritten, write
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
@@ -117,6 +118,9 @@ def test_a_recording_remembers_what_it_was_made_with(tmp_path):
 
 def test_what_a_recording_remembers_gives_way_to_options_and_may_be_anything():
     assert Options(telemetry_header=12).over({"headers": "extended header"}).headers is cfe.SHORT
+    for headers in cfe.HEADERS:
+        assert Options().over({"headers": headers.name}).headers is headers
+        assert Options().over(Options().with_headers(headers).described()).headers is headers
     odd = {"headers": "?", "envelope": "", "ports": "ci: x:1 to:5000", "more": json.dumps([])}
     assert Options().over(odd) == Options(ports=((TO, 5000),))
 
@@ -184,3 +188,11 @@ def test_headers_that_an_option_names_are_those_of_every_conversation(tmp_path):
         batch = concatenate(list(source.batches()))
     assert not ColumnDecoder(context).decode(batch).headers.any()
     assert context.notes == []
+
+
+@pytest.mark.parametrize(
+    "more", [{"extended_header": False}, {"telemetry_header": 12}, {"msg_id_version": 3}]
+)
+def test_msg_ids_of_version_2_need_the_extended_header(more):
+    with pytest.raises(ConfigError, match="MsgIds of version"):
+        Options(**{"msg_id_version": 2, **more})

@@ -71,6 +71,7 @@ def test_what_is_missing_lies_between_a_row_and_its_next():
         time_ns=times,
         link=np.full(size, TO, np.uint8),
         msg_id=np.full(size, 0x827, np.int32),
+        known_id=np.full(size, 0x827, np.int32),
         route=zeros - 1,
         counted=np.ones(size, bool),
         missing=missing,

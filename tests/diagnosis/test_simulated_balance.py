@@ -93,3 +93,24 @@ def test_the_sums_are_the_counters_of_the_emulator(seed, lab):
             # What was lost behind the last message of a burst is shared with what others lost just then.
             assert lost == pytest.approx(by_msg_id[row.msg_id], rel=0.3, abs=24)
     assert sum(row.lost.get("after", 0) + row.lost.get("network", 0) for row in found.balance) <= 2
+
+
+def test_msg_ids_of_version_2_change_nothing_but_the_numbers(lab):
+    """The same flight with both, by the same names: losses of commands, by limits and in the application."""
+    told = []
+    for headers in (cfe.WITH_EXTENDED, cfe.WITH_EXTENDED_2):
+        profile = {"extended_header": True, "msg_id_version": headers.msg_ids.version}
+        sent, _ = lab.simulate("two-rovers", seconds=14, hz=12.0, **profile)
+        bench = Settings(configs=lab.missions("two-rovers")).workbench().with_headers(headers)
+        examination, batch = Examination(bench.columns.context), Demux().demux(frames_of(sent))
+        examination.add(batch, bench.columns.decode(batch))
+        found = examination.diagnose()
+        known = headers.msg_ids.known
+        rows = [
+            (known(row.msg_id), row.hop, row.name, row.came, row.lost)
+            for row in found.balance
+            if row.msg_id is not None
+        ]
+        told.append((sorted(rows, key=str), [item.rule for item in found.verdicts]))
+    assert told[0] == told[1]
+    assert sum(lost.get("limit", 0) for *_, lost in told[0][0]) > 40

@@ -153,6 +153,7 @@ def test_fuzzed_datagrams(tshark, write_pcap, tmp_path, judge):
     "options",
     [
         Options(extended_header=True),
+        Options(msg_id_version=2),
         Options(telemetry_header=12, envelope="auto"),
         Options(envelope="4/4 be", ports=((SBN, 5000), (TO, 5001))),
         Options(envelope="1/1"),

@@ -34,6 +34,25 @@ def test_commands(raw, arguments, keywords):
     assert (cfe.checksum(packet) == 0) == keywords.get("with_checksum", True)
 
 
+def test_commands_that_a_cfe_with_msg_ids_of_version_2_took():
+    """As a real one answered them: Telemetry Output enabled, no-ops of its services and of an app."""
+    made = [
+        cfe.emit_command(msg_id, code, payload, with_checksum=False, headers=cfe.WITH_EXTENDED_2)
+        for msg_id, code, payload in (
+            (0x1880, 6, b"127.0.0.1".ljust(16, b"\0")),
+            (0x0086, 0, b""),
+            (0x18F0, 0, b""),
+        )
+    ]
+    assert [item.hex() for item in made] == [
+        "1800c0000019001800000600000000003132372e302e302e3100000000000000",
+        "1806c000000900000000000000000000",
+        "1870c000000900180000000000000000",
+    ]
+    with pytest.raises(FieldError, match="0x1806 lacks the command bit 0x0080"):
+        cfe.emit_command(0x1806, 0, headers=cfe.WITH_EXTENDED_2)
+
+
 def test_telemetry_header():
     packet = bytes.fromhex("0803c0020025000f462ab0ae00000000") + bytes(28)
     head, rest = ccsds.PRIMARY.parse(packet), cfe.TELEMETRY.parse(packet, 6)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
     from edoras_tools.model import Decoded
     from edoras_tools.wire.layout import Layout, Slot
+    from edoras_tools.wire.msg_id import MsgIds
 
     Places = tuple[NDArray[np.int64], NDArray[np.int64]]
     """Which rows have a header, and where in the batch's data it starts."""
@@ -59,12 +60,12 @@ def layer_fields(context: Context) -> Iterator[FilterField]:
     )
     yield from map(_of_any_format, _header(DEFAULT.layout, None))
     yield from _header(ENCAPSULATION, _encapsulation)
-    yield from _others()
+    yield from _others(context.msg_ids)
 
 
-def _others() -> Iterator[FilterField]:
+def _others(msg_ids: MsgIds) -> Iterator[FilterField]:
     """Yield what no layout holds."""
-    words = {name.lower(): value for value, name in MSG_ID_NAMES.items()}
+    words = {name.lower(): msg_ids.of_known(value) for value, name in MSG_ID_NAMES.items()}
     yield FilterField(
         "ccsds.msg_id",
         ValueKind.NUMBER,
@@ -74,7 +75,7 @@ def _others() -> Iterator[FilterField]:
         base=16,
         digits=4,
         words=words,
-        doc="cFE's key: the first word, or of version 2",
+        doc=f"cFE's key: {msg_ids.made_of}",
     )
     yield FilterField(
         "sbn_sub.msg_ids",

@@ -140,8 +140,9 @@ class Conversation:
         if msg_id == NO_MSG_ID:
             return MSG_TYPE_NAMES.get(kind, f"type 0x{kind:02x}") if kind >= 0 else "unreadable"
         route, code = int(rows.routes()[row]), int(columns.function_code[index])
-        name = self._context.mission.routes[route].topic if route != NO_ROUTE else message_name(msg_id)
-        words = [f"0x{msg_id:04x}", name, command_name(msg_id, code) if code >= 0 else ""]
+        known = self._context.msg_ids.known(msg_id)
+        name = self._context.mission.routes[route].topic if route != NO_ROUTE else message_name(known)
+        words = [f"0x{msg_id:04x}", name, command_name(known, code) if code >= 0 else ""]
         return " ".join(["APP"] * (kind == MsgType.APP) + [word for word in words if word])
 
 

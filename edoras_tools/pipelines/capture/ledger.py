@@ -234,7 +234,7 @@ class Ledger:
 
     def _row(self, account: Account) -> dict[str, Any]:
         route = self.mission.routes[account.route] if account.route >= 0 else None
-        name = message_name(account.msg_id)
+        name = message_name(self.mission.msg_ids.known(account.msg_id))
         if account.msg_id == NO_MSG_ID and account.link != OTHER:
             name = table.protocol(account.link).message_name(account.kind)
         return {

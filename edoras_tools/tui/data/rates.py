@@ -69,5 +69,5 @@ def _name(key: int, context: Context) -> str:
     if msg_id == NO_MSG_ID:
         return link.label
     route = int(context.routes_on(link)[msg_id])
-    name = MSG_ID_NAMES.get(msg_id, f"0x{msg_id:04x}")
+    name = MSG_ID_NAMES.get(context.msg_ids.known(msg_id), f"0x{msg_id:04x}")
     return f"{link.label} {context.mission.routes[route].topic if route != NO_ROUTE else name}"

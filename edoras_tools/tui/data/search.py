@@ -128,4 +128,4 @@ def _name(msg_id: int, context: Context) -> str:
     topic = f"{context.mission.routes[route].topic} {context.mission.routes[route].type}" * (
         route != NO_ROUTE
     )
-    return f"0x{msg_id:04x} {message_name(msg_id)} {topic}".lower()
+    return f"0x{msg_id:04x} {message_name(context.msg_ids.known(msg_id))} {topic}".lower()

@@ -260,6 +260,7 @@ OPTIONS = st.sampled_from(
         Options(),
         Options(),
         Options(extended_header=True),
+        Options(msg_id_version=2),
         Options(telemetry_header=12),
         Options(envelope="4/4 be"),
         Options(envelope="auto"),

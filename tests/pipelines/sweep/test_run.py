@@ -12,7 +12,7 @@ import pytest
 from places import MISSIONS
 from waiting import HOST, free_ports
 
-from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
+from edoras_tools.cfs.profile import GENERATOR_MSG_ID, SbnPeerConfig, SimProfile
 from edoras_tools.decode import Options
 from edoras_tools.emulator import Served, Simulation
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
@@ -393,6 +393,7 @@ def test_a_dry_run_names_everything_that_would_be_sent(bench):
 EXTENDED = {"options": SendOptions(headers=cfe.WITH_EXTENDED)}
 
 
+@pytest.mark.parametrize("headers", [cfe.WITH_EXTENDED, cfe.WITH_EXTENDED_2], ids=lambda item: item.name)
 @pytest.mark.parametrize(
     ("name", "rates", "threshold"),
     [
@@ -401,9 +402,10 @@ EXTENDED = {"options": SendOptions(headers=cfe.WITH_EXTENDED)}
         ("/robot_1/ground/cmd_vel", (6, 10), 8),
     ],
 )
-def test_a_cfe_with_extended_headers_has_the_same_limits(name, rates, threshold):
-    settings = Settings([MISSIONS / f"{file}.yaml" for file in TWO], options=Options(extended_header=True))
-    summary = run(settings.workbench(), name, "two-rovers", rates=rates, **EXTENDED)
+def test_a_cfe_with_extended_headers_has_the_same_limits(name, rates, threshold, headers):
+    bench = Settings([MISSIONS / f"{file}.yaml" for file in TWO]).workbench().with_headers(headers)
+    more = {"options": SendOptions(headers=headers), "generator": headers.msg_ids.of_known(GENERATOR_MSG_ID)}
+    summary = run(bench, name, "two-rovers", rates=rates, **more)
     assert summary["threshold_hz"] == threshold
 
 

@@ -6,7 +6,6 @@ from collections import Counter
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.balance import summed
 from edoras_tools.render.doctor import balance
 from edoras_tools.words import plural
@@ -30,8 +29,8 @@ def links_picture(found: Diagnosis) -> str:
     for row in summed(found.balance):
         ways.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
     lanes: dict[tuple[Any, ...], list[list[Row]]] = {}
-    for (_, link, msg_id, _), rows in ways.items():
-        own = rows[0].route not in found.topics and bool(message_name(msg_id or 0))
+    for (_, link, _, _), rows in ways.items():
+        own = rows[0].route not in found.topics and bool(rows[0].name)
         lanes.setdefault((own, link, tuple(row.hop for row in rows)), []).append(rows)
     shown = sorted(lanes.items(), key=lambda lane: lane[0][0])[:_MOST]
     parts = [
