@@ -18,6 +18,7 @@ SCAPY_ROOMS = ("dissectors/", "edoras_tools/io/capture/scapy_backend.py")
 """scapy is GPL-2.0-only, the project MIT."""
 PUT_OFF = {
     "io/capture/interfaces.py": ("fcntl", "not there on Windows"),
+    "io/formats/watched.py": ("concurrent.futures", "4 ms, and only to sync files"),
     "io/outputs.py": ("fcntl", "not there on Windows"),
     "pipelines/interrupt.py": ("termios", "not there on Windows"),
     "pipelines/sending/inject.py": ("ruamel", "9 ms, and only where a message has values"),
@@ -35,6 +36,10 @@ PUT_OFF = {
     ),
     "middleware/dds/raw.py": ("cyclonedds", "a part of its inside, which may not be there"),
     "mission/tree.py": ("yaml", "9 ms, and only where there is a mission file"),
+    "pipelines/capture/record.py": (
+        "edoras_tools.pipelines.capture.host",
+        "4 ms, and only where a link is captured live",
+    ),
     "pipelines/demo/router.py": ("zenoh", "an extra"),
     "pipelines/selection.py": (
         "edoras_tools.decode.filters.filter",

@@ -16,7 +16,6 @@ Rules that it keeps:
 from __future__ import annotations
 
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
@@ -28,6 +27,7 @@ from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from concurrent.futures import Future, ThreadPoolExecutor
     from pathlib import Path
 
     from edoras_tools.io.outputs import OutputFile
@@ -150,7 +150,7 @@ class WatchedSink:
         self._sync_s = sync_s
         self._on_disk: set[Path] = set()
         """Files that are complete and synced."""
-        self._disk = ThreadPoolExecutor(1, "edoras-sync")
+        self._disk: ThreadPoolExecutor | None = None
         self._syncing: Future[None] | None = None
         self._over: list[Path] = []
         self._complete: list[tuple[OutputFile, int]] = []
@@ -199,7 +199,8 @@ class WatchedSink:
         sink.close(statistics)
         self._check_complete(sink)
         if self._sync_s:
-            self._disk.shutdown()
+            if self._disk:
+                self._disk.shutdown()
             if self._syncing:
                 self._syncing.result()
             self._to_disk(self._files(), None)
@@ -207,7 +208,8 @@ class WatchedSink:
     def abandon(self) -> None:
         """Close the file in its present state; nothing more is written."""
         self._closed = True
-        self._disk.shutdown(wait=False)
+        if self._disk:
+            self._disk.shutdown(wait=False)
         if self._sink:
             self._sink.abandon()
 
@@ -251,6 +253,10 @@ class WatchedSink:
         sink = self._open()
         sink.flush()
         current = sink.output.path if sink.output else None
+        if self._disk is None:
+            from concurrent.futures import ThreadPoolExecutor
+
+            self._disk = ThreadPoolExecutor(1, "edoras-sync")
         self._syncing = self._disk.submit(self._to_disk, self._files(), current)
 
     def _files(self) -> list[Path]:

@@ -228,6 +228,7 @@ class Ledger:
                 item.link,
                 item.msg_id,
                 item.processor_id,
+                item.kind,
             ),
         )
         return [self._row(account) for account in accounts]

@@ -17,7 +17,6 @@ from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, ROSBAG2, Format, 
 from edoras_tools.io.formats.watched import Keep, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing
-from edoras_tools.pipelines.capture.host import HostWatch
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Limits, reading
 
@@ -279,6 +278,8 @@ def pour(
     host = None
     if isinstance(source, DeviceSource):
         source.gather_s = FLUSH_NS / 1e9
+        from edoras_tools.pipelines.capture.host import HostWatch
+
         host = HostWatch(set(bench.columns.context.capture_ports()))
     note: Callable[[HostCounters], None] | None = getattr(sink, "write_host", None)
     try:

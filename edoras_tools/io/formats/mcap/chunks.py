@@ -157,6 +157,8 @@ class ChunkWriter:
         if self._press.used:
             self.flush()
         self._put_made()
+        if self._workers is not None:
+            self._workers.start()
         if self._workers is None or self._workers.full:
             self._made.append(self._work(*batch))
         else:

@@ -46,11 +46,11 @@ class Workers:
 
     Args:
         count: how many, at least 1.
-        work: what they run, as it is now; its arguments and its result are pickled.
+        work: what they run, as it is at ``start``; its arguments and its result are pickled.
         path: the file that the results are for, for errors.
 
     Raises:
-        OSError: no processes, or no memory for them.
+        OSError: no memory.
     """
 
     def __init__(self, count: int, work: Callable[..., Any], path: Path) -> None:
@@ -66,14 +66,16 @@ class Workers:
         self._results: deque[tuple[Exception | None, Any]] = deque()
         self._links: list[socket.socket] = []
         self._processes: list[int] = []
-        try:
-            for _ in range(count):
-                process, link = fork(partial(_serve, work, self._memory, self._lent))
+        self._count, self._work = count, work
+
+    def start(self) -> None:
+        """Fork the processes at the first call; the later that is, the more of what they need is made."""
+        with suppress(OSError):  # then there are fewer, or none
+            for _ in range(self._count):
+                process, link = fork(partial(_serve, self._work, self._memory, self._lent))
                 self._processes.append(process)
                 self._links.append(link)
-        except OSError:
-            self.close()
-            raise
+        self._count = 0
 
     def lend(self, size: int) -> NDArray[np.uint8]:
         """Return memory to read into: u8, ``size`` bytes; tasks that use it need not copy it.
@@ -107,8 +109,8 @@ class Workers:
 
     @property
     def full(self) -> bool:
-        """Whether a result must be taken before the next task."""
-        return self.waiting >= self._tasks
+        """Whether a result must be taken before the next task, or there is no process."""
+        return self.waiting >= _SLOTS * len(self._processes)
 
     def submit(self, *values: Any) -> None:
         """Hand over the arguments of a task; afterwards only lent memory is still read."""

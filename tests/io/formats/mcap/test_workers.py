@@ -46,6 +46,10 @@ def started():
 
     def start(work=twice, count=1):
         made.append(Workers(count, work, PATH))
+        assert made[-1].full
+        made[-1].start()
+        made[-1].start()
+        assert not made[-1].full
         return made[-1]
 
     yield start
@@ -145,6 +149,7 @@ import sys, time
 sys.path[:0] = {[str(Path(__file__).parents[up] / name) for up, name in ((0, "."), (3, "support"))]!r}
 from test_workers import PATH, Workers, twice
 workers = Workers(2, twice, PATH)
+workers.start()
 workers.submit(1, 60)
 print(*workers._processes, flush=True)
 time.sleep(60)
@@ -192,8 +197,10 @@ def test_files_of_the_one_that_started_them_are_not_kept_open(started):
 
 def test_where_no_process_can_be_had(monkeypatch):
     monkeypatch.setattr(forked.sys, "platform", "darwin")
-    with pytest.raises(OSError, match="support fork"):
-        Workers(1, twice, PATH)
+    workers = Workers(1, twice, PATH)
+    workers.start()
+    assert workers.full
+    workers.close()
 
 
 def recorded(path, types, capture, jobs):
