@@ -99,7 +99,7 @@ def doctor(
     elif task.list_lost is not None:
         _list_lost(settings, profile, scope, given, task.list_lost, printing)
     elif task.bag:
-        _compare_bags(settings, scope, given.paths, task.bag, printing)
+        _compare_bags(settings, scope, given, task.bag, printing)
     elif task.against is not None:
         _compare(settings, scope, given.paths, task.against, printing)
     else:
@@ -274,20 +274,19 @@ def _compare(
 
 
 def _compare_bags(
-    settings: Settings, scope: Scope, files: list[Path], bags: list[Path], printing: options.PrintOptions
+    settings: Settings, scope: Scope, given: InputOptions, bags: list[Path], printing: options.PrintOptions
 ) -> None:
     from edoras_tools.pipelines.doctor.bags import against_bag, against_capture
-    from edoras_tools.pipelines.workbench import open_files
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
 
+    files = given.paths
     if not files and len(bags) < 2:
         raise ConfigError("--bag needs a capture, or a second bag: edoras doctor CAPTURE --bag BAG")
     if files:
-        source = open_files(files)
-        bench = settings.workbench(source.info)
         quiet = printing.quiet or printing.json
-        with FileProgress(source.info.name, console=error_console(), quiet=quiet) as bar:
+        with FileProgress(", ".join(map(str, files)), console=error_console(), quiet=quiet) as bar:
+            source, bench = open_input(given, settings, aligned=True, progress=bar)
             found = against_capture(source, bags, bench, scope, bar)
     elif scope.selection or scope.period:
         raise ConfigError("--start, --end and what selects packets have no effect on bags alone")

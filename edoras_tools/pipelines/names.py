@@ -61,7 +61,7 @@ class PacketKinds:
         for key in self.keys:
             if key.port is not None:
                 there = among(columns.link, lambda link: link.last_hop)
-                there &= (batch.destination_port == key.port) | (not key.port)
+                there &= batch.destination_port == key.port
                 found |= there & ((batch.length == key.function_code) | (key.function_code is None))
             elif key.function_code is not None:
                 found |= (columns.msg_id == key.msg_id) & (columns.function_code == key.function_code)
@@ -98,7 +98,9 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
         RouteError: it stands for nothing; with what was perhaps meant.
     """
     name, routes = pattern.upper(), context.mission.routes
-    keys = [item.key for item in context.structs.all if fits_topic(item.topic, pattern)]
+    structs = [item for item in context.structs.all if fits_topic(item.topic, pattern)]
+    keys = [item.key for item in structs if item.key.port != 0]
+    own = [item.name.upper() for item in structs if item.key.port == 0]  # what the robot link calls them
     of_known = context.msg_ids.of_known
     keys += [Key(of_known(value)) for value, known in MSG_ID_NAMES.items() if fnmatchcase(known, name)]
     if (value := _number(pattern)) is not None:
@@ -106,7 +108,7 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
     found = PacketKinds(
         frozenset(index for index, route in enumerate(routes) if fits_topic(route.topic, pattern)),
         frozenset(keys),
-        frozenset(kind for known, kind in _own_names() if fnmatchcase(known, name)),
+        frozenset(kind for known, kind in _own_names() if known in own or fnmatchcase(known, name)),
     )
     if found:
         return found

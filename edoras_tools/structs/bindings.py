@@ -59,6 +59,9 @@ class Bindings:
             taken.items(), key=lambda item: (item[0].msg_id, item[0].function_code or 0)
         ):
             struct = layout.structs[layout.bindings[key]]
+            if struct.header and key.port is not None:
+                why = f"{struct.name} begins with a cFE header, which a robot's datagram has not"
+                raise ConfigError(f"{layout.origin}: {key}: {why}; bind what follows it")
             name = struct.name.removesuffix("_t")
             topic = f"/cfs/{name}/{key}".replace(":", "_") if often[name] > 1 else f"/cfs/{name}"
             bound.append(Bound(key, layout, struct, topic, self.define(layout, struct, whole=True)))

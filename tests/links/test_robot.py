@@ -179,3 +179,9 @@ def test_a_struct_that_is_bound_to_a_port_is_of_the_robot_whatever_it_holds():
 def test_a_port_that_is_none_is_refused_in_one_line(key):
     with pytest.raises(ConfigError, match=r"^'udp:.*' is not a UDP port as udp:8585, from 1 to 65535$"):
         parse_key(key)
+
+
+def test_a_struct_with_a_header_is_no_datagram():
+    layout = parse_layout(LAYOUT.replace(b"{members:", b"{header: 4, members:"), "rover")
+    with pytest.raises(ConfigError, match=r"^rover: udp:9100: rover_command begins with a cFE header"):
+        _ = Structs([layout]).all

@@ -57,6 +57,14 @@ def test_an_unknown_name_is_told_with_what_was_meant(name, hint, rover):
     assert hint in str(told.value)
 
 
+def test_topics_of_the_robot_are_what_its_link_sends():
+    for topic, name in (("/cfs/robot_command", "ROBOT_COMMAND"), ("cfs/robot_st*", "ROBOT_STATE")):
+        chosen = (counted("a_rover.pcap", Selection(topics=[item])) for item in (topic, name))
+        by_topic, by_name = (item.ledger for item in chosen)
+        assert by_topic.routes() == by_name.routes()
+        assert [row["name"] for row in by_topic.routes()] == [name]
+
+
 def test_patterns_choose_several(rover):
     context = rover.columns.context
     assert {key.msg_id for key in find_packets("TO_*", context).keys} == {0x880, 0x881, 0x1880, 0x1881}

@@ -38,6 +38,7 @@ class SharedFields:
 
     Names are the same without their dots and underscores, in either case: ``linear.x`` is ``Linear_X``. The
     command's numbers are rounded as the struct's types round them.
+    Of structs for one type of command that share different numbers with it only the first is followed.
 
     Args:
         context: its structs that are bound to ports, and the types of its commands.
