@@ -264,7 +264,7 @@ def test_programs_of_one_command(captures, command, tmp_path):
     )
     assert (recorded.returncode, sniffed.returncode) == (0, 0)
     assert target.read_bytes() == captures("a_rover").read_bytes()
-    assert sniffed.stdout.startswith(b'{"number":1,')
+    assert sniffed.stdout.startswith(b'{"schema":1,"number":1,')
 
 
 def test_a_recording_brings_its_own_types(call, captures, recording, tmp_path):
