@@ -10,7 +10,7 @@ import json
 import shutil
 import subprocess
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -117,14 +117,21 @@ class Machines:
         self._in(self._far, sys.executable, "-c", code)
 
 
+def family(pid):
+    """A process and those that it started."""
+    yield pid
+    for path in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in path.read_text().split():
+            yield from family(child)
+
+
 def listening(program):
-    """The ports that a program has bound: (kind, port) -> addresses as the kernel writes them."""
+    """The ports that a program and its processes have bound: (kind, port)."""
     own = set()
-    for item in Path(f"/proc/{program.process.pid}/fd").iterdir():
-        try:
-            own.add(str(item.readlink()))
-        except OSError:
-            continue
+    for pid in family(program.process.pid):
+        for item in Path(f"/proc/{pid}/fd").glob("*"):
+            with suppress(OSError):
+                own.add(str(item.readlink()))
     found = set()
     for kind, states in (("udp", ("07", "01")), ("tcp", ("0A",))):
         for version in ("", "6"):
