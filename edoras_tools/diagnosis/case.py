@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Verdict
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import HostCounters, InterfaceOutage
+    from edoras_tools.sessions.cfdp import Transaction
 
 _MOST: Final = 0.5
 
@@ -61,6 +62,7 @@ class Capture:
         cut: datagrams that were left out for their time.
         outages: when the interface was away.
         host: what the kernel of the recording host counted, oldest first.
+        files: the CFDP transactions in it.
     """
 
     drops: int = 0
@@ -69,6 +71,7 @@ class Capture:
     cut: int = 0
     outages: tuple[InterfaceOutage, ...] = ()
     host: tuple[HostCounters, ...] = ()
+    files: tuple[Transaction, ...] = ()
 
     @property
     def away(self) -> list[tuple[int, int]]:

@@ -7,6 +7,8 @@ from itertools import chain
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode.conversations import unnamed
 from edoras_tools.diagnosis.accounting.commands import Refused
@@ -17,6 +19,7 @@ from edoras_tools.diagnosis.evidence.relays.proxied import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import (
+    OF_FILES,
     RULES,
     SINGLE,
     not_cfs,
@@ -26,7 +29,9 @@ from edoras_tools.diagnosis.rules import (
     topic_never_seen,
 )
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, Severity, Verdict
+from edoras_tools.links.cfdp import CFDP
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.sessions.cfdp import Follower
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -215,7 +220,7 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
         progress: told how many rules were asked, of how many.
     """
     if not len(case.rows):
-        return [verdict for rule in (not_examined, not_cfs) for verdict in rule.judge(case)]
+        return [verdict for rule in (not_examined, not_cfs, *OF_FILES) for verdict in rule.judge(case)]
     found: dict[str, list[Verdict]] = {}
     for rule in (rule for rule in RULES if rule.ID in SINGLE):
         progress(len(found), len(RULES))
@@ -265,6 +270,7 @@ class Examination:
         self.context = context
         self.profile = profile or SimProfile()
         self._recorder = Recorder(context)
+        self._files = Follower()
         self._before: list[Diagnosis] = []
         self._scattered = False
 
@@ -276,6 +282,7 @@ class Examination:
         if len(self._recorder) >= CHAPTER and not self._goes_on():
             self.separate()
         self._recorder.add(batch, columns)
+        self._files.take(batch, np.flatnonzero(columns.link == CFDP))
 
     def _goes_on(self) -> bool:
         """Tell whether a chapter that is full has to take more: what belongs together is not in it yet."""
@@ -304,6 +311,8 @@ class Examination:
         if capture.zero_ns is None:
             zero_ns = self._before[0].zero_ns if self._before else self.zero_ns
             capture = replace(capture, zero_ns=zero_ns)
+        followed = self._files.pdus if keep else 0
+        capture = replace(capture, files=tuple(self._files.transactions) if keep else ())
         # A chapter has what was done up to its end; the last has the rest.
         until_ns = None if keep else self._recorder.last_ns
         faults = [item for item in self.faults if until_ns is None or item.time_ns <= until_ns]
@@ -311,19 +320,21 @@ class Examination:
             self.faults = [item for item in self.faults if item.time_ns > self._recorder.last_ns]
         case = Case(self._recorder, self.profile, capture, proxied(faults))
         found = judge(case, self.progress)
+        spans = [(item.first_ns, item.last_ns) for item in capture.files]
+        spans += [(case.start_ns, case.end_ns)] if len(case.rows) else []
         return Diagnosis(
             verdicts=_sorted(item for item in found if item.severity is not Severity.HABIT),
             habits=tuple(item for item in found if item.severity is Severity.HABIT),
             routes=accounts(case) if len(case.rows) else [],
             peers=[item.as_json() for item in case.network.connections.values()],
-            datagrams=len(case.rows),
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
+            datagrams=len(case.rows) + followed,
+            start_ns=min((start_ns for start_ns, _ in spans), default=case.start_ns),
+            end_ns=max((end_ns for _, end_ns in spans), default=case.end_ns),
             capture=capture,
             case=case if keep else None,
             balance=tuple(balance(case)) if len(case.rows) else (),
             unnamed=tuple((item.datagrams, item.told) for item in unnamed(case.prepared.flows)),
-            left_out=self._recorder.left_out + case.prepared.foreign + capture.cut,
+            left_out=self._recorder.left_out + case.prepared.foreign + capture.cut - followed,
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
             missing=tuple(missing(case)) if self.listing and len(case.rows) else (),
         )

@@ -41,7 +41,7 @@ class Verdict:
         reason: one sentence: what, where and because of what.
         msg_id: of the route; None where it concerns no single one.
         topic: configured topic of the route, or None.
-        link: ``ci``, ``to``, ``sbn``, or None.
+        link: label of the link, or None.
         hop: where it happened: a pipe, a process, a stretch of network.
         lost: messages lost; None where that cannot be counted from here.
         of: messages sent, as far as they are known.

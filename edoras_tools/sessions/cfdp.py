@@ -144,6 +144,17 @@ class Transaction:
         return f"{self.source_entity_id}:{self.transaction_sequence_number}"
 
     @property
+    def title(self) -> str:
+        """What people are told: the file's name, as far as it is known, and the transaction."""
+        name = self.destination_file_name or self.source_file_name or "a file"
+        return f"{name} (CFDP {self.name})"
+
+    @property
+    def hop(self) -> str:
+        """From which entity to which."""
+        return f"CFDP entity {self.source_entity_id} to {self.destination_entity_id}"
+
+    @property
     def complete(self) -> bool:
         """Whether every byte of the file was captured."""
         return self.eof is not None and self.file_size is not None and not self.holes
@@ -183,12 +194,13 @@ class Follower:
 
     Attributes:
         transactions: in order of their first PDU.
+        pdus: how many were taken.
         left_out: PDUs of transactions beyond the limit.
     """
 
     def __init__(self, keep: Keep | None = None) -> None:
         self.transactions: list[Transaction] = []
-        self.left_out = 0
+        self.pdus = self.left_out = 0
         self._keep = keep
         self._open: dict[tuple[int, ...], Transaction] = {}
 
@@ -201,6 +213,7 @@ class Follower:
         """
         if not len(rows):
             return
+        self.pdus += len(rows)
         pdus = read_pdus(batch.data, batch.offset[rows], batch.length[rows])
         source, destination = (
             getattr(batch, f"{end}_address")[rows].astype(np.uint64) << np.uint64(16)

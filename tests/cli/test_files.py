@@ -9,12 +9,12 @@ import cfdp as peer
 import pytest
 from cfdp.filestore import NativeFileStore
 from cfdp.transport.udp import UdpTransport
+from pdus import eof, metadata, piece
 from places import ROOT
 from rewriting import Udp, write
 from waiting import HOST, Program, free_ports, until
 
 from edoras_tools.pipelines.export.files import safe_path
-from edoras_tools.wire import cfdp
 from edoras_tools.wire.cfdp import Directive
 
 SIZES = (60_000, 59_999, 50_000, 40_001, 60_000, 1)
@@ -63,7 +63,7 @@ def pieces(noted):
     return [(number, int.from_bytes(body[:4], "big"), len(body) - 4) for number, body in found]
 
 
-def finished(noted):
+def told_finished(noted):
     return {number for number, code, _ in (parts(pdu) for _, pdu in noted) if code == Directive.FINISHED}
 
 
@@ -105,7 +105,8 @@ def test_both_ends_through_a_proxy_that_drops_a_tenth(command, call, tmp_path):
             sent = sender.kernel.put(2, transmission_mode=peer.TransmissionMode.ACKNOWLEDGED, **names)
             until(lambda sent=sent: sender.kernel.is_complete(sent), "the transfer")
         until(
-            lambda: len(finished(sender.got)) == len(SIZES), "Finished, which is sent again where it is lost"
+            lambda: len(told_finished(sender.got)) == len(SIZES),
+            "Finished",
         )
         told = json.loads(proxy.end()[0])
     dropped = len(sender.sent) + len(receiver.sent) - len(sender.got) - len(receiver.got)
@@ -129,19 +130,10 @@ def test_both_ends_through_a_proxy_that_drops_a_tenth(command, call, tmp_path):
     assert totals(in_front)["resent"] > 0
 
 
-def pdu(kind, body=b"", number=7, **values):
-    layout = cfdp.PDU_LAYOUTS[0][kind]
-    field = (b"" if kind == Directive.FILE_DATA else bytes([kind])) + layout.emit(values) + body
-    head = {"version": 1, "pdu_type": kind == Directive.FILE_DATA, "transmission_mode": 1}
-    return cfdp.PDU_HEADER.emit(head | {"pdu_data_field_length": len(field)}) + bytes([1, number, 2]) + field
-
-
 def transfer(name, content, number=7, *, checksum=None, kind=0):
-    text = bytes([len(name)]) + name
-    total = cfdp.modular_checksum(content, 0) if checksum is None else checksum
-    yield pdu(Directive.METADATA, text + text, number, file_size=len(content), checksum_type=kind)
-    yield pdu(Directive.FILE_DATA, content, number)
-    yield pdu(Directive.EOF, number=number, file_size=len(content), file_checksum=total)
+    yield metadata(len(content), name, number, checksum_type=kind, acknowledged=False)
+    yield piece(0, content, number, acknowledged=False)
+    yield eof(content, number, checksum=checksum, acknowledged=False)
 
 
 @pytest.fixture
@@ -196,8 +188,8 @@ def test_the_same_name_again_and_a_file_where_a_folder_is_needed(call, capture, 
 
 
 def test_what_is_missing_or_wrong_is_told_with_3(call, capture, tmp_path):
-    begin, piece, end = transfer(b"a", b"x" * 10)
-    result = call("files", capture(begin, piece), "-o", tmp_path / "1")
+    begin, middle, end = transfer(b"a", b"x" * 10)
+    result = call("files", capture(begin, middle), "-o", tmp_path / "1")
     assert (result.code, "not finished" in result.out) == (3, True)
     assert [item.name for item in (tmp_path / "1").iterdir()] == ["a.incomplete"]
     result = call("files", capture(*transfer(b"a", b"x" * 10, checksum=5)), "-o", tmp_path / "2")
@@ -207,7 +199,7 @@ def test_what_is_missing_or_wrong_is_told_with_3(call, capture, tmp_path):
         report = call("files", path, "-o", tmp_path / f"crc_{checksum}", "--json")
         assert report.code == (0 if right else 3)
         assert report.json()["transactions"][0]["checksum_right"] is right
-    far = pdu(Directive.FILE_DATA, b"far", offset=(1 << 31) - 1)
+    far = piece((1 << 31) - 1, b"far", acknowledged=False)
     assert call("files", capture(begin, far, end), "-o", tmp_path / "3").code == 3
     (sparse,) = (tmp_path / "3").iterdir()
     assert sparse.stat().st_size == (1 << 31) + 2

@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 
 import pytest
+from pdus import eof, finished, metadata, nak, pdu, piece
 from places import CAPTURES, ROOT
 from rewriting import datagrams, write
 
@@ -18,6 +19,7 @@ from edoras_tools.model import Endpoint, HostCounters, Peer, SocketCounters
 from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.wire import cfe, envelope, sbn
+from edoras_tools.wire.cfdp import Directive
 
 IDS = [rule.ID for rule in RULES]
 HABITS = {"checksum", "subscription_storm", "proto_storm", "superseded"}
@@ -555,6 +557,61 @@ def test_security_names_who_and_when(lab, tmp_path, msg_id):
 
 def test_every_rule_has_a_case():
     assert set(CASES) == set(IDS)
+
+
+CONTENT = bytes(range(100))
+SENDER, RECEIVER = Endpoint("10.0.0.1", 5111), Endpoint("10.0.0.2", 5222)
+
+
+def transfer(lab, *payloads):
+    """Examine PDUs, a second after each other; a number is a pause of so many seconds."""
+    second, sent = 0, []
+    for item in payloads:
+        if isinstance(item, bytes):
+            back = item[0] >> 3 & 1
+            sent.append(lab.at(second, *((RECEIVER, SENDER) if back else (SENDER, RECEIVER)), item))
+        second += item if isinstance(item, int) else 1
+    return lab.examine(sent)
+
+
+SENT = metadata(100), piece(0, CONTENT), eof(CONTENT)
+
+
+@case
+def file_checksum(lab, tmp_path, msg_id):
+    told = transfer(lab, *SENT, finished(5))
+    assert [item.rule for item in told.verdicts] == ["file_checksum"]
+    assert told.bad
+    return transfer(lab, *SENT[:2], eof(CONTENT, checksum=1), finished())
+
+
+@case
+def file_not_finished(lab, tmp_path, msg_id):
+    cancelled = transfer(lab, *SENT[:2], finished(15)).verdicts
+    assert [item.severity for item in cancelled] == [Severity.WARNING]
+    assert [item.severity for item in transfer(lab, *SENT).verdicts] == [Severity.NOTE], "it may go on"
+    return transfer(lab, SENT[0], piece(0, CONTENT[:40]), SENT[2], 60, pdu(Directive.PROMPT, number=8))
+
+
+@case
+def file_stalled(lab, tmp_path, msg_id):
+    return transfer(lab, *SENT, 11, finished())
+
+
+@case
+def file_pieces_resent(lab, tmp_path, msg_id):
+    missing = piece(60, CONTENT[60:]), nak((0, 60)), piece(0, CONTENT[:60]), piece(0, CONTENT[:60])
+    found = transfer(lab, SENT[0], *missing, SENT[2], finished())
+    (told,) = found.verdicts
+    assert told.reason == "2 pieces of x (CFDP 1:7) came again or late, of 3"
+    assert not found.bad
+    return found
+
+
+def test_a_file_that_arrives_is_no_verdict(lab):
+    found = transfer(lab, *SENT, finished())
+    assert (found.verdicts, found.datagrams, found.left_out, found.bad) == ((), 4, 0, False)
+    assert (found.end_ns - found.start_ns) == 3 * 10**9
 
 
 @pytest.mark.parametrize("rule", IDS)

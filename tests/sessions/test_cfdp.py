@@ -8,52 +8,17 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from pdus import eof, finished, metadata, nak, pdu, piece
 
 from edoras_tools.model import PacketBatch
 from edoras_tools.sessions import cfdp as follower
 from edoras_tools.sessions.cfdp import ByteRanges, Follower
-from edoras_tools.wire import cfdp
 from edoras_tools.wire.cfdp import Directive
 
 ENDS = 40000, 5222
 
 
-def pdu(kind, body=b"", source=1, number=7, *, back=False, large=False, acknowledged=True, **values):
-    """Write a PDU with IDs of one byte."""
-    layout = cfdp.PDU_LAYOUTS[large][kind]
-    code = b"" if kind == Directive.FILE_DATA else bytes([kind])
-    field = code + layout.emit(values) + body
-    head = {
-        "version": 1,
-        "pdu_type": kind == Directive.FILE_DATA,
-        "direction": back,
-        "transmission_mode": not acknowledged,
-        "large_file_flag": large,
-        "pdu_data_field_length": len(field),
-    }
-    return cfdp.PDU_HEADER.emit(head) + bytes([source, number, 2]) + field
-
-
-def piece(offset, data, **how):
-    return pdu(Directive.FILE_DATA, data, offset=offset, **how)
-
-
-def eof(content, **how):
-    total = cfdp.modular_checksum(content, 0)
-    return pdu(Directive.EOF, file_size=len(content), file_checksum=total, **how)
-
-
-def metadata(size, name="x", **how):
-    text = bytes([len(name)]) + name.encode()
-    return pdu(Directive.METADATA, text + text, file_size=size, **how)
-
-
-def nak(*missing, **how):
-    body = b"".join(end.to_bytes(4, "big") for pair in missing for end in pair)
-    return pdu(Directive.NAK, body, back=True, **how)
-
-
-FINISHED = pdu(Directive.FINISHED, back=True, file_status=2)
+FINISHED = finished()
 
 
 def batch_of(payloads, begin_ns=0, step_ns=1000):
@@ -109,8 +74,8 @@ def test_how_a_transaction_ends():
     sent = [metadata(4), piece(0, content)]
     ends = {
         "cancelled": pdu(Directive.EOF, condition_code=15, file_size=4),
-        "file checksum failure": pdu(Directive.FINISHED, back=True, condition_code=5, delivery_code=1),
-        "inactivity detected": pdu(Directive.FINISHED, back=True, condition_code=8, delivery_code=1),
+        "file checksum failure": finished(5),
+        "inactivity detected": finished(8),
         "not finished": eof(content),
         "finished": FINISHED,
     }
@@ -122,7 +87,7 @@ def test_how_a_transaction_ends():
 
 def test_a_sequence_number_that_comes_again_is_another_transaction():
     once = [metadata(1), piece(0, b"a"), eof(b"a"), FINISHED]
-    found = follow([*once, metadata(2, "y"), piece(0, b"bc"), eof(b"bc"), FINISHED])
+    found = follow([*once, metadata(2, b"y"), piece(0, b"bc"), eof(b"bc"), FINISHED])
     assert [(item.destination_file_name, item.file_size, item.state) for item in found] == [
         ("x", 1, "finished"),
         ("y", 2, "finished"),

@@ -26,6 +26,10 @@ from edoras_tools.diagnosis.rules import (
     duplicated,
     event_squelch,
     event_suppression,
+    file_checksum,
+    file_not_finished,
+    file_pieces_resent,
+    file_stalled,
     flight_bridge_length,
     ground_bridge_buffer,
     host_drops,
@@ -74,6 +78,13 @@ from edoras_tools.diagnosis.rules import (
 if TYPE_CHECKING:
     from types import ModuleType
 
+OF_FILES: Final[tuple[ModuleType, ...]] = (
+    file_checksum,
+    file_not_finished,
+    file_stalled,
+    file_pieces_resent,
+)
+"""Those about files that CFDP transfers: a capture may hold nothing else."""
 RULES: Final[tuple[ModuleType, ...]] = (
     not_examined,
     capture_drops,
@@ -136,6 +147,7 @@ RULES: Final[tuple[ModuleType, ...]] = (
     proto_storm,
     superseded,
     cfs_errors,
+    *OF_FILES,
 )
 
 SINGLE: Final[frozenset[str]] = frozenset(
