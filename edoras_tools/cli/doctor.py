@@ -304,5 +304,8 @@ def _compare_bags(
         for item in found:
             console.print(f"first: {first}, second: {item.bag}", markup=False, highlight=False)
             console.print(comparison_table(item.found, console.width))
+    for item in found:
+        if item.left_out:
+            tell(f"{item.bag}: {item.left_out:,} messages do not fit their type and are not compared")
     if lost:
         raise typer.Exit(LOST)

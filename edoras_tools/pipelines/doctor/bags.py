@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from edoras_tools.diagnosis.evidence.table import Rows
 from edoras_tools.diagnosis.matching.comparison import CaptureComparison, compare_messages
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
-from edoras_tools.model import NO_MSG_ID
+from edoras_tools.model import NO_MSG_ID, OTHER
 from edoras_tools.pipelines.doctor.compare import read_capture
 from edoras_tools.pipelines.doctor.scope import Chosen
 from edoras_tools.ros.types.schema import full_name
@@ -24,17 +24,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from edoras_tools.io import Source
     from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag
+    from edoras_tools.mission import Mission, Route
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress
     from edoras_tools.ros import TypeStore
 
-_ENCAPSULATION = 4
-_ALIKE = 0.5
-_OTHER = 0
-"""The link of messages of which no capture tells the link."""
+_ENCAPSULATION: Final = 4
+_ALIKE: Final = 0.5
 
 
 class BagComparison(NamedTuple):
@@ -43,14 +44,16 @@ class BagComparison(NamedTuple):
     Attributes:
         bag: its path.
         found: the differences; the bag is the second of the two.
+        left_out: messages that do not fit their type, so that they are not compared.
     """
 
     bag: Path
     found: CaptureComparison
+    left_out: int
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --bag --json``."""
-        return {"bag": str(self.bag), **self.found.as_json()}
+        return {"bag": str(self.bag), **self.found.as_json(), "left_out": self.left_out}
 
 
 def against_capture(
@@ -74,31 +77,51 @@ def against_capture(
         raise ConfigError(
             "--bag needs a mission that says which topic is which packet: name its files with -c"
         )
-    mission, types, chosen = bench.mission, bench.types, Chosen(scope.selection, bench)
+    chosen = Chosen(scope.selection, bench)
     rows = prepare(read_capture(source, bench, scope, chosen, progress), {}).rows
     choice = chosen.choice()
     found = []
     for path in bags:
         bag = open_rosbag(path)
-        routes = {route.topic: route for route in mission.routes}
-        there = _topics(bag, {topic: route.type for topic, route in routes.items()})
-        keys = {topic: (int(routes[topic].link), routes[topic].msg_id) for topic in there}
-        message = np.zeros(len(rows), bool)
-        for link, msg_id in keys.values():
-            message |= (rows.link == link) & (rows.msg_id == msg_id) & (rows.stamped_print != 0)
+        there = _topics(bag, {route.topic: route.type for route in bench.mission.routes})
+        heard = _rows(bag, there, bench.types)
+        routes = [_carried(rows, heard, bench.mission, place, topic) for place, topic in enumerate(there)]
+        keys = [(int(route.link), route.msg_id) for route in routes]
+        link, msg_id = (np.array(column)[heard.msg_id] for column in zip(*keys, strict=True))
+        known = heard.msg_id != NO_MSG_ID
+        heard = replace(heard, link=link, msg_id=np.where(known, msg_id, NO_MSG_ID))
+        routed = np.any([_of(rows, *key) for key in keys], axis=0)
+        message = routed & (rows.stamped_print != 0)
         sent = replace(
             rows,
             msg_id=np.where(message, rows.msg_id, NO_MSG_ID),
             packet_print=rows.stamped_print,
             missing=np.zeros_like(rows.missing),
         )
-        ways = {keys[topic]: routes[topic].to_cfs for topic in there}
-        topics = {key: topic for topic, key in keys.items()}
-        heard = _rows(bag, there, keys, types)
-        item = BagComparison(path, compare_messages(sent, heard, topics, ways))
+        ways = {key: route.to_cfs for key, route in zip(keys, routes, strict=True)}
+        compared = compare_messages(sent, heard, dict(zip(keys, there, strict=True)), ways)
+        left_out = int((~known).sum()) + int((routed & ~message).sum())
+        item = BagComparison(path, compared, left_out)
         _has_something_in_common(item, source.info.name)
-        found.append(item._replace(found=item.found.limited(choice)) if choice else item)
+        found.append(item._replace(found=compared.limited(choice)) if choice else item)
     return found
+
+
+def _carried(rows: Rows, heard: Rows, mission: Mission, place: int, topic: str) -> Route:
+    """Return the route of a topic; of several that whose messages are most like those of a bag."""
+    own = np.unique(heard.packet_print[heard.msg_id == place])
+    routes = [route for route in mission.routes if route.topic == topic]
+
+    def alike(route: Route) -> float:
+        crossed = np.unique(rows.stamped_print[_of(rows, int(route.link), route.msg_id)])
+        common = np.isin(own, crossed).sum()
+        return float(common / max(len(own) + len(crossed) - common, 1))
+
+    return max(routes, key=alike)
+
+
+def _of(rows: Rows, link: int, msg_id: int) -> NDArray[np.bool_]:
+    return np.asarray((rows.link == link) & (rows.msg_id == msg_id))
 
 
 def against_bag(first: Path, others: Sequence[Path], types: TypeStore) -> list[BagComparison]:
@@ -115,17 +138,18 @@ def against_bag(first: Path, others: Sequence[Path], types: TypeStore) -> list[B
         shared = {topic: kind for topic, kind in ours.items() if kind in theirs.values()}
         if not shared:
             raise CaptureError(f"{path}: has no topic of a type that {first} has, as {_some(ours.values())}")
-        keys = {topic: (_OTHER, number) for number, topic in enumerate(shared)}
-        left = _rows(bag, shared, keys, types)
-        right = _rows(other, theirs, {topic: (_OTHER, number) for number, topic in enumerate(theirs)}, types)
-        names, moved = {}, np.full(len(right), NO_MSG_ID)
+        left, right = _rows(bag, shared, types), _rows(other, theirs, types)
+        names: dict[tuple[int, int], str] = {}
+        moved = np.full(len(right), NO_MSG_ID)
         for number, (topic, kind) in enumerate(theirs.items()):
-            alike = {item: keys[item][1] for item, own in shared.items() if own == kind}
+            alike = {item: place for place, (item, own) in enumerate(shared.items()) if own == kind}
             same = topic if topic in alike else _most_alike(left, right, alike, number)
-            if same and (key := keys[same]) not in names:
+            if same and (key := (int(OTHER), alike[same])) not in names:
                 names[key] = topic if same == topic else f"{same}, {topic}"
                 moved[right.msg_id == number] = key[1]
-        item = BagComparison(path, compare_messages(left, replace(right, msg_id=moved), names, {}))
+        compared = compare_messages(left, replace(right, msg_id=moved), names, {})
+        left_out = sum(int((side.msg_id == NO_MSG_ID).sum()) for side in (left, right))
+        item = BagComparison(path, compared, left_out)
         _has_something_in_common(item, str(first))
         found.append(item)
     return found
@@ -135,7 +159,7 @@ def _most_alike(left: Rows, right: Rows, topics: Mapping[str, int], number: int)
     """Return the topic of the first bag that has most of the messages of one of the second, at least half."""
     own = np.unique(right.packet_print[right.msg_id == number])
     share = {
-        topic: float(np.isin(own, left.packet_print[left.msg_id == place]).mean())
+        topic: float(np.isin(own, left.packet_print[left.msg_id == place]).sum() / max(len(own), 1))
         for topic, place in topics.items()
     }
     best = max(share, key=share.__getitem__)
@@ -159,22 +183,22 @@ def _topics(bag: Rosbag, wanted: Mapping[str, str]) -> dict[str, str]:
     return there
 
 
-def _rows(
-    bag: Rosbag, there: Mapping[str, str], keys: Mapping[str, tuple[int, int]], types: TypeStore
-) -> Rows:
-    """Return the messages of some topics in the order in which they were recorded.
+def _rows(bag: Rosbag, there: Mapping[str, str], types: TypeStore) -> Rows:
+    """Return the messages of some topics in the order in which they were recorded, without a link.
+
+    MsgIds are places in ``there``; a message that does not fit its type has none.
 
     Raises:
         CaptureError: the bag is damaged, or has no message on them.
     """
-    parts: list[tuple[Any, ...]] = []
+    parts: list[tuple[NDArray[Any], ...]] = []
+    places = {topic: place for place, topic in enumerate(there)}
     for block in bag.blocks(there):
         plain, stamped = _fingerprints(block, there[block.topic], types)
-        link, msg_id = (np.full(len(plain), number) for number in keys[block.topic])
-        parts.append((block.time_ns, link, msg_id, stamped, plain))
+        parts.append((block.time_ns, np.where(stamped, places[block.topic], NO_MSG_ID), stamped, plain))
     if not parts:
         raise CaptureError(f"{bag.path}: has no message on its topics {_some(there)}")
-    names = ("time_ns", "link", "msg_id", "packet_print", "value_print")
+    names = ("time_ns", "msg_id", "packet_print", "value_print")
     columns = {
         name: np.concatenate(column) for name, column in zip(names, zip(*parts, strict=True), strict=True)
     }

@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from edoras_tools.emulator import Simulation
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.formats.rosbag2.reader import open_rosbag
 from edoras_tools.pipelines.doctor.bags import against_bag, against_capture
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.workbench import Settings
@@ -100,16 +101,20 @@ def recorded(tmp_path_factory):
     """Return a folder with a capture, two bags beside it, and by topic what was lost, and what crossed."""
     folder = tmp_path_factory.mktemp("bags")
     simulation = Simulation(scenario="two-rovers", start_ns=START_NS)
-    wire, bags, lost, crossed, count = [], ([], []), {}, {}, {}
+    wire, bags, lost, crossed, count, gone = [], ([], []), {}, {}, {}, set()
     for item in simulation.run(START_NS + 24 * SECOND):
         msg_id = msg_id_of(item)
         if msg_id not in TOPICS or len(item.payload) < 60:
             wire.append(item)
             continue
         topic, kind, header, delay = TOPICS[msg_id]
+        cdr = cdr_of(item.payload, header)
+        if delay > 0 and cdr in gone:
+            continue  # what did not reach cFS does not come out of it
         count[msg_id] = count.get(msg_id, 0) + 1
         inside = 2 * SECOND < item.time_ns - START_NS < 22 * SECOND
         drop = inside and msg_id in EVERY and count[msg_id] % EVERY[msg_id] == 0
+        gone |= {cdr} if drop and delay < 0 else set()
         lost[topic] = lost.get(topic, 0) + drop
         crossed[topic] = crossed.get(topic, 0) + (not drop)
         if not drop or delay > 0:
@@ -117,7 +122,7 @@ def recorded(tmp_path_factory):
         if not drop or delay < 0:
             robot = header >= SBN_TO
             time_ns = item.time_ns + delay * MILLISECOND + robot * AHEAD_NS
-            bags[robot].append((time_ns, topic, kind, cdr_of(item.payload, header)))
+            bags[robot].append((time_ns, topic, kind, cdr))
     write_pcap(folder / "wire.pcap", wire)
     write_mcap(folder / "ground.mcap", bags[0])
     write_rosbag(folder / "robot", bags[1])
@@ -154,6 +159,30 @@ def test_delays_are_those_of_each_bridge_and_clocks_are_aligned(recorded):
     there, back = ({row.latency.p50 for row in robot.routes if row.back is way} for way in (False, True))
     assert len(there) == len(back) == 1
     assert there.pop() + back.pop() == pytest.approx(14, abs=0.01)
+
+
+def test_what_does_not_fit_its_type_is_counted_and_not_called_lost(recorded, tmp_path):
+    folder, lost, _ = recorded
+    topic = "/robot_1/ground/cmd_vel"
+    kept = list(open_rosbag(folder / "ground.mcap").messages({topic}))
+    whole = [(item.time_ns, topic, TWIST, item.cdr) for item in kept]
+    short = [(kept[40].time_ns + number, topic, TWIST, b"\0\1\0\0" + bytes(7)) for number in range(3)]
+    write_mcap(tmp_path / "bag.mcap", [*whole, *short])
+    (item,) = compared(folder, tmp_path / "bag.mcap")
+    assert (item.left_out, item.found.lost) == (3, lost[topic])
+    assert item.found.routes[0].second == len(whole)
+
+
+def test_of_routes_with_one_topic_that_is_taken_which_the_messages_crossed(recorded, tmp_path):
+    """A ground and a flight bridge on two ROS networks, each with its own /robot_1/pose."""
+    folder, lost, _ = recorded
+    texts = [path.read_text().replace("/ground/pose", "/pose") for path in MISSIONS]
+    configs = [tmp_path / f"{number}.yaml" for number in range(2)]
+    for path, text in zip(configs, texts, strict=True):
+        path.write_text(text)
+    (item,) = compared(folder, "robot", configs=configs)
+    rows = {(row.link.label, row.topic): row.lost for row in item.found.routes}
+    assert rows == {("sbn", topic): lost[topic] for topic in lost if "ground" not in topic}
 
 
 def test_two_bags_alone(recorded, tmp_path):
