@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
 _AT_ONCE = 4 << 20
 """Maximum bytes of one batch, or one read of the device if that is more."""
-_GATHER_S = 0.08
-_STEP_S = 0.02
-"""How often at most to check, while frames gather, whether enough of them wait."""
+_GATHER_S = 0.06
+_STEP_S = 0.05
+"""How often at least to check, while frames gather, whether enough of them wait."""
 _SILENCE_S = 0.1
 """A frame that comes this long after the last one comes after a silence,"""
 _SOON_S = 0.005
@@ -52,8 +52,7 @@ class Device(Protocol):
     Attributes:
         info: information on the source.
         drops: frames that the kernel lost, as of the last ``count``.
-        linger_s: how long frames may gather after the first one, except after a silence; 0 if the device
-            gathers them itself.
+        linger_s: how long frames may gather after the first one, except after a silence.
         look_s: how often to read even if no file descriptor is readable.
         outages: when an interface was away.
     """
@@ -168,6 +167,10 @@ class DeviceSource:
             if end is None:
                 return
 
+    @property
+    def _step_s(self) -> float:
+        return min(self.gather_s / 4, _STEP_S)
+
     def _gather(self) -> None:
         """Let frames gather after the last batch."""
         end = self._handed + self.gather_s
@@ -175,7 +178,7 @@ class DeviceSource:
             left = end - time.monotonic()
             if left <= 0:
                 return
-            time.sleep(min(left, max(_STEP_S, self.gather_s / 4)))
+            time.sleep(min(left, self._step_s))
 
     def _waiting(self) -> tuple[list[FrameBatch], BaseException | EllipsisType | None]:
         """Take what waits, at most a few MiB: large batches cost less, so a slow consumer can catch up.
@@ -284,7 +287,7 @@ class DeviceSource:
             if self._deadline and (device.drained() or self._late()):
                 break
             if not more and (self._deadline or not failure):
-                poll.poll(5 if self._deadline else 1000 * max(device.look_s, self.gather_s / 4))
+                poll.poll(5 if self._deadline else 1000 * max(device.look_s, self._step_s))
                 silent = time.monotonic() - came > _SILENCE_S
                 linger_s = min(device.linger_s, _SOON_S if silent else self.gather_s / 2)
                 time.sleep(0 if self._deadline else linger_s)

@@ -89,6 +89,8 @@ _AT_ONCE: Final = 4 << 20
 """Maximum bytes that one read copies, unless a single block is larger."""
 FRESH_S: Final = 0.02
 """Maximum age of packets in the open block before they are read."""
+_LINGER_S: Final = 0.05
+"""How often at most the ring is read while much arrives: reading a block alone costs as much as ten."""
 _RETIRE_MS: Final = 500
 """Age at which the kernel closes a block that is read while it is open."""
 _RING_BYTES: Final = 128 << 20
@@ -124,7 +126,7 @@ class Ring:
     Attributes:
         info: information on the source.
         drops: frames that the kernel lost because the ring was full; updated by ``count``.
-        linger_s: 0; frames gather in a block.
+        linger_s: how long frames may gather; the ring holds those of a longer time.
         look_s: how often to read even if the socket is not readable.
         outages: when the interface was away.
 
@@ -152,7 +154,7 @@ class Ring:
             )
         self.info = SourceInfo(interface, "live", snap_length=snap_length)
         self.drops = 0
-        self.linger_s = 0.0
+        self.linger_s = _LINGER_S
         walks = barrier.available()
         self.look_s = FRESH_S if walks else _WATCH_S
         self.outages: list[InterfaceOutage] = []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import socket
 import time
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
 _READ_BYTES: Final = 1 << 20
 """Approximate bytes of payloads per read, divided among the sockets."""
 _RECEIVE_BUFFER: Final = 16 << 20
+_LINGER_S: Final = 0.1
 _FILL_RATE: Final = 40_000_000
 """Bytes per second, as the kernel counts them (about 800 for a small datagram), that buffers must hold."""
 _PORT: Final = slice(2, 4)
@@ -59,7 +59,7 @@ class Sockets:
 
     def __init__(self, endpoints: Iterable[Endpoint], receive_buffer: int = _RECEIVE_BUFFER) -> None:
         self.drops = 0
-        self.linger_s = math.inf
+        self.linger_s = _LINGER_S
         self.look_s = 0.1
         self.outages: list[InterfaceOutage] = []
         self._bound: list[_Bound] = []
