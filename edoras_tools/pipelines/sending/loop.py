@@ -46,8 +46,8 @@ _ROUND_NS: Final = 20 * MILLISECOND
 """Period of the checks, however busy the loop is; it also limits how late Ctrl-C and keys are noticed."""
 _ABSENT_NS: Final = SECOND
 """If the target refuses within this time after the first datagram, it is absent."""
-_SILENT_NS: Final = 5 * SECOND
-"""CI reports each 4 s or more often; after this time without a report none is expected."""
+_SILENT_NS: Final = 9 * SECOND
+"""CI reports each 4 s or more often; after this time without two reports none is expected."""
 _LEAD_NS: Final = 2 * MILLISECOND
 """Time from the start to the first deadline, so that the first datagram is not late."""
 

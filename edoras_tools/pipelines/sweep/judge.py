@@ -21,6 +21,7 @@ from edoras_tools.diagnosis.rules import (
     unexplained_gap,
 )
 from edoras_tools.diagnosis.verdict import Severity
+from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -170,6 +171,9 @@ class Judge:
                 "unknown",
                 f"{lost + unseen:,} of 0x{self._route.msg_id:04x} never came, and cFS reported no reason",
             )
+            if not delivered and self._route.link is TO and diagnosis.case is not None:
+                add = diagnosis.case.inject("to-add", f"0x{self._route.msg_id:04x}")
+                reason += f"; if Telemetry Output is not to send it yet: {add}"
         return StepOutcome(
             delivered + lost + unseen,
             delivered,

@@ -18,6 +18,7 @@ from edoras_tools.emulator import Served, Simulation
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.sending.options import SendOptions
@@ -230,6 +231,13 @@ def test_without_a_generator_it_says_so_at_once(bench, monkeypatch):
     assert found.steps == []
     said = r"\(cFS says: No subscribers for MsgId 0x18ee\): .*'edoras codegen generator'.*--watch"
     assert re.match(f"no telemetry generator answers on 0x18ee {said}", str(found.failure))
+
+
+def test_what_telemetry_output_does_not_send_has_a_remedy(bench):
+    summary = run(bench(*ROVER), "0x08f9", "rover", TO, rates=(4, 8))
+    assert (summary["threshold_hz"], summary["limiting_hop"]) == (None, "software bus")
+    assert "CFE_SB 14: No subscribers for MsgId 0x8f9" in summary["reason"]
+    assert summary["reason"].endswith("edoras inject to-add 0x08f9")
 
 
 def test_a_generator_of_another_msg_id(bench):
