@@ -25,6 +25,7 @@ def server():
         [sys.executable, __file__, str(theirs.fileno())],
         pass_fds=[theirs.fileno()],
         stdin=subprocess.DEVNULL,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # as edoras does: threads do not survive a fork
     )
     theirs.close()
 
