@@ -18,7 +18,7 @@ compress worse, and each has an index of its own: ``docs/recover.md`` has the fi
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zstandard
@@ -109,7 +109,8 @@ class ChunkPress:
         packed = self._compressor.multi_compress_to_buffer(
             zstandard.BufferWithSegments(raw, segments.tobytes())
         )
-        chunks = pack_chunks(raw, [packed[place].tobytes() for place in range(len(packed))], messages)
+        each: list[Any] = [packed[place] for place in range(len(packed))]
+        chunks = pack_chunks(raw, [memoryview(item) for item in each], messages)
         self.used, self._index = 0, MessageIndex()
         if len(self._buffer) != _BUFFER_BYTES:
             self._buffer = _blank()

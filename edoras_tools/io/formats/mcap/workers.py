@@ -36,7 +36,7 @@ _SLOT_BYTES: Final = 32 << 20
 """Space for the arrays of a task, and again for those of its result; the rest goes through the socket. Only
 pages in use need memory."""
 _ROOM_BYTES: Final = 9 << 20
-"""Memory for a source to read into: one for each task, the current batch, and the next one."""
+"""Memory for a source to read into: one for each task, and one for the next batch."""
 _ALIGNMENT: Final = 64
 _STANDARD_ERROR: Final = 2
 
@@ -56,7 +56,7 @@ class Workers:
     def __init__(self, count: int, work: Callable[..., Any], path: Path) -> None:
         self._path = path
         self._tasks = _SLOTS * count
-        self._used = [0] * (self._tasks + 2)
+        self._used = [0] * (self._tasks + 1)
         """The number of the last task that used each room, from 1."""
         self._lent = len(self._used) * _ROOM_BYTES
         size = self._lent + 2 * self._tasks * _SLOT_BYTES
