@@ -183,9 +183,7 @@ def _record_snapshots(
     with ExitStack() as stack:
         stack.callback(source.close)
         triggers = asked.triggers(stack)
-        watch = stack.enter_context(
-            watcher(source, target.path, quiet=printing.quiet or printing.json, live=live)
-        )
+        watch = stack.enter_context(watcher(source, None, quiet=printing.quiet or printing.json, live=live))
         report, sink = record_snapshots(
             source,
             bench,

@@ -20,6 +20,7 @@ _SECTION_HEADER = b"\x0a\x0d\x0d\x0a"
 _MCAP = b"\x89MCAP0\r\n"
 _COMPRESSED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
 _LONGEST_MAGIC = 8
+_COPIED_BYTES = 1 << 20
 _MODIFIED_PCAP = {b"\x34\xcd\xb2\xa1", b"\xa1\xb2\xcd\x34"}
 _OTHERS = (
     (b"GMBU", "a Microsoft Network Monitor capture"),
@@ -37,7 +38,7 @@ _CONVERT = "captures can be made readable with: editcap -F pcapng IN OUT"
 
 
 def open_file(path: str | Path) -> Source:
-    """Open a capture or a recording by its content: pcap, pcapng (perhaps with gzip or zstd) or MCAP.
+    """Open a capture or a recording by its content: pcap, pcapng or MCAP, perhaps with gzip or zstd.
 
     Args:
         path: a file, a named pipe, or ``-`` for standard input.
@@ -73,18 +74,32 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
         source: Source = PCAPNG.source()(Window(stream, head))
         return source
     if head.startswith(_MCAP):
-        return _mcap(stream, path, wrapped)
+        return _mcap(stream, path, b"" if stream.total_bytes and not wrapped else head)
     raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")
 
 
-def _mcap(stream: ByteStream, path: str | Path, wrapped: str) -> Source:
-    if wrapped or not stream.total_bytes:
-        where = f"inside {wrapped} data" if wrapped else "from a pipe"
-        raise CaptureError(
-            f"{stream.name}: an MCAP recording cannot be read {where}; save it as a plain file first"
-        )
+def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:
+    """Open a recording; of one from a pipe, or packed, a temporary copy: its index is at its end.
+
+    ``head`` is what was read of a stream that has to be copied, else empty.
+    """
+    copy = None
+    if head:
+        from tempfile import NamedTemporaryFile, gettempdir
+
+        try:
+            copy = NamedTemporaryFile(prefix="edoras-", suffix=".mcap")  # noqa: SIM115  the source keeps it
+            copy.write(head)
+            buffer = memoryview(bytearray(_COPIED_BYTES))
+            while count := stream.fill(buffer):
+                copy.write(buffer[:count])
+            copy.flush()
+        except OSError as error:
+            reason = error.strerror or error
+            raise CaptureError(f"{stream.name}: cannot be copied to {gettempdir()}: {reason}") from error
+    name = stream.name
     stream.close()
-    source: Source = MCAP.source()(Path(path))
+    source: Source = MCAP.source()(Path(copy.name if copy else path), name, copy)
     return source
 
 

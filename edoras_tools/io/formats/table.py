@@ -27,7 +27,6 @@ class Format:
             messages; empty if the format is only written.
         writer: its sink class, as ``folder:class``.
         messages: whether its sink also writes messages by topic, and can be split.
-        packed: whether it can also be read inside gzip or zstd data.
     """
 
     name: str
@@ -35,7 +34,6 @@ class Format:
     reader: str
     writer: str
     messages: bool = False
-    packed: bool = False
 
     def source(self) -> Any:
         """Return the class of ``reader``; imported on use, because that takes time."""
@@ -46,8 +44,8 @@ class Format:
         return _class(self.writer, "writer")
 
 
-PCAP: Final = Format("pcap", ".pcap", "pcap:PcapSource", "pcap:PcapSink", packed=True)
-PCAPNG: Final = Format("pcapng", ".pcapng", "pcapng:PcapngSource", "pcapng:PcapngSink", packed=True)
+PCAP: Final = Format("pcap", ".pcap", "pcap:PcapSource", "pcap:PcapSink")
+PCAPNG: Final = Format("pcapng", ".pcapng", "pcapng:PcapngSource", "pcapng:PcapngSink")
 MCAP: Final = Format("MCAP", ".mcap", "mcap:McapSource", "mcap:McapSink", messages=True)
 ROSBAG2: Final = Format("rosbag2", "", "rosbag2:Rosbag", "rosbag2:Rosbag2Sink", messages=True)
 
@@ -82,9 +80,7 @@ def _listed(names: list[str], last: str) -> str:
 
 READ: Final = _listed([item.name for item in FILE_FORMATS if item.suffix], "or")
 """The formats that can be read, for the user: ``pcap, pcapng or MCAP``."""
-READ_PACKED: Final = _listed(
-    [f"{item.name}{' (.gz, .zst)' * item.packed}" for item in FILE_FORMATS if item.suffix], "or"
-)
+READ_PACKED: Final = f"{READ} (.gz, .zst)"
 READABLE: Final = READ.replace(" or ", " and ")
 FILE_SUFFIXES: Final = [item.suffix for item in reversed(FILE_FORMATS) if item.suffix]
 WRITTEN: Final = _listed(FILE_SUFFIXES, "or")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import gzip
 import os
 import random
@@ -20,6 +21,8 @@ from waiting import PATIENCE_S
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.open import open_file
+from edoras_tools.pipelines.capture.record import Target, record
+from edoras_tools.pipelines.workbench import Settings
 
 ROVER = (CAPTURES / "a_rover.pcap").read_bytes()
 
@@ -116,7 +119,6 @@ NOT_CAPTURES = {
     "contains only an empty gzip stream": gzipped(b""),
     "the gzip data ends early": gzipped(ROVER)[:12],
     "ends after 2 bytes, before its format can be recognised": b"\xd4\xc3",
-    "an MCAP recording cannot be read inside gzip data": gzipped(b"\x89MCAP0\r\n" + bytes(30)),
 }
 
 
@@ -129,6 +131,29 @@ def test_what_is_no_capture_is_called_by_its_name(tmp_path, what):
     assert str(caught.value).startswith(f"{path}: ")
     assert what in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("way", ["pipe", "gzip", "zstd"])
+def test_a_recording_from_a_pipe_or_packed_is_read_from_a_copy(tmp_path, monkeypatch, way):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    made, path = tmp_path / "a.mcap", tmp_path / "b"
+    record(open_file(CAPTURES / "a_rover.pcap"), Settings().workbench(), Target(made))
+    data = made.read_bytes()
+    if way == "pipe":
+        os.mkfifo(path)
+        writer = threading.Thread(target=path.write_bytes, args=(data,))
+        writer.start()
+    else:
+        path.write_bytes({"gzip": gzipped, "zstd": zstandarded}[way](data))
+    with closing(open_file(path)) as source:
+        assert source.info.name == str(path)
+        assert [row for batch in source.batches() for row in batch] == EXPECTED
+    if way == "pipe":
+        writer.join(PATIENCE_S)
+    del source
+    gc.collect()
+    assert list((tmp_path / "temporary").iterdir()) == []
 
 
 def test_what_cannot_be_opened(tmp_path):

@@ -58,6 +58,8 @@ class McapSource:
 
     Args:
         path: the file.
+        name: what it is called in messages; usually its path.
+        copy: a temporary file that is there as long as the source.
 
     Attributes:
         info: resolution and snap length are those of the original capture; the attachments are its mission
@@ -68,10 +70,10 @@ class McapSource:
         CaptureError: it is not an MCAP file, or a complete one without datagrams.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self._name = str(path)
+    def __init__(self, path: str | Path, name: str = "", copy: object = None) -> None:
+        self._name, self._path, self._copy = name or str(path), Path(path), copy
         try:
-            self._file = Path(path).open("rb")  # noqa: SIM115  closed by close()
+            self._file = self._path.open("rb")
             self._size = os.fstat(self._file.fileno()).st_size
         except OSError as error:
             raise CaptureError(f"{path}: cannot be opened: {error.strerror or error}") from error
@@ -87,8 +89,8 @@ class McapSource:
             self.close()
             raise
         values: dict[str, str] = {}
-        for name in METADATA_NAMES:
-            values |= self._metadata.get(name, {})
+        for kind in METADATA_NAMES:
+            values |= self._metadata.get(kind, {})
         self.info = SourceInfo(
             name=self._name,
             kind="mcap",
@@ -161,7 +163,7 @@ class McapSource:
         if topic not in self._topics.values():
             return []
         found = []
-        with Path(self._name).open("rb") as file, suppress(McapError, WireError, EOFError, struct.error):
+        with self._path.open("rb") as file, suppress(McapError, WireError, EOFError, struct.error):
             for _, _, message in make_reader(file).iter_messages([topic], log_time_order=False):
                 found.append(read(message.data))
         return found
