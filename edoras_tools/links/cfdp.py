@@ -43,6 +43,8 @@ class FileDeliveryLink(LinkProtocol):
     transport = Transport(ports=(5111, 5222), first="either")
     to_cfs = True
     from_cfs = True
+    bridge = "transfer"
+    bridge_ports = ("port", "port_peer")
     layouts = cfdp.EVERY_PDU_LAYOUT
     wireshark = "cfdp"
     port_decides = False

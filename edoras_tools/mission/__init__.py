@@ -7,7 +7,7 @@ with its file, line and key.
 """
 
 from edoras_tools.mission.loading import load, loads
-from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Handling, Mission, Route
+from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Handling, Mission, Route, TransferLink
 from edoras_tools.mission.scalars import read_scalar
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "Handling",
     "Mission",
     "Route",
+    "TransferLink",
     "load",
     "loads",
     "read_scalar",

@@ -16,7 +16,7 @@ from edoras_tools.mission.handling import (
     read_handling,
     warn_of_unknown,
 )
-from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Handling, Route
+from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Handling, Route, TransferLink
 from edoras_tools.mission.report import printable
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import EnvelopeFormat
@@ -73,7 +73,21 @@ def find_bridges(nodes: list[NodeParameters]) -> list[NodeParameters]:
     def having(*names: str) -> list[NodeParameters]:
         return [node for node in nodes if not {*names}.isdisjoint(node.lines)]
 
-    return having(*_DIRECTIONS) or having("communication")
+    return having(*_DIRECTIONS) or [node for node in having("communication") if not is_transfer(node)]
+
+
+def is_transfer(node: NodeParameters) -> bool:
+    """Tell whether a node is EDORAS's ``data_transfer``, whose file has ``communication`` too."""
+    return not {"cfdp", "write_data", "read_data", "store_data"}.isdisjoint(node.lines)
+
+
+def read_transfer(node: NodeParameters, report: Mistakes) -> TransferLink | None:
+    """Return the CFDP entities of a node of ``data_transfer``; None without them, or with a mistake."""
+    if "cfdp" not in node.groups:
+        return None
+    fields = Fields(node, report)
+    port, peer = (fields.integer(name, *_PORT) for name in ("cfdp.port", "cfdp.port_peer"))
+    return TransferLink(port, peer, report.file, node.lines["cfdp"]) if port and peer else None
 
 
 def read_bridge(

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.mission.bridges import find_bridges, read_bridge
+from edoras_tools.mission.bridges import find_bridges, is_transfer, read_bridge, read_transfer
 from edoras_tools.mission.model import Mission
 from edoras_tools.mission.parameters import read_nodes
 from edoras_tools.mission.report import Mistakes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping
 
     from edoras_tools.mission.bridges import CheckType, Claims
-    from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Route
+    from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Route, TransferLink
     from edoras_tools.wire.msg_id import MsgIds
 
 _PARAMETERS: Final = b"ros__parameters"
@@ -100,7 +100,7 @@ def _mission(
     reports = []
     files: dict[str, bytes] = {}
     claims: Claims = {}
-    links: list[GroundLink | FlightLink] = []
+    links: list[GroundLink | FlightLink | TransferLink] = []
     routes: list[Route] = []
     whole: list[Bridge] = []
     for name, content in contents:
@@ -115,8 +115,9 @@ def _mission(
             files[_free_name(PurePath(name).name, files)] = content
         text = _text(content, report)
         nodes = read_nodes(text, report) if text is not None else []
-        bridges = find_bridges(nodes)
-        if nodes and not bridges and not report.mistakes:
+        bridges, transfers = find_bridges(nodes), [node for node in nodes if is_transfer(node)]
+        links += [link for node in transfers if (link := read_transfer(node, report)) is not None]
+        if nodes and not bridges and not transfers and not report.mistakes:
             what = "no node here is a bridge; it needs communication, command and telemetry"
             (report.warn if name in of_folders else report.mistake)(nodes[0].line, nodes[0].name, what)
         for node in bridges:

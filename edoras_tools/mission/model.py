@@ -144,6 +144,25 @@ class FlightLink:
 
 
 @dataclass(frozen=True, slots=True)
+class TransferLink:
+    """``cfdp`` of EDORAS's ``data_transfer``: two CFDP entities.
+
+    Attributes:
+        port: UDP port of the entity.
+        port_peer: UDP port of the other one.
+        file: the file, as it was named when loaded.
+        line: where ``cfdp`` starts, from 1.
+    """
+
+    kind: ClassVar = "transfer"
+
+    port: int
+    port_peer: int
+    file: str = ""
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Bridge:
     """One bridge: link, routes and limits, all that is needed to run in its place.
 
@@ -168,7 +187,7 @@ class Mission:
 
     Attributes:
         routes: in the order of the files; of one link no two have the same MsgId.
-        links: one a bridge.
+        links: one a bridge, and one a pair of CFDP entities.
         files: raw contents by base name, for attachments.
         warnings: one line each: what a bridge accepts but is probably a mistake.
         bridges: link and routes of each bridge together.
@@ -176,7 +195,7 @@ class Mission:
     """
 
     routes: tuple[Route, ...] = ()
-    links: tuple[GroundLink | FlightLink, ...] = ()
+    links: tuple[GroundLink | FlightLink | TransferLink, ...] = ()
     files: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()
     bridges: tuple[Bridge, ...] = ()
