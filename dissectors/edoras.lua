@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "e0ba3fbe81983283"
+local DIGEST = "8423a7a6bcca88d6"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -2896,9 +2896,11 @@ end
 -- The MsgId of version 1 that the names and commands of cFE have, of one of version 2.
 local function known_id(msg_id)
 	if not settings.second then return msg_id end
-	local above, low = math.floor(msg_id / 256), msg_id % 256
-	local command, apid = math.floor(low / 128), low % 128
-	return math.floor(above / 32) * 8192 + command * 4096 + (above + 16) % 32 * 128 + apid
+	local high, command = math.floor(msg_id / 256), math.floor(msg_id / 128) % 2
+	local third, fourth = math.floor(high / 8) % 2, math.floor(high / 16) % 2
+	local secondary = 1 - (fourth + command * third) % 2
+	return math.floor(high / 32) * 8192 + command * 4096 + secondary * 2048
+		+ high % 8 * 256 + third * 128 + msg_id % 128
 end
 
 -- What is known of a MsgId on a link: its name, the routes that may claim it, its commands.

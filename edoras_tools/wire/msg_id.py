@@ -3,9 +3,10 @@
 1. Version 1, the default: the first word of the packet.
 2. Version 2, only with the extended header: the low byte of its subsystem, the bit that tells commands, and
    the low 7 bits of the APID. The first word has its type bit too, which tells commands in both versions.
-3. Where this project knows a MsgId of cFE or of an app, that is one of version 1. What cFE's sample missions
-   gave it with version 2 follows from its bits: 0x1806 becomes 0x0086, 0x0808 becomes 0x0008. The bits of an
-   APID above 0x7F go into the subsystem, so that no two become one. A mission may choose others.
+3. Where this project knows a MsgId of cFE or of an app, that is one of version 1. With version 2 a mission
+   chooses its own; taken are those of cFE's sample missions for the services (0x1806 becomes 0x0086, 0x0808
+   becomes 0x0008). Of the lab apps, whose APIDs have bit 7, commands keep their numbers (0x1880), telemetry
+   loses that bit (0x0884 becomes 0x0804), which would make commands of it. No two MsgIds become one.
 """
 
 from __future__ import annotations
@@ -99,12 +100,15 @@ class _Version2(MsgIds):
         return _SECONDARY | (msg_id & _COMMAND_2) << 5 | msg_id & _APID, msg_id >> 8
 
     def of_known(self, known: _Ids) -> _Ids:
-        above = (known & 0x0F80) << 1 ^ _SECONDARY << 1
-        return known & 0xE000 | above | (known & VERSION_1.command_bit) >> 5 | known & _APID
+        high = (known & _COMMAND_2) << 4 | (known & _SECONDARY ^ _SECONDARY) << 1 ^ (
+            known & known << 5 & 0x1000
+        )
+        return known & 0xE700 | high | (known & 0x1000) >> 5 | known & _APID
 
     def known(self, msg_id: _Ids) -> _Ids:
-        above = (msg_id & 0x1F00 ^ _SECONDARY << 1) >> 1
-        return msg_id & 0xE000 | above | (msg_id & _COMMAND_2) << 5 | msg_id & _APID
+        command = (msg_id & _COMMAND_2) << 5
+        secondary = (msg_id & 0x1000 ^ (command & msg_id << 1)) >> 1 ^ _SECONDARY
+        return msg_id & 0xE700 | command | secondary | (msg_id & 0x0800) >> 4 | msg_id & _APID
 
 
 def _first_words(head: NDArray[np.uint8]) -> NDArray[np.int32]:

@@ -19,8 +19,18 @@ REAL = [
     (VERSION_2, 0x0804, "0804c0010021 0c080042"),
     (VERSION_2, 0x0800, "0800c001000d 0c080042"),
 ]
-KNOWN = [(0x1806, 0x0086), (0x0808, 0x0008), (0x1860, 0x00E0), (0x0860, 0x0060), (0x0800, 0x0000)]
-"""What cFE's sample missions gave the same packet in version 1 and in version 2."""
+KNOWN = [
+    *((0x1806, 0x0086), (0x0808, 0x0008), (0x1860, 0x00E0), (0x0860, 0x0060), (0x0800, 0x0000)),
+    *(
+        (0x1880, 0x1880),
+        (0x1884, 0x1884),
+        (0x18F0, 0x18F0),
+        (0x18FA, 0x18FA),
+        (0x0880, 0x0800),
+        (0x0884, 0x0804),
+    ),
+]
+"""The same packet in both versions: of services as in cFE's sample missions, of apps as in a real one."""
 IDS = st.integers(0, 0xFFFF)
 
 
