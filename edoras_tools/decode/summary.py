@@ -55,6 +55,8 @@ def _text(decoded: Decoded, msg_ids: MsgIds) -> str:
         bare = decoded.layer("edoras") is None  # the header of a C struct is already in the line
         return short_values({k: v for k, v in decoded.message.values.items() if not bare or k != "header"})
     packet, command = decoded.layer("ccsds"), decoded.layer("cfe_command")
+    if packet is None and decoded.link.last_hop and decoded.layers:
+        return short_values(decoded.layers[-1].values())
     if packet is None:
         text = protocol(decoded.link).summary(decoded) if decoded.link is not OTHER else ""
         return text or (str(decoded.stop) if decoded.stop else f"{len(decoded.datagram.payload)} bytes")

@@ -15,7 +15,7 @@ from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.ros import TypeStore
 
-OURS = "ccsds_sp cfe sbn edoras ros2cdr"
+OURS = "ccsds_sp cfe sbn robot edoras ros2cdr"
 PREFIXES = tuple(f"{name}." for name in (*OURS.split(), "ros2"))
 
 
@@ -83,6 +83,9 @@ LAYERS = {
     "sbn_proto": "sbn.proto",
     "edoras": "edoras",
     "cdr": "ros2cdr",
+    "robot_command": "robot.command",
+    "robot_pose": "robot.pose",
+    "robot_state": "robot.state",
 }
 RENAMED = {"ccsds_sp.msg_id": "edoras.msg_id", "sbn.sub.msg_ids": "sbn.subscription.msg_id"}
 CONTROLS = dict.fromkeys((*range(32), 127), " ")
@@ -121,6 +124,8 @@ def bits(value):
 def read_header(shown, raw, like):
     if isinstance(like, bytes):
         return bytes.fromhex(raw)
+    if isinstance(like, float):
+        return struct.unpack("<d", bytes.fromhex(raw))[0]
     return text(shown, like) if isinstance(like, str) else int(shown, 0)
 
 
