@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import pytest
+from effort import long_but
 from places import ROOT
 from rewriting import datagrams, write
 
@@ -51,9 +53,10 @@ def figures(found):
     return found.datagrams, found.lost, found.superseded, found.unaccounted, rows
 
 
-@pytest.mark.parametrize("port", [0, 61_000], ids=["same port", "other port"])
-@pytest.mark.parametrize("numbered", [True, False], ids=["identified", "no identification"])
-@pytest.mark.parametrize("name", ["a_rover", "c4_cmd_rate"])
+CASES = list(product(["a_rover", "c4_cmd_rate"], [True, False], [0, 61_000]))
+
+
+@pytest.mark.parametrize(("name", "numbered", "port"), long_but([*CASES[:4], CASES[7]], CASES))
 def test_a_docker_host_counts_as_the_container_alone(name, numbered, port, tmp_path):
     items = [
         placed(replace(item, identification=(index % 60_000 + 1) * numbered))
