@@ -273,7 +273,7 @@ class Panes(App[None]):
         elif self.reading:
             right.append("● live  " if self.live else "● reading  ", "green")
         if self.packets.sorted_by:
-            right.append(f"by {self.packets.sorted_by} {'▲' if self.packets.reverse else '▼'}  ")
+            right.append(f"by {self.packets.sorted_by} {'▼' if self.packets.reverse else '▲'}  ")
         if self.packets.follow and self.reading:
             right.append("following  ", "green")
         row = self.packets.cursor + 1 if len(self.store) else 0
