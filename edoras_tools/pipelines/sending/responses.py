@@ -21,6 +21,8 @@ LOSSES: Final = ("pipe_overflow_error_counter", "message_limit_error_counter")
 _EVENT_TYPES: Final = {1: "debug", 2: "information", 3: "error", 4: "critical"}
 _MOST_EVENTS: Final = 10_000
 _MODULUS: Final = 1 << 16
+_INGEST_BYTES: Final = cfe.TELEMETRY_HEADER_BYTES + cfe.COMMAND_INGEST_HOUSEKEEPING.size
+"""A packet of another length is not CI's: this build gives its MsgId to another application."""
 
 
 @dataclass(slots=True)
@@ -88,7 +90,7 @@ class Responses:
                 self._event(data, now)
             elif known == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID:
                 self._bus(data)
-            elif known == command_ingest.HOUSEKEEPING_MSG_ID:
+            elif known == command_ingest.HOUSEKEEPING_MSG_ID and len(data) == _INGEST_BYTES:
                 values = cfe.COMMAND_INGEST_HOUSEKEEPING.parse(data, cfe.TELEMETRY_HEADER_BYTES)
                 self.ingest.reported(values["ingest_packets"] + values["ingest_errors"])
         except TruncatedError:

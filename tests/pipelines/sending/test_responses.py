@@ -42,6 +42,14 @@ def test_events_are_told_once_and_counted():
     assert not seen.says("nothing")
 
 
+def test_a_packet_of_another_length_is_not_ci_s_count():
+    seen = Responses(MISSION)
+    seen.add(TO, cfe.emit_telemetry(0x884, bytes(284)), 0)
+    assert seen.ingest.reports == 0
+    seen.add(TO, cfe.emit_telemetry(0x884, bytes(24)), 1)
+    assert seen.ingest.reports == 1
+
+
 def test_counters_tell_what_was_gained():
     seen = Responses(MISSION)
     for overflows, limits in ((3, 10), (3, 12), (3, 60)):
