@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 MOST_TRANSACTIONS: Final = 1 << 14
 MOST_RANGES: Final = 1 << 12
-LARGEST_OFFSET: Final = 1 << 48
+LARGEST_OFFSET: Final = 1 << 40
 """In a file; pieces beyond are left out."""
 
 
