@@ -7,12 +7,18 @@ import sys
 import threading
 import time
 from contextlib import closing
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from effort import long_but
-from places import CAPTURES
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from places import CAPTURES, MISSIONS
 from waiting import until
 
 from edoras_tools.decode import ColumnDecoder, Context
@@ -27,6 +33,7 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.mission import Mission
 from edoras_tools.model import SourceStatistics
+from edoras_tools.pipelines.workbench import Settings
 
 # From Python 3.12 on forking beside threads, such as those of pytest-xdist, is warned of.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
@@ -238,6 +245,46 @@ def test_recordings_are_the_same(tmp_path, types, monkeypatch, capture, room, sl
     monkeypatch.setattr(module, "_SLOT_BYTES", slot)
     alone = recorded(tmp_path / "a.mcap", types, name, jobs=1)
     assert recorded(tmp_path / "b.mcap", types, name, jobs=3) == alone
+
+
+@cache
+def whole():
+    """A capture in one batch, its columns, and how it was read."""
+    bench = Settings([MISSIONS / "rover_ground.yaml"]).workbench()
+    with closing(open_file(next(CAPTURES.glob("a_rover*.pcap")))) as source:
+        batches = list(source.batches())
+    assert len(batches) == 1
+    return bench, source.info, batches[0], bench.columns.decode(batches[0])
+
+
+def messages_of(cuts, *, large=1 << 30, jobs=1):
+    """What a recording of it holds, in the order of the file, where it is written in pieces."""
+    bench, info, batch, columns = whole()
+    edges = [0, *sorted({cut for cut in cuts if cut < len(batch)}), len(batch)]
+    with TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(writer, "_LARGE", large)
+        path = Path(folder) / "a.mcap"
+        sink = McapSink(path, bench.mission, bench.types, info, RecordingOptions(jobs=jobs))
+        for first, last in pairwise(edges):
+            rows = slice(first, last)
+            sink.write(batch.take(rows), columns.take(rows))
+        sink.close(SourceStatistics())
+        with path.open("rb") as file:
+            return [
+                (channel.topic, message.sequence, message.log_time, message.publish_time, message.data)
+                for _, channel, message in make_reader(file).iter_messages(log_time_order=False)
+            ]
+
+
+@settings(max_examples=10)
+@given(st.lists(st.integers(1, 2000), max_size=9), st.sampled_from([1, 30_000]), st.sampled_from([1, 2, 3]))
+def test_neither_cuts_nor_workers_change_a_message(cuts, large, jobs):
+    assert messages_of(cuts, large=large, jobs=jobs) == uncut()
+
+
+@cache
+def uncut():
+    return messages_of([])
 
 
 def test_a_recording_whose_worker_was_killed_says_how_to_repair_it(
