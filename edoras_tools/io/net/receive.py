@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 _READ_BYTES: Final = 1 << 20
 """Approximate bytes of payloads per read, divided among the sockets."""
 _RECEIVE_BUFFER: Final = 16 << 20
-_LINGER_S: Final = 0.1
+_LINGER_S, _BUSY_LINGER_S = 0.05, 0.01
+_FULL: Final = 16
+"""Where one read empties more than this part of a receive buffer, the next one comes sooner."""
+_CHARGED: Final = 600
+"""Bytes that the kernel counts for a datagram besides its payload."""
 _FILL_RATE: Final = 40_000_000
 """Bytes per second, as the kernel counts them (about 800 for a small datagram), that buffers must hold."""
 _PORT: Final = slice(2, 4)
@@ -66,6 +70,7 @@ class Sockets:
         self._buffer = make_buffer()
         self._page = FramePage()
         self._number = 1
+        self._smallest = 1 << 62
         try:
             self.endpoints = tuple(self._bind(endpoint, receive_buffer) for endpoint in endpoints)
         except CaptureError:
@@ -80,7 +85,7 @@ class Sockets:
         opened = open_bound(endpoint, instead=instead, buffer_bytes=receive_buffer, destinations=True)
         local = local_endpoint(opened)
         given = opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-        self.linger_s = min(self.linger_s, given / _FILL_RATE)
+        self._smallest = min(self._smallest, given)
         self._bound.append(_Bound(opened, 6 if opened.family == socket.AF_INET6 else 4, local.port))
         return local
 
@@ -96,12 +101,16 @@ class Sockets:
         """
         page = self._page
         while True:
-            kept = page.rows
+            kept, used = page.rows, page.used
             whole_ns = time.time_ns()  # later datagrams have later times
             for bound in self._bound:
                 if not self._drain(bound, page):
                     whole_ns = min(whole_ns, int(page.time_ns[page.rows - 1]))
             fresh = page.rows > kept
+            if fresh:
+                busy = (page.rows - kept) * _CHARGED + page.used - used > self._smallest // _FULL
+                longest_s = _BUSY_LINGER_S if busy else _LINGER_S
+                self.linger_s = min(longest_s, self._smallest / _FILL_RATE)
             order = np.argsort(page.time_ns[: page.rows], kind="stable")
             count = len(order)
             if fresh and len(self._bound) > 1:
