@@ -23,9 +23,6 @@ gc.set_threshold(200_000)
 for name in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "ROS_DISTRO"):
     os.environ.pop(name, None)
 
-# Nobody looks at the frames of the three-pane view, and to draw them is most of what it does.
-os.environ.setdefault("TEXTUAL_FPS", "15")
-
 LIMIT_S = 600
 """What a test may take before it is taken to hang; none takes a thirtieth of it on an idle machine."""
 GRACE_S = 60
