@@ -82,7 +82,7 @@ def first_line(command: list[str]) -> float:
 
 
 def record_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
-    """File to MCAP, beside tshark printing three fields of the same file."""
+    """File to MCAP, beside tshark printing three fields of the same file, and zstd compressing it."""
     capture = captured(folder, packets)
     fields = ["-T", "fields", "-e", "frame.time_epoch", "-e", "udp.dstport", "-e", "data.data"]
     recording = folder / "mixed.mcap"
@@ -92,6 +92,10 @@ def record_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
     ours = timed(record, makes=recording)
     theirs = timed(["tshark", "-r", str(capture), *fields], rounds=1)
     ours = min(ours, timed(record, makes=recording))
+    jobs = [timed([*record, "--jobs", str(count)], makes=recording) for count in (1, 2)]
+    packed = folder / "mixed.zst"
+    pack = ["zstd", "-q", "-1", str(capture), "-o", str(packed)]
+    zstd = timed(pack, makes=packed) if shutil.which("zstd") else None
     report = json.loads(
         subprocess.run([EDORAS, "info", "--json", recording], check=True, capture_output=True).stdout
     )
@@ -105,6 +109,9 @@ def record_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
         "edoras_packets_per_s": round(packets / ours),
         "tshark_packets_per_s": round(packets / theirs),
         "times_tshark": round(theirs / ours, 1),
+        "one_job_s": round(jobs[0], 3),
+        "two_jobs_s": round(jobs[1], 3),
+        "zstd_1_s": zstd and round(zstd, 3),
         "without_mission_s": round(without, 3),
         "times_tshark_without_mission": round(theirs / without, 1),
         "peak_memory_mib": round(peak_memory(record)),
