@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.capture.device import DeviceSource
+from edoras_tools.io.formats.pcapng import LISTENED
 from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.formats.split import SplitCaptureSink
-from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, ROSBAG2, Format, written_as
+from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import Keep, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing
@@ -188,8 +189,12 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
     )
 
     def part(path: Path) -> CaptureFileSink:
+        listened = info.read_with.get("listened") if format_ is PCAPNG else None
         frames: CaptureFileSink = make(
-            path, nanosecond=info.time_resolution_ns < 1000, snap_length=info.snap_length
+            path,
+            nanosecond=info.time_resolution_ns < 1000,
+            snap_length=info.snap_length,
+            **({"comment": f"{LISTENED}{listened}"} if listened else {}),
         )
         return frames
 

@@ -336,16 +336,18 @@ def test_where_no_process_can_be_forked_it_records_all_the_same(bench, captures,
         assert sum(1 for _ in make_reader(file).iter_messages(["/edoras/datagrams"])) == 1827
 
 
+@pytest.mark.parametrize("suffix", ["mcap", "pcapng"])
 @pytest.mark.parametrize("listened", [(), (39555,)])
-def test_a_recording_remembers_the_ports_that_were_listened_on(listened, made_up, batches, tmp_path):
+def test_a_recording_remembers_the_ports_that_were_listened_on(listened, suffix, made_up, batches, tmp_path):
     to_ci = batches[0].take(np.flatnonzero(batches[0].destination_port == 1234))
     ports = np.full(len(to_ci), 39555, np.uint16)
     moved = replace(to_ci, source_port=ports, destination_port=ports, data=to_ci.data.copy())
     heads = moved.offset[:, None] - 8 + np.arange(4)  # both ports, in front of length and checksum
     moved.data[heads] = np.frombuffer((39555).to_bytes(2, "big") * 2, np.uint8)
     bench = Settings(options=Options(listened=listened)).workbench()
-    record(made_up([moved]), bench, Target(tmp_path / "a.mcap"))
-    source = open_files([tmp_path / "a.mcap"])
+    path = tmp_path / f"a.{suffix}"
+    record(made_up([moved]), bench, Target(path))
+    source = open_files([path])
     report = inspect(source, Settings().workbench(source.info))
     assert report.ledger.datagrams == len(moved)
     assert any("look like" in note for note in report.notes)

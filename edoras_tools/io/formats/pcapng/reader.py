@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from edoras_tools.io.formats.chain import walk_records
+from edoras_tools.io.formats.pcapng import LISTENED
 from edoras_tools.io.formats.pcapng.timescale import TimeScale
 from edoras_tools.io.formats.records import LARGEST_FRAME, RecordSource
 from edoras_tools.io.frames.linklayer import FrameBatch
@@ -41,6 +42,7 @@ _LEAST_BYTES = {
     SIMPLE_PACKET: 16,
     ENHANCED_PACKET: 32,
 }
+_OPT_COMMENT = 1
 _IF_TSRESOL = 9
 _IF_TSOFFSET = 14
 _MULTIPLE_OF_4 = 0xFFFFFFFC
@@ -93,6 +95,7 @@ class PcapngSource(RecordSource):
         self._order = "<"
         self._interfaces: list[_Interface] = []
         self._seen: list[_Interface] = []
+        self._read_with: dict[str, str] = {}
         while window.end < _LEAST_BYTES[SECTION_HEADER]:
             if not window.advance(0):
                 raise self._error(0, "the file ends inside its section header")
@@ -107,6 +110,7 @@ class PcapngSource(RecordSource):
             kind="pcapng",
             time_resolution_ns=min((item.scale.resolution_ns for item in self._seen), default=1000),
             snap_length=max((item.snap_length for item in self._seen), default=0) or LARGEST_FRAME,
+            read_with=self._read_with,
         )
 
     def _lead(self) -> None:
@@ -120,6 +124,8 @@ class PcapngSource(RecordSource):
                 return
             if kind == INTERFACE_DESCRIPTION and length >= _LEAST_BYTES[kind]:
                 self._add_interface(self._at, length)
+            elif kind == SECTION_HEADER:
+                self._read_with = self._listened(self._at, length)
             self._at += length
 
     def _frames(self) -> Iterator[FrameBatch]:
@@ -157,19 +163,32 @@ class PcapngSource(RecordSource):
             )
         self._interfaces = []
 
-    def _add_interface(self, at: int, length: int) -> None:
-        body = self._window.data[at + 8 : at + length - 4].tobytes()
-        link_type, _, snap_length = struct.unpack_from(f"{self._order}HHI", body)
-        scale = TimeScale()
-        place = 8
+    def _listened(self, at: int, length: int) -> dict[str, str]:
+        """Return the ports of a recorder that listened, if a section's comment is one of ours."""
+        for code, value in self._options(at + 24, at + length - 4):
+            if code == _OPT_COMMENT and value.startswith(LISTENED.encode()):
+                return {"listened": value[len(LISTENED) :].decode(errors="replace")}
+        return {}
+
+    def _options(self, at: int, end: int) -> Iterator[tuple[int, bytes]]:
+        """Yield the code and the value of each option of a block."""
+        body = self._window.data[at:end].tobytes()
+        place = 0
         while place + 4 <= len(body):
             code, size = struct.unpack_from(f"{self._order}HH", body, place)
-            value = body[place + 4 : place + 4 + size]
-            if code == _IF_TSRESOL and size == 1 and value:
+            yield code, body[place + 4 : place + 4 + size]
+            place += 4 + (size + 3 & ~3)
+
+    def _add_interface(self, at: int, length: int) -> None:
+        link_type, _, snap_length = struct.unpack(
+            f"{self._order}HHI", self._window.data[at + 8 : at + 16].tobytes()
+        )
+        scale = TimeScale()
+        for code, value in self._options(at + 16, at + length - 4):
+            if code == _IF_TSRESOL and len(value) == 1:
                 scale = replace(scale, exponent=value[0] & 0x7F, base=2 if value[0] & 0x80 else 10)
             elif code == _IF_TSOFFSET and len(value) == 8:
                 scale = replace(scale, offset_s=struct.unpack(f"{self._order}q", value)[0])
-            place += 4 + (size + 3 & ~3)
         self._interfaces.append(_Interface(link_type, snap_length, scale))
         self._seen.append(self._interfaces[-1])
 

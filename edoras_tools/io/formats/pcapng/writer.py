@@ -30,7 +30,12 @@ class PcapngSink(CaptureFileSink):
     overhead = _HEAD_BYTES + _TAIL_BYTES + 3  # with what a frame is padded with
 
     def __init__(
-        self, path_or_file: str | Path | BinaryIO, *, nanosecond: bool = True, snap_length: int = 262144
+        self,
+        path_or_file: str | Path | BinaryIO,
+        *,
+        nanosecond: bool = True,
+        snap_length: int = 262144,
+        comment: str = "",
     ) -> None:
         """Open the file and write the section header.
 
@@ -38,6 +43,7 @@ class PcapngSink(CaptureFileSink):
             path_or_file: where to write; a file of the caller is not closed.
             nanosecond: write ns; otherwise us, rounded down.
             snap_length: the capture's maximum bytes of a frame.
+            comment: of the section, for people and for ``PcapngSource``; empty for none.
 
         Raises:
             CaptureError: the file cannot be opened or written.
@@ -46,7 +52,10 @@ class PcapngSink(CaptureFileSink):
         self._exponent, self._unit_ns = (9, 1) if nanosecond else (6, 1000)
         self._snap_length = snap_length
         self._interfaces: dict[int, int] = {}
-        self._put(struct.pack("<IIIHHqI", 0x0A0D0D0A, 28, 0x1A2B3C4D, 1, 0, -1, 28))
+        text = comment.encode()
+        told = struct.pack(f"<HH{len(text)}s{-len(text) % 4}xI", 1, len(text), text, 0) if text else b""
+        size = struct.pack("<I", 28 + len(told))
+        self._put(b"\x0a\x0d\x0d\x0a" + size + struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1) + told + size)
 
     def _lay_out(self, batch: PacketBatch) -> NDArray[np.uint8]:
         if batch.time_ns.min() < 0:

@@ -125,3 +125,20 @@ def test_a_time_before_1970():
 def test_a_path_that_cannot_be_written(tmp_path):
     with pytest.raises(CaptureError, match="cannot be created: Is a directory"):
         PcapngSink(tmp_path)
+
+
+def test_a_comment_is_read_by_tshark_and_changes_no_packet(tmp_path):
+    program = shutil.which("capinfos")
+    plain, told = tmp_path / "plain.pcapng", tmp_path / "told.pcapng"
+    with closing(open_file(CAPTURES / "a_rover.pcap")) as source:
+        batches = list(source.batches())
+    for path, comment in ((plain, ""), (told, "edoras record --listen 5234 5235")):
+        with closing(PcapngSink(path, comment=comment)) as sink:
+            for batch in batches:
+                sink.write(batch)
+    assert list(RawPcapNgReader(str(told))) == list(RawPcapNgReader(str(plain)))
+    with closing(open_file(told)) as source:
+        assert source.info.read_with == {"listened": "5234 5235"}
+    if program:
+        said = subprocess.run([program, "-k", told], capture_output=True, text=True, check=True).stdout
+        assert "edoras record --listen 5234 5235" in said
