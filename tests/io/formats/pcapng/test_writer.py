@@ -136,7 +136,8 @@ def test_a_comment_is_read_by_tshark_and_changes_no_packet(tmp_path):
         with closing(PcapngSink(path, comment=comment)) as sink:
             for batch in batches:
                 sink.write(batch)
-    assert list(RawPcapNgReader(str(told))) == list(RawPcapNgReader(str(plain)))
+    with RawPcapNgReader(str(told)) as one, RawPcapNgReader(str(plain)) as other:
+        assert list(one) == list(other)
     with closing(open_file(told)) as source:
         assert source.info.read_with == {"listened": "5234 5235"}
     if program:
