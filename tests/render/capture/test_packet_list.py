@@ -119,8 +119,16 @@ def test_why_it_stopped_stands_in_for_a_missing_summary(packets):
     )
 
 
+def with_field(layer, name, **changed):
+    """A layer whose field of that name is another."""
+    fields = [replace(item, **changed) if item.name == name else item for item in layer.fields]
+    return replace(layer, fields=tuple(fields))
+
+
 def test_names_fill_in_where_decode_has_none(packets):
-    decoded = replace(packets["event"], layers=(replace(packets["event"].layers[0], fields=()),))
+    decoded = replace(
+        packets["event"], layers=(with_field(packets["event"].layers[0], "msg_id", text="0x0808"),)
+    )
     assert "events" in PacketList(120, colour=False, names={0x808: "events"}).line(line_of(decoded))
 
 
@@ -147,7 +155,10 @@ def test_what_a_packet_is(packets, name, expected):
 
 
 def test_a_packet_inside_sbn_keeps_the_outer_kind(packets):
-    twist, head = packets["twist"], packets["disconnect"].layers[0]
+    twist, head = (
+        packets["twist"],
+        with_field(packets["disconnect"].layers[0], "msg_type", value=sbn.MsgType.APP),
+    )
     data = sbn.emit(sbn.MsgType.APP, Peer(66, 1), twist.datagram.payload)
     inner = replace(twist.layers[0], start=11, end=17)
     decoded = replace(twist, datagram=replace(twist.datagram, payload=data), layers=(head, inner))
@@ -158,5 +169,6 @@ def test_a_packet_inside_sbn_keeps_the_outer_kind(packets):
 def test_an_unknown_sbn_type_is_its_number(packets):
     data = sbn.emit(7, Peer(66, 3))
     decoded = packets["disconnect"]
-    decoded = replace(decoded, datagram=replace(decoded.datagram, payload=data))
+    layers = (with_field(decoded.layers[0], "msg_type", value=7),)
+    decoded = replace(decoded, datagram=replace(decoded.datagram, payload=data), layers=layers)
     assert line_of(decoded).kind == "0x07"
