@@ -132,12 +132,12 @@ class PacketLines:
 
 def _content(decoded: Decoded) -> _Content:
     kind, name, msg_id = "", "", NO_MSG_ID
-    if peer := decoded.layer("sbn"):
-        kind = _peer_kind(peer.values()["msg_type"])
-    if packet := decoded.layer("ccsds"):
+    if (peer := decoded.layer("sbn")) and "msg_type" in (values := peer.values()):
+        kind = _peer_kind(values["msg_type"])
+    if (packet := decoded.layer("ccsds")) and "packet_type" in (values := packet.values()):
         shown = packet.fields[0]  # the dissection puts the MsgId in front
         msg_id, name = shown.value, shown.text.partition(" ")[2]
-        kind = kind or ("cmd" if packet.values()["packet_type"] else "tlm")
+        kind = kind or ("cmd" if values["packet_type"] else "tlm")
     if decoded.message and (not name or decoded.layer("edoras")):
         name = decoded.message.topic  # of a C struct the packet's name says as much, and is shorter
     return _Content(kind, msg_id, name, decoded.summary or (str(decoded.stop) if decoded.stop else ""))
