@@ -210,7 +210,7 @@ class Transmission:
                 wire=wire,
                 local=local,
             )
-            wait_for = chain(wait_for, count_known(options, report.responses, wire))
+            wait_for = chain(wait_for, count_known(self.out, options, report.responses, wire))
             sending.run(wait_for, options.timeout_ns)
         if report.to_ci and report.failure is None and not report.responses.telemetry:
             report.notes.append(

@@ -148,17 +148,25 @@ def _enabled(options: SendOptions, responses: Responses, wire: Wire, local: Endp
     return Condition("to-enabled", lambda: responses.telemetry > 0, explain, ask)
 
 
-def count_known(options: SendOptions, responses: Responses, wire: Wire) -> Iterator[Condition]:
+def count_known(out: Outgoing, options: SendOptions, responses: Responses, wire: Wire) -> Iterator[Condition]:
     """Yield the wish that CI's count is known before the first datagram leaves, where CI can be followed.
 
     Args:
+        out: what will be sent; before the command that enables telemetry alone, nothing is waited for.
         options: placed.
         responses: what was received so far.
         wire: what was sent so far; what asked for telemetry among it.
     """
-    if options.follows_ci and "nothing" not in options.wait_for:
+    if options.follows_ci and "nothing" not in options.wait_for and not _only_enables(out, options.headers):
         patience_ns = _AFTER_ASKING_NS if wire.statistics.sent else _ONE_REPORT_NS
         yield Condition("count", lambda: responses.ingest.is_known, lambda _: "", patience_ns=patience_ns)
+
+
+def _only_enables(out: Outgoing, headers: cfe.Headers) -> bool:
+    asked = headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID)
+    if len(out) != 1 or out.msg_id[0] != asked:
+        return False
+    return bool(headers.command.parse(out[0][headers.start :])["function_code"] == telemetry_output.ENABLE)
 
 
 def _event(text: str, responses: Responses, local: Endpoint) -> Condition:

@@ -24,7 +24,7 @@ from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedul
 from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions
 from edoras_tools.pipelines.sending.replay import ReplaySelection, load_datagrams
 from edoras_tools.pipelines.sending.responses import Responses
-from edoras_tools.pipelines.sending.wait_for import Condition, conditions, count_known
+from edoras_tools.pipelines.sending.wait_for import Condition, conditions, count_known, enable_output
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.outgoing import Changes, Outgoing, Packet, SequenceRule
 from edoras_tools.sessions.pacing import Pacing
@@ -366,7 +366,9 @@ def follow(simulation, out, **options):
         local=Endpoint("127.0.0.1", 1235),
     )
     schedule = SendSchedule("there", out, table, linger_ns=options.linger_ns, follow_ns=options.follow_ns)
-    return Sending(wire, schedule, report).run(chain(opened, count_known(options, report.responses, wire)))
+    return Sending(wire, schedule, report).run(
+        chain(opened, count_known(out, options, report.responses, wire))
+    )
 
 
 def test_listening_goes_on_until_ci_has_read_everything():
@@ -415,6 +417,22 @@ def test_without_telemetry_it_waits_for_one_report_and_says_nothing_of_ci():
     simulation = booted("rover")
     began = simulation.now
     assert follow(simulation, plain(3), wait_for=("nothing",)).first_ns - began < 100 * MILLISECOND
+
+
+@pytest.mark.parametrize(
+    ("packets", "waits"),
+    [
+        ([enable_output("127.0.0.1")], False),
+        ([enable_output("127.0.0.1")] * 2, True),
+        ([cfe.emit_command(0x1880, 0)], True),
+        ([cfe.emit_command(0x1827, 6)], True),
+    ],
+)
+def test_before_telemetry_is_enabled_none_is_waited_for(packets, waits):
+    simulation = booted("rover")
+    began = simulation.now
+    report = follow(simulation, Outgoing.packets(CI, [Packet(packet) for packet in packets]))
+    assert (report.first_ns - began > 4 * SECOND) == waits
 
 
 class Scripted:
