@@ -162,7 +162,9 @@ class OutputFile:
         if self._regular:
             try:
                 _lock(self._fileno)
-                os.ftruncate(self._fileno, 0)
+                # Even an empty file that was truncated is written to the disk by ext4 when it is closed.
+                if status.st_size:
+                    os.ftruncate(self._fileno, 0)
             except OSError:
                 self.close()
                 raise

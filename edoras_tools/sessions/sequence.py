@@ -471,6 +471,8 @@ def _begun(packet: _Packet, position: int) -> _Strand:
 class SequenceCounts:
     """Follows the sequence counts of all streams, a batch at a time.
 
+    Several may share it that see the same batches: a batch is followed once.
+
     Attributes:
         streams: what the counts of each stream say so far.
     """
@@ -479,6 +481,7 @@ class SequenceCounts:
         self.streams: list[SequenceStream] = []
         self._index: dict[int, int] = {}
         self._rows = 0
+        self._newest: tuple[PacketBatch, SequenceRows] | None = None
 
     def follow(
         self, batch: PacketBatch, columns: Columns, order: NDArray[np.int64] | None = None
@@ -491,6 +494,8 @@ class SequenceCounts:
             order: all rows, those of one link, sender and MsgId side by side as far as possible, where the
                 caller has them so already.
         """
+        if self._newest is not None and self._newest[0] is batch:
+            return self._newest[1]
         out = _Told(
             {
                 name: np.zeros(len(batch), np.int64 if name == "found_row" else np.int32)
@@ -508,7 +513,8 @@ class SequenceCounts:
         rows = order[counted[order]]
         if len(rows):
             self._follow(batch, columns, _ordered(batch, columns, rows), out)
-        return SequenceRows(**out.columns)
+        self._newest = batch, SequenceRows(**out.columns)
+        return self._newest[1]
 
     def whole(self, parts: Sequence[SequenceRows]) -> SequenceRows:
         """Join what ``follow`` said of all batches so far, as it is known now.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from edoras_tools.sessions.sequence import SequenceCounts
     from edoras_tools.structs import Structs
 
 
@@ -22,6 +23,7 @@ class RecordingOptions:
         structs: C structs in packets; None: only cFE's own.
         transforms: whether to write ``/tf``, made of the poses.
         jobs: how many processes may share the work; more than one only for MCAP, and if not split by size.
+        sequences: shared with others that see the same batches; None: the recording follows its own.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
     """
 
@@ -34,6 +36,7 @@ class RecordingOptions:
     offered: str = ""
     transforms: bool = False
     jobs: int = 1
+    sequences: SequenceCounts | None = None
 
     @property
     def splits(self) -> bool:

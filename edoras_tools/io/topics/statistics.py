@@ -66,12 +66,18 @@ class LinkStatistics:
     Args:
         mission: has the names of topics.
         statistics: of the source, read for its kernel drops; None if it has no such counter.
+        sequences: shared with others that see the same batches; by default its own.
     """
 
-    def __init__(self, mission: Mission, statistics: SourceStatistics | None) -> None:
+    def __init__(
+        self,
+        mission: Mission,
+        statistics: SourceStatistics | None,
+        sequences: SequenceCounts | None = None,
+    ) -> None:
         self._topics = {(int(route.link), route.msg_id): route.topic.encode() for route in mission.routes}
         self._statistics = statistics
-        self._sequences = SequenceCounts()
+        self._sequences = sequences or SequenceCounts()
         self._origin = -1
         self._second = 0
         self._end_ns = 0

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
+    from edoras_tools.sessions.sequence import SequenceCounts
 
 EVENTS_TOPIC: Final = "/edoras/events"
 _SOFTWARE_BUS: Final = "/edoras/software_bus"
@@ -115,6 +116,7 @@ class Streams:
         structs: Structs | None = None,
         add: Callable[[Topic], int] | None = None,
         transforms: bool = False,
+        sequences: SequenceCounts | None = None,
     ) -> None:
         structs = structs or shipped_structs()
         claimed = {route.msg_id for route in mission.routes}
@@ -145,7 +147,7 @@ class Streams:
         self.definitions = {name: types.definition(name) for name in dict.fromkeys(names)}
         self.clock = MissionClock()
         self._latched = LatchedTopics(mission)
-        self._statistics = LinkStatistics(mission, statistics)
+        self._statistics = LinkStatistics(mission, statistics, sequences)
         self._own = len(own)
         self.number(range(len(self.topics)))
 

@@ -96,16 +96,19 @@ class Ledger:
 
     Args:
         mission: gives topics and types their names.
+        sequences: shared with others that see the same batches; by default its own.
 
     Attributes:
         behind: datagrams whose time is before that of the previous one.
         behind_ns: maximum by which the time runs back.
     """
 
-    def __init__(self, mission: Mission) -> None:
+    def __init__(self, mission: Mission, sequences: SequenceCounts | None = None) -> None:
         self.mission = mission
         self.accounts: dict[tuple[int, int, int, int], Account] = {}
-        self._sequences = SequenceCounts()
+        self._sequences = sequences or SequenceCounts()
+        self._known = 0
+        """How many of its streams belong to accounts."""
         self.datagrams = 0
         self.start_ns = 0
         self.end_ns = 0
@@ -143,14 +146,14 @@ class Ledger:
         starts = np.append(0, np.flatnonzero((keys[:, 1:] != keys[:, :-1]).any(axis=0)) + 1)
         accounts = [self._account(columns, int(own[row]), row) for row in order[starts].tolist()]
         self._count(accounts, batch, columns, order, starts)
-        known = len(self._sequences.streams)
         stream = self._sequences.follow(batch, columns, order).stream
-        if len(self._sequences.streams) > known:
+        if len(self._sequences.streams) > self._known:
             streams, first = np.unique(stream, return_index=True)
             for index, row in zip(streams.tolist(), first.tolist(), strict=True):
-                if index >= known:
+                if index >= self._known:
                     account = self._account(columns, int(own[row]), row)
                     account.sequences.append(self._sequences.streams[index])
+            self._known = len(self._sequences.streams)
 
     @property
     def notes(self) -> list[str]:

@@ -20,6 +20,7 @@ from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.sessions.sequence import SequenceCounts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -157,7 +158,14 @@ def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = Fa
         refuse_existing(in_the_way(target.path, split=split))
 
 
-def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str = "") -> WatchedSink:
+def open_sink(
+    target: Target,
+    source: Source,
+    bench: Workbench,
+    *,
+    chosen: str = "",
+    sequences: SequenceCounts | None = None,
+) -> WatchedSink:
     """Open a sink for a target that was checked.
 
     Args:
@@ -165,6 +173,7 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
         source: what is read.
         bench: mission, types and decoders.
         chosen: the selection, in words.
+        sequences: see ``RecordingOptions``.
 
     Raises:
         CaptureError: it cannot be written.
@@ -186,6 +195,7 @@ def open_sink(target: Target, source: Source, bench: Workbench, *, chosen: str =
         structs=bench.columns.context.structs,
         transforms=target.transforms,
         jobs=_jobs(target, source),
+        sequences=sequences,
     )
 
     def part(path: Path) -> CaptureFileSink:
@@ -250,8 +260,9 @@ def record(
         ConfigError: its filter has an error.
     """
     with reading(source, bench, selection, limits, keeps_failure=True) as loop:
-        sink = open_sink(target, source, bench, chosen=str(loop.selection))
-        report = pour(loop, sink, watcher=watcher, tap=tap, by_route=by_route)
+        sequences = SequenceCounts()
+        sink = open_sink(target, source, bench, chosen=str(loop.selection), sequences=sequences)
+        report = pour(loop, sink, watcher=watcher, tap=tap, by_route=by_route, sequences=sequences)
     report.outputs, report.losses, report.keep = list(sink.paths), sink.losses, sink.keep
     return report
 
@@ -263,6 +274,7 @@ def pour(
     watcher: Watcher[CaptureReport] | None = None,
     tap: Callable[[PacketBatch, Columns], None] | None = None,
     by_route: bool = True,
+    sequences: SequenceCounts | None = None,
 ) -> CaptureReport:
     """Write everything from a loop to an open sink; the source and the sink are closed. See ``record``.
 
@@ -272,12 +284,13 @@ def pour(
         watcher: see ``record``.
         tap: see ``record``.
         by_route: see ``record``.
+        sequences: shared with the sink, see ``RecordingOptions``.
 
     Raises:
         CaptureError: the sink cannot be written.
     """
     source, bench = loop.source, loop.bench
-    report = CaptureReport(Ledger(bench.mission), source, notes=bench.columns.context.notes)
+    report = CaptureReport(Ledger(bench.mission, sequences), source, notes=bench.columns.context.notes)
     live = not source.statistics.total_bytes  # without flushes, a file always gives the same recording
     flushing = Flushing(sink, loop.limits.clock, time_ns if isinstance(source, DeviceSource) else None)
     host = None

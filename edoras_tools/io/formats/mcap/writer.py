@@ -104,6 +104,7 @@ class McapSink:
             structs=options.structs,
             add=self._add_topic,
             transforms=options.transforms,
+            sequences=None if options.splits else options.sequences,  # parts of a batch are other batches
         )
         self._extras: dict[str, int] = {}
         self._noted: list[InterfaceOutage] = []
