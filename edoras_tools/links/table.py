@@ -162,4 +162,6 @@ def among(column: NDArray[np.integer[Any]], meant: Callable[[Link], bool]) -> ND
     Returns:
         bool, of the column's shape.
     """
-    return np.isin(column, [code for code, item in _by_code().items() if meant(item)])
+    accepted = np.zeros(1 << 8, np.bool_)
+    accepted[[code for code, item in _by_code().items() if meant(item)]] = True
+    return np.asarray(accepted[column])
