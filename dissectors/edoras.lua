@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "8423a7a6bcca88d6"
+local DIGEST = "26fe92c440b2bea6"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1027,6 +1027,7 @@ D.msg_id_names = {
 	[2086] = "EDORAS_APP_HK",
 	[2176] = "TO_HK",
 	[2177] = "TO_DATA_TYPES",
+	[2179] = "SAMPLE_HK",
 	[2180] = "CI_HK",
 	[2298] = "SBN_HK",
 	[6145] = "EVS_CMD",
@@ -1046,6 +1047,8 @@ D.msg_id_names = {
 	[6242] = "TIME_SEND",
 	[6272] = "TO_CMD",
 	[6273] = "TO_SEND_HK",
+	[6274] = "SAMPLE_CMD",
+	[6275] = "SAMPLE_SEND_HK",
 	[6276] = "CI_CMD",
 	[6277] = "CI_SEND_HK",
 	[6394] = "SBN_CMD",

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
 FIRST = 256 << 10
 """Bytes of the first window: small, so that the first datagrams come at once."""
+SECOND = 2 << 20
+"""Bytes of the second window; the next ones have twice as many each, so that other processes begin soon."""
 SLICE = 8 << 20
-"""Bytes of every other window: large enough that numpy's cost per call does not matter."""
+"""Bytes of a window at most: large enough that numpy's cost per call does not matter."""
 _LINGER_MS = 1
 """How long to wait for more bytes of a pipe before returning those that came."""
 
@@ -249,7 +251,7 @@ class Window:
         data[kept + count : kept + count + PADDING] = 0
         self.base += start
         self.data, self.end = data[: kept + count + PADDING], kept + count
-        self._size = SLICE
+        self._size = min(SLICE, max(SECOND, 2 * self._size))
         return True
 
 

@@ -153,17 +153,21 @@ class ChunkWriter:
             self._put_made(0)
             self._file.add_chunks(chunks)
 
-    def append_batch(self, *batch: object) -> None:
-        """Append chunks of their own that ``work(*batch)`` returns, made here if all workers are busy."""
+    def append_batch(self, *batch: object, last: bool = False) -> None:
+        """Append chunks of their own that ``work(*batch)`` returns.
+
+        They are made here if all workers are busy, or if nothing else is to be done after the last batch.
+        """
         if self._press.used:
             self.flush()
         self._put_made()
-        if self._workers is not None:
-            self._workers.start()
-        if self._workers is None or self._workers.full:
+        workers = None if last else self._workers
+        if workers is not None:
+            workers.start()
+        if workers is None or workers.full:
             self._made.append(self._work(*batch))
         else:
-            self._workers.submit(*batch)
+            workers.submit(*batch)
             self._made.append(None)
         self._put_made(_MOST_MADE)
 

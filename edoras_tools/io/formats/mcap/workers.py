@@ -149,12 +149,16 @@ class Workers:
             raise failure
         return result
 
-    def close(self) -> None:
-        """End the processes; results that were not taken are lost. Closing twice does nothing."""
+    def dismiss(self) -> None:
+        """Let the processes end; results that were not taken are lost."""
         self._answered = self._asked
         self._results.clear()
         for link in self._links:
             link.close()
+
+    def close(self) -> None:
+        """Dismiss the processes, and wait until they have ended. Closing twice does nothing."""
+        self.dismiss()
         while self._processes:
             with suppress(ChildProcessError):  # no child is left if SIGCHLD is ignored
                 os.waitpid(self._processes.pop(), 0)

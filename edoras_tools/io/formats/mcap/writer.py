@@ -182,6 +182,9 @@ class McapSink:
         if self._state == "open":
             with self._failing():
                 self._chunks.append([self._streams.finish()], 1)
+                self._chunks.flush()
+                if self._workers:
+                    self._workers.dismiss()
                 self._close_file(statistics)
             self._state = "closed"
             self._end_workers()
@@ -217,7 +220,9 @@ class McapSink:
             self._chunks.append([latched], 1)
         prepared = self._streams.prepare(batch, columns)
         if int(batch.frame_length.sum()) >= _LARGE:
-            self._chunks.append_batch(batch, columns, prepared)
+            read = self._live
+            ended = read is not None and 0 < read.total_bytes <= read.position
+            self._chunks.append_batch(batch, columns, prepared, last=ended)
         else:
             self._chunks.append(self._streams.made(batch, columns, prepared), len(batch))
         self._count += len(batch)
