@@ -1,4 +1,4 @@
-"""A recording is never lost to a second run: what exists is refused, by every command that writes one."""
+"""What a run wrote is never lost to a second run: what exists is refused, by every command that writes."""
 
 import re
 
@@ -20,6 +20,16 @@ WRITERS = {
     "live": ("old.mcap", ["live", "--listen", f"{HOST}:0", "--ws-port", "0"]),
     "demo": ("old.mcap", ["demo", "rover", "--duration", "50ms"]),
     "recover": ("old.mcap", ["recover", "cut.mcap"]),
+    **{
+        f"export {name}": (f"old.{name}", ["export", CAPTURE, "-c", ROVER, "--topic", "/cmd_vel"])
+        for name in ("csv", "jsonl", "parquet", "arrow")
+    },
+    **{
+        f"plot {name}": (f"old.{name}", ["plot", CAPTURE, "-c", ROVER, "/cmd_vel.linear.x"])
+        for name in ("svg", "png", "html")
+    },
+    "check --init": ("old.yaml", ["check", "--init", CAPTURE, "-c", ROVER]),
+    "mission draft": ("old.yaml", ["mission", "draft", CAPTURE]),
 }
 
 
@@ -27,8 +37,8 @@ WRITERS = {
 def folder(tmp_path, monkeypatch):
     """A working folder with a file of every kind that must stay as it is."""
     monkeypatch.chdir(tmp_path)
-    for suffix in ("mcap", "pcap", "pcapng"):
-        (tmp_path / f"old.{suffix}").write_bytes(b"precious")
+    for name, _ in WRITERS.values():
+        (tmp_path / name).write_bytes(b"precious")
     (tmp_path / "cut.mcap").write_bytes(b"\x89MCAP0\r\n")
     return tmp_path
 
