@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 FIRST = 256 << 10
 """Bytes of the first window: small, so that the first datagrams come at once."""
-SECOND = 2 << 20
+_SECOND_WINDOW = 2 << 20
 """Bytes of the second window; the next ones have twice as many each, so that other processes begin soon."""
 SLICE = 8 << 20
 """Bytes of a window at most: large enough that numpy's cost per call does not matter."""
@@ -251,7 +251,7 @@ class Window:
         data[kept + count : kept + count + PADDING] = 0
         self.base += start
         self.data, self.end = data[: kept + count + PADDING], kept + count
-        self._size = min(SLICE, max(SECOND, 2 * self._size))
+        self._size = min(SLICE, max(_SECOND_WINDOW, 2 * self._size))
         return True
 
 
