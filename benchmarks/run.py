@@ -51,8 +51,9 @@ def timed(command: list[str], *, rounds: int = ROUNDS, makes: Path | None = None
     return best
 
 
-def peak_memory(command: list[str]) -> float:
-    """Run a command; return the most memory in MiB that it and the processes it started had at a time."""
+def peak_memory(command: list[str], makes: Path) -> float:
+    """Run a command that makes a file anew; return the most memory in MiB that it and its processes had."""
+    makes.unlink(missing_ok=True)
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     most = 0
     while process.poll() is None:
@@ -60,6 +61,8 @@ def peak_memory(command: list[str]) -> float:
             children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
             most = max(most, sum(proportional_kib(each) for each in (process.pid, *children)))
         time.sleep(0.01)
+    if process.returncode:
+        sys.exit(f"{' '.join(command)} ended with {process.returncode}")
     return most / 1024
 
 
@@ -114,7 +117,7 @@ def record_beside_tshark(folder: Path, packets: int) -> dict[str, object]:
         "zstd_1_s": zstd and round(zstd, 3),
         "without_mission_s": round(without, 3),
         "times_tshark_without_mission": round(theirs / without, 1),
-        "peak_memory_mib": round(peak_memory(record)),
+        "peak_memory_mib": round(peak_memory(record, recording)),
     }
 
 
@@ -126,7 +129,7 @@ def memory_of_a_large_file(folder: Path, packets: int) -> dict[str, object]:
     return {
         "packets": packets,
         "seconds": round(timed(record, rounds=1, makes=recording), 2),
-        "peak_memory_mib": round(peak_memory(record)),
+        "peak_memory_mib": round(peak_memory(record, recording)),
     }
 
 
