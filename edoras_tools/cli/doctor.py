@@ -294,7 +294,7 @@ def _compare_bags(
         found = against_bag(bags[0], bags[1:], settings.workbench().types)
     lost = sum(item.found.lost for item in found)
     if printing.json:
-        print_json({"schema": 1, "lost": lost, "bags": [item.as_json() for item in found]})
+        print_json({"lost": lost, "bags": [item.as_json() for item in found]})
     else:
         from edoras_tools.render.doctor.doctor import comparison_table
         from edoras_tools.render.terminal.console import output_console

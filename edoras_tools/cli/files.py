@@ -19,8 +19,7 @@ def files(
     *,
     inputs: FileOptions,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Write the files to DIR, a new or empty folder."),
+        Path | None, options.output(metavar="DIR", help="Write the files to DIR, a new or empty folder.")
     ] = None,
     printing: options.PrintOptions,
     part: options.PartOptions,

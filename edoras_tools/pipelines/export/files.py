@@ -109,7 +109,6 @@ class FilesReport:
     def summary(self) -> dict[str, Any]:
         """Return the report in the form of ``files --json``."""
         return {
-            "schema": 1,
             "source": self.source.info.name,
             "transactions": [item.summary() for item in self.files],
             "left_out": self.left_out,
