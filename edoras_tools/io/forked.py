@@ -62,6 +62,12 @@ def fork(serve: Callable[[socket.socket], None]) -> tuple[int, socket.socket]:
     return process, link
 
 
+def await_end(process: int) -> None:
+    """Return when a forked process has ended."""
+    with suppress(ChildProcessError):  # no child is left if SIGCHLD is ignored
+        os.waitpid(process, 0)
+
+
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Delay Ctrl-C: after half a request or answer, the connection could not be used any more."""

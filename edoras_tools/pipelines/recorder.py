@@ -13,7 +13,6 @@ Rules that a recorder keeps:
 
 from __future__ import annotations
 
-import os
 import queue
 import select
 import threading
@@ -23,7 +22,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.forked import fork, killed, portable, receive, send
+from edoras_tools.io.forked import await_end, fork, killed, portable, receive, send
 from edoras_tools.io.formats.tee import Tee
 from edoras_tools.io.frames.build import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
@@ -31,6 +30,7 @@ from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.flushing import Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import open_sink
+from edoras_tools.sessions.sequence import SequenceCounts
 
 if TYPE_CHECKING:
     import socket
@@ -107,12 +107,13 @@ class _Writer:
         show: Callable[[SourceInfo, SourceStatistics], FoxgloveSink] | None,
     ) -> None:
         self._bench, self._tap = bench, tap
-        self._ledger = Ledger(bench.mission)
+        sequences = SequenceCounts()
+        self._ledger = Ledger(bench.mission, sequences)
         self._source = PushedSource(info, SourceStatistics())
         self._shown = show(info, self._source.statistics) if show else None
         sinks: list[Sink] = [self._shown] if self._shown else []
         try:
-            written = [open_sink(target, self._source, bench)] if target else []
+            written = [open_sink(target, self._source, bench, sequences=sequences)] if target else []
         except CaptureError:
             for sink in sinks:
                 sink.close(self._source.statistics)
@@ -215,8 +216,7 @@ class _WriterApart:
 
     def _end(self) -> None:
         self._link.close()
-        with suppress(ChildProcessError):  # no child is left if SIGCHLD is ignored
-            os.waitpid(self._process, 0)
+        await_end(self._process)
 
 
 def _serve(begin: Callable[[], _Writer], link: socket.socket) -> None:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.io.forked import fork, killed, portable, receive, send, undisturbed
+from edoras_tools.io.forked import await_end, fork, killed, portable, receive, send, undisturbed
 
 if TYPE_CHECKING:
     import socket
@@ -160,8 +160,7 @@ class Workers:
         """Dismiss the processes, and wait until they have ended. Closing twice does nothing."""
         self.dismiss()
         while self._processes:
-            with suppress(ChildProcessError):  # no child is left if SIGCHLD is ignored
-                os.waitpid(self._processes.pop(), 0)
+            await_end(self._processes.pop())
 
     def _await(self, task: int) -> None:
         """Wait until a task is done, perhaps long ago."""
