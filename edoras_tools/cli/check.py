@@ -112,7 +112,7 @@ def _draft(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input, write_bytes
+    from edoras_tools.io.outputs import check_new, write_bytes
     from edoras_tools.pipelines.check.draft import draft
     from edoras_tools.pipelines.doctor.doctor import profile_with
     from edoras_tools.render.terminal.console import error_console
@@ -124,9 +124,7 @@ def _draft(
         raise ConfigError("--init drafts from a recording: edoras check --init FILE...")
     path = task.output
     if path is not None:
-        refuse_input(path, given.paths)
-        if not task.force:
-            refuse_existing(in_the_way(path))
+        check_new(path, given.paths, force=task.force)
     with FileProgress(", ".join(map(str, given.paths)), console=error_console(), quiet=printing.quiet) as bar:
         source, bench = open_input(given, decoding.settings(), aligned=True, progress=bar)
         profile = profile_with(task.constant or ())

@@ -40,7 +40,7 @@ def draft(
 
     What -c names is left out. The names of topics are made from MsgIds: edit them.
     """
-    from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input, write_bytes
+    from edoras_tools.io.outputs import check_new, write_bytes
     from edoras_tools.pipelines.mission import draft_mission
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
@@ -48,9 +48,7 @@ def draft(
 
     paths = files.named()
     if output is not None:
-        refuse_input(output, paths)
-        if not force:
-            refuse_existing(in_the_way(output))
+        check_new(output, paths, force=force)
     with FileProgress(", ".join(map(str, paths)), console=error_console(), quiet=quiet) as bar:
         source, bench = open_input(InputOptions(files), decoding.settings())
         made = draft_mission(source, bench, progress=bar)

@@ -63,7 +63,7 @@ def plot(
     A FIELD is /cmd_vel.linear.x, '/cmd_vel.linear.*' or /imu.covariance[4]; each has its own panel; with a
     comma, two share one. Without FIELD: the rates of all topics. Several files are laid over each other.
     """
-    from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
+    from edoras_tools.io.outputs import check_new
     from edoras_tools.pipelines.plot.request import parse_request
     from edoras_tools.pipelines.plot.series import open_recordings, read_plot
     from edoras_tools.render.terminal.console import error_console
@@ -76,9 +76,7 @@ def plot(
     asked = [parse_request(item) for item in given if not _is_file(item)]
     if output is not None:
         _check(output)
-        refuse_input(output, files)
-        if not force:
-            refuse_existing(in_the_way(output))
+        check_new(output, files, force=force)
     scope = part.scope()
     sources = open_recordings(files, decoding.settings(), scope)
     names = [file.name for file in files]

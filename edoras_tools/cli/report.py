@@ -10,11 +10,11 @@ from typing import Annotated
 
 import typer
 
-from edoras_tools.cli import options
+from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import LOST, no_datagrams
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import print_json
-from edoras_tools.io.outputs import refuse_input
+from edoras_tools.io.outputs import check_new
 from edoras_tools.words import plural
 
 
@@ -23,6 +23,7 @@ def report(
     *,
     inputs: FileOptions,
     output: Annotated[Path | None, options.output(help="Output file; default FILE.html.")] = None,
+    force: recordings.Force = False,
     constant: options.Constants = None,
     printing: options.PrintOptions,
     part: options.ScopeOptions,
@@ -42,7 +43,7 @@ def report(
     files, scope, (json, quiet) = inputs.named(), part.scope(), printing
     profile = profile_with(constant or ())
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")
-    refuse_input(path, files)
+    check_new(path, files, force=force)
     with FileProgress(", ".join(map(str, files)), console=error_console(), quiet=quiet or json) as bar:
         source, bench = open_input(InputOptions(inputs), decoding.settings(), aligned=True, progress=bar)
         findings = examine(source, bench, profile=profile, scope=scope, progress=bar)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from edoras_tools.cli import options, sending
+from edoras_tools.cli import options, recordings, sending
 from edoras_tools.cli.listening import tell_reach
 from edoras_tools.cli.output import print_json
 from edoras_tools.cli.sim import Scenario
@@ -175,6 +175,7 @@ class ChartOptions(NamedTuple):
     png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the chart as PNG; needs resvg.")] = (
         None
     )
+    force: recordings.Force = False
 
 
 @options.grouped
@@ -200,6 +201,7 @@ def sweep(
 
     For example: edoras sweep /cmd_vel -c rover.yaml, or with an emulated cFS: --sim rover
     """
+    from edoras_tools.io.outputs import check_new
     from edoras_tools.links.table import named
     from edoras_tools.pipelines.sweep.plan import route_of
     from edoras_tools.pipelines.sweep.run import sweep as carry_out
@@ -209,6 +211,9 @@ def sweep(
 
     json, quiet = printing
     steps.check(how.target)
+    for path in (charts.svg, charts.png):
+        if path is not None:
+            check_new(path, force=charts.force)
     if charts.png is not None:
         svg.need_png()
     bench = decoding.settings().workbench()

@@ -114,6 +114,22 @@ def refuse_existing(there: Path | None) -> None:
         raise ConfigError(f"{there} exists; name another output, or replace it with --force")
 
 
+def check_new(path: Path, inputs: Iterable[Path] = (), *, force: bool) -> None:
+    """Refuse to write a file over an input, or over what exists.
+
+    Args:
+        path: the file.
+        inputs: what is read.
+        force: what exists may be replaced, if it is no input.
+
+    Raises:
+        ConfigError: it would be written over.
+    """
+    refuse_input(path, inputs)
+    if not force:
+        refuse_existing(in_the_way(path))
+
+
 def to_disk(path: Path) -> None:
     """Return once a file's contents, and its name in its folder, are on the disk and survive a power cut.
 

@@ -10,7 +10,7 @@ COMMANDS = {
     "info": ("info", "--json"),
     "doctor": ("doctor", "--json"),
     "record": ("record", "--json", "-o", "x.mcap", "--force"),
-    "report": ("report", "--json", "-o", "x.html"),
+    "report": ("report", "--json", "-o", "x.html", "--force"),
 }
 
 

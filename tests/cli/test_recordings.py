@@ -8,6 +8,7 @@ from places import ROOT
 ROVER = ROOT / "samples/missions/rover_ground.yaml"
 CAPTURE = ROOT / "samples/captures/a_rover.pcap"
 HOST = "127.0.0.1"
+SWEEP = ["sweep", "/cmd_vel", "-c", ROVER, "--sim", "rover", "--rate", "2", "--step-time", "2s"]
 WRITERS = {
     "record mcap": ("old.mcap", ["record", "-q", "-r", CAPTURE]),
     "record pcap": ("old.pcap", ["record", "-q", "-r", CAPTURE]),
@@ -30,6 +31,9 @@ WRITERS = {
     },
     "check --init": ("old.yaml", ["check", "--init", CAPTURE, "-c", ROVER]),
     "mission draft": ("old.yaml", ["mission", "draft", CAPTURE]),
+    "report": ("old.html", ["report", CAPTURE, "-c", ROVER]),
+    "sweep --svg": ("old.svg", [*SWEEP, "--svg"]),
+    "sweep --png": ("old.png", [*SWEEP, "--png"]),
 }
 
 
@@ -46,7 +50,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("name", "words"), WRITERS.values(), ids=WRITERS)
 def test_what_exists_is_refused(call, folder, name, words):
     before = {path: path.read_bytes() for path in folder.iterdir()}
-    result = call(*words, "-o", name)
+    result = call(*words, *(() if words[0] == "sweep" else ("-o",)), name)
     assert result.code == 2
     (line,) = result.err
     assert re.fullmatch(
@@ -58,6 +62,26 @@ def test_what_exists_is_refused(call, folder, name, words):
 def test_force_replaces(call, folder):
     assert call("record", "-q", "-r", CAPTURE, "-o", "old.mcap", "--force").code == 0
     assert call("info", "old.mcap").code == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("old.html", ("report", CAPTURE, "-o")), ("old.svg", (*SWEEP, "--svg")), ("old.png", (*SWEEP, "--png"))],
+)
+def test_force_replaces_pages_and_charts(call, folder, name, words):
+    assert call(*words, name, "--force", "-q").code in {0, 3}
+    assert b"precious" not in (folder / name).read_bytes()
+
+
+def test_a_report_without_a_name_is_not_replaced_either(call, folder):
+    assert call("report", "-q", CAPTURE).code == 3
+    page = (folder / "a_rover.pcap.html").read_bytes()
+    result = call("report", "-q", CAPTURE, "-c", ROVER)
+    assert (result.code, result.err) == (
+        2,
+        ["edoras: a_rover.pcap.html exists; name another output, or replace it with --force"],
+    )
+    assert (folder / "a_rover.pcap.html").read_bytes() == page
 
 
 def test_an_empty_file_is_no_recording(call, folder):
