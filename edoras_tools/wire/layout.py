@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_WORDS: Final = (1, 2, 4, 8)
+_WORDS: Final = (1, 2, 3, 4, 8)
 _FLOATS: Final = {4: "f", 8: "d"}
 FieldKind = Literal["uint", "int", "float", "text", "bytes"]
 
@@ -193,13 +193,17 @@ class Layout:
         """
         slot = self.by_name[name]
         size = slot.end - slot.start
+        value: NDArray[Any]
         order = ">" if self.byte_order == "big" else "<"
         if slot.field.kind == "float":
             floats = window[:, at + slot.start : at + slot.end].view(f"{order}f{size}")
             return floats[:, 0].astype(f"f{size}")
-        # Every numeric field lies in a word of 1, 2, 4 or 8 bytes, so one strided read is enough.
-        word = window[:, at + slot.start : at + slot.end].view(f"{order}u{size}")
-        value: NDArray[Any] = word[:, 0].astype(f"u{size}")
+        if size == 3:
+            octets = window[:, at + slot.start : at + slot.end][:, :: 1 if order == ">" else -1]
+            size, value = 4, octets @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+        else:  # in a word of 1, 2, 4 or 8 bytes, so one strided read is enough
+            word = window[:, at + slot.start : at + slot.end].view(f"{order}u{size}")
+            value = word[:, 0].astype(f"u{size}")
         if slot.shift:
             value >>= slot.shift
         if slot.mask != (1 << 8 * size) - 1:

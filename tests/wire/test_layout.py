@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from edoras_tools.errors import FieldError, TruncatedError
 from edoras_tools.wire import ccsds, cdr, cfe, envelope, robot, sbn
 from edoras_tools.wire.layout import Field, Layout
+from edoras_tools.wire.transfer_frames import headers
 
 LAYOUTS = [
     ccsds.PRIMARY,
@@ -25,8 +26,17 @@ LAYOUTS = [
     cdr.ENCAPSULATION,
     *(item.layout for item in envelope.ENVELOPE_FORMATS),
     *robot.SENT_TO,
+    headers.TM,
+    headers.TM_SECONDARY,
+    headers.AOS,
+    headers.AOS_PACKETS,
+    headers.TC,
+    headers.TC_SEGMENT,
+    Layout(
+        "reversed", "Three bytes", Field("a", 24, ""), Field("b", 24, "", kind="int"), byte_order="little"
+    ),
 ]
-SIZES = [6, 2, 10, 6, 4, 156, 28, 24, 4, 11, 7, 50, 6, 1, 4, 16, 16, 8, 8, 2, 48, 56, 64]
+SIZES = [6, 2, 10, 6, 4, 156, 28, 24, 4, 11, 7, 50, 6, 1, 4, 16, 16, 8, 8, 2, 48, 56, 64, 6, 1, 6, 2, 5, 1, 6]
 
 
 @pytest.mark.parametrize(("layout", "size"), list(zip(LAYOUTS, SIZES, strict=True)))

@@ -1,0 +1,47 @@
+"""CRC-16: the published check value, the definition bit by bit, and an independent library."""
+
+import numpy as np
+import pytest
+from fastcrc import crc16 as peer
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edoras_tools.wire.crc import CRC16_BYTES, crc16, crc16_rows
+
+
+def by_definition(octets):
+    """132.0-B 4.1.6.2, a bit at a time."""
+    remainder = 0xFFFF
+    for octet in octets:
+        for bit in range(8):
+            carry = (remainder >> 15) ^ (octet >> (7 - bit) & 1)
+            remainder = (remainder << 1 & 0xFFFF) ^ (0x1021 * carry)
+    return remainder
+
+
+def test_check_value():
+    assert crc16(b"123456789") == 0x29B1
+
+
+@given(st.binary(max_size=40))
+def test_one_range(octets):
+    assert crc16(octets) == by_definition(octets) == peer.ibm_3740(octets)
+    assert crc16(octets + crc16(octets).to_bytes(CRC16_BYTES, "big")) == 0
+
+
+@pytest.mark.parametrize("least", [1, 40, 300])
+@given(st.lists(st.binary(min_size=2, max_size=33), min_size=1, max_size=6))
+def test_many_ranges(least, parts):
+    parts = parts * -(-least // len(parts))
+    length = np.array([len(part) for part in parts], np.int32)
+    offset = np.cumsum(length).astype(np.int64) - length + 3
+    data = np.frombuffer(b"abc" + b"".join(parts), np.uint8)
+    assert crc16_rows(data, offset, length).tolist() == [crc16(part) for part in parts]
+
+
+def test_more_than_is_laid_out_at_once(monkeypatch):
+    monkeypatch.setattr("edoras_tools.wire.crc._BLOCK", 4096)
+    data = np.random.default_rng(5).integers(0, 256, 200 * 97, dtype=np.uint8)
+    offset, length = np.arange(200, dtype=np.int64) * 97, np.full(200, 97, np.int32)
+    expected = [crc16(data[at : at + 97].tobytes()) for at in offset]
+    assert crc16_rows(data, offset, length).tolist() == expected
