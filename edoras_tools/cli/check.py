@@ -137,6 +137,11 @@ def _draft(
         write_bytes(path, made.text.encode(), folders=True)
     for note in made.notes if not printing.quiet else ():
         tell(note)
+    unexamined = made.findings.diagnosis.unnamed
+    for item in unexamined:
+        tell(str(item))
+    if unexamined:
+        raise typer.Exit(LOST)
 
 
 def _check_whole(findings: Findings, *, live: bool) -> None:

@@ -64,7 +64,7 @@ def nothing_shown(source: Source, shown: int, context: Context, *, live: bool, e
     for note in context.notes:
         tell(note)
     if not shown:
-        _none_chosen(source, "; -a shows every link")
+        _none_chosen(source, "" if every else "; -a shows every link")
     lost(source)
     if context.unnamed and not every:
         raise typer.Exit(LOST)
@@ -123,7 +123,8 @@ def topics_read(source: TopicSource, result: str) -> None:
 
     Raises:
         EdorasError: the input ended early, or contained no UDP at all.
-        typer.Exit: with code 3, if the capture lost packets; with code 130 after Ctrl-C.
+        typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out; with code 130
+            after Ctrl-C.
     """
     for note in source.notes:
         tell(note)
@@ -137,6 +138,8 @@ def topics_read(source: TopicSource, result: str) -> None:
     if source.source is not None:
         no_datagrams(source.source)
         lost(source.source)
+    if source.unnamed:
+        raise typer.Exit(LOST)
 
 
 def finish_relay(

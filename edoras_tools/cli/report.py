@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.endings import LOST, no_datagrams
+from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import print_json
 from edoras_tools.io.outputs import check_new
@@ -62,6 +62,8 @@ def report(
             told = "nothing was examined"
         verdicts = plural(len(group_verdicts(findings.diagnosis.verdicts)), "verdict")
         sys.stderr.write(f"{path}: {told}, {verdicts}, {size / 1024:.0f} KiB\n")
+    for item in findings.diagnosis.unnamed:
+        tell(str(item))
     if findings.failure is not None:
         raise findings.failure
     if findings.diagnosis.bad:

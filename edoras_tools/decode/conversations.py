@@ -195,6 +195,10 @@ class Conversations:
         told = [line.removesuffix(", left out") for line in lines] if shown else lines
         return [*map(str, unnamed(self.judge())), *told]
 
+    def recorded(self) -> list[str]:
+        """Return a line for each port that looks like a link's, of which no messages were recorded."""
+        return [f"{item.looks}, recorded without messages: {item.remedy}" for item in unnamed(self.judge())]
+
     @property
     def unnamed(self) -> int:
         """Datagrams that look like a link's, on ports that no option names and no recorder listened on."""
@@ -228,8 +232,13 @@ class Unnamed(NamedTuple):
 
     port: int
     datagrams: int
-    told: str
+    looks: str
     remedy: str
+
+    @property
+    def told(self) -> str:
+        """What it is, and that it was not examined."""
+        return f"{self.looks} and were left out"
 
     def __str__(self) -> str:
         """Return it in one line."""
@@ -247,7 +256,7 @@ def unnamed(flows: Iterable[Flow]) -> list[Unnamed]:
         Unnamed(
             port,
             count,
-            f"{count:,} datagrams on port {port} look like {link.name} traffic and were left out",
+            f"{count:,} datagrams on port {port} look like {link.name} traffic",
             f"name the port with --port {link.label}:{port}",
         )
         for (link, port), count in sorted(counts.items())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.decode.conversations import unnamed
+from edoras_tools.decode.conversations import Unnamed, unnamed
 from edoras_tools.diagnosis.accounting.commands import Refused
 from edoras_tools.diagnosis.accounts import accounts
 from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, sent, summed
@@ -64,7 +64,7 @@ class Diagnosis:
         case: what it was judged by, for plots; of a long capture the last chapter.
         balance: what became of the messages of every route at every hop.
         left_out: datagrams that belong to no link, are another program's, or were left out for their time.
-        unnamed: of these, what looks like a link's, on ports that nobody named: how many, and a sentence.
+        unnamed: of these, what looks like a link's, on ports that nobody named.
         topics: index of a configured route to its topic.
         choice: what is shown of it; None for all.
         whole: the diagnosis of which this shows a part, or None.
@@ -82,7 +82,7 @@ class Diagnosis:
     case: Case | None = None
     balance: tuple[Row, ...] = ()
     left_out: int = 0
-    unnamed: tuple[tuple[int, str], ...] = ()
+    unnamed: tuple[Unnamed, ...] = ()
     topics: Mapping[int, str] = field(default_factory=dict)
     choice: Choice | None = None
     whole: Diagnosis | None = None
@@ -333,7 +333,7 @@ class Examination:
             capture=capture,
             case=case if keep else None,
             balance=tuple(balance(case)) if len(case.rows) else (),
-            unnamed=tuple((item.datagrams, item.told) for item in unnamed(case.prepared.flows)),
+            unnamed=tuple(unnamed(case.prepared.flows)),
             left_out=self._recorder.left_out + case.prepared.foreign + capture.cut - followed,
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
             missing=tuple(missing(case)) if self.listing and len(case.rows) else (),

@@ -11,9 +11,12 @@ from dataclasses import dataclass, field
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError
+from edoras_tools.model import OTHER
 from edoras_tools.pipelines.interrupt import interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
@@ -24,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.io import Source
-    from edoras_tools.model import PacketBatch
+    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
 
 
@@ -62,7 +65,8 @@ class ReadLoop:
         limits: when to end.
         examined: datagrams outside this period are not even decoded.
         keeps_failure: keep the error that ended the source in ``failure``, instead of raising it.
-        conversations: of all that was read, if they are followed; a batch is added before it is yielded.
+        conversations: of all that was read, if they are followed, else of what is on ports of no link; a
+            batch is added before it is yielded.
         failure: why the source ended early, if it did.
         begin_ns: time of the first datagram; None before it.
         last_ns: latest time of a datagram, also of one outside; -1 before.
@@ -136,8 +140,7 @@ class ReadLoop:
                 batch = whole.take(examined.holds(whole.time_ns - begin_ns))
                 self.outside += len(whole) - len(batch)
             columns = bench.columns.decode(batch)
-            if self._conversing:
-                self.conversations.add(batch, columns)
+            self._follow(batch, columns)
             rows = self.selection.rows(batch, columns)
             inside = inside or (len(batch) > 0 and bool(shown.holds(batch.time_ns - begin_ns).any()))
             if shown:
@@ -159,6 +162,12 @@ class ReadLoop:
             )
         if self.begin_ns is not None and not (inside or self.interrupted or hasattr(self.source, "stop")):
             raise outside(self.source.info.name, self.begin_ns, self.last_ns)
+
+    def _follow(self, batch: PacketBatch, columns: Columns) -> None:
+        if self._conversing:
+            self.conversations.add(batch, columns)
+        elif len(others := np.flatnonzero(columns.link == OTHER)):
+            self.conversations.add(batch.take(others), columns.take(others))
 
     def _until_failure(self) -> Iterator[PacketBatch]:
         try:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
 
 _BEFORE_NS: Final = 3600 * SECOND
-"""A --start without a date may be this much before the capture; an earlier one is of the next day."""
+"""A clock time without a date may be this much before the capture, or an end before the start; an earlier one
+is of the next day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,8 @@ class Period:
     def since(self, begin_ns: int) -> Period:
         """Return the period in ns after a capture's first datagram.
 
-        A clock time without a date is looked for from an hour before the first datagram.
+        A clock time without a date is looked for from an hour before the first datagram; an end, from an hour
+        before the start.
 
         Raises:
             ConfigError: the end is not after the start, or not after the first datagram.
@@ -110,7 +112,7 @@ class Period:
         if self.length_ns:
             end_ns = start_ns + self.length_ns
         elif self.end:
-            end_ns = self.end.first(begin_ns + start_ns) - begin_ns
+            end_ns = self.end.first(begin_ns + start_ns - _BEFORE_NS) - begin_ns
             if end_ns <= 0:
                 raise ConfigError(
                     f"--end {self.end.text} is before the capture, which begins at {_began(begin_ns)}"

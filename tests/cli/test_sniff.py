@@ -213,6 +213,8 @@ def test_nothing_chosen_is_said(call, captures):
     done = call("sniff", "-r", captures("a_rover"), "--msg-id", "0x0999")
     assert (done.code, done.out) == (0, "")
     assert done.err == ["edoras: none of the 1,827 datagrams was selected; -a shows every link"]
+    done = call("sniff", "-a", captures("a_rover"), "--msg-id", "0x0999")
+    assert done.err == ["edoras: none of the 1,827 datagrams was selected"]
 
 
 def test_statistics_of_records_out_of_order_say_so(call, tmp_path):
@@ -237,6 +239,24 @@ def test_a_port_that_looks_like_a_link_is_told_as_in_the_doctor(command, call):
     assert (done.code, done.err) == (3, [f"edoras: {told}"])
     done = call(*command.split(), path, "--port", "ci:5234")
     assert (done.code, done.err) == (0, [])
+
+
+@pytest.mark.parametrize("command", ["export -o a/", "plot", "report -o a.html", "check --init"])
+def test_a_table_a_plot_a_page_and_a_draft_say_it_too(command, call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = ROOT / "tests/captures/n10_uplink_loss.pcap.zst"
+    done = call(*command.split(), path)
+    assert (done.code, sum("name the port with --port ci:5234" in line for line in done.err)) == (3, 1)
+    done = call(*command.split(), path, "--port", "ci:5234", *["--force"] * command.startswith("export"))
+    assert not any("look like" in line for line in done.err)
+
+
+def test_a_recorder_says_what_it_records_without_messages(call, tmp_path):
+    path = ROOT / "tests/captures/n10_uplink_loss.pcap.zst"
+    done = call("record", "-q", path, "-o", tmp_path / "a.mcap")
+    told = "226 datagrams on port 5234 look like CI traffic, recorded without messages"
+    assert (done.code, done.err) == (0, [f"edoras: {told}: name the port with --port ci:5234"])
+    assert call("record", "-q", path, "--port", "ci:5234", "-o", tmp_path / "b.mcap").err == []
 
 
 def test_what_is_shown_is_not_left_out(call):

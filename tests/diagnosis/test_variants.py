@@ -399,7 +399,7 @@ def test_a_port_that_is_not_named_is_said_first(tmp_path, link):
     assert (found.verdicts[0].rule, found.verdicts[0].remedy) == ("not_examined", remedy)
     assert limits(found)[0] == found.verdicts[0].reason
     assert conclusion(found).startswith(f"Not all was examined: {found.verdicts[0].reason}.")
-    assert sum(number for number, _ in found.unnamed) <= found.left_out
+    assert sum(item.datagrams for item in found.unnamed) <= found.left_out
 
 
 @pytest.mark.parametrize("payload", [rtp, dns, json, noise], ids=lambda item: item.__name__)

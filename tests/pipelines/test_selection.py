@@ -67,6 +67,9 @@ def test_start_and_end_may_be_of_two_kinds(start, end, expected):
         ("10", "5", "--end is not after --start"),
         ("2026-11-21T06:20", "10", "--end is not after --start"),
         (None, "2026-11-21T06:00", "is before the capture, which begins at 2026-11-21 06:18:47 UTC"),
+        (None, "06:18:40", "is before the capture, which begins at 2026-11-21 06:18:47 UTC"),
+        ("10", "06:18:50", "--end is not after --start"),
+        ("06:19", "06:18:50", "--end is not after --start"),
         (None, "0", "nothing is left"),
     ],
 )

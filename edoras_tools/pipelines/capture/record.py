@@ -324,6 +324,7 @@ def pour(
         if host and note:
             note(host.now())
         report.interrupted, report.failure = loop.interrupted, loop.failure
+        report.notes = [*report.notes, *loop.conversations.recorded()]
     finally:
         source.close()
         sink.close(source.statistics)

@@ -55,6 +55,7 @@ class TopicSource(ABC):
         zero_ns: the time that its times count from; -1 until it is known.
         last_ns: latest time that was read; -1 before.
         left_out: messages on wanted topics that are incomplete or do not fit their type.
+        unnamed: see ``Context``.
         failure: why it ended early, if it did.
         interrupted: Ctrl-C ended it.
     """
@@ -65,7 +66,7 @@ class TopicSource(ABC):
         self.name = name
         self.topics: dict[str, str] = {}
         self.zero_ns = self.last_ns = -1
-        self.left_out = 0
+        self.left_out = self.unnamed = 0
         self.failure: EdorasError | None = None
         self.interrupted = False
         self._scope = scope or Scope()
@@ -182,6 +183,8 @@ class CaptureTopics(TopicSource):
                 )
                 yield from self._blocks(found, len(batch), wanted)
             self.failure, self.interrupted = loop.failure, loop.interrupted
+            loop.note()
+            self.unnamed = self._bench.columns.context.unnamed
         rest = [self._streams.finish()] if statistics else []
         rest.append(self._streams.outages(self._source.statistics.outages))
         period = self._scope.period.since(self.zero_ns)

@@ -97,8 +97,8 @@ def _head(found: Diagnosis, name: str) -> Text:
 
 def limits(found: Diagnosis) -> list[str]:
     """Return what was outside the chosen time, and what is not shown, one line each."""
-    lines = [told for _, told in found.unnamed]
-    if other := found.left_out - found.capture.cut - sum(number for number, _ in found.unnamed):
+    lines = [item.told for item in found.unnamed]
+    if other := found.left_out - found.capture.cut - sum(item.datagrams for item in found.unnamed):
         lines.append(
             f"{plural(other, 'datagram')} not examined: states that a robot sends, or traffic of no link"
         )
@@ -269,7 +269,7 @@ def conclusion(found: Diagnosis) -> str:
     What looks like a link's traffic and was not examined is said first: nothing is known of it.
     """
     if found.unnamed:
-        told = "; ".join(told for _, told in found.unnamed)
+        told = "; ".join(item.told for item in found.unnamed)
         return f"Not all was examined: {told}. {_of_the_rest(found)}"
     if not found.datagrams:
         where = "in the chosen time" if found.capture.cut else "here"
