@@ -187,7 +187,7 @@ def _opened(given: LiveOptions, bench: Workbench, *, every_port: bool) -> Source
     from edoras_tools.io.net.receive import UdpSource
 
     sockets = UdpSource(
-        [parse_endpoint(item) for item in listen or ()], ready=lambda: _ready(sockets.info.name)
+        [parse_endpoint(item, "--listen") for item in listen or ()], ready=lambda: _ready(sockets.info.name)
     )
     bench.columns.context.described["listened"] = " ".join(str(item.port) for item in sockets.endpoints)
     for endpoint in sockets.endpoints:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from contextlib import suppress
 from glob import escape
 from itertools import count
 from pathlib import Path
@@ -174,6 +175,7 @@ class OutputFile:
         self._fileno = opener(str(path), os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0))
         status = os.fstat(self._fileno)
         self._regular = stat.S_ISREG(status.st_mode)
+        self._own = False
         self._inode = status.st_dev, status.st_ino
         if self._regular:
             try:
@@ -181,6 +183,7 @@ class OutputFile:
                 # Even an empty file that was truncated is written to the disk by ext4 when it is closed.
                 if status.st_size:
                     os.ftruncate(self._fileno, 0)
+                self._own = True
             except OSError:
                 self.close()
                 raise
@@ -213,8 +216,11 @@ class OutputFile:
         try:
             there = self.path.stat()
         except OSError:
-            now = self.place
-            return f"was moved to {now}" if now else "was deleted or moved" if closed else "was deleted"
+            if closed:
+                return "was deleted or moved"
+            if now := self.place:
+                return f"was moved to {now}"
+            return "was moved to where this program cannot see it" if self.linked else "was deleted"
         if (there.st_dev, there.st_ino) != self._inode:
             return "was replaced by another file"
         return "was truncated" if there.st_size < self.size else ""
@@ -229,6 +235,11 @@ class OutputFile:
             return None
         return now if (status.st_dev, status.st_ino) == self._inode else None
 
+    @property
+    def linked(self) -> bool:
+        """Whether the file has a name somewhere; a service may not see the folder (``ProtectHome=``)."""
+        return self._fileno >= 0 and os.fstat(self._fileno).st_nlink > 0
+
     def _is_cut(self) -> bool:
         if self._regular and not self._truncated:
             self._truncated = os.fstat(self._fileno).st_size < self.size
@@ -239,10 +250,19 @@ class OutputFile:
         return self._fileno
 
     def close(self) -> None:
-        """Close the file, and unlock it; closing twice does nothing."""
+        """Close the file, and unlock it; closing twice does nothing. A file that is empty still is removed.
+
+        A service that is started again and again while the disk is full would leave one each time.
+        """
         fileno, self._fileno = self._fileno, -1
-        if fileno >= 0:
-            os.close(fileno)
+        if fileno < 0:
+            return
+        if self._own and not self.size:
+            with suppress(OSError):
+                there = self.path.lstat()
+                if (there.st_dev, there.st_ino) == self._inode and not there.st_size:
+                    self.path.unlink()
+        os.close(fileno)
 
 
 def path_beside(path: Path) -> Path:

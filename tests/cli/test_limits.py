@@ -57,6 +57,14 @@ def test_the_size_of_a_file(limited, captures, tmp_path, name):
     assert (code, "File too large" in told) == (1, True)
 
 
+@pytest.mark.parametrize("name", ["x.mcap", "x.pcap", "x.pcapng"])
+def test_nothing_is_left_where_nothing_can_be_written(limited, captures, tmp_path, name):
+    """A service is started again and again while the disk is full."""
+    code, told = limited(resource.RLIMIT_FSIZE, 0, "record", "-r", captures("a_rover"), "-o", tmp_path / name)
+    assert (code, list(tmp_path.iterdir())) == (1, [])
+    assert f"{name}: cannot be written: File too large; name another file with -o or make room" in told
+
+
 def test_open_files(limited, missions):
     (port,) = free_ports(1)
     listen = ["record", "--listen", port, "--duration", "0.1", "-o", "/dev/null/x.mcap"]

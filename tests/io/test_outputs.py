@@ -132,8 +132,24 @@ class TestOutputFile:
             OutputFile(file.path)
         assert file.path.read_bytes() == b"onetwo"
         file.close()
-        OutputFile(file.path).close()
+        other = OutputFile(file.path)
         assert file.path.read_bytes() == b""
+        other.close()
+
+    def test_nothing_is_left_of_what_got_no_byte(self, file, tmp_path):
+        empty = OutputFile(tmp_path / "empty")
+        with pytest.raises(BlockingIOError):
+            OutputFile(empty.path)
+        assert empty.path.exists(), "the second one does not remove what is the first one's"
+        empty.close()
+        assert not empty.path.exists()
+        taken = OutputFile(tmp_path / "taken")
+        taken.path.unlink()
+        taken.path.write_bytes(b"")
+        taken.close()
+        assert taken.path.exists(), "it is another file"
+        file.close()
+        assert file.path.read_bytes() == b"onetwo"
 
     def test_what_is_as_it_should_be(self, file):
         assert (file.fate(), file.place, file.size) == ("", file.path, 6)

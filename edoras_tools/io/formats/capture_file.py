@@ -122,6 +122,8 @@ class CaptureFileSink:
             elif self._lent:
                 self._lent.write(piece)
         except (OSError, ValueError) as error:
+            if self.output:
+                self.output.close()
             raise self._error("cannot be written", error) from error
 
     def _error(self, what: str, error: Exception) -> CaptureError:

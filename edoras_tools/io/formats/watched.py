@@ -285,7 +285,7 @@ class WatchedSink:
             except OSError as error:
                 raise CaptureError(f"{path.parent}: cannot be made: {error.strerror or error}") from error
             self._sink = self._begin(path)
-            self._told(f"{self.losses[-1]}; continuing in {path}")
+            self._told(f"{self.losses[-1]}; continuing in {self._sink.paths[-1]}")
 
     def _check_complete(self, sink: FileSink | None) -> None:
         """Check the files that are complete."""
@@ -303,7 +303,7 @@ class WatchedSink:
             return False
         self._sink = None
         path, count = sink.output.path, sink.datagrams
-        kept = fate != "was truncated" and sink.output.place is not None
+        kept = fate != "was truncated" and sink.output.linked
         self._over += [other for other in sink.paths if other not in {path, path.parent}]
         self._complete += sink.complete
         if kept:

@@ -64,8 +64,12 @@ def host_of(packed: bytes) -> Address:
     return Address(packed, (socket.inet_ntoa(packed[4:8]), port), _IPV4_BYTES)
 
 
-def parse_endpoint(text: str) -> Endpoint:
+def parse_endpoint(text: str, option: str = "") -> Endpoint:
     """Read ``HOST:PORT``, ``[IPV6]:PORT``, or ``PORT`` alone for this machine's loopback.
+
+    Args:
+        text: the endpoint.
+        option: the option that it was given with, for messages that nobody else begins with it.
 
     Raises:
         ConfigError: it is none of them.
@@ -78,7 +82,7 @@ def parse_endpoint(text: str) -> Endpoint:
     bare = ":" in host and not (host.startswith("[") and host.endswith("]"))
     if bare or not 0 <= port <= _LAST_PORT or (":" in text and not host):
         raise ConfigError(
-            f"--listen {text}: not an endpoint: HOST:PORT, [IPV6]:PORT or PORT, from 0 to 65535"
+            f"{option} {text}: not an endpoint: HOST:PORT, [IPV6]:PORT or PORT, from 0 to 65535".lstrip()
         )
     return Endpoint(host.strip("[]") or LOOPBACK, port)
 

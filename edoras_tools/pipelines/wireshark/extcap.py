@@ -135,12 +135,12 @@ def capture(wish: CaptureRequest, fifo: Path) -> None:
 
 def _ports(wish: CaptureRequest) -> list[int]:
     """Return the named ports, including those that are bound."""
-    return [*wish.ports, *(parse_endpoint(item).port for item in wish.listen)]
+    return [*wish.ports, *(parse_endpoint(item, "--listen").port for item in wish.listen)]
 
 
 def _source(wish: CaptureRequest, ports: Sequence[int]) -> DeviceSource:
     if wish.listen:
-        return UdpSource([parse_endpoint(item) for item in wish.listen])
+        return UdpSource([parse_endpoint(item, "--listen") for item in wish.listen])
 
     return open_live(wish.interface, ports)
 

@@ -123,6 +123,33 @@ def test_what_is_moved_is_whole_where_it_is(name, batches, tmp_path):
         assert (moved / "metadata.yaml").exists()
 
 
+@pytest.mark.parametrize("name", ["x.mcap", "x.pcap", "x.pcapng"])
+def test_what_is_moved_out_of_sight_is_whole_there(name, batches, tmp_path):
+    """As when a service may not see the folder: the system does not say where it is, only that it is."""
+    path, moved = tmp_path / name, tmp_path / f"moved_{name}"
+    recording = Recording(path)
+    recording.write(batches[0])
+    moved.hardlink_to(path)
+    path.unlink()
+    recording.later()
+    recording.end()
+    (loss,) = recording.sink.losses
+    fate = "was moved to where this program cannot see it"
+    assert (loss.fate, loss.datagrams, loss.kept) == (fate, 100, True)
+    assert count(moved) == 100
+
+
+def test_the_part_that_follows_is_named(batches, tmp_path):
+    recording = Recording(tmp_path / "x.mcap", split_ns=10**12)
+    recording.write(batches[0])
+    (tmp_path / "x_0.mcap").unlink()
+    recording.later()
+    assert recording.told[0].endswith(f"; continuing in {tmp_path}/x_1_0.mcap")
+    recording.write(batches[1])
+    recording.end()
+    assert count(tmp_path / "x_1_0.mcap") == 100
+
+
 @pytest.mark.parametrize("name", KINDS)
 def test_what_is_taken_away_at_the_end(name, batches, tmp_path):
     recording = Recording(tmp_path / name)
@@ -188,7 +215,7 @@ def test_where_no_other_can_be_begun(batches, tmp_path):
             if path.name != "x":
                 raise CaptureError("no room")
             self.output, self.paths, self.datagrams, self.complete = self, [path], 7, []
-            self.path, self.place = path, None
+            self.path, self.linked = path, False
 
         def fate(self):
             return "was deleted"

@@ -320,10 +320,9 @@ class McapFile:
             raise self._failure(error) from error
 
     def _failure(self, error: OSError) -> CaptureError:
-        return CaptureError(
-            f"{self.path}: cannot be written: {error.strerror or error}; "
-            f"`edoras recover {self.path}` repairs the file"
-        )
+        repair = f"`edoras recover {self.path}` repairs the file"
+        what = repair if self.size else "name another file with -o or make room"
+        return CaptureError(f"{self.path}: cannot be written: {error.strerror or error}; {what}")
 
 
 def _chunk_start(head: ChunkHead) -> bytes:
