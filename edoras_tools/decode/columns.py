@@ -92,6 +92,8 @@ class ColumnDecoder:
 
     def decode(self, batch: PacketBatch) -> Columns:
         """Read a batch; nothing in it can make this raise."""
+        if not len(batch):  # live sources give many
+            return Columns(**_blank(0))
         link = link_columns(batch, self.context)
         if not self._variants.settled:
             self._variants.look(batch, link)

@@ -33,9 +33,13 @@ if TYPE_CHECKING:
 
 _AT_ONCE = 4 << 20
 """Maximum bytes of one batch, or one read of the device if that is more."""
+_FEW = 64 << 10
+"""Bytes; while fewer wait, frames may gather for ``quiet_s``."""
 _GATHER_S = 0.06
-_STEP_S = 0.05
+_STEP_S = 0.1
 """How often at least to check, while frames gather, whether enough of them wait."""
+_AHEAD_S = 0.03
+"""How long before a batch is due to read for it."""
 _SILENCE_S = 0.1
 """A frame that comes this long after the last one comes after a silence,"""
 _SOON_S = 0.005
@@ -52,7 +56,8 @@ class Device(Protocol):
     Attributes:
         info: information on the source.
         drops: frames that the kernel lost, as of the last ``count``.
-        linger_s: how long frames may gather after the first one, except after a silence.
+        linger_s: how long frames may gather after the first one, except after a silence; at most until a
+            batch is due.
         look_s: how often to read even if no file descriptor is readable.
         outages: when an interface was away.
     """
@@ -103,8 +108,9 @@ class DeviceSource:
         statistics: the counts so far.
         started: set when ``batches`` starts.
         gather_s: minimum time between two batches, unless a few MiB wait: a batch of one datagram costs as
-            much as one of a thousand. The first frames after a silence do not wait. The device is read a few
-            times meanwhile.
+            much as one of a thousand. The first frames after a silence do not wait. The device is read just
+            before a batch is due, and more often if it cannot hold so much.
+        quiet_s: the same while little arrives, if that is longer.
     """
 
     def __init__(
@@ -120,6 +126,7 @@ class DeviceSource:
         self.statistics = SourceStatistics(outages=device.outages)
         self.started = threading.Event()
         self.gather_s = _GATHER_S
+        self.quiet_s = 0.0
         self._handed = -math.inf  # not 0: a monotonic clock may begin there
         self._device = device
         self._ready = ready
@@ -168,14 +175,22 @@ class DeviceSource:
                 return
 
     @property
+    def _longest_s(self) -> float:
+        return max(self.gather_s, self.quiet_s)
+
+    @property
     def _step_s(self) -> float:
-        return min(self.gather_s / 4, _STEP_S)
+        return min(self._longest_s / 4, _STEP_S)
+
+    def _due_s(self) -> float:
+        """Return in how many seconds a batch is due; none or less: now."""
+        few = self._queued - self._taken < _FEW
+        return self._handed + (self._longest_s if few else self.gather_s) - time.monotonic()
 
     def _gather(self) -> None:
         """Let frames gather after the last batch."""
-        end = self._handed + self.gather_s
         while not self._stopping and self._queued - self._taken < _AT_ONCE:
-            left = end - time.monotonic()
+            left = self._due_s()
             if left <= 0:
                 return
             time.sleep(min(left, self._step_s))
@@ -188,7 +203,7 @@ class DeviceSource:
         """
         taken: list[FrameBatch] = []
         size = 0
-        idle_s = max(self._idle_s, self.gather_s)
+        idle_s = max(self._idle_s, self._longest_s)
         while size < _AT_ONCE:
             try:
                 item = self._queue.get_nowait() if taken else self._queue.get(timeout=idle_s)
@@ -271,6 +286,8 @@ class DeviceSource:
         poll = select.poll()
         for fileno in (*device.filenos(), self._wake.fileno()):
             poll.register(fileno, select.POLLIN)
+        pause = select.poll()
+        pause.register(self._wake.fileno(), select.POLLIN)
         failure = None
         came = 0.0
         while not self._closed:
@@ -287,12 +304,18 @@ class DeviceSource:
             if self._deadline and (device.drained() or self._late()):
                 break
             if not more and (self._deadline or not failure):
-                poll.poll(5 if self._deadline else 1000 * max(device.look_s, self._step_s))
+                ready = poll.poll(5 if self._deadline else 1000 * max(device.look_s, self._step_s))
                 silent = time.monotonic() - came > _SILENCE_S
-                linger_s = min(device.linger_s, _SOON_S if silent else self.gather_s / 2)
-                time.sleep(0 if self._deadline else linger_s)
+                if not self._deadline and (ready or not silent):
+                    pause.poll(1000 * min(device.linger_s, _SOON_S if silent else self._until_read_s()))
         if failure:
             raise CaptureError(failure)
+
+    def _until_read_s(self) -> float:
+        """Return in how many seconds to read for the next batch: before it is due, or frames wait for two."""
+        half = self.gather_s / 2
+        left = max(self._due_s() - min(_AHEAD_S, half / 2), 0)
+        return left if left > half else left + half
 
     def _drain(self) -> bool:
         """Queue what the device holds; return whether to continue at once, because there may be more."""

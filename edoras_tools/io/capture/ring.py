@@ -89,8 +89,11 @@ _AT_ONCE: Final = 4 << 20
 """Maximum bytes that one read copies, unless a single block is larger."""
 FRESH_S: Final = 0.02
 """Maximum age of packets in the open block before they are read."""
-_LINGER_S: Final = 0.05
-"""How often at most the ring is read while much arrives: reading a block alone costs as much as ten."""
+_LINGER_S, _BUSY_LINGER_S = 0.4, 0.05
+_ENOUGH: Final = 2 << 20
+"""Bytes that a read should find: reading a block alone costs as much as ten."""
+_FILL_RATE: Final = 320_000_000
+"""Bytes per second that a ring must hold: four times those of 300,000 small frames."""
 _RETIRE_MS: Final = 500
 """Age at which the kernel closes a block that is read while it is open."""
 _RING_BYTES: Final = 128 << 20
@@ -126,7 +129,8 @@ class Ring:
     Attributes:
         info: information on the source.
         drops: frames that the kernel lost because the ring was full; updated by ``count``.
-        linger_s: how long frames may gather; the ring holds those of a longer time.
+        linger_s: how long frames may gather; the ring holds those of a longer time. 0 while a read is only
+            waiting for the barrier.
         look_s: how often to read even if the socket is not readable.
         outages: when the interface was away.
 
@@ -154,7 +158,8 @@ class Ring:
             )
         self.info = SourceInfo(interface, "live", snap_length=snap_length)
         self.drops = 0
-        self.linger_s = _LINGER_S
+        self.linger_s = self._enough_s = _BUSY_LINGER_S
+        self._copied = time.monotonic()
         walks = barrier.available()
         self.look_s = FRESH_S if walks else _WATCH_S
         self.outages: list[InterfaceOutage] = []
@@ -273,6 +278,7 @@ class Ring:
         if not pieces:
             return None
         data, runs = self._copy(pieces)
+        self._filled(data.size)
         for block in ended:
             self._headers[block, _COUNT] = 0
             self._headers[block, _STATUS] = _STATUS_KERNEL
@@ -287,6 +293,15 @@ class Ring:
         self._made += len(frames)
         self._arrived(frames)
         return frames
+
+    def _filled(self, size: int) -> None:
+        """Set how long frames may gather from now on, by how many bytes came since the last time."""
+        now = time.monotonic()
+        longest_s = min(_LINGER_S, self._ring.size / _FILL_RATE)
+        self._enough_s = min(longest_s, max(_ENOUGH * (now - self._copied) / size, _BUSY_LINGER_S))
+        self._copied = now
+        if self._asked is None:
+            self.linger_s = self._enough_s
 
     def _copy(self, pieces: Sequence[_Piece]) -> tuple[NDArray[np.uint8], list[tpacket.PacketRun]]:
         """Copy pieces out of the ring, each padded to a multiple of ``ALIGNMENT``."""
@@ -330,6 +345,7 @@ class Ring:
             if succeeded is None:
                 return 0
             (turn, count), self._asked = self._asked, None
+            self.linger_s, self._looked = self._enough_s, time.monotonic()
             if succeeded and turn == self._turn:
                 return count
         now = time.monotonic()
@@ -337,6 +353,7 @@ class Ring:
         if count > self._seen and (now - self._looked >= FRESH_S or self._refusing):
             self._looked = now
             self._asked = self._turn, count
+            self.linger_s = 0.0
             self._barrier.ask()
         return 0
 

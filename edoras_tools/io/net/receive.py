@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 _READ_BYTES: Final = 1 << 20
 """Approximate bytes of payloads per read, divided among the sockets."""
 _RECEIVE_BUFFER: Final = 16 << 20
-_LINGER_S, _BUSY_LINGER_S = 0.05, 0.01
+_LINGER_S, _BUSY_LINGER_S = 0.4, 0.01
 _FULL: Final = 16
-"""Where one read empties more than this part of a receive buffer, the next one comes sooner."""
+"""A read comes soon enough to empty no more than this part of a receive buffer, as fast as it fills now."""
 _CHARGED: Final = 600
 """Bytes that the kernel counts for a datagram besides its payload."""
 _FILL_RATE: Final = 40_000_000
@@ -71,6 +71,7 @@ class Sockets:
         self._page = FramePage()
         self._number = 1
         self._smallest = 1 << 62
+        self._looked = time.monotonic()
         try:
             self.endpoints = tuple(self._bind(endpoint, receive_buffer) for endpoint in endpoints)
         except CaptureError:
@@ -102,15 +103,17 @@ class Sockets:
         page = self._page
         while True:
             kept, used = page.rows, page.used
-            whole_ns = time.time_ns()  # later datagrams have later times
+            now, whole_ns = time.monotonic(), time.time_ns()  # later datagrams have later times
             for bound in self._bound:
                 if not self._drain(bound, page):
                     whole_ns = min(whole_ns, int(page.time_ns[page.rows - 1]))
             fresh = page.rows > kept
             if fresh:
-                busy = (page.rows - kept) * _CHARGED + page.used - used > self._smallest // _FULL
-                longest_s = _BUSY_LINGER_S if busy else _LINGER_S
-                self.linger_s = min(longest_s, self._smallest / _FILL_RATE)
+                filled = (page.rows - kept) * _CHARGED + page.used - used
+                part_s = self._smallest / _FULL * (now - self._looked) / filled
+                longest_s = min(_LINGER_S, self._smallest / _FILL_RATE)
+                self.linger_s = min(longest_s, max(part_s, _BUSY_LINGER_S))
+            self._looked = now
             order = np.argsort(page.time_ns[: page.rows], kind="stable")
             count = len(order)
             if fresh and len(self._bound) > 1:

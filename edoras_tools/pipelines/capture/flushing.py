@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 FLUSH_NS: Final = 200_000_000
 """How old what is not in the file may get; a fifth of the promise, so that there is time to write it."""
+QUIET_NS: Final = 400_000_000
+"""The same while little arrives, for a recorder that nobody looks at: each batch costs milliseconds."""
 _SWIFT: Final = 16 << 20
 """Bytes in that time from where on flushing is left out: it waits, and chunks fill by themselves."""
 

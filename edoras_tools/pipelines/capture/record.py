@@ -17,7 +17,7 @@ from edoras_tools.io.formats.split import SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import Keep, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
-from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing
+from edoras_tools.pipelines.capture.flushing import FLUSH_NS, QUIET_NS, Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.sessions.sequence import SequenceCounts
@@ -260,6 +260,8 @@ def record(
         ConfigError: its filter has an error.
     """
     with reading(source, bench, selection, limits, keeps_failure=True) as loop:
+        if isinstance(source, DeviceSource) and not (watcher or tap or limits.count or limits.duration_ns):
+            source.quiet_s = QUIET_NS / 1e9
         sequences = SequenceCounts()
         sink = open_sink(target, source, bench, chosen=str(loop.selection), sequences=sequences)
         report = pour(loop, sink, watcher=watcher, tap=tap, by_route=by_route, sequences=sequences)

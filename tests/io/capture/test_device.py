@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -164,6 +165,36 @@ def test_frames_gather_until_many_wait_or_the_end(source_of, later, ends):
     got = payloads([first(batches)])
     assert got == later[: len(got)]
     assert len(got) > (1 if ends else 60)
+
+
+@pytest.mark.parametrize("few", [True, False], ids=["few", "many"])
+def test_only_few_frames_gather_for_longer(source_of, few):
+    """Nobody waits for the longer time here: many do not, and few are given at the end."""
+    device = Fake(frames(b"first", 1))
+    source = source_of(device)
+    source.gather_s, source.quiet_s = 0.01, 3600.0
+    batches = source.batches()
+    assert payloads([first(batches)]) == [b"first"]
+    device.items += [frames(b"x" * (10 if few else 70_000), number) for number in (2, 3)]
+    until(lambda: not device.items)
+    if few:
+        source.stop()
+    assert len(payloads([first(batches)])) == 2
+
+
+def test_the_device_is_read_before_a_batch_is_due(source_of):
+    """What is read in time is in that batch: it does not wait for the one after."""
+    device = Fake(frames(b"first", 1))
+    device.linger_s = 3600.0
+    source = source_of(device)
+    source.gather_s = 0.2
+    batches = source.batches()
+    first(batches)
+    device.items.append(frames(b"second", 2))
+    os.write(device.pipe[1], b"x")
+    begun = time.monotonic()
+    assert payloads([first(batches)]) == [b"second"]
+    assert time.monotonic() - begun < 60
 
 
 def test_an_interface_that_goes_away_is_told(source_of):

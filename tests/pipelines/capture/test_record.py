@@ -21,7 +21,9 @@ from edoras_tools.cli.endings import LOST
 from edoras_tools.decode import Options
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.io.formats.mcap import writer
+from edoras_tools.io.net.receive import UdpSource
 from edoras_tools.mission import Mission
+from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.capture import record as module
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.record import Target, check_output, record
@@ -359,3 +361,21 @@ def test_times_before_and_after_the_year_2000_are_told(made_up, batches, bench, 
     report = record(made_up([unset, batches[1]]), bench, Target(tmp_path / "a.mcap"))
     assert [note for note in report.notes if "a clock was not set" in note]
     assert report.ledger.datagrams == len(unset) + len(batches[1])
+
+
+@pytest.mark.parametrize(
+    ("given", "quiet"),
+    [
+        ({}, True),
+        ({"tap": lambda *_: None}, False),
+        ({"limits": Limits(count=5)}, False),
+        ({"limits": Limits(duration_ns=10**9)}, False),
+    ],
+    ids=["alone", "tapped", "count", "duration"],
+)
+def test_only_what_nobody_waits_for_gathers_longer(given, quiet, bench, tmp_path):
+    source = UdpSource([Endpoint("127.0.0.1", 0)])
+    source.stop()
+    report = record(source, bench, Target(tmp_path / "a.mcap"), **given)
+    assert report.ledger.datagrams == 0
+    assert (source.quiet_s > source.gather_s) is quiet
