@@ -68,8 +68,13 @@ class Values:
 
 @dataclass(slots=True)
 class RateCounts:
-    """How many messages there were, by time."""
+    """How many messages there were, by time.
 
+    Attributes:
+        spread: messages of which only a span of time is known; they are counted evenly over it.
+    """
+
+    spread: int = 0
     _parts: list[NDArray[np.int64]] = field(default_factory=list)
     _numbers: list[NDArray[np.float64]] = field(default_factory=list)
 
@@ -84,15 +89,41 @@ class RateCounts:
         self._parts.append(parts)
         self._numbers.append(np.bincount(places, numbers, len(parts)).astype(np.float64))
 
+    def add_spans(
+        self, begin: NDArray[np.float64], end: NDArray[np.float64], numbers: NDArray[np.int64]
+    ) -> None:
+        """Add messages of which only is known between which two times they were.
+
+        Args:
+            begin: from when, s.
+            end: until when, s; not before ``begin``.
+            numbers: how many each row stands for.
+        """
+        first, last = (np.floor(item / _FINEST).astype(np.int64) for item in (begin, end))
+        known = first == last
+        self.add(begin[known], numbers[known])
+        if known.all():
+            return
+        first, last, counts = first[~known], last[~known], numbers[~known]
+        self.spread += int(counts.sum())
+        start = int(first.min())
+        steps = np.zeros(int(last.max()) - start + 2)
+        share = counts / (last - first + 1)
+        np.add.at(steps, first - start, share)
+        np.add.at(steps, last - start + 1, -share)
+        self._parts.append(start + np.arange(len(steps) - 1))
+        self._numbers.append(np.cumsum(steps)[:-1].clip(0))
+
     def join(self, other: RateCounts) -> None:
         """Add the messages of another count."""
+        self.spread += other.spread
         self._parts += other._parts
         self._numbers += other._numbers
 
     @property
     def total(self) -> int:
         """All of them."""
-        return int(sum(part.sum() for part in self._numbers))
+        return round(sum(float(part.sum()) for part in self._numbers))
 
     def line(self, recording: int, span: tuple[float, float], width: float, label: str = "") -> PlotLine:
         """Return how many there were per second.

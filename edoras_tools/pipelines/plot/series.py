@@ -123,9 +123,10 @@ class _Recording:
             ]
         if block.topic == LOST_TOPIC:
             topics, counts = _array(block, "topic"), _array(block, "count")
+            until = np.maximum((_array(block, "until_ns") - self.source.zero_ns) / 1e9, seconds)
             for topic, losses in self.losses.items():
                 rows = np.flatnonzero(topics == topic)
-                losses.add(seconds[rows], counts[rows])
+                losses.add_spans(seconds[rows], until[rows], counts[rows])
         asked: dict[str, set[int | None]] = {}
         for item, there in self.topics.items():
             for name in there.get(block.topic, ()):
@@ -378,6 +379,13 @@ class _Assembly:
         ]
         if beneath.lines or any(panel.unit == _PER_SECOND for panel in panels):
             notes.append(f"rates: means over {self._width:g} s")
+        spread: dict[str, int] = {}
+        for topic, counts in (pair for item in self.read for pair in item.losses.items() if pair[1].spread):
+            spread[topic] = spread.get(topic, 0) + counts.spread
+        notes += [
+            f"{topic}: when {number:,} were lost is known as a span only; drawn as its mean"
+            for topic, number in sorted(spread.items())
+        ]
         large = [self.names[place] for place, item in enumerate(self.read) if item.large and not item.losses]
         if large:
             notes.append(

@@ -83,6 +83,24 @@ def test_a_rate_counts_what_a_row_stands_for():
     assert line.values.tolist() == [10, 0, 0, 0, 0, 30, 0, 0, 0, 0]
 
 
+def test_what_was_at_an_unknown_time_is_counted_evenly_over_its_span():
+    made = RateCounts()
+    made.add_spans(np.array([2.0, 0.0, 7.0]), np.array([5.95, 9.95, 7.0]), np.array([8, 10, 4]))
+    line = made.line(0, (0.0, 10.0), 1.0)
+    assert line.values == pytest.approx([1, 1, 3, 3, 3, 3, 1, 5, 1, 1])
+    assert (made.total, line.read, made.spread) == (22, 22, 18)
+
+
+@given(st.lists(st.tuples(st.floats(0, 50), st.floats(0, 9.99), st.integers(0, 1000)), max_size=30))
+def test_spans_hold_every_message(spans):
+    begin, long, counts = (np.array(item) for item in zip(*spans, strict=True)) if spans else np.zeros((3, 0))
+    made = RateCounts()
+    made.add_spans(begin, begin + long, counts.astype(np.int64))
+    line = made.line(0, (0.0, 60.0), 1.0)
+    assert made.total == counts.sum() == pytest.approx(line.values.sum())
+    assert line.values.min() >= 0
+
+
 @pytest.mark.parametrize(("end", "width"), [(0.001, 0.1), (9, 0.1), (65.3, 1), (125, 2), (86_400, 1000)])
 def test_rates_are_means_over_round_times(end, width):
     assert bar_seconds((0, end)) == pytest.approx(width)

@@ -283,8 +283,9 @@ def _balance(found: Diagnosis) -> str:
         + "</tr>"
         for row in shown
     )
-    lead = '<p class="dim">In and twice are out, lost and the rest together, in every row.</p>'
-    table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
+    both = "In and Twice are" if any(name == "duplicated" for name, _ in figures) else "In is"
+    lead = f'<p class="dim">{both} the sum of the figures that follow, in every row.</p>'
+    table = f'<div class="scroll"><table class="balance"><tr>{head}</tr>{rows}</table></div>'
     return _section("Balance", [table] if rows else [], lead)
 
 
