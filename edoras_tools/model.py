@@ -64,6 +64,8 @@ class Finding(Flags):
     STRUCT_LENGTH = 1 << 27
     CDR_TRAILING = 1 << 28
     CDR_TOO_LONG = 1 << 29
+    STREAM_GAP = 1 << 30
+    STREAM_RESENT = 1 << 31
 
     @property
     def label(self) -> str:
@@ -81,17 +83,27 @@ NO_FINDINGS = Finding(0)
 
 @dataclass(frozen=True, slots=True)
 class Transport:
-    """How the datagrams of a link travel.
+    """How the messages of a link travel.
 
     Attributes:
-        protocol: ``udp``; a link over ``tcp`` is described, and not read yet.
-        ports: the usual destination ports.
+        protocol: ``udp``: one message a datagram; ``tcp``: one after the other in a stream; ``either``.
+        ports: the usual destination ports; of TCP, those that are listened on.
         first: which end speaks first: ``client``, ``server`` or ``either``.
     """
 
-    protocol: Literal["udp", "tcp"] = "udp"
+    protocol: Literal["udp", "tcp", "either"] = "udp"
     ports: tuple[int, ...] = ()
     first: Literal["client", "server", "either"] = "client"
+
+    @property
+    def udp(self) -> bool:
+        """Whether its messages may be datagrams."""
+        return self.protocol != "tcp"
+
+    @property
+    def tcp(self) -> bool:
+        """Whether its messages may come in a stream."""
+        return self.protocol != "udp"
 
 
 class Link(int):
@@ -169,7 +181,7 @@ OTHER: Final = Link()
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """An IP address in text form and a UDP port."""
+    """An IP address in text form and a UDP or TCP port."""
 
     address: str
     port: int
@@ -191,16 +203,17 @@ class Peer(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Datagram:
-    """One captured datagram, whole.
+    """One captured datagram, whole, or one message of a TCP stream.
 
     Attributes:
         number: place in its source, counted in frames from 1 as Wireshark does.
         time_ns: capture time, ns since 1970-01-01 UTC.
         link_type: pcap LINKTYPE of ``frame``.
         frame: the frame as captured, link layer header included.
-        payload: the UDP payload; put together from fragments where there were any.
+        payload: the UDP payload; put together from fragments where there were any. Of a stream, one message.
         payload_offset: where ``payload`` starts in ``frame``; -1 when it was put together from fragments.
         original_length: bytes of the frame on the wire; more than ``len(frame)`` when the capture cut it.
+        stream: whether it is a message of a TCP stream; ``frame`` is then one segment that holds it alone.
     """
 
     number: int
@@ -213,11 +226,12 @@ class Datagram:
     source: Endpoint
     destination: Endpoint
     findings: Finding = NO_FINDINGS
+    stream: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PacketBatch:
-    """Datagrams in columns over one contiguous byte buffer.
+    """Datagrams, and messages of TCP streams, in columns over one contiguous byte buffer.
 
     All arrays have the batch's length. Offsets point into ``data``. A batch of one, or none, is a batch.
 
@@ -236,8 +250,10 @@ class PacketBatch:
         destination_address: u32, as ``source_address``.
         destination_port: u16.
         ip_version: u8, 4 or 6.
-        capture_findings: u32, the bits that only the capture can know: ``FRAGMENT``, ``CAPTURE_CUT``.
+        capture_findings: u32, the bits that only the capture can know: ``FRAGMENT``, ``CAPTURE_CUT``,
+            ``STREAM_GAP``, ``STREAM_RESENT``.
         ipv6: the IPv6 addresses, 16 bytes each, that the address columns index.
+        streams: bool, which rows come from TCP streams; None where none does.
     """
 
     data: NDArray[np.uint8]
@@ -256,6 +272,7 @@ class PacketBatch:
     ip_version: NDArray[np.uint8]
     capture_findings: NDArray[np.uint32]
     ipv6: tuple[bytes, ...] = ()
+    streams: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -285,6 +302,7 @@ class PacketBatch:
                 self.address(int(self.destination_address[index]), index), int(self.destination_port[index])
             ),
             findings=Finding(int(self.capture_findings[index])),
+            stream=self.streams is not None and bool(self.streams[index]),
         )
 
     def address(self, value: int, index: int) -> str:
@@ -297,7 +315,7 @@ class PacketBatch:
         """Return the rows that an index array, a mask or a slice chooses, over the same buffer."""
         return type(self)(
             **{
-                item.name: value if item.name in {"data", "ipv6"} else value[rows]
+                item.name: value if value is None or item.name in {"data", "ipv6"} else value[rows]
                 for item in fields(self)
                 for value in (getattr(self, item.name),)
             }
@@ -600,6 +618,13 @@ def concatenate(batches: Sequence[PacketBatch]) -> PacketBatch:
             values = [
                 np.where(batch.ip_version == 6, value + np.uint32(table), value)
                 for batch, value, table in zip(batches, values, tables, strict=True)
+            ]
+        elif item.name == "streams":
+            if all(value is None for value in values):
+                continue
+            values = [
+                np.zeros(len(batch), bool) if value is None else value
+                for batch, value in zip(batches, values, strict=True)
             ]
         columns[item.name] = sum(values, ()) if item.name == "ipv6" else np.concatenate(values)
     return PacketBatch(**columns)

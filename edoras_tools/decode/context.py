@@ -142,6 +142,8 @@ class Context:
         claim: u8 (65536,), index into ``claimants`` by port.
         decided: u8, the link of a set of ``claimants`` that the port alone decides; 0 for the others.
         by_sender: u8, the link of a set that the source port alone decides; 0 for the others.
+        stream_links: u8 (65536,), the link whose TCP streams have a port at one end; 0 for none.
+        framings: how TCP streams are cut, by port.
         with_headers: the links whose datagrams do not begin with a space packet.
         header_bytes: i64 (256,), bytes in front of the space packet, by link.
         against: bool (2, 256), whether a packet goes the wrong way: by type bit and link.
@@ -182,6 +184,7 @@ class Context:
         self.links = table.links()
         self.ports = self._ports()
         self._settle_ports()
+        self._settle_streams()
         self.with_headers = tuple(link for link in self.links if link.layouts or not link.packets)
         self.header_bytes = np.zeros(256, np.int64)
         self.against = np.zeros((2, 256), bool)
@@ -263,6 +266,8 @@ class Context:
     def _ports(self) -> dict[Link, NDArray[np.bool_]]:
         ports: dict[Link, NDArray[np.bool_]] = {link: np.zeros(65536, bool) for link in self.links}
         for link, claimed in ports.items():
+            if not link.transport.udp:
+                continue
             claimed[list(link.transport.ports)] = True
             claimed[[port for other, port in self.options.ports if other == link]] = True
             if link.last_hop:
@@ -271,6 +276,15 @@ class Context:
                 if bridge.kind == link.bridge:
                     claimed[[getattr(bridge, name) for name in link.bridge_ports]] = True
         return ports
+
+    def _settle_streams(self) -> None:
+        """Find which link has the TCP streams of each port; ports that an option names come first."""
+        usual = [(link, port) for link in self.links for port in link.transport.ports]
+        self.stream_links: NDArray[np.uint8] = np.zeros(65536, np.uint8)
+        for link, port in reversed([*self.options.ports, *usual]):
+            if link != OTHER and table.protocol(link).framing is not None:
+                self.stream_links[port] = link
+        self.framings = table.framings(self.options.ports)
 
     def _settle_ports(self) -> None:
         """Find the sets of links that claim a port, and what is decided for each of them."""

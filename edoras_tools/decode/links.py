@@ -109,14 +109,41 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
                 best[better] = sure[better]
     if context.by_sender.any():
         link = np.where(link == 0, context.by_sender[context.claim[batch.source_port]], link)
+    if batch.streams is not None:
+        _stream_links(batch, context, link)
     link[(batch.capture_findings & Finding.FRAGMENT) != 0] = OTHER
     return link
+
+
+def _stream_links(batch: PacketBatch, context: Context, link: NDArray[np.uint8]) -> None:
+    """Set the link of messages of TCP streams: by the port of either end, then by content if that matters."""
+    assert batch.streams is not None
+    streams = np.flatnonzero(batch.streams)
+    claimed = context.stream_links[batch.destination_port[streams]]
+    claimed = np.where(claimed == 0, context.stream_links[batch.source_port[streams]], claimed)
+    link[streams] = claimed
+    for item in context.links:
+        if item.transport.tcp and not item.port_decides and len(rows := streams[claimed == item]):
+            sure = np.broadcast_to(np.asarray(item.recognise(_Rows(batch, rows, context))), len(rows))
+            link[rows[sure == 0]] = OTHER
+
+
+def _stream_link(datagram: Datagram, context: Context) -> Link:
+    """Return the link of one message of a TCP stream: the same answer as ``_stream_links``."""
+    claimed = context.stream_links[datagram.destination.port] or context.stream_links[datagram.source.port]
+    link = table.link(int(claimed))
+    if link is OTHER:
+        return link
+    item = table.protocol(link)
+    return link if item.port_decides or item.recognise(_Datagram(datagram, context)) else OTHER
 
 
 def link_of(datagram: Datagram, context: Context) -> Link:
     """Return the link of one datagram: the same answer as :func:`link_columns`."""
     if Finding.FRAGMENT in datagram.findings:
         return OTHER
+    if datagram.stream:
+        return _stream_link(datagram, context)
     claim = context.claim[datagram.destination.port]
     link, best = table.link(context.decided[claim]), 0
     if link is OTHER and context.claimants[claim]:

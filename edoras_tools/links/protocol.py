@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.links.framing import Framing
     from edoras_tools.links.reading import Reading
     from edoras_tools.model import PacketBatch
 
@@ -186,6 +187,7 @@ class LinkProtocol(Link):
         port_sure: how sure it is by the port alone.
         sender_port: whether the source port is enough where the destination port decides nothing.
         wireshark: name of Wireshark's own dissector, which is left the link's datagrams; empty for ours.
+        framing: cuts its messages from TCP streams, where ``transport`` has them.
     """
 
     layouts: ClassVar[tuple[Layout, ...]] = ()
@@ -194,6 +196,7 @@ class LinkProtocol(Link):
     port_sure: ClassVar[int] = BY_PORT
     sender_port: ClassVar[bool] = False
     wireshark: ClassVar[str] = ""
+    framing: ClassVar[Framing | None] = None
 
     @property
     def port_decides(self) -> bool:

@@ -1,4 +1,9 @@
-"""The Software Bus Network over UDP: a header that names the sender, then a packet or its own message."""
+"""The Software Bus Network over UDP or TCP: a header that names the sender, then a packet or its own message.
+
+Its TCP module (``modules/protocol/tcp`` of nasa/SBN) sends the same messages end to end, without anything
+between them. There is no handshake: the peer with the smaller ProcessorID connects to the other, and each is
+known from its first message. It has one message of its own, the heartbeat after 5 seconds without another.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.limits import BRIDGE_LENGTH_MODULUS
+from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located, Site
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds, sbn
@@ -25,6 +31,7 @@ _WINDOW: Final = 64
 """Bytes that hold a header, and a subscription's $Id and count."""
 _IDENT: Final = np.frombuffer(sbn.IDENT.encode().ljust(sbn.IDENT_BYTES, b"\0"), np.uint64)
 _KNOWN_TYPES: Final = np.isin(np.arange(256), list(sbn.MsgType))
+_LISTING: Final = (sbn.MsgType.SUB, sbn.MsgType.UNSUB)
 _KINDS: Final = {
     sbn.SUBSCRIPTIONS.name: (sbn.MsgType.SUB, sbn.MsgType.UNSUB),
     sbn.PROTO.name: (sbn.MsgType.PROTO,),
@@ -32,6 +39,47 @@ _KINDS: Final = {
 """The message types of each layout behind the header."""
 _SHOWN: Final = 3
 """The most MsgIds of a subscription that a summary line lists."""
+
+
+class SoftwareBusNetworkFraming(Framing):
+    """Messages that follow each other in a TCP stream, each with its size in its header."""
+
+    head = sbn.HEADER.size
+    largest = sbn.HEADER.size + sbn.LARGEST_PAYLOAD
+
+    def lengths(
+        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
+    ) -> NDArray[np.int64]:
+        """Return header and payload; the size is signed, and a negative one is an error at the receiver."""
+        size = sbn.HEADER.column("msg_size", gather(data, at, self.head)).astype(np.int64)
+        return prefixed(size >= 0, size + self.head, end - at, self.head, self.largest)
+
+    def length(self, data: memoryview, at: int, end: int) -> int:
+        """Return the same for one position."""
+        if end - at < self.head:
+            return NOT_YET
+        return NOT_A_MESSAGE if data[at] & 0x80 else (data[at] << 8 | data[at + 1]) + self.head
+
+    def likely(
+        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
+    ) -> NDArray[np.bool_]:
+        """Ask for a known type, and for a size that agrees with what the message holds."""
+        head = gather(data, at, _WINDOW)
+        size = sbn.HEADER.column("msg_size", head).astype(np.int64)
+        kind = sbn.HEADER.column("msg_type", head)
+        inner = self.head
+        packet = ccsds.PRIMARY.column("packet_data_length", head, inner).astype(np.int64) + ccsds.LENGTH_BIAS
+        count = sbn.SUBSCRIPTIONS.column("count", head, inner).astype(np.int64)
+        listed = sbn.SUBSCRIPTIONS.size + count * sbn.SUBSCRIPTION.size
+        expected = np.select(
+            [kind == sbn.MsgType.APP, kind == sbn.MsgType.PROTO, np.isin(kind, _LISTING)],
+            [packet, np.int64(sbn.PROTO.size), listed],
+            0,
+        )
+        # Zeros, of which payloads are full, would be messages without content.
+        known = _KNOWN_TYPES[kind] & (kind != sbn.MsgType.NO_MSG)
+        fits: NDArray[np.bool_] = known & (size == expected) & (end - at >= self.head)
+        return fits
 
 
 class SoftwareBusNetworkLink(LinkProtocol):
@@ -42,7 +90,8 @@ class SoftwareBusNetworkLink(LinkProtocol):
     label = "sbn"
     colour = "magenta"
     doc = "between Software Bus Network peers"
-    transport = Transport(ports=(2234, 2235, BRIDGE_PORT), first="either")
+    transport = Transport("either", (2234, 2235, BRIDGE_PORT), first="either")
+    framing = SoftwareBusNetworkFraming()
     to_cfs = True
     from_cfs = True
     packets = True
@@ -137,7 +186,7 @@ class _Columns:
         dropped = (self.length >= sbn.HEADER.size) & (self.length % BRIDGE_LENGTH_MODULUS < sbn.HEADER.size)
         found.flag(
             Finding.BRIDGE_DROPS_LENGTH,
-            dropped & self.site.bridge_ports[self.batch.destination_port[self.rows]],
+            dropped & self.site.bridge_ports[self.batch.destination_port[self.rows]] & ~self._streams(),
         )
         kind = sbn.HEADER.column("msg_type", head)
         payload = self.length - header
@@ -162,6 +211,11 @@ class _Columns:
         self._subscriptions(np.flatnonzero(listed), payload)
         app = whole & (kind == sbn.MsgType.APP)
         found.start[app] = header[app]
+
+    def _streams(self) -> NDArray[np.bool_] | np.bool_:
+        """Tell which messages came over TCP, which no public bridge speaks."""
+        streams = self.batch.streams
+        return np.False_ if streams is None else streams[self.rows]
 
     def _identities(self, members: NDArray[np.intp], trusted: NDArray[np.bool_]) -> None:
         """Compare every sender's identity with the one its endpoint is known by."""
@@ -251,6 +305,7 @@ class _Message:
             reading.findings |= Finding.SBN_LEGACY_HEADER
         if (
             length >= sbn.HEADER.size
+            and not reading.datagram.stream
             and length % BRIDGE_LENGTH_MODULUS < sbn.HEADER.size
             and self.site.bridge_ports[reading.datagram.destination.port]
         ):

@@ -17,11 +17,12 @@ from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.model import OTHER, Link
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from importlib.metadata import EntryPoint
 
     from numpy.typing import NDArray
 
+    from edoras_tools.links.framing import Framing
     from edoras_tools.model import Columns
 
 _LABEL: Final = re.compile(r"[a-z][a-z0-9_]{0,15}")
@@ -113,6 +114,21 @@ def protocol(link: Link) -> LinkProtocol:
     """Return the object that reads a link's datagrams; ``link`` must not be ``OTHER``."""
     found = _by_code()[link]
     assert isinstance(found, LinkProtocol)
+    return found
+
+
+def framings(ports: Iterable[tuple[Link, int]] = ()) -> dict[int, Framing]:
+    """Return how TCP streams are cut, by port: the usual ports of every link, and some more.
+
+    Args:
+        ports: further links and ports; those of links that do not travel over TCP are left out.
+    """
+    usual = [(item, port) for item in links() for port in item.transport.ports]
+    found: dict[int, Framing] = {}
+    for item, port in (*ports, *usual):
+        framing = protocol(item).framing if item != OTHER else None
+        if framing is not None:
+            found.setdefault(port, framing)
     return found
 
 

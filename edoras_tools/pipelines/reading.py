@@ -16,6 +16,7 @@ import numpy as np
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.model import OTHER
 from edoras_tools.pipelines.interrupt import interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
@@ -211,6 +212,7 @@ def reading(
     """
     with closing(source):
         ready = (selection or Selection()).over(bench)
+        follow_streams(source, bench.columns.context.framings)
         with interruptible(source, patient=patient) as (batches, asked):
             spoken = Conversations(bench.columns.context)
             yield ReadLoop(

@@ -195,6 +195,17 @@ EXPLANATIONS: Final = {
         "fragments",
         "The datagram came in IP fragments and was reassembled from several frames.",
     ),
+    Finding.STREAM_GAP: Explanation(
+        _WARNING,
+        "stream gap",
+        "Bytes of the TCP stream before this are missing in the capture, or are no message of the link.",
+    ),
+    Finding.STREAM_RESENT: Explanation(
+        _NOTE,
+        "sent again",
+        "The TCP segment has bytes that had come before: they were lost on the way, or their "
+        "acknowledgement was late.",
+    ),
     Finding.CAPTURE_CUT: Explanation(
         _WARNING,
         "capture cut",

@@ -34,7 +34,8 @@ from edoras_tools.io.formats.mcap.recover import recover as run_recover
 from edoras_tools.io.formats.mcap.recover import verify
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcapng.writer import PcapngSink
-from edoras_tools.io.frames.linklayer import Demux, FrameBatch
+from edoras_tools.io.frames.frame_batch import FrameBatch
+from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.mission import Mission, load, loads
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.pipelines.capture.ledger import Ledger

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from edoras_tools.io.frames.linklayer import FrameBatch
+    from edoras_tools.io.frames.frame_batch import FrameBatch
 
 START_NS = 10**18
 MOST = 60

@@ -14,7 +14,7 @@ import struct
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.frames.linklayer import LINKTYPE_RAW
+from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

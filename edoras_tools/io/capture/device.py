@@ -20,15 +20,17 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.frames.linklayer import Demux, joined_frames
+from edoras_tools.io.frames.frame_batch import joined_frames
+from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import PacketBatch, SourceStatistics
 from edoras_tools.wire.window import PADDING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from types import EllipsisType
 
-    from edoras_tools.io.frames.linklayer import FrameBatch
+    from edoras_tools.io.frames.frame_batch import FrameBatch
+    from edoras_tools.links.framing import Framing
     from edoras_tools.model import InterfaceOutage, SourceInfo
 
 _AT_ONCE = 4 << 20
@@ -169,10 +171,19 @@ class DeviceSource:
                 yield self._hand_over(joined_frames(frames) if len(frames) > 1 else frames[0])
             elif end is ...:
                 yield nothing
+            if end is not ...:
+                rest = self._demux.finish()
+                if rest is not None and len(rest):
+                    self.statistics.datagrams += len(rest)
+                    yield rest
             if isinstance(end, BaseException):
                 raise end
             if end is None:
                 return
+
+    def follow(self, framings: Mapping[int, Framing]) -> None:
+        """Read the TCP streams of these ports, and no others; call it before the first batch."""
+        self._demux.framings = framings
 
     @property
     def _longest_s(self) -> float:

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2
-from edoras_tools.io.formats.chain import walk_records
-from edoras_tools.io.frames.linklayer import FrameBatch
+from edoras_tools.io.frames.chain import walk_records
+from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.segments import cut
 from edoras_tools.wire.window import read_at
 

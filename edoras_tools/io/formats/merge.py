@@ -13,11 +13,12 @@ from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics, concat
 from edoras_tools.wire.window import PADDING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.io import Source
+    from edoras_tools.links.framing import Framing
     from edoras_tools.model import HostCounters
     from edoras_tools.sessions.faults.fault import Fault
 
@@ -32,6 +33,18 @@ def recorded_host(source: Source) -> list[HostCounters]:
     """Return what the kernel of the recording host counted, if the source is a recording that has it."""
     told: Callable[[], list[HostCounters]] | None = getattr(source, "host", None)
     return told() if told else []
+
+
+def follow_streams(source: Source, framings: Mapping[int, Framing]) -> None:
+    """Let a source read the TCP streams of these ports, and no others; without it, of the links' usual ports.
+
+    Args:
+        source: one that was not read yet; those without frames have no streams.
+        framings: how messages are cut, by port.
+    """
+    follow = getattr(source, "follow", None)
+    if follow is not None:
+        follow(framings)
 
 
 def merge_sources(sources: Sequence[Source]) -> Source:
@@ -78,6 +91,11 @@ class MergedSource:
             values = [getattr(source.statistics, item.name) for source in self._sources]
             setattr(total, item.name, [*chain(*values)] if isinstance(values[0], list) else sum(values))
         return total
+
+    def follow(self, framings: Mapping[int, Framing]) -> None:
+        """Read the TCP streams of these ports, and no others; call it before the first batch."""
+        for source in self._sources:
+            follow_streams(source, framings)
 
     def faults(self) -> list[Fault]:
         """Return the injected faults of all recordings."""

@@ -10,13 +10,14 @@ from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import SourceStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     import numpy as np
     from numpy.typing import NDArray
 
     from edoras_tools.io.formats.stream import Window
-    from edoras_tools.io.frames.linklayer import FrameBatch
+    from edoras_tools.io.frames.frame_batch import FrameBatch
+    from edoras_tools.links.framing import Framing
     from edoras_tools.model import PacketBatch, SourceInfo
 
 LARGEST_FRAME = 262144
@@ -63,6 +64,10 @@ class RecordSource(ABC):
             self._warn()
             self.close()
 
+    def follow(self, framings: Mapping[int, Framing]) -> None:
+        """Read the TCP streams of these ports, and no others; call it before the first batch."""
+        self._demux.framings = framings
+
     def borrow(self, room: Callable[[int], NDArray[np.uint8]]) -> None:
         """Read into memory from ``room(size)``, u8, instead of newly allocated memory.
 
@@ -84,6 +89,10 @@ class RecordSource(ABC):
             if not window.advance(self._at):
                 break
             self._at = 0
+        rest = self._demux.finish()
+        if rest is not None and len(rest):
+            self.statistics.datagrams += len(rest)
+            yield rest
         if self._at < window.end:
             raise self._error(
                 self._at,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.io.frames.linklayer import LINKTYPE_RAW, FrameBatch
+from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW, FrameBatch
 from edoras_tools.wire.window import PADDING, copy_rows
 
 if TYPE_CHECKING:
@@ -212,28 +212,28 @@ def _write_headers(
     header = np.zeros((len(offset), whole), dtype=np.uint8)
     if version == 4:
         header[:, 0] = 0x45
-        _put(header, 2, whole + length)
+        put_words(header, 2, whole + length)
         header[:, 8] = _TIME_TO_LIVE
         header[:, 9] = _UDP
         addresses = 12
     else:
         header[:, 0] = 0x60
-        _put(header, 4, _UDP_BYTES + length)
+        put_words(header, 4, _UDP_BYTES + length)
         header[:, 6] = _UDP
         header[:, 7] = _TIME_TO_LIVE
         addresses = 8
     width = (size - addresses) // 2
     header[:, addresses : addresses + width] = ends["source"][:, :width]
     header[:, addresses + width : size] = ends["destination"][:, :width]
-    _put(header, size, ends["source_port"])
-    _put(header, size + 2, ends["destination_port"])
-    _put(header, size + 4, _UDP_BYTES + length)
+    put_words(header, size, ends["source_port"])
+    put_words(header, size + 2, ends["destination_port"])
+    put_words(header, size + 4, _UDP_BYTES + length)
     if version == 4:
-        _put(header, 10, internet_checksum(_words(header[:, :size]).sum(axis=1)))
+        put_words(header, 10, internet_checksum(words_of(header[:, :size]).sum(axis=1)))
     # The UDP checksum covers addresses, protocol and UDP length, then header and payload (RFC 768).
-    total = _words(header[:, addresses:]).sum(axis=1) + _UDP + _UDP_BYTES + length
-    checksum = internet_checksum(total + _payload_sums(data, offset + whole, length))
-    _put(header, size + 6, np.where(checksum == 0, 0xFFFF, checksum))
+    total = words_of(header[:, addresses:]).sum(axis=1) + _UDP + _UDP_BYTES + length
+    checksum = internet_checksum(total + payload_sums(data, offset + whole, length))
+    put_words(header, size + 6, np.where(checksum == 0, 0xFFFF, checksum))
     data[offset[:, None] + np.arange(whole)] = header
 
 
@@ -244,18 +244,18 @@ def _grown(array: NDArray[Any], used: int, size: int) -> NDArray[Any]:
     return larger
 
 
-def _put(header: NDArray[np.uint8], at: int, values: NDArray[Any]) -> None:
+def put_words(header: NDArray[np.uint8], at: int, values: NDArray[Any]) -> None:
     """Write a column of 16-bit fields, big-endian."""
     header[:, at : at + 2] = values.astype(">u2").view(np.uint8).reshape(-1, 2)
 
 
-def _words(header: NDArray[np.uint8]) -> NDArray[np.int64]:
+def words_of(header: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Read rows of bytes as rows of big-endian 16-bit words."""
     return np.ascontiguousarray(header).view(">u2").astype(np.int64)
 
 
-def _payload_sums(
-    data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.int32]
+def payload_sums(
+    data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.integer[Any]]
 ) -> NDArray[np.int64]:
     """Return the sum of each payload's 16-bit words; an odd last byte is paired with the zero after it."""
     running = np.concatenate(([0], np.cumsum(data[: data.size // 2 * 2].view(">u2"), dtype=np.int64)))

@@ -10,20 +10,32 @@ Every source of frames uses this. The result has one row for each frame that con
   of the fragment that completes the datagram has the whole payload, which is appended to the batch's
   ``data``, and ``FRAGMENT`` is not set. Ports are 0 until the first fragment of a datagram was seen.
 
-Frames that are not UDP over IP, or whose IP header is incomplete or damaged, are skipped and counted.
+TCP segments from or to a link's port become rows as well, one for each message: see
+:mod:`edoras_tools.io.frames.tcp`, which is imported with the first of them.
+
+All other frames, and those whose IP header is incomplete or damaged, are skipped and counted.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from edoras_tools.io.frames.fragments import Fragment, Reassembler
+from edoras_tools.io.frames.frame_batch import (
+    LINKTYPE_RAW,
+    FrameBatch,
+    frames_at,
+    joined_frames,
+    packed_frames,
+)
 from edoras_tools.io.frames.network import (
     HOP_LIMIT,
     IPV4_HEADER,
+    TCP,
     UDP_BYTES,
     UDP_HEADER,
     IpPayloads,
@@ -31,16 +43,18 @@ from edoras_tools.io.frames.network import (
     ipv6,
     merge_rows,
 )
-from edoras_tools.model import Finding, PacketBatch
+from edoras_tools.links.table import framings
+from edoras_tools.model import Finding, PacketBatch, concatenate
 from edoras_tools.wire.window import PADDING, read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-LINKTYPE_RAW = 101
-"""The packet starts with its IP header."""
+    from edoras_tools.io.frames.tcp import StreamReassembler
+    from edoras_tools.links.framing import Framing
+
 _PROTOCOL_FIELD = {1: (14, 12), 113: (16, 14), 276: (20, 0)}
 """Bytes of the link header, and position of its EtherType: Ethernet, Linux cooked v1 and v2."""
 _FAMILY_FIELD = (0, 108)
@@ -54,6 +68,10 @@ _FAMILY_VERSION = {2: 4, 10: 6, 24: 6, 28: 6, 30: 6}
 """AF_INET is 2 everywhere; AF_INET6 differs on Linux, NetBSD and OpenBSD, FreeBSD, macOS."""
 
 
+_TCP_BYTES = 20
+_PORTS = np.dtype([("source_port", ">u2"), ("destination_port", ">u2")])
+_WAITING_BYTES = 16 << 20
+"""Bytes of TCP segments that wait for others at most."""
 _TYPE_AND_IPV4 = np.dtype([("ether_type", ">u2"), *IPV4_HEADER.descr])
 """An EtherType, and the header that usually follows: one memory access instead of two."""
 
@@ -70,46 +88,6 @@ class _Located(NamedTuple):
     network: NDArray[np.int64]
     version: NDArray[np.uint8]
     header: NDArray[np.void] | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameBatch:
-    """Captured frames in columns over one contiguous byte buffer; all arrays have the same length.
-
-    Attributes:
-        data: u8. ``PADDING`` bytes after the last frame should be readable; if not, the buffer is copied.
-        number: i64, number of the frame in its source, from 1.
-        time_ns: i64, capture time, ns since 1970-01-01 UTC.
-        link_type: u16, pcap LINKTYPE.
-        offset: i64, start of the frame in ``data``.
-        length: i32, captured bytes.
-        original_length: i32, bytes on the wire.
-    """
-
-    data: NDArray[np.uint8]
-    number: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
-    link_type: NDArray[np.uint16]
-    offset: NDArray[np.int64]
-    length: NDArray[np.int32]
-    original_length: NDArray[np.int32]
-
-    def __len__(self) -> int:
-        return len(self.time_ns)
-
-
-def joined_frames(parts: Sequence[FrameBatch]) -> FrameBatch:
-    """Join batches, at least one, in one padded buffer."""
-    sizes = np.array([0, *(len(part.data) for part in parts)])
-    columns = {
-        item.name: np.concatenate([getattr(part, item.name) for part in parts])
-        for item in fields(FrameBatch)
-        if item.name != "data"
-    }
-    columns["offset"] += np.repeat(np.cumsum(sizes)[:-1], [len(part) for part in parts])
-    return FrameBatch(
-        np.concatenate([*(part.data for part in parts), np.zeros(PADDING, np.uint8)]), **columns
-    )
 
 
 def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint8]]:
@@ -143,17 +121,25 @@ def demux(frames: FrameBatch) -> PacketBatch:
 
 
 class Demux:
-    """Turns frames into datagrams; remembers fragments from batch to batch.
+    """Turns frames into datagrams; remembers fragments and TCP connections from batch to batch.
 
     Attributes:
-        skipped: frames so far that contained no UDP over IP.
+        skipped: frames so far that contained no UDP over IP, and no bytes of a link's TCP stream.
         unknown_link_types: link types seen that cannot be read.
+        framings: how TCP streams are cut, by port; those of the links' usual ports unless it is set.
     """
 
     def __init__(self) -> None:
         self.skipped = 0
         self.unknown_link_types: set[int] = set()
         self._reassembler = Reassembler()
+        self._streams: StreamReassembler | None = None
+        self._waiting: FrameBatch | None = None
+
+    @cached_property
+    def framings(self) -> Mapping[int, Framing]:
+        """How TCP streams are cut, by port."""
+        return framings()
 
     @property
     def incomplete(self) -> int:
@@ -161,7 +147,10 @@ class Demux:
         return self._reassembler.abandoned + self._reassembler.pending
 
     def demux(self, frames: FrameBatch) -> PacketBatch:
-        """Turn frames into datagrams, one row for each frame that contains UDP or a fragment of it."""
+        """Turn frames into datagrams: one row for each frame that contains UDP or a fragment of it.
+
+        Messages of TCP streams that are complete with these frames have a row each.
+        """
         data, end = frames.data, frames.offset + frames.length
         if len(frames) and int(end.max()) + PADDING > data.size:
             data = np.concatenate((data, np.zeros(PADDING, dtype=np.uint8)))
@@ -174,7 +163,71 @@ class Demux:
                 [(four, ipv4(data, network[four], end[four])), (six, ipv6(data, network[six], end[six]))]
             )
         self.skipped += len(frames) - len(transport.position)
-        return self._datagrams(data, _choose(frames, transport.rows), transport)
+        batch = self._datagrams(data, frames_at(frames, transport.rows), transport)
+        if transport.rows is None or len(transport.rows) == len(frames):
+            return batch
+        rows = self._stream_rows(data, frames, network, version, transport.rows)
+        return self._with_streams(batch, frames_at(replace(frames, data=data), rows)) if len(rows) else batch
+
+    def finish(self) -> PacketBatch | None:
+        """Return what waited for more bytes of a TCP stream, at the end of the frames; None if none did."""
+        if self._streams is None or self._waiting is None:
+            return None
+        return self._messages(self._waiting, len(self._waiting), final=True)
+
+    def _stream_rows(
+        self,
+        data: NDArray[np.uint8],
+        frames: FrameBatch,
+        network: NDArray[np.int64],
+        version: NDArray[np.uint8],
+        taken: NDArray[np.int64],
+    ) -> NDArray[np.int64]:
+        """Return which frames are TCP segments from or to a link's port."""
+        others = np.ones(len(frames), bool)
+        others[taken] = False
+        rows: NDArray[np.int64] = np.flatnonzero(others & (version > 0))
+        if not len(rows):
+            return rows
+        end = (frames.offset + frames.length)[rows]
+        found = _tcp(data, network[rows], version[rows], end)
+        chosen = np.arange(len(rows)) if found.rows is None else found.rows
+        ports = read_at(data, found.position, _PORTS)
+        known = np.zeros(1 << 16, bool)
+        known[list(self.framings)] = True
+        chosen = chosen[known[ports["source_port"]] | known[ports["destination_port"]]]
+        return np.asarray(rows[chosen])
+
+    def _with_streams(self, batch: PacketBatch, frames: FrameBatch) -> PacketBatch:
+        """Add the messages of TCP segments to the datagrams, in the order of the frames."""
+        waiting = self._waiting
+        parts = [packed_frames(frames)] if waiting is None else [waiting, packed_frames(frames)]
+        size = sum(len(part.data) for part in parts)
+        old = len(waiting) if waiting is not None else 0
+        messages = self._messages(
+            joined_frames(parts), old, final=size - len(parts[-1].data) > _WAITING_BYTES
+        )
+        if not len(batch):
+            return messages
+        if not len(messages):
+            return batch
+        both = concatenate([batch, messages])
+        order = np.argsort(both.number, kind="stable")
+        return both.take(order)
+
+    def _messages(self, frames: FrameBatch, old: int, *, final: bool) -> PacketBatch:
+        from edoras_tools.io.frames.tcp import StreamReassembler
+        from edoras_tools.io.frames.tcp_segments import read_segments
+
+        if self._streams is None:
+            self._streams = StreamReassembler(self.framings)
+        located = self._locate(frames.data, frames)
+        found = _tcp(frames.data, located.network, located.version, frames.offset + frames.length)
+        segments = read_segments(frames, located.network, found, old)
+        batch, kept = self._streams.messages(segments, final=final)
+        self.skipped -= int(np.count_nonzero(segments.length[old:]))
+        self._waiting = packed_frames(frames_at(frames, kept)) if len(kept) else None
+        return batch
 
     def _locate(self, data: NDArray[np.uint8], frames: FrameBatch) -> _Located:
         """Find where each network header starts, and the IP version."""
@@ -280,6 +333,23 @@ class Demux:
         return replace(batch, data=np.concatenate(data))
 
 
+def _tcp(
+    data: NDArray[np.uint8], network: NDArray[np.int64], version: NDArray[np.uint8], end: NDArray[np.int64]
+) -> IpPayloads:
+    """Find TCP segments that are not fragments, with a whole header, in packets with an IP header."""
+    four, six = np.flatnonzero(version == 4), np.flatnonzero(version == 6)
+    found = merge_rows(
+        [
+            (four, ipv4(data, network[four], end[four], protocol=TCP)),
+            (six, ipv6(data, network[six], end[six], TCP)),
+        ]
+    )
+    assert found.rows is not None
+    keep = np.minimum(found.end, end[found.rows]) - found.position >= _TCP_BYTES
+    keep &= found.fragment == 0
+    return found if keep.all() else found.take(keep)
+
+
 def _untag(
     data: NDArray[np.uint8],
     position: NDArray[np.int64],
@@ -313,11 +383,3 @@ def _key(batch: PacketBatch, row: int, identification: int) -> tuple[int, int, b
     if version == 6:
         return version, identification, batch.ipv6[addresses[0]], batch.ipv6[addresses[1]]
     return version, identification, addresses[0].to_bytes(4, "big"), addresses[1].to_bytes(4, "big")
-
-
-def _choose(frames: FrameBatch, rows: NDArray[np.int64] | None) -> FrameBatch:
-    if rows is None:
-        return frames
-    return FrameBatch(
-        frames.data, *(getattr(frames, item.name)[rows] for item in fields(FrameBatch) if item.name != "data")
-    )

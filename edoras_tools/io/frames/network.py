@@ -1,12 +1,12 @@
-"""IPv4 and IPv6 headers in columns: from the start of the network header to the start of its UDP header.
+"""IPv4 and IPv6 headers in columns: from the start of the network header to that of the transport header.
 
-RFC 791 and RFC 8200. Only packets with UDP are kept.
+RFC 791 and RFC 8200. Only packets of one transport protocol are kept, usually UDP.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 UDP = 17
+TCP = 6
 UDP_HEADER = np.dtype([("source_port", ">u2"), ("destination_port", ">u2"), ("length", ">u2")])
 """RFC 768, without the checksum."""
 UDP_BYTES = 8
@@ -62,14 +63,14 @@ _EXTENSIONS = (0, 43, _FRAGMENT_HEADER, _AUTHENTICATION_HEADER, 60, 135, 139, 14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IpPayloads:
-    """UDP, or fragments of it, as IP headers describe it; one element for each packet that was kept.
+    """UDP or TCP, or fragments of it, as IP headers describe it; one element for each packet that was kept.
 
     Attributes:
         rows: i64, which of the given packets were kept, in order; None for all of them.
         version: u8, 4 or 6.
         source: u32, IPv4 address, or index into ``addresses``.
         destination: u32, as ``source``.
-        position: i64, start of the UDP header or of a fragment's data.
+        position: i64, start of the transport header or of a fragment's data.
         end: i64, one past the last byte of the IP payload, captured or not.
         fragment: u16, 0 for a whole packet; for a fragment, the position of its bytes in the whole payload (a
             multiple of 8), plus 1 if more follow.
@@ -89,12 +90,21 @@ class IpPayloads:
     addresses: tuple[bytes, ...] = ()
     udp: NDArray[np.void] | None = None
 
+    def take(self, chosen: NDArray[np.bool_]) -> IpPayloads:
+        """Return some of the packets."""
+        columns: dict[str, Any] = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            columns[item.name] = value[chosen] if isinstance(value, np.ndarray) else value
+        return IpPayloads(**columns)
+
 
 def ipv4(
     data: NDArray[np.uint8],
     network: NDArray[np.int64],
     end: NDArray[np.int64],
     header: NDArray[np.void] | None = None,
+    protocol: int = UDP,
 ) -> IpPayloads:
     """Read IPv4 headers.
 
@@ -103,6 +113,7 @@ def ipv4(
         network: i64, start of each header; the buffer has at least 28 bytes from there.
         end: i64, one past each frame's last captured byte.
         header: structured, with the fields of ``IPV4_HEADER``, if they were already read.
+        protocol: which packets are kept.
     """
     if header is None:
         header = read_at(data, network, IPV4_HEADER)
@@ -115,7 +126,7 @@ def ipv4(
         total = np.where(total == 0, end - network, total)
     flags = header["fragment"].astype(np.uint16)
     fragment = ((flags & 0x1FFF) << 3 | flags >> 13 & 1).astype(np.uint16)
-    keep = (words <= 10) & (header["protocol"] == UDP)
+    keep = (words <= 10) & (header["protocol"] == protocol)
     keep &= end - network >= 20
     keep &= total - length >= (np.where(fragment, 1, UDP_BYTES) if fragment.any() else UDP_BYTES)
     rows = None
@@ -136,13 +147,16 @@ def ipv4(
     )
 
 
-def ipv6(data: NDArray[np.uint8], network: NDArray[np.int64], end: NDArray[np.int64]) -> IpPayloads:
+def ipv6(
+    data: NDArray[np.uint8], network: NDArray[np.int64], end: NDArray[np.int64], protocol: int = UDP
+) -> IpPayloads:
     """Read IPv6 headers and their extension headers.
 
     Args:
         data: u8, the buffer.
         network: i64, start of each header; the buffer has at least 40 bytes from there.
         end: i64, one past each frame's last captured byte.
+        protocol: which packets are kept.
     """
     header = read_at(data, network, _IPV6)
     position = network + 40
@@ -167,7 +181,7 @@ def ipv6(data: NDArray[np.uint8], network: NDArray[np.int64], end: NDArray[np.in
         fragment[rows] = split
         identification[rows] = np.where(split, extension["identification"], 0)
         rows = rows[(split == 0) & np.isin(following[rows], _EXTENSIONS)]
-    kept = np.flatnonzero((following == UDP) & (stop >= position + np.where(fragment, 1, UDP_BYTES)))
+    kept = np.flatnonzero((following == protocol) & (stop >= position + np.where(fragment, 1, UDP_BYTES)))
     source, destination, addresses = _number(header["source"][kept], header["destination"][kept])
     return IpPayloads(
         rows=kept,

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.io.frames.build import internet_checksum
-from edoras_tools.io.frames.linklayer import FrameBatch, demux, network_headers
+from edoras_tools.io.frames.frame_batch import FrameBatch
+from edoras_tools.io.frames.linklayer import demux, network_headers
 from edoras_tools.model import Finding
 from edoras_tools.wire.window import PADDING
 

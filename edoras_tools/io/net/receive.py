@@ -19,7 +19,7 @@ from edoras_tools.model import Endpoint, InterfaceOutage, SourceInfo
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from edoras_tools.io.frames.linklayer import FrameBatch
+    from edoras_tools.io.frames.frame_batch import FrameBatch
 
 _READ_BYTES: Final = 1 << 20
 """Approximate bytes of payloads per read, divided among the sockets."""

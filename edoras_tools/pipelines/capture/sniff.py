@@ -8,6 +8,7 @@ import numpy as np
 
 from edoras_tools.decode.lines import PacketLines
 from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.pipelines.capture.packet_json import PacketTexts
 from edoras_tools.pipelines.reading import Limits, reading
 
@@ -108,6 +109,7 @@ def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
         CaptureError: there is no such datagram.
     """
     last = 0
+    follow_streams(source, bench.columns.context.framings)
     try:
         for batch in source.batches():
             bench.columns.decode(batch)

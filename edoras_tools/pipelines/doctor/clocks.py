@@ -11,17 +11,18 @@ import numpy as np
 from edoras_tools.diagnosis.evidence.clocks.alignment import align
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.merge import merge_sources, recorded_faults
+from edoras_tools.io.formats.merge import follow_streams, merge_sources, recorded_faults
 from edoras_tools.io.formats.open import open_file
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
     from edoras_tools.io import Source
+    from edoras_tools.links.framing import Framing
     from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.run import Progress
@@ -60,6 +61,10 @@ class Aligned:
         faults = recorded_faults(self._source)
         times = self._set_back(np.array([fault.time_ns for fault in faults], np.int64))
         return [fault._replace(time_ns=at) for fault, at in zip(faults, times.tolist(), strict=True)]
+
+    def follow(self, framings: Mapping[int, Framing]) -> None:
+        """Let the source read the TCP streams of these ports."""
+        follow_streams(self._source, framings)
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield the remaining datagrams, with corrected times."""
@@ -107,6 +112,10 @@ class OneByOne:
     def faults(self) -> list[Fault]:
         """Return the faults that were injected."""
         return recorded_faults(self._together)
+
+    def follow(self, framings: Mapping[int, Framing]) -> None:
+        """Let all of them read the TCP streams of these ports."""
+        follow_streams(self._together, framings)
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams of the first, then those of the second, and so on, numbered from 1."""
@@ -172,6 +181,7 @@ def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Reco
     try:
         bench = settings.workbench(source.info)
         recorder = Recorder(bench.columns.context)
+        follow_streams(source, bench.columns.context.framings)
         for batch in _readable(source):
             if len(batch):
                 recorder.add(batch, bench.columns.decode(batch))

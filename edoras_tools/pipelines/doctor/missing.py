@@ -9,6 +9,7 @@ import numpy as np
 
 from edoras_tools.decode import Dissector
 from edoras_tools.io.formats.jsonl.texts import json_value
+from edoras_tools.io.formats.merge import follow_streams
 
 if TYPE_CHECKING:
     from edoras_tools.diagnosis.examination import Diagnosis
@@ -36,6 +37,7 @@ def list_missing(
     found = [item for item in diagnosis.missing if choice is None or choice.takes(*item.concerns)]
     wanted = {item.number: place for place, item in enumerate(found) if item.number is not None}
     dissector = Dissector(bench.columns.context, detail=False)
+    follow_streams(source, bench.columns.context.framings)
     try:
         for batch in source.batches() if wanted else ():
             if progress is not None:

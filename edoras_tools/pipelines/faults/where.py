@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.decode.filters.filter import Where
-from edoras_tools.io.frames.linklayer import LINKTYPE_RAW
+from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
 from edoras_tools.model import Datagram, Endpoint, Link
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.io.foxglove.playback import PlaybackState
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
@@ -272,6 +273,7 @@ class RecordingPlayer:
     def _measure(self, progress: Progress | None) -> tuple[int, int]:
         """Read the recording once; return its start and end."""
         source = self._reopen()
+        follow_streams(source, self._bench.columns.context.framings)
         first, last, last_ns = 1 << 63, -1, -1
         try:
             for batch in source.batches():
@@ -305,6 +307,7 @@ class RecordingPlayer:
     def _read(self, start_ns: int, sink: FoxgloveSink) -> Generator[_Piece]:
         """Yield what was captured from a time on; first show the last earlier message of each topic."""
         source = self._reopen()
+        follow_streams(source, self._bench.columns.context.framings)
         latest: dict[int, _Piece] = {}
         before = True
         try:

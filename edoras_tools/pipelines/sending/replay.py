@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError, WireError
+from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.sending.options import Receiver
@@ -79,6 +80,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     first_ns, left, size, there, period = -1, choice.count, 0, 0, Period()
     try:
         selection = choice.selection.over(bench)
+        follow_streams(source, bench.columns.context.framings)
         for batch in source.batches():
             if not len(batch):
                 continue

@@ -21,7 +21,8 @@ from scapy.layers.inet6 import (
 from scapy.layers.l2 import ARP, CookedLinux, CookedLinuxV2, Dot1AD, Dot1Q, Ether
 from scapy.packet import Raw
 
-from edoras_tools.io.frames.linklayer import Demux, FrameBatch, demux
+from edoras_tools.io.frames.frame_batch import FrameBatch
+from edoras_tools.io.frames.linklayer import Demux, demux
 from edoras_tools.model import Finding
 
 PAYLOAD = b"\x18\x27\x00\x00\x00\x05payload"

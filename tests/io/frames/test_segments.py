@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.io.frames.build import frames_of
-from edoras_tools.io.frames.linklayer import FrameBatch, demux
+from edoras_tools.io.frames.frame_batch import FrameBatch
+from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.io.frames.segments import cut
 from edoras_tools.model import Endpoint, Finding
 from edoras_tools.wire.window import PADDING

@@ -24,7 +24,8 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from edoras_tools.errors import CaptureError, WireError
 from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
-from edoras_tools.io.frames.linklayer import Demux, FrameBatch, joined_frames
+from edoras_tools.io.frames.frame_batch import FrameBatch, joined_frames
+from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.topics.datagrams import DATAGRAM
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, fault_of
 from edoras_tools.io.topics.host import HOST_TOPIC, host_counters_of
@@ -35,10 +36,11 @@ from edoras_tools.ros import TypeStore
 from edoras_tools.wire.window import read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
+    from edoras_tools.links.framing import Framing
     from edoras_tools.model import HostCounters, PacketBatch
     from edoras_tools.sessions.faults.fault import Fault
 
@@ -138,6 +140,10 @@ class McapSource:
             parts.append(self._frames(_array(stray), None, position))
         self.statistics.position = position
         yield from self._batch(parts)
+        rest = self._demux.finish()
+        if rest is not None and len(rest):
+            self.statistics.datagrams += len(rest)
+            yield rest
         if failure is not None:
             raise failure
         if not ended:
@@ -148,6 +154,10 @@ class McapSource:
         if DATAGRAMS_TOPIC not in self._topics.values():
             raise self._no_datagrams()
         self.statistics.position = self._size
+
+    def follow(self, framings: Mapping[int, Framing]) -> None:
+        """Read the TCP streams of these ports, and no others; call it before the first batch."""
+        self._demux.framings = framings
 
     def faults(self) -> list[Fault]:
         """Return the faults that a proxy or a replay injected, as far as the recording is readable."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.chain import walk_records
 from edoras_tools.io.formats.records import LARGEST_FRAME, RecordSource
-from edoras_tools.io.frames.linklayer import FrameBatch
+from edoras_tools.io.frames.chain import walk_records
+from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import SourceInfo
 from edoras_tools.wire.window import read_at
 

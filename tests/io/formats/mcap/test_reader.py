@@ -17,7 +17,8 @@ from edoras_tools.io.formats.mcap import chunks as mcap_chunks
 from edoras_tools.io.formats.mcap.reader import McapSource
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.frames.linklayer import Demux, FrameBatch
+from edoras_tools.io.frames.frame_batch import FrameBatch
+from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.links.ci import CI
 from edoras_tools.mission.model import Mission, Route
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics, concatenate

@@ -17,10 +17,10 @@ from scapy.packet import Raw
 from scapy.utils import RawPcapReader, wrpcap
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats import chain as framing
 from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcap import reader as pcap
+from edoras_tools.io.frames import chain as framing
 
 FRAME = bytes(Ether() / IP(src="127.0.0.1", dst="127.0.0.2") / UDP(sport=1, dport=2) / Raw(b"hello"))
 RAW = bytes(IP(src="127.0.0.1", dst="127.0.0.2") / UDP(sport=1, dport=2) / Raw(b"hello"))

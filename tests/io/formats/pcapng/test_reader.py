@@ -17,10 +17,10 @@ from scapy.packet import Raw
 from scapy.utils import RawPcapNgReader, wrpcapng
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats import chain as framing
 from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcapng import reader as pcapng
+from edoras_tools.io.frames import chain as framing
 
 RAW = bytes(IP(src="127.0.0.1", dst="127.0.0.2") / UDP(sport=1, dport=2) / Raw(b"hello"))
 FRAME = bytes(Ether())[:12] + b"\x08\x00" + RAW

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.io.formats import chain as framing
-from edoras_tools.io.formats.chain import walk_records
+from edoras_tools.io.frames import chain as framing
+from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.wire.window import read_at
 
 HEADER = 2

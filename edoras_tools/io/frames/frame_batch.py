@@ -1,0 +1,76 @@
+"""Captured frames in columns, and what is done with them whatever they hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.wire.window import PADDING, copy_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+LINKTYPE_RAW = 101
+"""The packet starts with its IP header."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameBatch:
+    """Captured frames in columns over one contiguous byte buffer; all arrays have the same length.
+
+    Attributes:
+        data: u8. ``PADDING`` bytes after the last frame should be readable; if not, the buffer is copied.
+        number: i64, number of the frame in its source, from 1.
+        time_ns: i64, capture time, ns since 1970-01-01 UTC.
+        link_type: u16, pcap LINKTYPE.
+        offset: i64, start of the frame in ``data``.
+        length: i32, captured bytes.
+        original_length: i32, bytes on the wire.
+    """
+
+    data: NDArray[np.uint8]
+    number: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    link_type: NDArray[np.uint16]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int32]
+    original_length: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+def joined_frames(parts: Sequence[FrameBatch]) -> FrameBatch:
+    """Join batches, at least one, in one padded buffer."""
+    sizes = np.array([0, *(len(part.data) for part in parts)])
+    columns = {
+        item.name: np.concatenate([getattr(part, item.name) for part in parts])
+        for item in fields(FrameBatch)
+        if item.name != "data"
+    }
+    columns["offset"] += np.repeat(np.cumsum(sizes)[:-1], [len(part) for part in parts])
+    return FrameBatch(
+        np.concatenate([*(part.data for part in parts), np.zeros(PADDING, np.uint8)]), **columns
+    )
+
+
+def packed_frames(frames: FrameBatch) -> FrameBatch:
+    """Copy frames end to end."""
+    length = frames.length.astype(np.int64)
+    offset = np.cumsum(length) - length
+    data = np.zeros(int(length.sum()), np.uint8)
+    copy_rows(data, offset, frames.data, frames.offset, length)
+    return replace(frames, data=data, offset=offset)
+
+
+def frames_at(frames: FrameBatch, rows: NDArray[np.int64] | None) -> FrameBatch:
+    """Return some frames, over the same buffer; None for all."""
+    if rows is None:
+        return frames
+    return FrameBatch(
+        frames.data, *(getattr(frames, item.name)[rows] for item in fields(FrameBatch) if item.name != "data")
+    )

@@ -1,0 +1,566 @@
+"""TCP segments to messages, in columns, with limited memory (RFC 9293).
+
+The rules:
+
+1. A row of the result is one message, as the link's ``Framing`` cuts it. Its time and number are those of the
+   segment with which it, and all before it, had come; rows are in the order of these segments.
+2. A message that is alone in its segment keeps the captured frame. For any other a segment is made that
+   holds it alone: the headers of the segment that completed it, with its sequence number, its length and new
+   checksums, without SYN, FIN and RST. So a recording of the rows is again a capture of the same stream.
+3. What is no message (the rest of one after missing bytes, another protocol) is a row without a payload, with
+   ``FRAGMENT`` and ``STREAM_GAP``; its frame has the bytes. So is a segment with bytes that had come before,
+   with ``FRAGMENT`` and ``STREAM_RESENT``. The first message after missing bytes has ``STREAM_GAP``.
+4. Segments without bytes (SYN, FIN, acknowledgements) have no row.
+5. Missing bytes are waited for until the other end has acknowledged them (then only the capture lacks them),
+   for ``_PATIENCE_NS`` of capture time, or until 16 MiB wait. What waits are whole frames, which are
+   put in front of the next batch: besides them, a connection is known by one number in each direction.
+6. A connection whose beginning was not captured, or that lost bytes, is read from the first place on where
+   messages probably start (``Framing.likely``).
+
+In the usual case, one message a segment and all in order, no byte is copied and no Python runs per segment.
+Of bytes that came twice with different values, those of the segment that starts first are used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.io.frames.chain import walk_records
+from edoras_tools.io.frames.tcp_segments import SegmentBytes, rebuilt
+from edoras_tools.links.framing import NOT_A_MESSAGE
+from edoras_tools.model import Finding, PacketBatch
+from edoras_tools.wire.order import numbered
+from edoras_tools.wire.window import PADDING, copy_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.frames.tcp_segments import Segments
+    from edoras_tools.links.framing import Framing, StreamState
+
+CONNECTIONS: Final = 1 << 16
+"""Directions that are remembered; of more, those seen first are forgotten."""
+_PATIENCE_NS: Final = 1_000_000_000
+_FAR: Final = 1 << 26
+"""A segment this far from the others is of another connection with the same ports."""
+_WINDOW: Final = 1 << 16
+"""Bytes that are searched at once for the start of a message,"""
+_TRIES: Final = 256
+"""and places in them that are tried."""
+_SYN: Final = 2
+_ACK: Final = 16
+_WRAP: Final = 1 << 32
+_PART: Final = np.uint32(Finding.FRAGMENT)
+_GAP: Final = np.uint32(Finding.STREAM_GAP)
+_RESENT: Final = np.uint32(Finding.STREAM_RESENT)
+
+
+@dataclass(slots=True, eq=False)
+class _Direction:
+    """One direction of a connection.
+
+    Attributes:
+        framing: cuts its messages.
+        state: of both directions.
+        forward: which of the two it is.
+        next: sequence number of the first byte that was not handed over; -1 before the first.
+        begin: that of the first byte after SYN; -1 if that was not captured.
+        synced: whether a message starts there.
+        gap: whether bytes before it are missing.
+    """
+
+    framing: Framing
+    state: StreamState | None
+    forward: bool
+    next: int = -1
+    begin: int = -1
+    synced: bool = False
+    gap: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class _Pieces:
+    """Bytes of a direction that are new, in the order of the stream; arrays of one length.
+
+    Attributes:
+        segment: i64, which segment each is from.
+        offset: i64, its first byte in the data of the segments.
+        begin: i64, place in the stream, from the first byte that was not handed over.
+        length: i64.
+        untrimmed: bool, whether it is all that the segment holds.
+    """
+
+    segment: NDArray[np.int64]
+    offset: NDArray[np.int64]
+    begin: NDArray[np.int64]
+    length: NDArray[np.int64]
+    untrimmed: NDArray[np.bool_]
+
+    def part(self, rows: slice) -> _Pieces:
+        return _Pieces(*(getattr(self, item.name)[rows] for item in fields(self)))
+
+    def __len__(self) -> int:
+        return len(self.segment)
+
+
+@dataclass(slots=True, eq=False)
+class _Rows:
+    """What was found, a list of arrays for each column of the result.
+
+    Attributes:
+        segment: which segment completes the row.
+        offset: its bytes, in the data of the segments and what was appended to it.
+        length: its bytes.
+        sequence: sequence number of its first byte.
+        whole: whether the captured frame holds it alone.
+        findings: ``Finding`` bits.
+        direction: index into ``directions``.
+        appended: bytes put in order; they follow the data of the segments.
+    """
+
+    segment: list[NDArray[np.int64]] = field(default_factory=list)
+    offset: list[NDArray[np.int64]] = field(default_factory=list)
+    length: list[NDArray[np.int64]] = field(default_factory=list)
+    sequence: list[NDArray[np.int64]] = field(default_factory=list)
+    whole: list[NDArray[np.bool_]] = field(default_factory=list)
+    findings: list[NDArray[np.uint32]] = field(default_factory=list)
+    direction: list[NDArray[np.int64]] = field(default_factory=list)
+    appended: list[NDArray[np.uint8]] = field(default_factory=list)
+
+
+class StreamReassembler:
+    """Puts the bytes of connections in order and cuts them into messages; see the rules of this module.
+
+    Args:
+        framings: how streams are cut, by the port that is listened on.
+    """
+
+    def __init__(self, framings: Mapping[int, Framing]) -> None:
+        self._framings = framings
+        self._directions: dict[tuple[Any, ...], _Direction] = {}
+
+    def messages(self, segments: Segments, *, final: bool = False) -> tuple[PacketBatch, NDArray[np.int64]]:
+        """Return the messages that some segments complete.
+
+        Args:
+            segments: those that wait from the last call, then new ones, in the order of their capture.
+            final: nothing follows: wait for no missing byte.
+
+        Returns:
+            The messages, and the segments that wait for more; give their frames again with the next ones.
+        """
+        rows, kept = _Rows(), [np.empty(0, np.int64)]
+        used: list[_Direction] = []
+        groups = list(self._groups(segments))
+        acknowledged = {key: members[segments.flags[members] & _ACK != 0] for key, members in groups}
+        for key, members in groups:
+            way = self._direction(key)
+            answers = acknowledged.get((key[0], key[3], key[4], key[1], key[2]))
+            reached = segments.acknowledged[answers] if answers is not None else None
+            follow = _Follow(segments, rows, way, len(used))
+            used.append(way)
+            kept.append(follow.all(members, reached, final=final))
+        while len(self._directions) > CONNECTIONS:
+            del self._directions[next(iter(self._directions))]
+        return _batch(segments, rows, used), np.sort(np.concatenate(kept))
+
+    def _groups(self, segments: Segments) -> Iterator[tuple[tuple[Any, ...], NDArray[np.int64]]]:
+        """Yield each direction that has segments: its key, and which they are."""
+        ip = segments.ip
+        addresses = ip.source.astype(np.uint64) << np.uint64(32) | ip.destination
+        ports = segments.source_port.astype(np.uint64) << np.uint64(16) | segments.destination_port
+        first, which = numbered(addresses, ports | ip.version.astype(np.uint64) << np.uint64(32))
+        order = np.argsort(which, kind="stable")
+        ends = np.cumsum(np.bincount(which, minlength=len(first)))[:-1]
+        for members in np.split(order, ends) if len(first) else ():
+            row = int(members[0])
+            version = int(ip.version[row])
+            source, target = (
+                ip.addresses[int(column[row])] if version == 6 else int(column[row])
+                for column in (ip.source, ip.destination)
+            )
+            yield (
+                (
+                    version,
+                    source,
+                    int(segments.source_port[row]),
+                    target,
+                    int(segments.destination_port[row]),
+                ),
+                members,
+            )
+
+    def _direction(self, key: tuple[Any, ...]) -> _Direction:
+        way = self._directions.get(key)
+        if way is None:
+            other = self._directions.get((key[0], key[3], key[4], key[1], key[2]))
+            framing = self._framings.get(key[4]) or self._framings[key[2]]
+            talk = other.state if other else framing.state()
+            forward = not other.forward if other else True
+            way = self._directions[key] = _Direction(framing, talk, forward)
+        return way
+
+
+class _Follow:
+    """Follows one direction through the segments of one call."""
+
+    def __init__(self, segments: Segments, rows: _Rows, way: _Direction, direction: int) -> None:
+        self.segments, self.rows, self.way, self.direction = segments, rows, way, direction
+
+    def all(
+        self, members: NDArray[np.int64], reached: NDArray[np.int64] | None, *, final: bool
+    ) -> NDArray[np.int64]:
+        """Follow the direction; return the segments that wait.
+
+        Args:
+            members: its segments, in the order of their capture.
+            reached: the sequence numbers that the other end acknowledged, of these segments' time.
+            final: see ``StreamReassembler.messages``.
+        """
+        way, segments = self.way, self.segments
+        opening = members[segments.flags[members] & _SYN != 0]
+        begins = segments.sequence[opening]
+        fresh = np.diff(begins, prepend=way.begin) != 0
+        parts = np.split(members, np.searchsorted(members, opening[fresh]))
+        begin = [way.begin, *begins[fresh].tolist()]
+        kept = []
+        for place, part in enumerate(parts):
+            if place:
+                way.next = way.begin = begin[place]
+                way.synced, way.gap = True, False
+            holding = part[segments.length[part] > 0]
+            sequence = segments.sequence[holding]
+            far = np.flatnonzero(np.abs(_from(sequence[:-1], sequence[1:])) > _FAR) + 1
+            pieces = np.split(holding, far)
+            for number, piece in enumerate(pieces):
+                last = place == len(parts) - 1 and number == len(pieces) - 1
+                kept.append(self._part(piece, reached if last else None, final=final or not last))
+        return np.concatenate(kept)
+
+    def _part(
+        self, members: NDArray[np.int64], reached: NDArray[np.int64] | None, *, final: bool
+    ) -> NDArray[np.int64]:
+        """Follow one connection; see ``all``."""
+        way, segments = self.way, self.segments
+        if not len(members):
+            return members
+        first = int(segments.sequence[members[0]])
+        if way.next < 0 or abs(_from(way.next, segments.sequence[members[:1]])[0]) > _FAR:
+            way.next, way.synced, way.gap = first, False, way.next >= 0
+        base = way.next
+        pieces, again = self._pieces(members, base)
+        breaks = np.flatnonzero(pieces.begin > np.append(0, (pieces.begin + pieces.length)[:-1]))
+        edges = [*breaks.tolist(), len(pieces)]
+        kept = members[:0]
+        at = 0
+        for edge in edges:
+            more = edge < len(pieces)
+            lost = more and (final or self._is_lost(pieces, edge, reached, base))
+            kept = self._run(pieces.part(slice(at, edge)), base, keep=not (lost or final))
+            if more and not lost:
+                kept = np.concatenate((kept, pieces.segment[edge:]))
+                break
+            if more:
+                way.next = (base + int(pieces.begin[edge])) % _WRAP
+                way.synced, way.gap = False, True
+            at = edge
+        self._add(again, segments.start[again], segments.length[again], segments.sequence[again])
+        if len(again):
+            self.rows.whole[-1][:] = True
+            self.rows.findings[-1][:] = _PART | _RESENT
+        return kept
+
+    def _pieces(self, members: NDArray[np.int64], base: int) -> tuple[_Pieces, NDArray[np.int64]]:
+        """Put segments in the order of the stream; return what is new, and the segments with what is not."""
+        segments = self.segments
+        start, length = _from(base, segments.sequence[members]), segments.length[members]
+        if (start[1:] < start[:-1]).any():
+            order = np.argsort(start, kind="stable")
+            members, start, length = members[order], start[order], length[order]
+        stop = start + length
+        before = np.maximum(np.append(0, np.maximum.accumulate(stop)[:-1]), 0)
+        begin = np.maximum(start, before)
+        # One byte that had come before keeps a connection alive (RFC 1122 section 4.2.3.6).
+        again = segments.fresh[members] & (start < before) & ((length > 1) | (stop != before))
+        new = begin < stop
+        pieces = _Pieces(
+            members[new],
+            (segments.start[members] + begin - start)[new],
+            begin[new],
+            (stop - begin)[new],
+            (begin == start)[new],
+        )
+        return pieces, members[again]
+
+    def _is_lost(self, pieces: _Pieces, edge: int, reached: NDArray[np.int64] | None, base: int) -> bool:
+        """Return whether the bytes before a piece will not come any more."""
+        time_ns = self.segments.frames.time_ns
+        if reached is not None and len(reached) and _from(base, reached).max() >= pieces.begin[edge]:
+            return True
+        return int(time_ns.max()) - int(time_ns[pieces.segment[edge]]) > _PATIENCE_NS
+
+    def _run(self, pieces: _Pieces, base: int, *, keep: bool) -> NDArray[np.int64]:
+        """Cut bytes without a gap; return the segments that wait for the rest of a message.
+
+        Args:
+            pieces: the bytes.
+            base: sequence number of place 0.
+            keep: whether more may follow them.
+        """
+        way, segments = self.way, self.segments
+        if not len(pieces):
+            return pieces.segment
+        data, length = segments.frames.data, pieces.length
+        if way.synced and (way.framing.lengths(data, pieces.offset, pieces.offset + length) == length).all():
+            done = np.maximum.accumulate(pieces.segment)
+            self._add(done, pieces.offset, length, base + pieces.begin)
+            self.rows.whole[-1][:] = pieces.untrimmed & (done == pieces.segment)
+            self._mark_gap()
+            way.next = (base + int(pieces.begin[-1]) + int(length[-1])) % _WRAP
+            return pieces.segment[:0]
+        cut = _Cut(way, segments, pieces)
+        spans, messages, consumed = cut.spans(keep=keep)
+        self._add_spans(cut, spans, base, messages)
+        way.next = (base + int(pieces.begin[0]) + consumed) % _WRAP
+        return np.asarray(pieces.segment[cut.local + length > consumed])
+
+    def _add_spans(self, cut: _Cut, spans: NDArray[np.int64], base: int, messages: NDArray[np.bool_]) -> None:
+        """Add rows of bytes that were put in order; ``spans`` has a row of start and length for each."""
+        pieces, rows = cut.pieces, self.rows
+        start, length = spans[:, 0], spans[:, 1]
+        done = np.maximum.accumulate(pieces.segment)
+        last = np.searchsorted(cut.local + pieces.length, start + length)
+        whole = (cut.local[last] == start) & (pieces.length[last] == length) & pieces.untrimmed[last]
+        whole &= done[last] == pieces.segment[last]
+        used = len(self.segments.frames.data) + sum(map(len, rows.appended))
+        rows.appended.append(cut.buffer)
+        self._add(
+            done[last],
+            np.where(whole, pieces.offset[last], used + start),
+            length,
+            base + pieces.begin[0] + start,
+        )
+        rows.whole[-1][:] = whole
+        rows.findings[-1][~messages] = _PART | _GAP
+        # A message directly behind what was no message follows missing bytes.
+        rows.findings[-1][1:][messages[1:] & ~messages[:-1]] |= _GAP
+        if messages.any():
+            self.way.gap |= bool(not messages[: int(np.argmax(messages))].all())
+            self._mark_gap(int(np.argmax(messages)))
+        self.way.gap |= len(messages) > 0 and not messages[-1]
+
+    def _mark_gap(self, place: int = 0) -> None:
+        """Note at the first message behind missing bytes that they are missing."""
+        if self.way.gap:
+            self.rows.findings[-1][place] |= _GAP
+            self.way.gap = False
+
+    def _add(
+        self,
+        segment: NDArray[np.int64],
+        offset: NDArray[np.int64],
+        length: NDArray[np.int64],
+        sequence: NDArray[np.int64],
+    ) -> None:
+        rows, count = self.rows, len(segment)
+        rows.segment.append(segment)
+        rows.offset.append(offset)
+        rows.length.append(length)
+        rows.sequence.append(sequence % _WRAP)
+        rows.whole.append(np.zeros(count, bool))
+        rows.findings.append(np.zeros(count, np.uint32))
+        rows.direction.append(np.full(count, self.direction))
+
+
+class _Cut:
+    """Bytes without a gap, copied end to end, that are cut into messages.
+
+    Attributes:
+        pieces: where they come from.
+        local: i64, where each piece starts in ``buffer``.
+        buffer: u8, with padding.
+    """
+
+    def __init__(self, way: _Direction, segments: Segments, pieces: _Pieces) -> None:
+        self.way, self.pieces = way, pieces
+        self.local = pieces.begin - pieces.begin[0]
+        self.total = int(self.local[-1] + pieces.length[-1])
+        self.buffer = np.zeros(self.total + PADDING, np.uint8)
+        copy_rows(self.buffer, self.local, segments.frames.data, pieces.offset, pieces.length)
+
+    def spans(self, *, keep: bool) -> tuple[NDArray[np.int64], NDArray[np.bool_], int]:
+        """Cut them.
+
+        Returns:
+            i64 (n, 2), start and length of each part; bool (n,), which are messages; and how many bytes they
+            are together. The rest is the start of a message.
+        """
+        way, framing = self.way, self.way.framing
+        found: list[NDArray[np.int64]] = [np.empty((0, 2), np.int64)]
+        kinds: list[NDArray[np.bool_]] = [np.empty(0, bool)]
+        view = memoryview(self.buffer)  # type: ignore[arg-type]
+        position = 0
+
+        def put(starts: NDArray[np.int64], end: int, *, message: bool) -> None:
+            found.append(np.stack((starts, np.diff(starts, append=end)), axis=1))
+            kinds.append(np.full(len(starts), message))
+
+        while position < self.total:
+            if not way.synced:
+                start = self._message_start(position)
+                if start is None:
+                    if keep and self.total - position <= framing.largest:
+                        break
+                    start = self.total
+                if start > position:
+                    put(np.array([position]), start, message=False)
+                position = start
+                way.synced = position < self.total
+                continue
+            starts, end = walk_records(
+                position,
+                self.total,
+                self.local,
+                lambda at: (
+                    at + np.maximum(framing.lengths(self.buffer, np.minimum(at, self.total), self.total), 0)
+                ),
+                lambda at: at + max(framing.length(view, at, self.total), 0),
+            )
+            if len(starts):
+                put(starts, end, message=True)
+            position = end
+            if position < self.total:
+                if framing.length(view, position, self.total) == NOT_A_MESSAGE:
+                    way.synced = False
+                elif keep:
+                    break
+                else:
+                    put(np.array([position]), self.total, message=False)
+                    position = self.total
+                    way.synced = False
+        return np.concatenate(found), np.concatenate(kinds), position
+
+    def _message_start(self, position: int) -> int | None:
+        """Return where messages probably start: preferably with a segment."""
+        framing, total = self.way.framing, self.total
+        starts = self.local[self.local > position]
+        every = (np.arange(at, min(at + _WINDOW, total)) for at in range(position, total, _WINDOW))
+        for places in chain([np.append(position, starts)], every):
+            lengths = framing.lengths(self.buffer, places, total)
+            likely = (lengths > 0) & (places + lengths <= total) & framing.likely(self.buffer, places, total)
+            for at in places[likely][:_TRIES].tolist():
+                if self._goes_on(at):
+                    return int(at)
+        return None
+
+    def _goes_on(self, at: int) -> bool:
+        """Return whether a message follows the one at a place, or the end of the bytes."""
+        framing, total = self.way.framing, self.total
+        view = memoryview(self.buffer)  # type: ignore[arg-type]
+        for _ in range(2):
+            length = framing.length(view, at, total)
+            if length == NOT_A_MESSAGE:
+                return False
+            at += length
+            if not length or at >= total:
+                return True
+        return True
+
+
+def _from(base: int | NDArray[np.int64], sequence: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return how far sequence numbers are behind ``base``; less than 2**31 either way."""
+    return np.asarray((sequence - base + _WRAP // 2) % _WRAP - _WRAP // 2)
+
+
+def _batch(segments: Segments, rows: _Rows, ways: list[_Direction]) -> PacketBatch:
+    """Return what was found as a batch."""
+    column: dict[str, NDArray[Any]] = {
+        item.name: np.concatenate(
+            [np.empty(0, bool if item.name == "whole" else np.int64), *getattr(rows, item.name)]
+        )
+        for item in fields(_Rows)
+        if item.name != "appended"
+    }
+    order = np.argsort(column["segment"], kind="stable")
+    column = {name: values[order] for name, values in column.items()}
+    frames, ip = segments.frames, segments.ip
+    segment, whole = column["segment"].astype(np.int64), column["whole"].astype(bool)
+    findings = column["findings"].astype(np.uint32)
+    data = np.concatenate((frames.data, *rows.appended))
+    made = np.flatnonzero(~whole)
+    source = SegmentBytes(data, column["offset"][made], column["length"][made], column["sequence"][made])
+    added, frame_offset, header = rebuilt(segments, segment[made], source)
+    offset, length = column["offset"].copy(), column["length"].copy()
+    place, size = frames.offset[segment], frames.length[segment].astype(np.int64)
+    place[made] = frame_offset + len(data)
+    size[made] = header + length[made]
+    offset[made] = place[made] + header
+    contents = _contents(data, column, findings, ways, len(data) + len(added))
+    extra, told, offset[told], length[told], part = contents
+    findings[told[part]] |= _PART
+    length[(findings & _PART) != 0] = 0
+    original = frames.original_length[segment].astype(np.int64)
+    original[made] = size[made]
+    cut = whole & segments.cut[segment]
+    return PacketBatch(
+        data=np.concatenate((data, added, *extra, np.zeros(PADDING, np.uint8))),
+        number=frames.number[segment],
+        time_ns=frames.time_ns[segment],
+        link_type=frames.link_type[segment],
+        frame_offset=place,
+        frame_length=size.astype(np.int32),
+        original_length=original.astype(np.int32),
+        offset=offset,
+        length=length.astype(np.int32),
+        source_address=ip.source[segment],
+        source_port=segments.source_port[segment],
+        destination_address=ip.destination[segment],
+        destination_port=segments.destination_port[segment],
+        ip_version=ip.version[segment],
+        capture_findings=findings | cut * np.uint32(Finding.CAPTURE_CUT),
+        ipv6=ip.addresses,
+        streams=np.ones(len(segment), bool),
+    )
+
+
+def _contents(
+    data: NDArray[np.uint8],
+    column: Mapping[str, NDArray[Any]],
+    findings: NDArray[np.uint32],
+    ways: list[_Direction],
+    used: int,
+) -> tuple[
+    list[NDArray[np.uint8]], NDArray[np.intp], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]
+]:
+    """Return the contents of messages that are not their bytes as they are.
+
+    Returns:
+        The bytes; which rows they are of; start and length of each, from ``used`` on; and which are parts.
+    """
+    extra: list[NDArray[np.uint8]] = []
+    found: list[tuple[NDArray[Any], ...]] = [
+        (np.empty(0, np.intp), np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, bool))
+    ]
+    talks: dict[int, list[int]] = {}
+    for index, way in enumerate(ways):
+        if way.state is not None:
+            talks.setdefault(id(way.state), []).append(index)
+    for members in talks.values():
+        chosen = np.isin(column["direction"], members) & (findings & _PART == 0)
+        rows = np.flatnonzero(chosen)
+        talk = ways[members[0]].state
+        if not len(rows) or talk is None:
+            continue
+        forward = np.array([way.forward for way in ways])[column["direction"][rows].astype(np.int64)]
+        held = talk.contents(data, column["offset"][rows], column["length"][rows], forward)
+        extra.append(held.data)
+        found.append((rows, held.offset + used, held.length, held.part))
+        used += len(held.data)
+    rows, offset, length, part = (np.concatenate(items) for items in zip(*found, strict=True))
+    return extra, rows, offset, length, part

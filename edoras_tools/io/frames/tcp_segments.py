@@ -1,0 +1,188 @@
+"""TCP segments in columns: read from frames, and made to hold one message each (RFC 9293 section 3.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.io.frames.build import internet_checksum, payload_sums, put_words, words_of
+from edoras_tools.io.frames.network import TCP
+from edoras_tools.wire.order import by_value
+from edoras_tools.wire.window import PADDING, copy_rows, gather, read_at
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.frames.frame_batch import FrameBatch
+    from edoras_tools.io.frames.network import IpPayloads
+
+TCP_BYTES: Final = 20
+"""Of a header without options."""
+_HEADER: Final = np.dtype(
+    [
+        ("source_port", ">u2"),
+        ("destination_port", ">u2"),
+        ("sequence", ">u4"),
+        ("acknowledged", ">u4"),
+        ("words", "u1"),
+        ("flags", "u1"),
+    ]
+)
+_SYN: Final = 2
+_KEPT_FLAGS: Final = 0xF8
+"""All but FIN, SYN and RST."""
+_FLAGS_AT: Final = 13
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """TCP segments; all arrays have the same length.
+
+    Attributes:
+        frames: their frames.
+        network: i64, start of each IP header.
+        ip: what the IP headers say.
+        source_port: u16.
+        destination_port: u16.
+        sequence: i64, sequence number of the first byte of data.
+        acknowledged: i64, acknowledgement number.
+        flags: u8.
+        start: i64, first byte of data.
+        length: i64, bytes of data that were captured.
+        cut: bool, whether the capture has not all of them.
+        fresh: bool, whether it is seen for the first time.
+    """
+
+    frames: FrameBatch
+    network: NDArray[np.int64]
+    ip: IpPayloads
+    source_port: NDArray[np.uint16]
+    destination_port: NDArray[np.uint16]
+    sequence: NDArray[np.int64]
+    acknowledged: NDArray[np.int64]
+    flags: NDArray[np.uint8]
+    start: NDArray[np.int64]
+    length: NDArray[np.int64]
+    cut: NDArray[np.bool_]
+    fresh: NDArray[np.bool_]
+
+
+def read_segments(frames: FrameBatch, network: NDArray[np.int64], ip: IpPayloads, old: int) -> Segments:
+    """Read TCP headers; of a damaged one, no data is taken.
+
+    Args:
+        frames: with ``PADDING`` bytes behind the last.
+        network: i64 (n,), start of each IP header.
+        ip: of the same rows; each holds ``TCP_BYTES`` at least.
+        old: how many of the first were read before.
+    """
+    frame_end = frames.offset + frames.length
+    header = read_at(frames.data, ip.position, _HEADER)
+    start = ip.position + (header["words"] >> 4).astype(np.int64) * 4
+    end = np.minimum(ip.end, frame_end)
+    sound = (start >= ip.position + TCP_BYTES) & (start <= end)
+    start = np.where(sound, start, end)
+    flags = header["flags"].astype(np.uint8)
+    return Segments(
+        frames=frames,
+        network=network,
+        ip=ip,
+        source_port=header["source_port"].astype(np.uint16),
+        destination_port=header["destination_port"].astype(np.uint16),
+        sequence=(header["sequence"].astype(np.int64) + (flags & _SYN != 0)) % (1 << 32),
+        acknowledged=header["acknowledged"].astype(np.int64),
+        flags=np.where(sound, flags, 0).astype(np.uint8),
+        start=start,
+        length=end - start,
+        cut=(ip.end > frame_end) | (frames.length < frames.original_length),
+        fresh=np.arange(len(frames)) >= old,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SegmentBytes:
+    """What new segments are to hold; all arrays have the same length.
+
+    Attributes:
+        data: u8, has the bytes.
+        offset: i64, start of each.
+        length: i64, bytes of each.
+        sequence: i64, sequence number of the first.
+    """
+
+    data: NDArray[np.uint8]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int64]
+    sequence: NDArray[np.int64]
+
+
+def rebuilt(
+    segments: Segments, rows: NDArray[np.int64], contents: SegmentBytes
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+    """Make segments with the headers of others.
+
+    A packet longer than an IP header can say has the length 0 there, as segmentation offload leaves it.
+
+    Args:
+        segments: have the headers.
+        rows: i64 (n,), which of them.
+        contents: (n,), what the new segments hold.
+
+    Returns:
+        The frames, u8; i64 (n,), where each starts; i64 (n,), bytes of its headers.
+    """
+    offset = segments.frames.offset[rows]
+    header = segments.start[rows] - offset
+    # Checksums are sums of 16-bit words: TCP headers start at even places, a zero byte follows each frame.
+    transport = segments.ip.position[rows] - offset
+    stride = (header + contents.length + 3) & ~1
+    place = np.cumsum(stride) - stride + (transport & 1)
+    out = np.zeros(int(stride.sum()) + 1 + PADDING, np.uint8)
+    copy_rows(out, place + header, contents.data, contents.offset, contents.length)
+    shape = header << 16 | transport << 8 | (segments.network[rows] - offset)
+    for _, chosen in by_value(shape):
+        first = chosen[0]
+        _put_headers(
+            out,
+            (int(header[first]), int(transport[first]), int(segments.network[rows[first]] - offset[first])),
+            gather(segments.frames.data, offset[chosen], int(header[first])),
+            place[chosen],
+            contents.length[chosen],
+            contents.sequence[chosen],
+        )
+    return out[: len(out) - PADDING], place, header
+
+
+def _put_headers(
+    out: NDArray[np.uint8],
+    shape: tuple[int, int, int],
+    head: NDArray[np.uint8],
+    place: NDArray[np.int64],
+    length: NDArray[np.int64],
+    sequence: NDArray[np.int64],
+) -> None:
+    """Write the headers of segments of one shape: bytes of all, start of the TCP header, of the IP header."""
+    size, transport, network = shape
+    four = head[0, network] >> 4 == 4
+    total = size - network + length
+    if four:
+        put_words(head, network + 2, np.where(total > 0xFFFF, 0, total))
+        put_words(head, network + 10, np.zeros(len(head), np.int64))
+        put_words(head, network + 10, internet_checksum(words_of(head[:, network:transport]).sum(axis=1)))
+        addresses = head[:, network + 12 : network + 20]
+    else:
+        rest = total - 40
+        put_words(head, network + 4, np.where(rest > 0xFFFF, 0, rest))
+        addresses = head[:, network + 8 : network + 40]
+    tcp = head[:, transport:]
+    tcp[:, 4:8] = sequence.astype(">u4").view(np.uint8).reshape(-1, 4)
+    tcp[:, _FLAGS_AT] &= _KEPT_FLAGS
+    put_words(tcp, 16, np.zeros(len(head), np.int64))
+    whole = size - transport + length
+    total = (
+        words_of(addresses).sum(axis=1) + TCP + (whole & 0xFFFF) + (whole >> 16) + words_of(tcp).sum(axis=1)
+    )
+    put_words(tcp, 16, internet_checksum(total + payload_sums(out, place + size, length)))
+    out[place[:, None] + np.arange(size)] = head
