@@ -26,6 +26,7 @@ PUT_OFF = {
     "io/capture/scapy_backend.py": ("scapy", "0.35 s, and only where there is no packet ring"),
     "io/formats/open.py": ("tempfile", "4 ms, only for recordings from a pipe or packed"),
     "io/formats/stream.py": ("zstandard", "only for captures inside zstd data"),
+    "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
     "io/foxglove/server.py": (
         "edoras_tools.io.foxglove.client",
         "websockets, an extra: when the first client comes",
