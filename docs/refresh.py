@@ -323,7 +323,20 @@ def _balance() -> str:
     return "\n".join(lines) + "\n"
 
 
+def _index() -> str:
+    """Return the tables of an archive's index."""
+    from edoras_tools.pipelines.archive import tables
+
+    lines = []
+    for table in tables.TABLES.values():
+        lines += [f"**`{table.name}`**: {table.told}", "", "| column | type | what |", "|---|---|---|"]
+        lines += [f"| `{item.name}` | {item.kind} | {item.told} |" for item in table.columns[1:]]
+        lines.append("")
+    return "\n".join(lines)
+
+
 TABLES: Final[dict[str, Callable[[], str]]] = {
+    "index": _index,
     "balance": _balance,
     "marks": _marks,
     "findings": _findings,

@@ -38,7 +38,7 @@ _NO_MEMORY: Final = (
 
 GROUPS: Final = {
     "Look": ("sniff", "info", "decode", "live", "plot", "host"),
-    "Record": ("record", "recover", "export", "files"),
+    "Record": ("record", "recover", "export", "files", "archive"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "sweep", "proxy"),
     "Connect": ("bridge", "mission", "codegen", "structs", "wireshark"),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from edoras_tools.cli.settings import in_effect
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
 
 def print_json(value: Mapping[str, Any]) -> None:
@@ -26,12 +26,16 @@ def print_json(value: Mapping[str, Any]) -> None:
 
 def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print rows with the same keys as CSV with a header; lists and maps as JSON, None as an empty field."""
-    if not rows:
-        return
+    if rows:
+        write_csv(list(rows[0]), (list(row.values()) for row in rows))
+
+
+def write_csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Print rows below the names of their columns, as ``print_csv`` does."""
     writer = csv.writer(sys.stdout)
-    writer.writerow(rows[0])
+    writer.writerow(names)
     for row in rows:
         writer.writerow(
             json.dumps(value, ensure_ascii=False) if isinstance(value, dict | list) else value
-            for value in row.values()
+            for value in row
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,6 +18,8 @@ from edoras_tools.wire.order import numbered
 from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
     from typing_extensions import Self
 
@@ -210,8 +213,7 @@ class Payloads:
             payload = gather(batch.data, columns.packet_offset[rows] + columns.header_length[rows], size)
             counters = [layout.column(name, payload) for name in names]
             samples.add(base + rows, batch.time_ns[rows], *counters)
-        for row in np.flatnonzero(downward & (known == cfe.EVENT_MSG_ID)).tolist():
-            self._event(batch, row, base, _payload(batch, columns, row))
+        self.events += islice(events_in(batch, columns, base), max(0, _MOST - len(self.events)))
         listed = (columns.sbn_msg_type == sbn.MsgType.SUB) | (columns.sbn_msg_type == sbn.MsgType.UNSUB)
         listed &= (columns.findings & np.uint32(Finding.CAPTURE_CUT)) == 0
         self._subscribe(batch, np.flatnonzero(listed), base)
@@ -259,23 +261,6 @@ class Payloads:
             events=[replace(item, time_ns=int(time_ns[item.row])) for item in self.events],
         )
 
-    def _event(self, batch: PacketBatch, row: int, base: int, payload: bytes) -> None:
-        if len(payload) < cfe.EVENT.size - 2 or len(self.events) >= _MOST:
-            return
-        read = cfe.EVENT.parse(payload.ljust(cfe.EVENT.size, b"\0"))
-        self.events.append(
-            EventRecord(
-                base + row,
-                int(batch.number[row]),
-                int(batch.time_ns[row]),
-                read["app_name"],
-                read["event_id"],
-                read["event_type"],
-                f"{read['spacecraft_id']}:{read['processor_id']}",
-                read["message"].strip(),
-            )
-        )
-
     def _subscribe(self, batch: PacketBatch, rows: NDArray[np.intp], base: int) -> None:
         """Read each SUB and UNSUB once: the public flight bridge says the same twice a second."""
         start = batch.offset[rows] + sbn.HEADER.size
@@ -306,6 +291,33 @@ class Payloads:
         if code in about_app and len(self.executive) < _MOST:
             name = payload[: executive_services.APP_NAME_BYTES].split(b"\0")[0].decode("ascii", "replace")
             self.executive.append(ExecutiveCommand(row, code, name))
+
+
+def events_in(batch: PacketBatch, columns: Columns, base: int = 0) -> Iterator[EventRecord]:
+    """Yield what applications say in a batch.
+
+    Args:
+        batch: the datagrams.
+        columns: of the same rows.
+        base: row of the table that the batch's first datagram has.
+    """
+    downward = among(columns.link, lambda link: link.from_cfs and link.packets)
+    known = cfe.known_ids(columns.msg_id, columns.headers)
+    for row in np.flatnonzero(downward & (known == cfe.EVENT_MSG_ID)).tolist():
+        payload = _payload(batch, columns, row)
+        if len(payload) < cfe.EVENT.size - 2:
+            continue
+        read = cfe.EVENT.parse(payload.ljust(cfe.EVENT.size, b"\0"))
+        yield EventRecord(
+            base + row,
+            int(batch.number[row]),
+            int(batch.time_ns[row]),
+            read["app_name"],
+            read["event_id"],
+            read["event_type"],
+            f"{read['spacecraft_id']}:{read['processor_id']}",
+            read["message"].strip(),
+        )
 
 
 def _subscriptions(payload: bytes) -> SubscriptionMessage:

@@ -37,17 +37,17 @@ _OTHERS = (
 _CONVERT = "captures can be made readable with: editcap -F pcapng IN OUT"
 
 
-def open_file(path: str | Path) -> Source:
+def open_file(path: str | Path, name: str = "") -> Source:
     """Open a capture or a recording by its content: pcap, pcapng or MCAP, perhaps with gzip or zstd.
 
     Args:
         path: a file, a named pipe, or ``-`` for standard input.
+        name: what it is called in messages; its path by default.
 
     Raises:
         CaptureError: ``path`` cannot be read.
     """
-    name = str(path)
-    stream: ByteStream = FileStream(_open(path), name)
+    stream: ByteStream = FileStream(_open(path), name or str(path))
     try:
         return _tell(stream, path)
     except BaseException:

@@ -1,0 +1,284 @@
+"""``edoras archive``: an index of many recordings, and what it says."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+from edoras_tools.cli import options
+from edoras_tools.cli.endings import INTERRUPTED, LOST, tell
+from edoras_tools.cli.main import Command, Group
+from edoras_tools.cli.output import print_csv, print_json
+from edoras_tools.errors import ConfigError
+
+if TYPE_CHECKING:
+    from edoras_tools.pipelines.archive.questions import ArchiveSpan
+
+
+class _Archive(Group):
+    """The group: what is no command of it is a folder to index."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments; ``archive DIR`` is ``archive index DIR``."""
+        own = {*self.commands, "-h", "--help"}
+        if args and args[0] not in own and not args[0].startswith("--color"):
+            args = ["index", *args]
+        return super().parse_args(ctx, args)
+
+
+archive = typer.Typer(
+    name="archive",
+    cls=_Archive,
+    help="Index many recordings, and ask the index. 'archive DIR' is 'archive index DIR'.",
+    no_args_is_help=True,
+    add_completion=False,
+)
+
+Index = Annotated[
+    Path,
+    typer.Option(
+        "--index",
+        metavar="FILE",
+        envvar="EDORAS_ARCHIVE",
+        help="The index, a DuckDB file; default archive.duckdb.",
+    ),
+]
+_INDEX = Path("archive.duckdb")
+Csv = Annotated[bool, typer.Option("--csv", help="Print CSV.")]
+
+
+class WorkerOptions(NamedTuple):
+    """Who reads the captures."""
+
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs",
+            metavar="N",
+            parser=options.counted,
+            help="Worker processes on this machine; default: one for each processor core.",
+        ),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Use the workers of a dask scheduler, e.g. tcp://10.0.0.5:8786, that see the same files.",
+        ),
+    ] = None
+
+
+@options.headed("Selection")
+class SpanOptions(NamedTuple):
+    """Which captures, by their time."""
+
+    since: Annotated[
+        Any,
+        typer.Option(
+            metavar="DATE", parser=options.moment, help="Only captures that end at this time or later."
+        ),
+    ] = None
+    until: Annotated[
+        Any, typer.Option(metavar="DATE", parser=options.moment, help="Only captures that begin before.")
+    ] = None
+    tz: Annotated[
+        Any,
+        typer.Option(
+            metavar="ZONE", parser=options.zone, help="Zone of these times: UTC (default), local, or a name."
+        ),
+    ] = None
+
+    def span(self) -> ArchiveSpan:
+        """Return these options in the form that pipelines take.
+
+        Raises:
+            ConfigError: a time has no date.
+        """
+        from edoras_tools.older import UTC
+        from edoras_tools.pipelines.archive.questions import ArchiveSpan
+
+        found: list[int | None] = []
+        for name, value in (("--since", self.since), ("--until", self.until)):
+            if value is None:
+                found.append(None)
+                continue
+            clock = options.at(value[0], self.tz[0] if self.tz else UTC) if value[0] else None
+            if clock is None or clock.day is None:
+                raise ConfigError(f"{name} needs a date: write 2026-05-01 or 2026-05-01T12:00")
+            found.append(clock.first(0))
+        return ArchiveSpan(*found)
+
+
+@archive.command("index", cls=Command)
+@options.grouped
+def index_captures(
+    *,
+    places: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="DIR|URL...", help="Folders, with all below them, and files; also s3: and http:."
+        ),
+    ],
+    index: Index = _INDEX,
+    again: Annotated[
+        bool, typer.Option("--again", help="Read every capture, not only new and changed ones.")
+    ] = False,
+    forget: Annotated[
+        bool, typer.Option("--forget", help="Delete what the index has of captures that are no longer there.")
+    ] = False,
+    work: WorkerOptions,
+    printing: options.PrintOptions,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Make an index of recordings, or bring it up to date.
+
+    Only new and changed captures are read. Exit code 3: some cannot be read whole; the index says which.
+    """
+    from edoras_tools.pipelines.archive import check_installed
+
+    check_installed()
+    from edoras_tools.pipelines.archive.index import open_index
+    from edoras_tools.pipelines.archive.update import Update, bring_up_to_date
+    from edoras_tools.render.archive.tables import update_lines
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+
+    if work.jobs and work.scheduler:
+        raise ConfigError(
+            "--jobs is for workers of this machine, --scheduler for those of a cluster; choose one"
+        )
+    update = Update(
+        tuple(places),
+        decoding.settings(),
+        work.jobs or 0,
+        work.scheduler or "",
+        again=again,
+        forget=forget,
+    )
+    json, quiet = printing
+    with (
+        open_index(index, write=True) as opened,
+        FileProgress(", ".join(places), console=error_console(), quiet=quiet or json) as bar,
+    ):
+        report = bring_up_to_date(opened, update, bar, tell)
+    summary = {"index": str(index), **report.summary()}
+    if json:
+        print_json(summary)
+    elif not quiet:
+        sys.stderr.writelines(f"{line}\n" for line in update_lines(summary, str(index)))
+        for line in report.bad:
+            tell(line)
+    if report.interrupted:
+        tell(f"interrupted: {report.left:,} captures are not read yet; run the same again to go on")
+        raise typer.Exit(INTERRUPTED)
+    if report.bad:
+        raise typer.Exit(LOST)
+
+
+@archive.command("list", cls=Command)
+@options.grouped
+def list_(
+    *, index: Index = _INDEX, csv: Csv = False, json: options.Json = False, chosen: SpanOptions
+) -> None:
+    """List the captures of the index: when, how many datagrams, what was lost, which are not whole."""
+    from edoras_tools.pipelines.archive import check_installed
+
+    check_installed()
+    from edoras_tools.pipelines.archive.index import open_index
+    from edoras_tools.pipelines.archive.questions import list_captures
+
+    with open_index(index) as opened:
+        rows = list_captures(opened, chosen.span())
+    if json:
+        print_json({"captures": rows})
+    elif csv:
+        print_csv(rows)
+    else:
+        from edoras_tools.render.archive.tables import captures_table
+        from edoras_tools.render.terminal.console import output_console
+
+        console = output_console()
+        console.print(captures_table(rows, console.width))
+
+
+@archive.command(cls=Command)
+@options.grouped
+def losses(
+    *,
+    index: Index = _INDEX,
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN", help="Only topics, names or MsgIds that match, e.g. '/robot_*'; repeatable."
+        ),
+    ] = None,
+    over: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE", parser=options.share, help="Only where more than this share is missing, e.g. 1%."
+        ),
+    ] = None,
+    csv: Csv = False,
+    json: options.Json = False,
+    chosen: SpanOptions,
+) -> None:
+    """List what was lost or is unaccounted for, by capture and topic.
+
+    Exit code 3: there is such.
+    """
+    from edoras_tools.pipelines.archive import check_installed
+
+    check_installed()
+    from edoras_tools.pipelines.archive.index import open_index
+    from edoras_tools.pipelines.archive.questions import list_losses
+
+    with open_index(index) as opened:
+        rows = list_losses(opened, chosen.span(), tuple(topic or ()), over=over or 0.0)
+    if json:
+        print_json({"losses": rows})
+    elif csv:
+        print_csv(rows)
+    else:
+        from edoras_tools.render.archive.tables import losses_table
+        from edoras_tools.render.terminal.console import output_console
+
+        console = output_console()
+        console.print(losses_table(rows, console.width))
+    if rows:
+        raise typer.Exit(LOST)
+
+
+@archive.command(cls=Command)
+@options.grouped
+def query(
+    *,
+    sql: Annotated[str, typer.Argument(metavar="SQL", help="A query; - reads it from standard input.")],
+    index: Index = _INDEX,
+    csv: Csv = False,
+    json: options.Json = False,
+) -> None:
+    """Ask the index in SQL; 'edoras help archive' and docs/archive.md name its tables."""
+    from edoras_tools.pipelines.archive import check_installed
+
+    check_installed()
+    from edoras_tools.pipelines.archive.index import open_index
+
+    with open_index(index) as opened:
+        names, rows = opened.answer(sys.stdin.read() if sql == "-" else sql)
+        if json:
+            from edoras_tools.render.archive.tables import json_rows
+
+            print_json({"columns": names, "rows": json_rows(rows)})
+        elif csv:
+            from edoras_tools.cli.output import write_csv
+
+            write_csv(names, rows)
+        else:
+            from edoras_tools.render.archive.tables import answer_table
+            from edoras_tools.render.terminal.console import output_console
+
+            output_console().print(answer_table(names, rows))

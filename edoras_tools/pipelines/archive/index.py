@@ -1,0 +1,205 @@
+"""The index: one DuckDB file, written by one process at a time.
+
+Rules:
+
+1. The rows of a capture are written in one transaction, in which its old rows are deleted: they are complete
+   or not there, whenever the program is killed. Nothing else ties tables together, and no row refers to the
+   order in which captures were read.
+2. A table has no key: the only writer deletes what it replaces, and DuckDB lets no second process write.
+3. Who only reads opens the file for reading, and waits for no one.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, Final
+
+import duckdb
+
+from edoras_tools import __version__
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.pipelines.archive.tables import SHAPE, TABLES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from edoras_tools.pipelines.archive.places import ListedFile
+
+_ABOUT: Final = "CREATE TABLE about (name VARCHAR, value VARCHAR)"
+
+
+@contextmanager
+def open_index(path: Path, *, write: bool = False) -> Iterator[Index]:
+    """Open an index; one that is to be written is made if it is not there.
+
+    Raises:
+        CaptureError: it cannot be opened or written, is being written by another program, or is no index.
+    """
+    if not write and not path.exists():
+        raise CaptureError(f"{path}: there is no such index; make it: edoras archive DIR --index {path}")
+    try:
+        connection = duckdb.connect(str(path), read_only=not write)
+    except duckdb.Error as error:
+        if "lock" in str(error):
+            raise CaptureError(
+                f"{path}: another program is using the index; wait until it has ended"
+            ) from error
+        raise CaptureError(f"{path}: is not an index that can be opened: {first_line(error)}") from error
+    try:
+        connection.execute("SET TimeZone = 'UTC'")
+        index = Index(path, connection)
+        index.check(write=write)
+        yield index
+    except duckdb.Error as error:  # a full disk, for one
+        what = "written" if write else "read"
+        raise CaptureError(f"{path}: cannot be {what}: {first_line(error)}") from error
+    finally:
+        connection.close()
+
+
+def first_line(error: Exception) -> str:
+    """Return what DuckDB says in one line, without the kind of its error."""
+    line = str(error).partition("\n")[0]
+    return line.partition(" Error: ")[2] or line
+
+
+class Index:
+    """An open index.
+
+    Args:
+        path: its file.
+        connection: to DuckDB.
+    """
+
+    def __init__(self, path: Path, connection: duckdb.DuckDBPyConnection) -> None:
+        self.path = path
+        self._connection = connection
+
+    def check(self, *, write: bool) -> None:
+        """Check that this is an index of this version; make its tables in an empty file.
+
+        Raises:
+            CaptureError: it is not.
+        """
+        there = {name for (name,) in self.ask("SELECT table_name FROM information_schema.tables")}
+        if not there and write:
+            with self._transaction():
+                for statement in (_ABOUT, *(table.create for table in TABLES.values())):
+                    self._connection.execute(statement)
+                about = [["shape", str(SHAPE)], ["made_by", __version__]]
+                self._connection.executemany("INSERT INTO about VALUES (?, ?)", about)
+            return
+        if not {"about", *(table.name for table in TABLES.values())} <= there:
+            raise CaptureError(
+                f"{self.path}: is a database, but no index of edoras archive; name another file"
+            )
+        ((shape,),) = self.ask("SELECT value FROM about WHERE name = 'shape'")
+        if shape != str(SHAPE):
+            raise CaptureError(
+                f"{self.path}: is an index of version {shape}, and this program uses {SHAPE}; make a new one"
+            )
+
+    def ask(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """Return all rows of a query."""
+        return self._connection.execute(sql, list(values)).fetchall()
+
+    def rows(self, sql: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        """Return all rows of a query, by the names of its columns."""
+        found = self._connection.execute(sql, list(values))
+        names = [item[0] for item in found.description or ()]
+        return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
+
+    def answer(self, sql: str) -> tuple[list[str], Iterator[tuple[Any, ...]]]:
+        """Return the names of the columns of a user's query, and its rows as they are asked for.
+
+        Raises:
+            ConfigError: DuckDB refuses it.
+        """
+        try:
+            found = self._connection.execute(sql)
+            names = [item[0] for item in found.description or ()]
+        except duckdb.Error as error:
+            raise ConfigError(*_mistakes(error)) from error
+        return names, self._fetched(found)
+
+    def _fetched(self, found: Any) -> Iterator[tuple[Any, ...]]:
+        try:
+            while rows := found.fetchmany(1000):
+                yield from rows
+        except duckdb.Error as error:
+            raise ConfigError(*_mistakes(error)) from error
+
+    def replace(self, captures: Iterable[str], parts: Sequence[Mapping[str, Any]]) -> None:
+        """Put rows in the place of those of some captures, all or none.
+
+        Args:
+            captures: whose rows are deleted.
+            parts: name of a table to a ``pyarrow.Table`` of new rows, each.
+        """
+        old = list(captures)
+        with self._transaction():
+            if old:
+                for table in TABLES.values():
+                    self._connection.execute(
+                        f"DELETE FROM {table.name} WHERE capture IN (SELECT unnest(?))",  # noqa: S608  own names
+                        [old],
+                    )
+            for part in parts:
+                for name, rows in part.items():
+                    self._connection.register("new_rows", rows)
+                    self._connection.execute(f"INSERT INTO {name} BY NAME SELECT * FROM new_rows")  # noqa: S608
+                    self._connection.unregister("new_rows")
+
+    def touch(self, items: Iterable[ListedFile]) -> None:
+        """Note the new date of captures whose contents are the same."""
+        with self._transaction():
+            for item in items:
+                self._connection.execute(
+                    "UPDATE captures SET size = ?, version = ?, gone = false WHERE capture = ?",
+                    [item.size, item.version, item.url],
+                )
+
+    def leave(self, gone: Sequence[str], back: Sequence[str], *, forget: bool) -> None:
+        """Mark captures that are no longer there, and those that are again.
+
+        Args:
+            gone: URLs of captures that are not there.
+            back: URLs of captures that were not there, and are.
+            forget: delete the rows of those that are gone.
+        """
+        if forget:
+            self.replace(gone, [])
+            gone = []
+        with self._transaction():
+            for urls, value in ((gone, True), (back, False)):
+                if urls:
+                    self._connection.execute(
+                        "UPDATE captures SET gone = ? WHERE capture IN (SELECT unnest(?))",
+                        [value, list(urls)],
+                    )
+
+    def run(self, sql: str, values: Sequence[Any] = ()) -> None:
+        """Execute a statement."""
+        self._connection.execute(sql, list(values))
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        self._connection.execute("BEGIN")
+        try:
+            yield
+            self._connection.execute("COMMIT")
+        except BaseException:
+            _try_rollback(self._connection)
+            raise
+
+
+def _try_rollback(connection: duckdb.DuckDBPyConnection) -> None:
+    with suppress(duckdb.Error):  # a failed commit has rolled back already
+        connection.execute("ROLLBACK")
+
+
+def _mistakes(error: Exception) -> list[str]:
+    """Return DuckDB's message, with its arrow under the mistake."""
+    lines = [line for line in str(error).splitlines() if line.strip()]
+    return lines or ["the query failed"]

@@ -1,0 +1,143 @@
+"""Where captures are: folders and files by fsspec, local or at a URL; which version of a file is there."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import TYPE_CHECKING, Any, Final
+
+from fsspec.core import url_to_fs
+from fsspec.implementations.local import LocalFileSystem
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.table import FILE_SUFFIXES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+_PACKED: Final = ("", ".gz", ".zst")
+_SUFFIXES: Final = tuple(suffix + packed for suffix in FILE_SUFFIXES for packed in _PACKED)
+_ASKED_AT_ONCE: Final = 8
+_HINTS: Final = {"s3": "pip install s3fs", "gs": "pip install gcsfs", "abfs": "pip install adlfs"}
+_VERSIONS: Final = ("ETag", "etag", "Last-Modified", "LastModified", "updated", "mtime")
+"""What servers call the version of a file, the best first."""
+
+
+@dataclass(frozen=True, slots=True)
+class ListedFile:
+    """A capture as its folder lists it.
+
+    Attributes:
+        url: where it is; of a local file its absolute path.
+        size: bytes; -1 where nobody says.
+        version: changes when the file does.
+    """
+
+    url: str
+    size: int
+    version: str
+
+
+def find_captures(roots: Iterable[str]) -> list[ListedFile]:
+    """Return every capture in some folders and below them, and every file that is named, by URL.
+
+    Raises:
+        CaptureError: a folder or file is not there, or cannot be listed.
+    """
+    found: dict[str, ListedFile] = {}
+    for root in roots:
+        try:
+            found |= {item.url: item for item in _under(root)}
+        except ImportError as error:
+            scheme = root.partition(":")[0]
+            hint = _HINTS.get(scheme, f"install what fsspec needs for {scheme}:")
+            raise CaptureError(f"{root}: {error}; {hint}") from error
+        except FileNotFoundError as error:
+            raise CaptureError(f"{root}: there is no such file or folder; check the name") from error
+        except Exception as error:  # each file system has errors of its own
+            raise CaptureError(f"{root}: cannot be listed: {reason_of(error)}") from error
+    return sorted(found.values(), key=lambda item: item.url)
+
+
+def _under(root: str) -> Iterator[ListedFile]:
+    system, path = url_to_fs(root)
+    if _is_file(system, path):
+        yield _listed(system, path, system.info(path))
+        return
+    there = system.find(path, detail=True)
+    if not there and not system.exists(path):
+        raise FileNotFoundError(root)
+    chosen = {name: item for name, item in there.items() if name.lower().endswith(_SUFFIXES)}
+    if _is_local(system):
+        chosen = {
+            name: item for name, item in chosen.items() if Path(name).is_file()
+        }  # neither pipe nor device
+    # A folder of a web server is a page: size and date of each file are told only when it is asked for.
+    unknown = [name for name, item in chosen.items() if item.get("size") is None]
+    with ThreadPoolExecutor(_ASKED_AT_ONCE) as pool:
+        chosen |= dict(zip(unknown, pool.map(system.info, unknown), strict=True))
+    for name, item in chosen.items():
+        yield _listed(system, name, item)
+
+
+def _is_file(system: Any, path: str) -> bool:
+    """Return whether a path is a file. To a web server a folder is one too: its address ends with a slash."""
+    if _is_local(system):
+        return Path(path).is_file()
+    item = system.info(path)
+    page = str(item.get("mimetype", "")).startswith("text/html")
+    return item["type"] == "file" and not page and not path.endswith("/")
+
+
+def _listed(system: Any, path: str, item: Mapping[str, Any]) -> ListedFile:
+    if _is_local(system):
+        status = Path(path).stat()  # of what a link leads to
+        return ListedFile(path, status.st_size, str(status.st_mtime_ns))
+    size, versions = item.get("size"), (item.get(name) for name in _VERSIONS)
+    version = next((str(value).strip('"') for value in versions if value is not None), "")
+    return ListedFile(system.unstrip_protocol(path), -1 if size is None else size, version)
+
+
+def _is_local(system: Any) -> bool:
+    return isinstance(system, LocalFileSystem)
+
+
+def listed_now(url: str) -> ListedFile:
+    """Return what is at a URL now.
+
+    Raises:
+        OSError: nothing, or it cannot be asked.
+    """
+    system, path = url_to_fs(url)
+    system.invalidate_cache()
+    return _listed(system, path, system.info(path))
+
+
+@contextmanager
+def at_hand(url: str) -> Iterator[Path]:
+    """Yield a local file with what is at a URL: itself where it is local, else a copy, removed at the end.
+
+    Raises:
+        OSError: it cannot be fetched.
+    """
+    system, path = url_to_fs(url)
+    if _is_local(system):
+        yield Path(path)
+        return
+    with NamedTemporaryFile(prefix="edoras-", suffix="".join(Path(path).suffixes[-2:])) as copy:
+        system.get_file(path, copy.name)
+        yield Path(copy.name)
+
+
+def root_of(text: str) -> str:
+    """Return what a user named as a URL, or as an absolute path without a slash at its end."""
+    system, path = url_to_fs(text)
+    return str(path) if _is_local(system) else str(system.unstrip_protocol(path))
+
+
+def reason_of(error: Exception) -> str:
+    """Return what went wrong, in one line."""
+    return (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]

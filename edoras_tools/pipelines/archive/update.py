@@ -1,0 +1,318 @@
+"""Brings an index up to date: lists captures, has workers read the new and changed ones, writes their rows.
+
+Rules:
+
+1. Captures are read in groups, so that small files are not a task each; a group is small enough that every
+   worker gets several.
+2. A few groups per worker are under way at a time: results are written as they come, and do not pile up.
+3. A worker that is lost is replaced by dask, and its group is read again. A group that loses several workers
+   is divided into single captures; one that still does is listed as unreadable, with that reason.
+4. What was written stays: when the program ends early, the next update goes on with the rest.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from distributed import as_completed
+from distributed.client import FutureCancelledError
+from distributed.scheduler import KilledWorker
+
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.pipelines.archive.cluster import workers
+from edoras_tools.pipelines.archive.places import find_captures, root_of
+from edoras_tools.pipelines.archive.work import (
+    CHANGING,
+    Task,
+    examine_group,
+    failed,
+    fingerprint,
+)
+from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from distributed import Client, Future
+
+    from edoras_tools.pipelines.archive.index import Index
+    from edoras_tools.pipelines.archive.places import ListedFile
+    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.render.terminal.run import Progress
+
+_GROUP_BYTES: Final = 16 << 20
+_GROUP_CAPTURES: Final = 64
+_GROUPS_EACH: Final = 8
+"""At least so many groups for each worker, where there are enough captures: the last ones end together."""
+_UNDER_WAY: Final = 3
+"""Groups for each worker that were handed out and are not written yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """What is to be done.
+
+    Attributes:
+        roots: folders, files and URLs.
+        settings: missions and options, for all captures.
+        jobs: worker processes on this machine; 0: one for each processor core.
+        scheduler: address of a dask scheduler instead; empty for none.
+        again: read every capture, not only those that are new or changed.
+        forget: delete what the index has of captures that are no longer there.
+    """
+
+    roots: tuple[str, ...]
+    settings: Settings
+    jobs: int = 0
+    scheduler: str = ""
+    again: bool = False
+    forget: bool = False
+
+
+@dataclass(slots=True)
+class UpdateReport:
+    """What was done.
+
+    Attributes:
+        found: captures that are there.
+        read: captures whose rows were written.
+        same: captures with a new date and the contents that the index has.
+        gone: captures that the index has and that are no longer there.
+        bad: error of each capture that could not be read whole, now or before.
+        lost_workers: workers that were lost.
+        interrupted: whether Ctrl-C ended it.
+    """
+
+    found: int = 0
+    read: int = 0
+    same: int = 0
+    gone: int = 0
+    bad: list[str] = field(default_factory=list)
+    lost_workers: int = 0
+    interrupted: bool = False
+    left: int = 0
+
+    def summary(self) -> dict[str, Any]:
+        """Return the report in the shape of ``archive --json``."""
+        return {
+            "found": self.found,
+            "read": self.read,
+            "same": self.same,
+            "unchanged": self.found - self.read - self.same - self.left,
+            "left": self.left,
+            "gone": self.gone,
+            "lost_workers": self.lost_workers,
+            "errors": self.bad,
+        }
+
+
+def bring_up_to_date(
+    index: Index,
+    update: Update,
+    progress: Progress | None = None,
+    told: Callable[[str], None] = lambda _line: None,
+) -> UpdateReport:
+    """Read what is new or changed, and write it to an index.
+
+    Args:
+        index: open for writing.
+        update: what is to be done.
+        progress: shows how many captures are read.
+        told: called with lines for the user while it runs.
+
+    Raises:
+        CaptureError: a folder cannot be listed, the scheduler is not there or was lost, the disk is full.
+        ConfigError: a mission has mistakes, or a worker sees another one.
+    """
+    settings = fingerprint(update.settings)
+    there = find_captures(update.roots)
+    known = {
+        row["capture"]: row
+        for row in index.rows("SELECT capture, size, version, sha256, settings, state, gone FROM captures")
+    }
+    new = [item for item in there if update.again or _is_new(item, known.get(item.url), settings)]
+    report = UpdateReport(found=len(there), left=len(new))
+    names = {item.url for item in there}
+    places = [root_of(item) for item in update.roots]
+    gone = [url for url in known if url not in names and any(_is_under(url, place) for place in places)]
+    report.gone = len(gone)
+    index.leave(gone, [url for url in names if url in known and known[url]["gone"]], forget=update.forget)
+    if new:
+        hashes = (
+            {}
+            if update.again
+            else {url: row["sha256"] for url, row in known.items() if row["settings"] == settings}
+        )
+        with on_interrupt(_interrupt, here=True) as asked:
+            try:
+                with workers(update.jobs, update.scheduler, most=len(new)) as client:
+                    _Run(index, client, report, set(known), told).all(
+                        _tasks(new, hashes, update.settings, settings, _count(client)), progress
+                    )
+            except KeyboardInterrupt:
+                if not asked.is_set():
+                    raise
+                report.interrupted = True
+    report.bad = [
+        error
+        for (error,) in index.ask(
+            "SELECT error FROM captures WHERE error IS NOT NULL AND capture IN (SELECT unnest(?)) "
+            "ORDER BY capture",
+            [list(names)],
+        )
+    ]
+    return report
+
+
+def _interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+def _is_new(item: ListedFile, known: dict[str, Any] | None, settings: str) -> bool:
+    """Return whether a capture has to be read: also one that could not be read at all, or was changing."""
+    if (
+        known is None
+        or known["settings"] != settings
+        or known["sha256"] is None
+        or known["state"] == CHANGING
+    ):
+        return True
+    return not item.version or (known["size"], known["version"]) != (item.size, item.version)
+
+
+def _is_under(url: str, place: str) -> bool:
+    return url == place or url.startswith(place.rstrip("/") + "/")
+
+
+def _count(client: Client) -> int:
+    return max(1, len(client.nthreads()))
+
+
+def _tasks(
+    new: Sequence[ListedFile], hashes: dict[str, str | None], settings: Settings, print_: str, workers_: int
+) -> deque[Task]:
+    """Divide captures into groups; the largest first, so that the last ones to end are small."""
+    total = sum(max(0, item.size) for item in new)
+    most_bytes = min(_GROUP_BYTES, total // (_GROUPS_EACH * workers_))
+    most = max(1, min(_GROUP_CAPTURES, len(new) // (_GROUPS_EACH * workers_)))
+    tasks: deque[Task] = deque()
+    group: list[ListedFile] = []
+
+    def end() -> None:
+        if group:
+            captures = tuple((item.url, hashes.get(item.url) or "") for item in group)
+            tasks.append(Task(captures, settings, print_))
+            group.clear()
+
+    for item in sorted(new, key=lambda item: (-item.size, item.url)):
+        if len(group) >= most or sum(max(0, own.size) for own in group) + item.size > most_bytes:
+            end()
+        group.append(item)
+    end()
+    return tasks
+
+
+class _Run:
+    """Hands out groups and writes what comes back.
+
+    Args:
+        index: open for writing.
+        client: of the cluster.
+        report: filled while it runs.
+        known: captures that the index has rows of.
+        told: called with lines for the user.
+    """
+
+    def __init__(
+        self,
+        index: Index,
+        client: Client,
+        report: UpdateReport,
+        known: set[str],
+        told: Callable[[str], None],
+    ) -> None:
+        self._index, self._client, self._report, self._known, self._told = index, client, report, known, told
+        self._tasks: dict[str, Task] = {}
+        self._workers: set[str] = set()
+
+    def all(self, waiting: deque[Task], progress: Progress | None) -> None:
+        """Do all groups.
+
+        Raises:
+            CaptureError: the scheduler was lost, or the index cannot be written.
+            ConfigError: a worker cannot do it.
+        """
+        of = self._report.left
+        coming = as_completed([], loop=self._client.loop, raise_errors=False)
+        while waiting or self._tasks:
+            while waiting and len(self._tasks) < _UNDER_WAY * _count(self._client):
+                future = self._client.submit(examine_group, task := waiting.popleft(), pure=False)
+                self._tasks[future.key] = task
+                coming.add(future)
+            batch = [next(coming), *_more(coming)]
+            self._watch()
+            self._write(batch, waiting)
+            if progress is not None:
+                progress.step("captures", of - self._report.left, of)
+
+    def _watch(self) -> None:
+        """Tell of workers that are no longer there."""
+        now = set(self._client.nthreads())
+        if lost := len(self._workers - now):
+            self._report.lost_workers += lost
+            self._told(f"{plural(lost, 'worker')} lost; what they had not finished is read again")
+        self._workers = now
+
+    def _write(self, futures: list[Future], waiting: deque[Task]) -> None:
+        parts, same, urls = [], [], []
+        for future in futures:
+            task = self._tasks.pop(future.key)
+            own = [url for url, _ in task.captures]
+            if future.status == "error" and isinstance(error := future.exception(), KilledWorker):
+                if len(own) > 1:
+                    waiting += [Task((item,), task.settings, task.fingerprint) for item in task.captures]
+                    continue
+                lost = error.allowed_failures + 1
+                reason = f"cannot be read: {lost} workers were lost with it, perhaps out of memory"
+                parts.append(failed(own, reason, task.fingerprint))
+                urls += own
+                continue
+            done = _result(future)
+            if done.misfit:
+                raise ConfigError(done.misfit)
+            parts.append(done.rows)
+            same += done.same
+            kept = {item.url for item in done.same}
+            urls += [url for url in own if url not in kept]
+        self._index.replace([url for url in urls if url in self._known], parts)
+        self._index.touch(same)
+        self._report.read += len(urls)
+        self._report.same += len(same)
+        self._report.left -= len(urls) + len(same)
+
+
+def _more(coming: Any) -> list[Future]:
+    """Return what else is complete by now; it is written in the same transaction."""
+    return list(coming.next_batch(block=False))
+
+
+def _result(future: Future) -> Any:
+    """Return what a worker returned.
+
+    Raises:
+        CaptureError: the scheduler was lost.
+        ConfigError: the worker could not begin.
+    """
+    try:
+        return future.result()
+    except FutureCancelledError as error:
+        raise CaptureError(
+            "the scheduler was lost; what was read until then is in the index: run the same again to go on"
+        ) from error
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(
+            f"a worker cannot run this: {error}; install the same edoras-tools[archive] where workers run"
+        ) from error

@@ -1,0 +1,195 @@
+"""The work that a worker does: reads a group of captures, each once, and returns their rows as Arrow tables.
+
+A worker is any process that can import this module, on this machine or another one. It keeps nothing between
+two groups, so a group can be done again, elsewhere, with the same result.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools import __version__
+from edoras_tools.diagnosis.evidence.payloads import EventRecord, events_in
+from edoras_tools.errors import EdorasError
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.pipelines.archive.places import ListedFile, at_hand, listed_now, reason_of
+from edoras_tools.pipelines.archive.rows import rows_of
+from edoras_tools.pipelines.archive.tables import TABLES
+from edoras_tools.pipelines.capture.info import Counting
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.pipelines.archive.rows import IndexRows
+    from edoras_tools.pipelines.reading import ReadLoop
+    from edoras_tools.pipelines.workbench import Settings
+
+_MOST_EVENTS: Final = 1_000_000
+"""Of one capture; a warning tells of the rest."""
+_HASHED_BYTES: Final = 1 << 20
+READ_WHOLE, READ_IN_PART, NOT_READ, CHANGING = "whole", "cut", "unreadable", "changing"
+"""States of a capture."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A group of captures to read.
+
+    Attributes:
+        captures: the URL of each, and the hash that the index has of it with these settings; empty for none.
+        settings: missions and options to read them with; the files must be there for the worker too.
+        fingerprint: of the settings, as the machine that asks sees them.
+    """
+
+    captures: tuple[tuple[str, str], ...]
+    settings: Settings
+    fingerprint: str
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What became of a group.
+
+    Attributes:
+        rows: name of a table to its rows, a ``pyarrow.Table``; tables without rows are not there.
+        same: those whose contents are as the index has them, though their date is not.
+        misfit: why the worker can read nothing; empty if it can.
+    """
+
+    rows: dict[str, Any]
+    same: tuple[ListedFile, ...] = ()
+    misfit: str = ""
+
+
+def fingerprint(settings: Settings) -> str:
+    """Return a hash of all that decides how a capture is read: options, and the contents of the named files.
+
+    Raises:
+        EdorasError: a file cannot be read.
+    """
+    told = settings.workbench()  # a mistake in a mission is told once, not for each capture
+    parts: list[Any] = [settings.distro, sorted(settings.options.described().items())]
+    parts += [(name, hashlib.sha256(data).hexdigest()) for name, data in sorted(told.mission.files.items())]
+    for folder in settings.msg_paths:
+        files = sorted(item for item in folder.rglob("*") if item.suffix in {".msg", ".idl"})
+        parts += [(str(item.relative_to(folder)), _hash(item)) for item in files]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def examine_group(task: Task) -> Done:
+    """Read a group of captures; what goes wrong with one is told in its row."""
+    if reason := _misfit(task):
+        return Done({}, misfit=reason)
+    same: list[ListedFile] = []
+    rows: IndexRows = {table.name: [] for table in TABLES.values()}
+    for url, known in task.captures:
+        found = _examined(url, known, task)
+        if isinstance(found, ListedFile):
+            same.append(found)
+            continue
+        for name, own in found.items():
+            rows[name] += [{"capture": url, **row} for row in own]
+    made = {table.name: table.arrow(rows[table.name]) for table in TABLES.values() if rows[table.name]}
+    return Done(made, tuple(same))
+
+
+def failed(urls: Sequence[str], reason: str, fingerprint: str) -> dict[str, Any]:
+    """Return the rows of captures that no worker could read."""
+    identity = {"size": -1, "version": "", "gone": False, "settings": fingerprint, "made_by": __version__}
+    rows = [{"capture": url, **identity, **_bad(NOT_READ, f"{url}: {reason}")} for url in urls]
+    return {"captures": TABLES["captures"].arrow(rows)}
+
+
+def _misfit(task: Task) -> str:
+    """Return why this worker's results would not fit those of others; empty if they do."""
+    try:
+        own = fingerprint(task.settings)
+    except (EdorasError, OSError) as error:
+        return f"a worker cannot read the mission: {error}"
+    if own != task.fingerprint:
+        return "a worker sees other mission files, or another edoras-tools, than this machine"
+    return ""
+
+
+def _examined(url: str, known: str, task: Task) -> IndexRows | ListedFile:
+    """Return the rows of a capture; or what it is now, if its contents are known."""
+    digest, before = "", ListedFile(url, -1, "")
+    try:
+        before = listed_now(url)
+        with at_hand(url) as path:
+            digest = _hash(path)
+            if digest == known and before == listed_now(url):
+                return before
+            rows = _read(path, url, task.settings)
+        changed = f"{url}: changed while it was read; index it again when it is complete"
+        state = {} if listed_now(url) == before else _bad(CHANGING, changed)
+    except EdorasError as error:
+        rows, state = {}, _bad(NOT_READ, str(error))
+    except Exception as error:  # noqa: BLE001  whatever is wrong with one capture, others are read
+        reason = f"{url}: cannot be read: {reason_of(error)}"
+        rows, state = {}, _bad(NOT_READ, reason)
+    if state.get("state") == CHANGING:
+        rows, before = {}, ListedFile(url, -1, "")  # it is no capture yet: the next update reads it
+    identity = {"size": before.size, "version": before.version, "sha256": digest or None, "gone": False}
+    identity |= {"settings": task.fingerprint, "made_by": __version__}
+    capture = rows.get("captures", [{}])[0]
+    return {**rows, "captures": [{**capture, **state, **identity}]}
+
+
+def _bad(state: str, reason: str) -> dict[str, Any]:
+    return {"state": state, "error": reason}
+
+
+class _Listening(Counting):
+    """Counts datagrams, and keeps what applications of cFS say."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.events: list[EventRecord] = []
+        self.left_out = 0
+
+    def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
+        """See ``Counting.add``."""
+        kept = super().add(rows, loop)
+        found = list(events_in(*kept.alone()))
+        self.events += found[: _MOST_EVENTS - len(self.events)]
+        self.left_out += max(0, len(found) - (_MOST_EVENTS - len(self.events)))
+        return kept
+
+
+def _read(path: Path, url: str, settings: Settings) -> IndexRows:
+    """Read a capture to its end, as far as that is possible.
+
+    Raises:
+        EdorasError: nothing of it can be read.
+    """
+    source = open_file(path, url)
+    try:
+        bench = settings.workbench(source.info)
+    except EdorasError:
+        source.close()
+        raise
+    counting = _Listening(source, bench)
+    findings = examine(source, bench, counting=counting)
+    info = counting.report.summary()
+    if counting.left_out:
+        info["warnings"] += [f"{plural(counting.left_out, 'event')} more than an index takes"]
+    rows = rows_of(info, findings, counting.events, bench.mission.files)
+    reason = str(findings.failure) if findings.failure else None
+    rows["captures"][0] |= {"state": READ_IN_PART if reason else READ_WHOLE, "error": reason}
+    return rows
+
+
+def _hash(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        for piece in iter(lambda: file.read(_HASHED_BYTES), b""):
+            digest.update(piece)
+    return digest.hexdigest()

@@ -1,0 +1,145 @@
+"""What an index says, as tables for people."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from edoras_tools.io.formats.jsonl.texts import json_value
+from edoras_tools.render import units
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.table import Column, build, figure, plain
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from rich.console import RenderableType
+
+_LOST: Final = Level.ERROR.style
+_MOST_LINES: Final = 1000
+"""Rows of an answer in a table; CSV and JSON have all."""
+
+
+def update_lines(summary: Mapping[str, Any], index: str) -> Iterator[str]:
+    """Yield what an update did, in the shape of ``archive --json``."""
+    parts = [f"{summary['read']:,} read", f"{summary['unchanged']:,} unchanged"]
+    parts += [f"{summary[name]:,} {told}" for name, told in _RARE.items() if summary[name]]
+    yield f"{index}: {plural(summary['found'], 'capture')}: {', '.join(parts)}"
+
+
+_RARE: Final = {
+    "same": "with a new date and the same contents",
+    "gone": "no longer there",
+    "left": "not read yet",
+}
+
+
+def captures_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableType:
+    """Return captures as a table, and below it why some are not whole.
+
+    Args:
+        rows: as ``archive list --json`` has them.
+        width: of the terminal.
+    """
+    columns = (
+        Column("Began (UTC)", lambda row: plain(_when(row["start_ns"])), justify="left"),
+        Column("Capture", lambda row: plain(short(row["capture"])), justify="left", elastic=True),
+        Column("Length", lambda row: plain(_length(row["seconds"])), rank=1),
+        Column("Datagrams", figure("datagrams")),
+        Column("Lost", figure("lost", _LOST)),
+        Column("Unaccounted", figure("unaccounted", _LOST), rank=2),
+        Column("Worst", lambda row: plain(row["worst"] or ""), justify="left", rank=1),
+        Column("State", lambda row: plain("gone" if row["gone"] else row["state"]), justify="left"),
+    )
+    errors = [plain(row["error"]) for row in rows if row["error"]]
+    return Group(build(columns, rows, width), *errors, Text(f"{plural(len(rows), 'capture')}."))
+
+
+def losses_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableType:
+    """Return losses as a table.
+
+    Args:
+        rows: as ``archive losses --json`` has them.
+        width: of the terminal.
+    """
+    columns = (
+        Column("Began (UTC)", lambda row: plain(_when(row["start_ns"])), justify="left"),
+        Column("Capture", lambda row: plain(short(row["capture"])), justify="left", elastic=True),
+        Column("Link", lambda row: plain((row["link"] or "").upper()), justify="left", rank=1),
+        Column(
+            "Topic", lambda row: plain(row["topic"] or row["name"] or row["msg_id"] or "?"), justify="left"
+        ),
+        Column("Sent", figure("sent")),
+        Column("Lost", figure("lost", _LOST)),
+        Column("Unaccounted", figure("unaccounted", _LOST), rank=1),
+        Column("Share", lambda row: plain(_percent(row["share"]))),
+        Column("By", lambda row: plain(", ".join(row["causes"])), justify="left", rank=2),
+    )
+    lost, unaccounted = (sum(row[name] for row in rows) for name in ("lost", "unaccounted"))
+    captures = plural(len({row["capture"] for row in rows}), "capture")
+    told = f"{lost:,} lost, {unaccounted:,} unaccounted for, in {captures}."
+    return Group(build(columns, rows, width), Text(told)) if rows else Text("No loss.")
+
+
+def answer_table(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> RenderableType:
+    """Return the answer to a query as a table; numbers are on the right."""
+    some = iter(rows)
+    shown = list(islice(some, _MOST_LINES))
+    rest = sum(1 for _ in some)
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
+    for place, name in enumerate(names):
+        right = any(isinstance(row[place], int | float) for row in shown)
+        table.add_column(Text(name), justify="right" if right else "left", no_wrap=True, overflow="ellipsis")
+    for row in shown:
+        table.add_row(*(plain(_cell(value), palette.DIM if value is None else "") for value in row))
+    more = [Text(f"and {plural(rest, 'row')} more: --csv", palette.DIM)] if rest else []
+    return Group(table, *more)
+
+
+def short(capture: str) -> str:
+    """Return the URL of a capture as people are told of it: without the folder they are in."""
+    path, here = Path(capture), Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else capture
+
+
+def json_rows(rows: Iterable[Sequence[Any]]) -> list[list[Any]]:
+    """Return the rows of an answer as JSON takes them: times and the like are texts."""
+    return [[_plain(value) for value in row] for row in rows]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {str(name): _plain(item) for name, item in value.items()}
+    if isinstance(value, Decimal):
+        value = float(value)
+    if isinstance(value, bytes):
+        return value.hex()
+    return json_value(value) if value is None or isinstance(value, bool | int | float) else str(value)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return units.NONE
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _when(time_ns: int | None) -> str:
+    return units.NONE if time_ns is None else units.utc(time_ns, digits=0)
+
+
+def _length(seconds: float | None) -> str:
+    return units.NONE if seconds is None else units.duration(seconds)
+
+
+def _percent(share: float | None) -> str:
+    return units.NONE if share is None else f"{100 * share:.3g} %"

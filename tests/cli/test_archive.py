@@ -1,0 +1,160 @@
+"""``edoras archive``: what its commands print, and how they end."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import io
+import json
+import subprocess
+import sys
+
+import pytest
+from places import CAPTURES, MISSIONS
+from schema import held
+
+NAMES = ("a_rover", "b_arm_single")
+
+
+@pytest.fixture(scope="module")
+def indexed(edoras, tmp_path_factory):
+    """A folder with the index of two captures and of one that is none, and what its making printed."""
+    folder = tmp_path_factory.mktemp("archive")
+    (folder / "text.pcap").write_text("hello")
+    files = [CAPTURES / f"{name}.pcap" for name in NAMES]
+    options = ["-c", MISSIONS / "rover_ground.yaml", "--jobs", "1", "--index", folder / "x.duckdb", "--json"]
+    done = edoras("archive", *files, folder, *options, text=True)
+    return folder, done
+
+
+@pytest.fixture
+def index(indexed, monkeypatch):
+    """The index, which the environment names."""
+    monkeypatch.setenv("EDORAS_ARCHIVE", str(indexed[0] / "x.duckdb"))
+    return indexed[0]
+
+
+def test_making_it(indexed):
+    folder, done = indexed
+    assert done.returncode == 3, done.stderr
+    assert done.stderr == ""
+    said = held(json.loads(done.stdout), ["archive", "--json"])
+    assert (said["found"], said["read"], said["unchanged"], said["lost_workers"]) == (3, 3, 0, 0)
+    (error,) = said["errors"]
+    assert error.startswith(f"{folder / 'text.pcap'}: looks like text")
+
+
+def test_again_nothing_is_read(call, index):
+    done = call("archive", index, "-c", MISSIONS / "rover_ground.yaml", "--jobs", "1")
+    assert (done.code, done.out) == (3, "")
+    assert done.err[0] == f"{index / 'x.duckdb'}: 1 capture: 0 read, 1 unchanged"
+    assert done.err[1].startswith(f"edoras: {index / 'text.pcap'}: looks like text")
+    assert (
+        call("archive", "index", CAPTURES / "a_rover.pcap", "-q", "-c", MISSIONS / "rover_ground.yaml").code
+        == 0
+    )
+
+
+def test_list(call, index):
+    done = call("archive", "list")
+    lines = done.out.splitlines()
+    assert done.code == 0
+    assert [word for word in lines[1].split() if "rover" in word] != []
+    assert " 1,827 " in lines[1]
+    assert lines[3].endswith("unreadable")
+    assert lines[4].startswith(str(index / "text.pcap"))
+    said = call("archive", "list", "--json").json()["captures"]
+    assert [row["lost"] for row in said] == [92, said[1]["lost"], None]
+    rows = list(csv.DictReader(io.StringIO(call("archive", "list", "--csv").out)))
+    assert [row["datagrams"] for row in rows] == ["1827", "944", ""]
+    assert call("archive", "list", "--until", "2026-11-21T06:15", "--json").json()["captures"] == said[:1]
+
+
+def test_losses(call, index):
+    done = call("archive", "losses", "--topic", "/cmd*", "--until", "2026-11-21T06:15")
+    assert done.code == 3
+    assert done.out.splitlines()[1].split()[-6:] == ["600", "92", "0", "15.3", "%", "limit"]
+    assert done.out.splitlines()[-1] == "92 lost, 0 unaccounted for, in 1 capture."
+    (row,) = call("archive", "losses", "--json", "--over", "10%", "--until", "2026-11-21T06:15").json()[
+        "losses"
+    ]
+    assert (row["topic"], row["share"], row["causes"]) == ("/cmd_vel", 92 / 600, ["limit"])
+    assert call("archive", "losses", "--csv").out.startswith("capture,start_ns,topic,")
+    nothing = call("archive", "losses", "--since", "2030-01-01")
+    assert (nothing.code, nothing.out) == (0, "No loss.\n")
+
+
+SQL = (
+    "SELECT parse_filename(capture) AS run, lost, began, 0.5::DECIMAL(3, 1) AS half, evidence FROM captures \
+JOIN verdicts USING (capture, lost) ORDER BY run LIMIT 1"
+)
+
+
+def test_query(call, index, monkeypatch):
+    done = call("archive", "query", SQL, "--json")
+    said = done.json()
+    assert said["columns"] == ["run", "lost", "began", "half", "evidence"]
+    (row,) = said["rows"]
+    assert row[:4] == ["a_rover.pcap", 92, "2026-11-21 06:13:56.850346", 0.5]
+    assert isinstance(row[4], list)
+    table = call("archive", "query", SQL).out.splitlines()
+    assert table[0].split() == said["columns"]
+    monkeypatch.setattr("sys.stdin", io.StringIO("SELECT 1 AS a, NULL AS b"))
+    assert call("archive", "query", "-", "--csv").out.splitlines() == ["a,b", "1,"]
+    assert call("archive", "query", "SELECT 0 / 0.0 AS a", "--json").json()["rows"] == [["NaN"]]
+    many = call("archive", "query", "FROM range(1200)").out.splitlines()
+    assert (len(many), many[-1]) == (1002, "and 200 rows more: --csv")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["query", "SELEC 1"], "edoras: Parser Error: syntax error at or near"),
+        (["query", "DELETE FROM captures"], "edoras: Invalid Input Error: Cannot execute statement of type"),
+        (["query", "SELECT 1", "--index", "nowhere"], "edoras: nowhere: there is no such index; make it: "),
+        (["list", "--since", "3h"], "edoras: --since needs a date: write 2026-05-01 or 2026-05-01T12:00"),
+        (["list", "--since", "12:00"], "edoras: --since needs a date: "),
+        (
+            [".", "--jobs", "0"],
+            "edoras: Invalid value for '--jobs': 0 is less than 1; see edoras archive index -h",
+        ),
+        ([".", "--jobs", "2", "--scheduler", "tcp://x:1"], "edoras: --jobs is for workers of this machine"),
+        (["nowhere"], "edoras: nowhere: there is no such file or folder; check the name"),
+        ([".", "-c", "nowhere.yaml"], "edoras: nowhere.yaml: "),
+    ],
+)
+def test_mistakes(arguments, told, call, index, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = call("archive", *arguments)
+    assert done.code in {1, 2}
+    assert done.err[0].startswith(told)
+    assert done.out == ""
+
+
+def test_without_the_extra(call, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        "edoras_tools.pipelines.archive.find_spec",
+        lambda name: None if name in {"duckdb", "distributed"} else find(name),
+    )
+    done = call("archive", "list")
+    told = "edoras archive needs duckdb, distributed, not installed here: pip install 'edoras-tools[archive]'"
+    assert (done.code, done.err) == (2, [f"edoras: {told}"])
+
+
+def test_other_commands_load_none_of_its_libraries(tmp_path):
+    program = f"""
+import sys
+sys.argv = ["edoras", "record", {str(CAPTURES / "a_rover.pcap")!r}, "-q", "-o", {str(tmp_path / "x.mcap")!r}]
+from edoras_tools.cli import main
+try:
+    main.run(main.program())
+except SystemExit:
+    pass
+print(sorted({{"duckdb", "dask", "distributed", "fsspec", "pyarrow", "tornado"}} & set(sys.modules)))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout == "[]\n", done.stderr
+    assert (tmp_path / "x.mcap").exists()
