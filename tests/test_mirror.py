@@ -78,6 +78,8 @@ ELSEWHERE = {
     "pipelines/structs.py": "cli/test_structs.py",
     "pipelines/sweep/*": "pipelines/sweep/test_run.py",
     "pipelines/wireshark/*": "dissectors/test_program.py",
+    "io/formats/cfe/*": "cli/test_cfe_files.py",
+    "pipelines/export/trace.py": "cli/test_cfe_files.py",
     "render/*": "render/test_hostile.py",
     "render/archive/*": "cli/test_archive.py",
     "render/capture/exported.py": "cli/test_export.py",

@@ -28,6 +28,21 @@ USUAL_STACK_BYTES: Final = 65536
 USUAL_PRIORITY: Final = 50
 RESTART_TYPES: Final = frozenset({1, 2})
 """Of the processor: a processor reset, a power-on reset."""
+MARKERS: Final = {
+    1: "CFE_ES",
+    2: "CFE_EVS",
+    3: "CFE_TBL",
+    4: "CFE_SB",
+    5: "CFE_SB message limit",
+    6: "CFE_TIME",
+    7: "CFE_TIME tone ISR",
+    8: "CFE_TIME local ISR",
+    9: "CFE_TIME send MET",
+    10: "CFE_TIME local task",
+    11: "CFE_TIME tone task",
+    27: "CFE_SB pipe overflow",
+}
+"""The markers of the performance log that cFE itself sets; the others are a mission's own."""
 
 NOT_VALID: Final = 0xC4000001
 """``CFE_ES_ERR_RESOURCEID_NOT_VALID``: a core application, or one that does not run."""

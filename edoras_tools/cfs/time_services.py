@@ -8,6 +8,8 @@ from typing import Final
 from edoras_tools.cfs.event_services import EventText, EventType
 
 NAME: Final = "CFE_TIME"
+EPOCH_S: Final = 315_532_800
+"""Usual epoch of mission time, 1980-01-01, in seconds since 1970; consoles print mission time from it."""
 LEAP_SECONDS: Final = 37
 MICROSECONDS: Final = 1_000_000
 SET_TIME, SET_MET, SET_STCF, SET_LEAP_SECONDS = 7, 8, 9, 10

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -72,6 +72,7 @@ def export(
     The topics are those of a recording: of the mission, of C structs, and /edoras/events,
     /edoras/link_statistics and so on; in a folder each has its own file. Only with --topic:
     /edoras/datagrams, and the results of the doctor, /edoras/verdicts and /edoras/lost.
+    A performance log of cFE becomes a trace for Perfetto and Chrome, a .json file.
     """
     from dataclasses import replace
 
@@ -79,10 +80,15 @@ def export(
     from edoras_tools.pipelines.export.run import export as write
     from edoras_tools.pipelines.export.sources import open_topics
     from edoras_tools.pipelines.export.tables import TableForm
+    from edoras_tools.pipelines.export.trace import export_trace
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
 
     path, files = recordings.recording_path(output), inputs.named()
+    trace = export_trace(files, path, force=table.force)
+    if trace is not None:
+        _tell(trace.summary(), printing)
+        return
     target = ExportTarget.of(path, name=table.layout, folder=output.endswith("/"), force=table.force)
     target.check(files)
     scope = part.scope()
@@ -93,10 +99,15 @@ def export(
     quiet = printing.quiet or printing.json
     with FileProgress(source.name, console=error_console(), quiet=quiet) as bar:
         report = write(source, target, patterns, form, bar)
+    _tell(report.summary(), printing)
+    topics_read(source, "the tables contain")
+
+
+def _tell(summary: dict[str, Any], printing: options.PrintOptions) -> None:
+    """Print what was written."""
     if printing.json:
-        print_json(report.summary())
+        print_json(summary)
     elif not printing.quiet:
         from edoras_tools.render.capture.exported import exported_lines
 
-        sys.stderr.writelines(f"{line}\n" for line in exported_lines(report.summary()))
-    topics_read(source, "the tables contain")
+        sys.stderr.writelines(f"{line}\n" for line in exported_lines(summary))

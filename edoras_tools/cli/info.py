@@ -38,10 +38,22 @@ def info(
             )
         _verify(paths, printing)
         return
+    from edoras_tools.io.formats.cfe.contents import read_cfe_file
     from edoras_tools.pipelines.capture.info import inspect
     from edoras_tools.render.capture.watch import watcher
 
-    source, bench = open_input(InputOptions(files), decoding.settings())
+    contents = [item for path in paths if (item := read_cfe_file(path)) is not None]
+    for item in contents:
+        if printing.json:
+            print_json(item.summary())
+        else:
+            from edoras_tools.render.capture.info import contents_lines
+
+            sys.stdout.writelines(f"{line}\n" for line in [*contents_lines(item.summary()), ""])
+    captures = [path for path in paths if path not in {item.path for item in contents}]
+    if not captures:
+        return
+    source, bench = open_input(InputOptions(FileOptions(captures)), decoding.settings())
     with watcher(source, None, quiet=printing.quiet or printing.json, live=False) as watch:
         report = inspect(source, bench, selection=chosen.selection(), limits=limits, watcher=watch)
     if printing.json:

@@ -125,11 +125,21 @@ def open_input(
     if read and user:
         raise ConfigError("--user can only be used with live traffic; files are read as the current user")
     if read:
+        from edoras_tools.io.formats.open import is_cfe_file
         from edoras_tools.pipelines.workbench import open_files
 
         notes: list[str] = []
-        if aligned and len(read) > 1 and "-" not in map(str, read):
-            from edoras_tools.pipelines.doctor.clocks import open_aligned
+        stored = [path for path in read if is_cfe_file(path)]
+        read = [path for path in read if path not in stored]
+        if not aligned:
+            read += stored  # clocks are aligned to that of the first
+        elif stored:
+            why = "no link carried its packets, so nothing is judged by them; sniff shows them"
+            if not read:
+                raise ConfigError(f"{stored[0]}: {why}")
+            notes = [f"{path}: {why}" for path in stored]
+        if (aligned or stored) and len(read) > 1 and "-" not in map(str, read):
+            from edoras_tools.pipelines.clocks import open_aligned
 
             source, notes = open_aligned(read, settings, progress)
         else:

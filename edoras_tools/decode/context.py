@@ -239,8 +239,8 @@ class Context:
         return routes
 
     def capture_ports(self) -> tuple[int, ...]:
-        """Return every UDP port that belongs to a link, for a filter in the kernel."""
-        return tuple(int(port) for port in np.flatnonzero(self.claim))
+        """Return every UDP port that belongs to a link, for a filter in the kernel; not 0, that of files."""
+        return tuple(int(port) for port in np.flatnonzero(self.claim) if port)
 
     def is_cfs(self, endpoint: Endpoint) -> bool:
         """Tell whether an endpoint's address is that of a cFS that a ground mission names."""

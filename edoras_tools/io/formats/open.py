@@ -5,13 +5,15 @@ from __future__ import annotations
 import io
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
 from edoras_tools.io.formats.stream import ByteStream, CompressedStream, FileStream, Window
-from edoras_tools.io.formats.table import MCAP, PCAPNG, READABLE
+from edoras_tools.io.formats.table import CFE, MCAP, PCAPNG, READABLE
+from edoras_tools.wire.cfe_file import CFE_MAGIC
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
@@ -55,6 +57,15 @@ def open_file(path: str | Path, name: str = "") -> Source:
         raise
 
 
+def is_cfe_file(path: Path) -> bool:
+    """Return whether a regular file is one that cFE wrote: its times are mission times."""
+    if not path.is_file():
+        return False
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(len(CFE_MAGIC)) == CFE_MAGIC
+    return False
+
+
 def _tell(stream: ByteStream, path: str | Path) -> Source:
     """Make the source for the format that the first bytes show."""
     head = _head(stream)
@@ -73,6 +84,9 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
     if head.startswith(_SECTION_HEADER):
         source: Source = PCAPNG.source()(Window(stream, head))
         return source
+    if head.startswith(CFE_MAGIC):
+        stored: Source = CFE.source()(Window(stream, head))
+        return stored
     if head.startswith(_MCAP):
         return _mcap(stream, path, b"" if stream.total_bytes and not wrapped else head)
     raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")

@@ -48,6 +48,7 @@ PCAP: Final = Format("pcap", ".pcap", "pcap:PcapSource", "pcap:PcapSink")
 PCAPNG: Final = Format("pcapng", ".pcapng", "pcapng:PcapngSource", "pcapng:PcapngSink")
 MCAP: Final = Format("MCAP", ".mcap", "mcap:McapSource", "mcap:McapSink", messages=True)
 ROSBAG2: Final = Format("rosbag2", "", "rosbag2:Rosbag", "rosbag2:Rosbag2Sink", messages=True)
+CFE: Final = Format("cFE file", "", "cfe:CfePacketSource", "")
 
 FILE_FORMATS: Final = (PCAP, PCAPNG, MCAP, ROSBAG2)
 

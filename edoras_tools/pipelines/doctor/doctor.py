@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.io.formats.cfe.contents import message_limits
 from edoras_tools.io.formats.merge import recorded_faults, recorded_host
-from edoras_tools.pipelines.doctor.clocks import OneByOne
+from edoras_tools.pipelines.clocks import OneByOne
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.words import did_you_mean
@@ -23,6 +25,9 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.capture.info import Counting
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress, Watcher
+
+_TABLE: Final = "to_limits"
+"""The constant that is read from a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,18 +161,22 @@ def profile_with(constants: Sequence[str]) -> SimProfile:
     """Return the default constants of cFS with some of them replaced.
 
     Args:
-        constants: ``NAME=VALUE`` each, whole numbers.
+        constants: ``NAME=VALUE`` each, whole numbers; ``to_limits=FILE``: Telemetry Output's table image.
 
     Raises:
         ConfigError: there is no such constant, or it cannot have that value.
+        CaptureError: the table image cannot be read.
     """
     profile = SimProfile()
     known = {item.name for item in fields(profile) if type(getattr(profile, item.name)) is int}
     changes: dict[str, Any] = {}
     for text in constants:
         name, _, value = text.partition("=")
+        if name == _TABLE:
+            changes[name] = message_limits(Path(value))
+            continue
         if name not in known:
-            hint = did_you_mean(name, sorted(known), 1) or f"there are {', '.join(sorted(known))}"
+            hint = did_you_mean(name, sorted({*known, _TABLE}), 1) or f"there are {', '.join(sorted(known))}"
             raise ConfigError(f"constant {name!r} is not known; {hint}")
         try:
             changes[name] = int(value, 0)

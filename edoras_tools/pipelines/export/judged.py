@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.pipelines.doctor.clocks import open_aligned
+from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.doctor.missing import list_missing
 from edoras_tools.pipelines.export.block import TopicBlock

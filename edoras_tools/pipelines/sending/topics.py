@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import edoras_app
+from edoras_tools.cfs.time_services import EPOCH_S
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.pipelines.sending.options import Receiver
 from edoras_tools.pipelines.sending.run import Loaded
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sending.replay import ReplaySelection
     from edoras_tools.pipelines.workbench import Workbench
-
-_CFE_EPOCH_S: Final = 315_964_800
-"""1980-01-06 in seconds since 1970."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +63,7 @@ class Encoder:
             )
             head = headers.command_bytes
         else:
-            seconds, rest = divmod(max(time_ns - _CFE_EPOCH_S * SECOND, 0), SECOND)
+            seconds, rest = divmod(max(time_ns - EPOCH_S * SECOND, 0), SECOND)
             fraction = (rest << 16) // SECOND
             data = cfe.emit_telemetry(
                 msg_id, body, seconds=seconds, subseconds=fraction, sequence_flags=0, headers=headers

@@ -13,10 +13,11 @@ from edoras_tools.render import units
 from edoras_tools.render.severity import Level, explain
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build, count_cell, plain
+from edoras_tools.render.terminal.text import clean
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
@@ -51,6 +52,36 @@ class _CaptureSummary:
             yield findings(self.summary["findings"], self.summary.get("datagrams", 0), meaning=self.explain)
         for line in self.summary.get("warnings", ()):
             yield plain(f"! {line}", Level.WARNING.style)
+
+
+def contents_lines(summary: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines on a file of cFE without packets, in the shape of ``info --json``."""
+    yield f"source   {clean(summary['source'])}  {summary['kind']}"
+    yield f"by       spacecraft {summary['spacecraft_id']}, processor {summary['processor_id']}"
+    yield f"says     {clean(summary['description'])}"
+    if summary["made_ns"]:
+        yield f"made     {units.utc(summary['made_ns'])} (mission time)"
+    if "table_name" in summary:
+        yield f"table    {clean(summary['table_name'])}, {plural(summary['load_bytes'], 'byte')}"
+    if not summary["entries"]:
+        return
+    yield ""
+    if "text" in summary["entries"][0]:
+        yield from (clean(item["text"]) for item in summary["entries"])
+        return
+    names = [*summary["entries"][0]]
+    rows = [[name.removesuffix("_ns").replace("_", " ") for name in names]]
+    rows += [[_content(name, item[name]) for name in names] for item in summary["entries"]]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+def _content(name: str, value: Any) -> str:
+    """Return a field of an entry: a time, a duration, or as it is."""
+    if name == "time_ns":
+        return units.utc(value)
+    return units.milliseconds(value / 1e6) if name.endswith("_ns") else clean(str(value))
 
 
 def totals(summary: Mapping[str, Any]) -> Table:

@@ -361,7 +361,7 @@ def test_onto_the_sbn_link_and_to_the_ground(bag, two_rovers):
     assert peer.link is SBN
     ground = from_topics(made, two_rovers, Receiver.GROUND)
     assert ground[0][:2] == b"\x08\x28"
-    assert cfe.TELEMETRY.parse(ground[0], 6)["seconds"] == 10**9 - 315_964_800
+    assert cfe.TELEMETRY.parse(ground[0], 6)["seconds"] == 10**9 - 315_532_800
 
 
 def test_a_part_of_the_messages(bag, rover):

@@ -8,7 +8,7 @@ from effort import every, long_but
 from places import CAPTURES, MISSIONS, ROOT
 from rewriting import datagrams, write
 
-from edoras_tools.pipelines.doctor.clocks import open_aligned
+from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 

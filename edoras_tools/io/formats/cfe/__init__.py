@@ -1,0 +1,1 @@
+"""Files that cFE wrote: event logs and stored packets as captures, and the contents of others."""

@@ -1,0 +1,221 @@
+"""What is in a file of cFE that has no packets: resets, markers of the performance log, a table, or text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.cfs.executive_services import MARKERS
+from edoras_tools.cfs.time_services import EPOCH_S
+from edoras_tools.errors import CaptureError
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe_file
+from edoras_tools.wire.cfe_file import (
+    FILE_HEADER,
+    MARKER,
+    PERFORMANCE,
+    RESET_ENTRY,
+    TABLE_HEADER,
+    TO_SUBSCRIPTION,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.wire.layout import Layout
+
+_SUBSCRIPTIONS: Final = ("TO_LAB.TO_LAB_Subs", "TO_LAB_APP.TO_LAB_Subs")
+"""Names of Telemetry Output's table."""
+_LARGEST: Final = 64 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class CfeFile:
+    """A file of cFE.
+
+    Attributes:
+        path: where it was read.
+        header: the fields of ``FILE_HEADER``.
+        head: those of the header behind it, of a table or a performance log; else empty.
+        entries: of a log or a table, the fields of each; of a system log the lines, as ``text``.
+        markers: of a performance log: (n, 3) i64: number of the marker, 1 at its exit, time in ns.
+    """
+
+    path: Path
+    header: dict[str, Any]
+    head: dict[str, Any] = field(default_factory=dict)
+    entries: list[dict[str, Any]] = field(default_factory=list)
+    markers: NDArray[np.int64] | None = None
+
+    @property
+    def kind(self) -> str:
+        """What it is, as ``table image``."""
+        subtype = self.header["subtype"]
+        return cfe_file.SUBTYPES.get(subtype, f"file of subtype {subtype}")
+
+    @property
+    def made_ns(self) -> int:
+        """Mission time when it was made, as ns since 1970; 0 where it has none: a table from the ground."""
+        return mission_ns(self.header) if self.header["seconds"] else 0
+
+    @property
+    def spans(self) -> NDArray[np.int64]:
+        """Each entry with the exit after it, by time: (n, 3) i64: marker, begin in ns, length in ns."""
+        assert self.markers is not None
+        rows = self.markers[np.argsort(self.markers[:, 0], kind="stable")]
+        first, second = rows[:-1], rows[1:]
+        pairs = (first[:, 0] == second[:, 0]) & (first[:, 1] == 0) & (second[:, 1] == 1)
+        spans = np.stack([first[:, 0], first[:, 2], second[:, 2] - first[:, 2]], axis=1)[pairs]
+        ordered: NDArray[np.int64] = spans[np.argsort(spans[:, 1], kind="stable")]
+        return ordered
+
+    def summary(self) -> dict[str, Any]:
+        """Return it in the shape of ``info --json``."""
+        entries = self.entries if self.markers is None else list(_by_marker(self.markers[:, 0], self.spans))
+        return {
+            "source": str(self.path),
+            "kind": f"cFE {self.kind}",
+            **{name: self.header[name] for name in ("spacecraft_id", "processor_id", "description")},
+            "made_ns": self.made_ns or None,
+            **{name: value for name, value in self.head.items() if name not in {"spare", "reserved"}},
+            "entries": entries,
+        }
+
+
+def marker_name(number: int) -> str:
+    """Return the name of a marker that cFE sets; ``marker 36`` of a mission's own."""
+    return MARKERS.get(number, f"marker {number}")
+
+
+def _by_marker(markers: NDArray[np.int64], spans: NDArray[np.int64]) -> Iterator[dict[str, Any]]:
+    for number in np.unique(markers).tolist():
+        length_ns = spans[spans[:, 0] == number, 2]
+        yield {
+            "marker": number,
+            "name": marker_name(number),
+            "times": int((markers == number).sum()),
+            "spans": len(length_ns),
+            "total_ns": int(length_ns.sum()),
+            "longest_ns": int(length_ns.max(initial=0)),
+        }
+
+
+def mission_ns(fields: dict[str, Any]) -> int:
+    """Return a mission time in seconds and 1/2^32 s as ns since 1970."""
+    return int((EPOCH_S + fields["seconds"]) * SECOND + (fields["subseconds"] * SECOND >> 32))
+
+
+def read_cfe_file(path: Path) -> CfeFile | None:
+    """Read a file of cFE whole; None if it is another file, or has packets, and is read as a capture.
+
+    Raises:
+        CaptureError: it cannot be read, or it ends too early.
+    """
+    if not path.is_file():  # bytes of a pipe can be read only once
+        return None
+    at = FILE_HEADER.size
+    try:
+        with path.open("rb") as file:
+            data = file.read(at)
+            if not data.startswith(cfe_file.CFE_MAGIC):
+                return None
+            header = _parsed(path, FILE_HEADER, data, 0)
+            if header["subtype"] in cfe_file.OF_PACKETS:
+                return None
+            data += file.read(_LARGEST)
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read: {error.strerror}") from error
+    subtype = header["subtype"]
+    if subtype == cfe_file.RESET_LOG:
+        return CfeFile(path, header, entries=_resets(path, data[at:]))
+    if subtype == cfe_file.SYSTEM_LOG:
+        lines = data[at:].rstrip(b"\0").decode("utf-8", "replace").splitlines()
+        return CfeFile(path, header, entries=[{"text": line} for line in lines])
+    if subtype == cfe_file.PERFORMANCE_LOG:
+        head = _parsed(path, PERFORMANCE, data, at)
+        return CfeFile(path, header, head, markers=_markers(path, head, data[at + PERFORMANCE.size :]))
+    if subtype == cfe_file.TABLE_IMAGE:
+        head = _parsed(path, TABLE_HEADER, data, at)
+        image = data[at + TABLE_HEADER.size :]
+        if len(image) < head["load_bytes"]:
+            raise CaptureError(f"{path}: ends after {len(image)} of the table's {head['load_bytes']} bytes")
+        known = head["table_name"] in _SUBSCRIPTIONS and not head["load_offset"]
+        return CfeFile(path, header, head, _subscriptions(image) if known else [])
+    return CfeFile(path, header)
+
+
+def message_limits(path: Path) -> dict[int, int]:
+    """Return how many messages of each MsgId may wait in Telemetry Output's pipe, by an image of its table.
+
+    Raises:
+        CaptureError: it cannot be read, or is no image of that table.
+    """
+    table = read_cfe_file(path) if path.exists() else None
+    if table is None or not table.entries or "message_limit" not in table.entries[0]:
+        what = "is not an image of Telemetry Output's table" if path.exists() else "there is no such file"
+        raise CaptureError(f"{path}: {what}; name one of {_SUBSCRIPTIONS[0]}")
+    return {int(item["msg_id"], 16): item["message_limit"] for item in table.entries}
+
+
+def _parsed(path: Path, layout: Layout, data: bytes, at: int) -> dict[str, Any]:
+    if len(data) < at + layout.size:
+        raise CaptureError(
+            f"{path}: ends inside the {layout.title}, at byte {len(data)} of {at + layout.size}"
+        )
+    return layout.parse(data, at)
+
+
+def _whole(path: Path, data: bytes, size: int, what: str) -> int:
+    """Return the number of entries of a size; the data must have no rest."""
+    count, rest = divmod(len(data), size)
+    if rest:
+        raise CaptureError(
+            f"{path}: its {len(data)} bytes are no whole number of {what} of {size} bytes; "
+            "it was cut off, or another build of cFE made it"
+        )
+    return count
+
+
+def _resets(path: Path, data: bytes) -> list[dict[str, Any]]:
+    count = _whole(path, data, RESET_ENTRY.size, "entries")
+    every = [RESET_ENTRY.parse(data, at * RESET_ENTRY.size) for at in range(count)]
+    return [
+        {
+            "time_ns": mission_ns(item),
+            **{slot.field.name: slot.field.text(item[slot.field.name]) for slot in RESET_ENTRY.slots[:2]},
+            **{name: item[name] for name in ("reset_subtype", "processor_resets", "description")},
+        }
+        for item in every
+        if item["entry_type"]
+    ]
+
+
+def _markers(path: Path, head: dict[str, Any], data: bytes) -> NDArray[np.int64]:
+    masks = 2 * 4 * head["mask_words"]
+    if not head["ticks_per_second"] or masks > len(data):
+        raise CaptureError(
+            f"{path}: its header is not that of a performance log of a little-endian processor"
+        )
+    data = data[masks:]
+    count = _whole(path, data, MARKER.size, "markers")
+    rows = np.frombuffer(data, np.uint8).reshape(count, MARKER.size)
+    number, upper, lower = (MARKER.column(slot.field.name, rows).astype(np.uint64) for slot in MARKER.slots)
+    ticks = upper * np.uint64(head["rollover"] or 1 << 32) + lower
+    ticks -= ticks[:1].sum()  # the first is the oldest
+    time_ns = ticks.astype(np.float64) * (SECOND / head["ticks_per_second"])
+    exits = number >= cfe_file.EXIT
+    return np.stack([number % cfe_file.EXIT, exits, time_ns.round()], axis=1).astype(np.int64)
+
+
+def _subscriptions(image: bytes) -> list[dict[str, Any]]:
+    entries = [
+        TO_SUBSCRIPTION.parse(image, at)
+        for at in range(0, len(image) - TO_SUBSCRIPTION.size + 1, TO_SUBSCRIPTION.size)
+    ]
+    used = next((at for at, item in enumerate(entries) if not item["msg_id"]), len(entries))
+    return [{**item, "msg_id": f"0x{item['msg_id']:04x}"} for item in entries[:used]]

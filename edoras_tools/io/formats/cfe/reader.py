@@ -1,0 +1,125 @@
+"""Packets in files of cFE: its event log, and those that Data Storage wrote.
+
+Each becomes a datagram without addresses; its time is the packet's
+mission time, a command's that of the packet before it. Read with a capture, they are aligned to its clock.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs.time_services import EPOCH_S
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.chain import walk_records
+from edoras_tools.io.formats.records import RecordSource
+from edoras_tools.io.frames.build import FramePage, ends_of
+from edoras_tools.links.stored import STORED
+from edoras_tools.model import Endpoint, SourceInfo
+from edoras_tools.units import SECOND
+from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.cfe_file import FILE_HEADER, OF_PACKETS, SUBTYPES
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.io.formats.stream import Window
+    from edoras_tools.io.frames.linklayer import FrameBatch
+
+_ENDS: Final = ends_of(Endpoint("0.0.0.0", 0), Endpoint("0.0.0.0", STORED.transport.ports[0]))  # noqa: S104
+
+
+class CfePacketSource(RecordSource):
+    """The packets of an event log, or of a file of Data Storage."""
+
+    unit = "packet"
+
+    def __init__(self, window: Window) -> None:
+        """Read the file header.
+
+        Args:
+            window: the file from its first byte on.
+
+        Raises:
+            CaptureError: the header is incomplete, or no packets follow it.
+        """
+        super().__init__(window)
+        name = window.stream.name
+        while window.end < FILE_HEADER.size and window.advance(0):
+            pass
+        if window.end < FILE_HEADER.size:
+            raise CaptureError(
+                f"{name}: ends inside the cFE file header, at byte {window.end} of {FILE_HEADER.size}"
+            )
+        self.header = FILE_HEADER.parse(window.data[: FILE_HEADER.size].tobytes())
+        subtype = self.header["subtype"]
+        what = SUBTYPES.get(subtype, f"file of subtype {subtype}")
+        if subtype not in OF_PACKETS:
+            raise CaptureError(
+                f"{name}: is a cFE {what}, which has no packets; 'edoras info {name}' shows what is in it"
+            )
+        self._at = OF_PACKETS[subtype]
+        self._info = SourceInfo(name, f"cFE {what}")
+        self._time_ns = self._made_ns = (EPOCH_S + self.header["seconds"]) * SECOND
+        self._clock_at = 0
+        while window.end < self._at and window.advance(0):
+            pass
+        if window.end < self._at:
+            raise CaptureError(
+                f"{name}: ends inside Data Storage's header, at byte {window.end} of {self._at}"
+            )
+
+    @property
+    def info(self) -> SourceInfo:
+        """Information on the source."""
+        return self._info
+
+    def _frames(self) -> Iterator[FrameBatch]:
+        window = self._window
+        data, start, end = window.data, self._at, window.end
+
+        def successor(positions: NDArray[np.int64]) -> NDArray[np.int64]:
+            header = gather(data, positions, ccsds.PRIMARY.size)
+            after: NDArray[np.int64] = positions + ccsds.PRIMARY.size + 1
+            after += ccsds.PRIMARY.column("packet_data_length", header)
+            return after
+
+        def step(position: int) -> int:
+            return int(successor(np.array([position]))[0])
+
+        positions, self._at = walk_records(start, end, np.empty(0, np.int64), successor, step)
+        if len(positions):
+            page = FramePage(len(positions), end - start)
+            length = np.diff(np.append(positions, self._at))
+            page.add(data, positions, length, self._times(data, positions), _ENDS)
+            yield page.frames(self.statistics.frames + 1)
+
+    def _times(self, data: NDArray[np.uint8], positions: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the mission time of each packet as ns since 1970: i64 (n,)."""
+        window = gather(data, positions, ccsds.PRIMARY.size + cfe.EXTENDED.size + cfe.TELEMETRY.size)
+        if not self._clock_at:
+            self._clock_at = self._where_time_is(window)
+        telemetry = ccsds.PRIMARY.column("packet_type", window) == 0
+        seconds, subseconds = (
+            cfe.TELEMETRY.column(name, window, self._clock_at).astype(np.int64)
+            for name in ("seconds", "subseconds")
+        )
+        time_ns = (EPOCH_S + seconds) * SECOND + subseconds * SECOND // 65536
+        latest = np.maximum.accumulate(np.where(telemetry, np.arange(len(time_ns)), -1))
+        time_ns = np.where(latest < 0, self._time_ns, time_ns[latest])
+        self._time_ns = int(time_ns[-1])
+        return time_ns
+
+    def _where_time_is(self, window: NDArray[np.uint8]) -> int:
+        """Return the byte of the time: with cFE's extended header, it is that nearer to the file's own."""
+        usual = ccsds.PRIMARY.size
+        seconds = [
+            cfe.TELEMETRY.column("seconds", window, at).astype(np.int64)
+            for at in (usual, usual + cfe.EXTENDED.size)
+        ]
+        away = [np.abs(item - self.header["seconds"]).min() for item in seconds]
+        return usual if away[0] <= away[1] else usual + cfe.EXTENDED.size

@@ -1,0 +1,290 @@
+"""Files of a real cFS, beside the capture of its run: event log, stored packets, resets, markers, a table."""
+
+import json
+import struct
+
+import pytest
+from captures import read
+from hypothesis import given
+from hypothesis import strategies as st
+from places import MISSIONS, ROOT
+from rewriting import datagrams
+from schema import check, published
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.cfe.contents import message_limits, read_cfe_file
+from edoras_tools.io.formats.open import is_cfe_file, open_file
+from edoras_tools.wire import cfe, cfe_file
+
+FILES = ROOT / "samples/cfs_files"
+EVENTS, STORED, RUN = FILES / "events.log", FILES / "stored_events.dat", FILES / "run.pcap"
+MARKERS = FILES / "performance.dat"
+HEADER = {
+    "content_type": int.from_bytes(cfe_file.CFE_MAGIC, "big"),
+    "header_length": 64,
+    "spacecraft_id": 0x42,
+    "processor_id": 1,
+    "application_id": 0x110002,
+    "seconds": 1000,
+    "subseconds": 0,
+    "description": "test",
+}
+
+
+def header(subtype):
+    return cfe_file.FILE_HEADER.emit({**HEADER, "subtype": subtype})
+
+
+def file_of(path, subtype, rest):
+    path.write_bytes(header(subtype) + rest)
+    return path
+
+
+def telemetry(seconds, body=b"", *, spare=b"", stamp=0x8000):
+    """Make a telemetry packet; ``spare`` goes between the primary header and the time."""
+    data = spare + struct.pack(">IHI", seconds, stamp, 0) + body
+    return struct.pack(">HHH", 0x0808, 0xC000, len(data) - 1) + data
+
+
+def command(body=b"\0\0"):
+    return struct.pack(">HHH", 0x1801, 0xC000, len(body) - 1) + body
+
+
+def test_the_event_log_has_what_the_console_printed():
+    rows, error = read(EVENTS)
+    told = [cfe.EVENT.parse(row.payload, 16) for row in rows]
+    assert error == ""
+    assert [(item["app_name"], item["event_id"]) for item in told[:2]] == [("CFE_ES", 1), ("CFE_ES", 2)]
+    assert told[-1]["message"] == "TO telemetry output enabled for IP 127.0.0.1"
+    # The console: EVS Port1 1980-012-14:03:25.60820, of which 1/65536 s is kept
+    assert rows[-1].time_ns == 316_533_805_608_200_073
+    assert {(str(row.source), str(row.destination)) for row in rows} == {("0.0.0.0:0", "0.0.0.0:0")}
+
+
+def test_stored_packets_are_those_that_the_wire_carried():
+    crossed = {item.payload for item in datagrams(RUN)}
+    rows, error = read(STORED)
+    assert (len(rows), error) == (9, "")
+    assert {row.payload for row in rows} <= crossed
+
+
+def test_a_file_is_put_on_the_clock_of_a_capture(call):
+    options = ("--msg-id", "EVS_LONG_EVENT", "--json")
+    done = call("sniff", RUN, STORED, *options)
+    packets = [json.loads(line) for line in done.out.splitlines()]
+    place = {"to": {}, "file": {}}
+    for item in packets:
+        place[item["link"]].setdefault(item["layers"]["cfe_event"]["message"], item["time_ns"])
+    late = [place["to"][text] - at for text, at in place["file"].items() if text in place["to"]]
+    assert len(late) >= 7
+    # An event waits in Telemetry Output's pipe for at most its round of 500 ms.
+    assert max(late) - min(late) < 600_000_000
+    assert all(abs(item) < 2_000_000_000 for item in late)
+
+
+def test_the_doctor_judges_no_file(call):
+    alone = call("doctor", EVENTS)
+    assert (alone.code, alone.out) == (2, "")
+    assert "no link carried its packets, so nothing is judged by them" in alone.err[0]
+    both, without = call("doctor", RUN, EVENTS, "--json"), call("doctor", RUN, "--json")
+    told, plain = json.loads(both.out), json.loads(without.out)
+    assert both.code == without.code
+    assert "no link carried its packets" in told.pop("notes")[-1]
+    assert told == {name: value for name, value in plain.items() if name != "notes"}
+
+
+def test_events_of_a_log_are_exported(call, tmp_path):
+    path = tmp_path / "events.jsonl"
+    assert call("export", EVENTS, "--topic", "/edoras/events", "-o", path).code == 0
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    assert len(rows) == 20
+    assert rows[-1]["msg"] == "TO telemetry output enabled for IP 127.0.0.1"
+
+
+@pytest.mark.parametrize(
+    ("data", "what"),
+    [
+        (b"cFE1", "ends inside the cFE file header, at byte 4 of 64"),
+        (header(cfe_file.EVENT_LOG)[:63], "ends inside the cFE file header, at byte 63 of 64"),
+        (header(cfe_file.STORED_PACKETS) + bytes(75), "inside Data Storage's header, at byte 139 of 140"),
+        (header(cfe_file.TABLE_IMAGE), "is a cFE table image, which has no packets; 'edoras info"),
+        (header(999), "is a cFE file of subtype 999, which has no packets"),
+        (header(cfe_file.EVENT_LOG) + telemetry(1) + telemetry(2)[:-1], "ends inside packet 2 at byte"),
+    ],
+)
+def test_what_cannot_be_read_is_told(tmp_path, data, what):
+    path = tmp_path / "file"
+    path.write_bytes(data)
+    assert is_cfe_file(path)
+    with pytest.raises(CaptureError, match=what):
+        list(open_file(path).batches())
+
+
+@pytest.mark.parametrize("spare", [b"", b"\0\0\0\0"])
+def test_times_are_found_behind_an_extended_header_too(tmp_path, spare):
+    path = tmp_path / "file"
+    file_of(path, cfe_file.EVENT_LOG, b"".join(telemetry(at, spare=spare) for at in (998, 1001)))
+    assert [row.time_ns % 10**13 for row in read(path)[0]] == [3_798_500_000_000, 3_801_500_000_000]
+
+
+@given(
+    st.lists(st.one_of(st.none(), st.tuples(st.integers(0, 2**32 - 1), st.binary(max_size=60))), max_size=30)
+)
+def test_any_packets_come_out_as_they_went_in(tmp_path_factory, items):
+    path = tmp_path_factory.mktemp("files") / "file"
+    packets = [command() if item is None else telemetry(*item) for item in items]
+    file_of(path, cfe_file.STORED_PACKETS, bytes(76) + b"".join(packets))
+    rows, error = read(path)
+    assert ([row.payload for row in rows], error) == (packets, "")
+    known = [at for at in (item and item[0] for item in items) if at is not None]
+    whole = [(row.time_ns - 315_532_800 * 10**9) // 10**9 for row in rows]
+    assert [at for at, item in zip(whole, items, strict=True) if item] == known
+
+
+@given(st.binary(max_size=400))
+def test_any_bytes_end_in_one_line(tmp_path_factory, rest):
+    path = tmp_path_factory.mktemp("files") / "file"
+    file_of(path, cfe_file.EVENT_LOG, rest)
+    rows, error = read(path)
+    assert sum(len(row.payload) for row in rows) <= len(rest)
+    assert bool(error) == (sum(len(row.payload) for row in rows) < len(rest))
+
+
+def told(call, path):
+    done = call("info", path)
+    value = json.loads(call("info", path, "--json").out)
+    check(value, published("cfe_file"))
+    assert done.code == 0
+    return value, done.out
+
+
+def test_the_reset_log(call):
+    value, text = told(call, FILES / "resets.log")
+    assert [item["description"] for item in value["entries"]] == [
+        "POWER ON RESET due to Power Cycle (Power Cycle)"
+    ]
+    assert value["entries"][0]["time_ns"] == 315_533_949_902_810_800
+    assert "1980-01-01 00:19:09.902810  core (1)    power on (2)" in text
+
+
+def test_the_performance_log(call):
+    """Counted with ``struct`` alone: markers by number, and their pairs in order."""
+    data = MARKERS.read_bytes()[64 + 44 + 32 :]
+    markers = list(struct.iter_unpack("<III", data))
+    value, _ = told(call, MARKERS)
+    assert {item["marker"]: item["times"] for item in value["entries"]} == {
+        number: sum(item[0] & 0x7FFFFFFF == number for item in markers)
+        for number in {item[0] & 0x7FFFFFFF for item in markers}
+    }
+    began, total = {}, {}
+    for word, upper, lower in markers:
+        number, at = word & 0x7FFFFFFF, upper * 1_000_000_000 + lower
+        if word >> 31 and number in began:
+            total[number] = total.get(number, 0) + at - began.pop(number)
+        elif not word >> 31:
+            began[number] = at
+    assert {item["marker"]: item["total_ns"] for item in value["entries"] if item["total_ns"]} == total
+
+
+def test_the_table_of_telemetry_output_is_what_predict_reads(call):
+    path = FILES / "to_lab_sub.tbl"
+    value, text = told(call, path)
+    assert value["table_name"] == "TO_LAB.TO_LAB_Subs"
+    assert value["entries"][11] == {"msg_id": "0x0808", "priority": 0, "reliability": 0, "message_limit": 16}
+    assert "0x0808  0         0            16" in text
+    limits = message_limits(path)
+    assert (len(limits), limits[0x0808], limits[0x08C2]) == (20, 16, 5)
+
+
+def test_a_table_sets_the_limits_of_a_prediction(call, tmp_path):
+    entries = struct.pack("<IBBHIBBHI", 0x0828, 0, 0, 2, 0x0829, 0, 0, 7, 0) + bytes(4)
+    head = cfe_file.TABLE_HEADER.emit(
+        {"reserved": 0, "load_offset": 0, "load_bytes": len(entries), "table_name": "TO_LAB_APP.TO_LAB_Subs"}
+    )
+    path = file_of(tmp_path / "to.tbl", cfe_file.TABLE_IMAGE, head + entries)
+    done = call(
+        "doctor",
+        "--predict",
+        "--set",
+        f"to_limits={path}",
+        "-c",
+        MISSIONS / "two_rovers_ground.yaml",
+        "--json",
+    )
+    rates = {item["msg_id"]: item["limit_hz"] for item in json.loads(done.out)["routes"]}
+    assert (rates["0x0828"], rates["0x0829"]) == (4.0, 14.0)
+    for wrong in (FILES / "resets.log", tmp_path / "none"):
+        done = call(
+            "doctor", "--predict", "--set", f"to_limits={wrong}", "-c", MISSIONS / "rover_ground.yaml"
+        )
+        assert (done.code, len(done.err)) == (1, 1)
+        assert str(wrong) in done.err[0]
+
+
+def test_a_system_log_is_lines(call, tmp_path):
+    path = file_of(tmp_path / "log", cfe_file.SYSTEM_LOG, b"one\ntwo \x1b[31m\n\0\0")
+    value, text = told(call, path)
+    assert [item["text"] for item in value["entries"]] == ["one", "two \x1b[31m"]
+    assert "\x1b" not in text
+
+
+def test_captures_beside_it_are_shown_too(call):
+    done = call("info", FILES / "resets.log", FILES / "run.pcap")
+    assert (done.code, "reset log" in done.out, "EVS_LONG_EVENT" in done.out) == (0, True, True)
+
+
+@pytest.mark.parametrize(
+    ("subtype", "rest", "what"),
+    [
+        (cfe_file.RESET_LOG, bytes(391), "its 391 bytes are no whole number of entries of 392 bytes"),
+        (cfe_file.PERFORMANCE_LOG, bytes(43), "ends inside the cFE Performance Log, at byte 107 of 108"),
+        (cfe_file.PERFORMANCE_LOG, bytes(44), "not that of a performance log of a little-endian processor"),
+        (cfe_file.TABLE_IMAGE, bytes(51), "ends inside the cFE Table Header, at byte 115 of 116"),
+        (cfe_file.TABLE_IMAGE, bytes(11) + b"\x08" + bytes(47), "ends after 7 of the table's 8 bytes"),
+    ],
+)
+def test_what_is_cut_is_told(call, tmp_path, subtype, rest, what):
+    path = file_of(tmp_path / "file", subtype, rest)
+    with pytest.raises(CaptureError, match=what):
+        read_cfe_file(path)
+    done = call("info", path)
+    assert (done.code, done.out, len(done.err)) == (1, "", 1)
+
+
+@given(st.sampled_from([1, 2, 3, 4, 8, 77]), st.binary(max_size=900))
+def test_any_other_bytes_are_read_or_refused(tmp_path_factory, subtype, rest):
+    path = file_of(tmp_path_factory.mktemp("files") / "file", subtype, rest)
+    error = ""
+    try:
+        json.dumps(read_cfe_file(path).summary())
+    except CaptureError as caught:
+        error = str(caught)
+    assert not error or error.startswith(str(path))
+
+
+def test_a_trace_has_every_span_once(call, tmp_path):
+    path = tmp_path / "new/trace.json"
+    done = call("export", MARKERS, "-o", path, "--json")
+    assert (done.code, done.json()["files"][0]["rows"], done.json()["left_out"]) == (0, 173, 2)
+    events = json.loads(path.read_text())["traceEvents"]
+    spans = [item for item in events if item["ph"] == "X"]
+    named = {item["tid"]: item["args"]["name"] for item in events if item["ph"] == "M"}
+    markers = read_cfe_file(MARKERS).markers
+    assert (len(spans), len(markers)) == (173, 348)
+    assert {item["tid"] for item in spans} == set(named)
+    assert named[11] == "CFE_TIME tone task"
+    assert all(item["dur"] >= 0 and item["ts"] >= 0 for item in spans)
+    # Spans of one marker follow each other: none begins before the one before it ended.
+    ends = {}
+    for item in spans:
+        assert item["ts"] >= ends.get(item["tid"], 0)
+        ends[item["tid"]] = item["ts"] + item["dur"]
+
+
+def test_the_output_is_a_new_json_file(call, tmp_path):
+    assert "use .json" in call("export", MARKERS, "-o", tmp_path / "a.csv").err[0]
+    path = tmp_path / "a.json"
+    path.write_text("before")
+    done = call("export", MARKERS, "-o", path)
+    assert (done.code, path.read_text()) == (2, "before")
+    assert call("export", MARKERS, "-o", path, "--force").code == 0
