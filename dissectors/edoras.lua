@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "26fe92c440b2bea6"
+local DIGEST = "b389ca4d076b2069"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1352,6 +1352,18 @@ D.findings = {
 		meaning = "More bytes follow the message's last field than ROS 2 leaves there; receivers ignore them, but often it is a message of another type.",
 		unknowable = true,
 	},
+	{
+		label = "stream_gap",
+		severity = "warning",
+		short = "stream gap",
+		meaning = "Bytes of the TCP stream before this are missing in the capture, or are no message of the link.",
+	},
+	{
+		label = "stream_resent",
+		severity = "note",
+		short = "",
+		meaning = "The TCP segment has bytes that had come before: they were lost on the way, or their acknowledgement was late.",
+	},
 }
 D.links = {
 	{
@@ -1420,11 +1432,31 @@ D.links = {
 		sure = 1,
 		sender_port = false,
 	},
+	{
+		label = "file",
+		code = 9,
+		name = "FILE",
+		doc = "packets in a file that cFS wrote (event log, Data Storage)",
+		title = "FILE link",
+		to_cfs = false,
+		from_cfs = true,
+		packets = true,
+		headers = {},
+		header_bytes = 0,
+		sure = 1,
+		sender_port = false,
+	},
 }
 D.left = {[5111] = "cfdp", [5222] = "cfdp"}
 D.sure = {by_content = 2, by_address = 4}
 D.doubles = {smallest = 767, largest = 1086}
-D.ports = {ci = {1234, 1235, 1236, 1237}, to = {1235}, sbn = {2234, 2235, 2236}, robot = {8080, 8585}}
+D.ports = {
+	ci = {1234, 1235, 1236, 1237},
+	to = {1235},
+	sbn = {2234, 2235, 2236},
+	robot = {8080, 8585},
+	file = {0},
+}
 D.bridge_ports = {2236}
 D.cfs_addresses = {"127.0.0.1"}
 D.identities = {{66, 1}, {66, 3}}

@@ -63,7 +63,9 @@ def interfaces_answer() -> list[str]:
     """Return the answer to ``--extcap-interfaces``."""
     lines = [f"extcap {{version={__version__}}}{{display=EDORAS: the links of a cFS}}"]
     return lines + [
-        f"interface {{value=edoras-{link.label}}}{{display=EDORAS {link.name}}}" for link in table.links()
+        f"interface {{value=edoras-{link.label}}}{{display=EDORAS {link.name}}}"
+        for link in table.links()
+        if any(link.transport.ports)
     ]
 
 

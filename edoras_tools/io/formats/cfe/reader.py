@@ -12,9 +12,9 @@ import numpy as np
 
 from edoras_tools.cfs.time_services import EPOCH_S
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.chain import walk_records
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.frames.build import FramePage, ends_of
+from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.links.stored import STORED
 from edoras_tools.model import Endpoint, SourceInfo
 from edoras_tools.units import SECOND
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io.formats.stream import Window
-    from edoras_tools.io.frames.linklayer import FrameBatch
+    from edoras_tools.io.frames.frame_batch import FrameBatch
 
 _ENDS: Final = ends_of(Endpoint("0.0.0.0", 0), Endpoint("0.0.0.0", STORED.transport.ports[0]))  # noqa: S104
 
