@@ -39,6 +39,18 @@ def test_any_size_shows_a_list_and_keys(drive, size):
     drive(script, size=size)
 
 
+@pytest.mark.parametrize("width", [60, 80, 100, 160])
+def test_what_is_wrong_is_readable_to_its_last_word(drive, width):
+    async def script(hands):
+        await hands.go(1321)
+        await hands.until(lambda: "truncated" in " ".join(hands.lines(hands.app.layers)), "the packet")
+        shown = " ".join(" ".join(hands.lines(hands.app.layers)).split())
+        assert "and an app that gets a cut one cannot read it, or reads old bytes of its buffer." in shown
+        assert "stopped sbn at byte 0 needs 11 bytes, 5 are there" in shown
+
+    drive(script, size=(width, 60))
+
+
 def test_keys_move(drive):
     async def script(hands):
         page = hands.app.packets.page

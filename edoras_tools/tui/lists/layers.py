@@ -215,22 +215,21 @@ def _branches_above(rows: Sequence[TreeRow]) -> list[list[int]]:
 
 def _drawn(row: TreeRow, width: int, cut: int, *, closed: bool) -> list[str]:
     """Return the lines of a row; ``cut``: columns of the byte ranges, which the caller removes."""
-    if cut and row.role in {"field", "packet"}:
+    if cut and row.role not in _BRANCHES:
         return _narrow(row, width)
-    return tree.row_lines(
-        row, max(_LEAST, width + cut if row.role in _INSIDE else width), _PAINT, closed=closed
-    )
+    return tree.row_lines(row, max(_LEAST, width + cut), _PAINT, closed=closed)
 
 
 def _narrow(row: TreeRow, width: int) -> list[str]:
-    """Return a field for narrow terminals: the value directly after the name, further lines below."""
+    """Return a row for narrow terminals: the value directly after the name, further lines below."""
     indent = " " * (2 * row.depth)
     if row.role == "packet":
         # The title shows the rest; this row has the time, source and destination.
         return [clip(row.value.partition("  ")[0] if row.label else row.value.rpartition("  ")[2], width)]
-    label = f"{row.label}: "
+    field = row.role == "field"
+    label = f"{row.label}{':' if field else ' '} "
     first, *rest = wrap(f"{label}{row.value}", max(8, width - len(indent)))
     told = min(len(label), len(first))
-    head = indent + _PAINT(first[:told], palette.DIM) + first[told:]
+    head = indent + _PAINT(first[:told], palette.DIM if field else row.style) + first[told:]
     more = wrap(" ".join(rest), max(8, width - len(indent) - 2)) if rest else []
-    return [head, *(f"{indent}  {line}" for line in more)][:_MOST_LINES]
+    return [head, *(f"{indent}  {line}" for line in more)][: _MOST_LINES if field else None]
