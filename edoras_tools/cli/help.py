@@ -18,9 +18,26 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
+def _named_commands(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the commands that may follow those on the command line."""
+    from edoras_tools.cli.main import COMMANDS, program
+
+    typed = ctx.params.get("names") or ()
+    command: Any = typer.main.get_command(program(*typed[:1])) if {*typed[:1]} <= {*COMMANDS} else None
+    for name in typed:
+        command = getattr(command, "commands", {}).get(name)
+    known = getattr(command, "commands", {})
+    return [name for name, item in known.items() if name.startswith(incomplete) and not item.hidden]
+
+
 def help_(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[COMMAND]...", help="E.g. sniff, or wireshark run.")
+        list[str] | None,
+        typer.Argument(
+            metavar="[COMMAND]...",
+            help="E.g. sniff, or wireshark run.",
+            autocompletion=_named_commands,
+        ),
     ] = None,
     man: Annotated[
         Path | None,

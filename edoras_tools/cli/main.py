@@ -163,6 +163,14 @@ class _Edoras(Group):
         super().__init__(*arguments, **keywords)
         self.params.append(_version_option())
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments; nothing may follow an option about completion, which would ignore it."""
+        name, *rest = args or [""]
+        if rest and name in {"--install-completion", "--show-completion"} and not ctx.resilient_parsing:
+            raise typer.BadParameter(f"{name} takes no value: run it alone, in the shell that it is for")
+        parsed: list[str] = super().parse_args(ctx, args)
+        return parsed
+
 
 def program(*names: str, completes: bool = False) -> typer.Typer:
     """Make the ``edoras`` command line.

@@ -112,6 +112,9 @@ MISSION = str(ROOT / "samples/missions/rover_ground.yaml")
         ("edoras sniff --tel", {"--telemetry-header"}),
         ("edoras wireshark pa", {"path"}),
         ("edoras mission ", {"draft"}),
+        ("edoras help doc", {"doctor"}),
+        ("edoras help wireshark p", {"path", "print"}),
+        ("edoras help nothing ", set()),
         ("edoras sniff --link s", {"sbn"}),
         ("edoras sniff --msg-id TO_C", {"TO_CMD"}),
         (f"edoras sniff -c {MISSION} --topic /c", {"/cmd_vel"}),
@@ -123,3 +126,10 @@ def test_a_shell_completes(line, told, edoras):
     done = edoras(env={**os.environ, **words})
     assert (done.returncode, done.stderr) == (0, b"")
     assert set(done.stdout.decode().split()) == told
+
+
+@pytest.mark.parametrize("option", ["--install-completion", "--show-completion"])
+def test_what_follows_an_option_about_completion_is_not_ignored(option, call):
+    done = call(option, "zsh")
+    assert (done.code, done.out) == (2, "")
+    assert f"{option} takes no value: run it alone, in the shell that it is for" in done.err[0]
