@@ -17,6 +17,7 @@ from edoras_tools.diagnosis.accounting.claims import Counts
 from edoras_tools.diagnosis.accounting.commands import Commands, Refused
 from edoras_tools.diagnosis.accounting.ingest import Ingest, Sources, ingests
 from edoras_tools.diagnosis.accounting.losses import Known, Loss
+from edoras_tools.diagnosis.accounting.stops import Outage, outages
 from edoras_tools.diagnosis.accounting.unheard import Unheard, unheard
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.counters import Track, tracks
@@ -205,11 +206,16 @@ class Case:
     def _of_another(self, into: Stream, out: Stream) -> bool:
         """Tell whether one goes to an address, and the other leaves one with a receiver of its own."""
         hosts, name = self.instances.hosts, self.network.identity_of.get
-        return hosts[into.receiver] != hosts[out.sender] and any(
-            hosts[item.receiver] == hosts[out.sender]
-            for item in self.streams
-            if item.link is into.link and name(item.receiver) == name(into.receiver)
+        return (
+            hosts[into.receiver] != hosts[out.sender]
+            and (into.link, name(into.receiver), int(hosts[out.sender])) in self._receiving
         )
+
+    @cached_property
+    def _receiving(self) -> set[tuple[Link, str | None, int]]:
+        """Link, SBN identity and address of each receiver."""
+        hosts, name = self.instances.hosts, self.network.identity_of.get
+        return {(item.link, name(item.receiver), int(hosts[item.receiver])) for item in self.streams}
 
     @cached_property
     def known(self) -> Known:
@@ -251,6 +257,11 @@ class Case:
     def telemetry(self) -> Telemetry:
         """What is missing from sequence counts."""
         return Telemetry(self.known, self._counts)
+
+    @cached_property
+    def outages(self) -> list[Outage]:
+        """Every stop and restart of an application that events tell of."""
+        return outages(self.known)
 
     @cached_property
     def unheard(self) -> dict[int, Unheard]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping  # noqa: TC003  COUNTERS is annotated with it
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -144,6 +144,8 @@ class Known:
     outages: Sequence[tuple[int, int]] = ()
     """From when to when the capturing interface was away."""
     _spans: dict[int, list[Span]] = field(default_factory=dict)
+    _captured: dict[int, NDArray[np.int64]] = field(default_factory=dict)
+    _times: dict[tuple[Any, ...], NDArray[np.int64]] = field(default_factory=dict)
 
     def spans(self, stream: Stream) -> list[Span]:
         """Return the spans of a stream at one rate; worked out once."""
@@ -152,8 +154,10 @@ class Known:
         return self._spans[id(stream)]
 
     def captured(self, stream: Stream) -> NDArray[np.int64]:
-        """Return the capture times of a stream's packets: i64, ns since 1970."""
-        return self.rows.time_ns[stream.rows]
+        """Return the capture times of a stream's packets: i64, ns since 1970; looked up once."""
+        if id(stream) not in self._captured:
+            self._captured[id(stream)] = self.rows.time_ns[stream.rows]
+        return self._captured[id(stream)]
 
     @property
     def end_ns(self) -> int:
@@ -192,16 +196,16 @@ class Known:
 
     def times(self, stream: Stream) -> NDArray[np.int64]:
         """Return when a stream's MsgId comes out of its pipe, whoever made it: they share what may wait."""
-        times = np.concatenate(
-            [
+        key = stream.link, stream.sender, stream.receiver, stream.msg_id
+        if key not in self._times:
+            alike = [
                 self.rows.time_ns[item.rows]
                 for item in self.streams
-                if (item.link, item.sender, item.receiver, item.msg_id)
-                == (stream.link, stream.sender, stream.receiver, stream.msg_id)
+                if (item.link, item.sender, item.receiver, item.msg_id) == key
                 or (item.link.only_from_cfs and (item.sender, item.msg_id) == (stream.sender, stream.msg_id))
             ]
-        )
-        return np.sort(times)
+            self._times[key] = np.sort(np.concatenate(alike))
+        return self._times[key]
 
     def rounds(self, stream: Stream, span: Span) -> Comb:
         """Return the rounds in which a stream's MsgId comes meanwhile."""

@@ -11,8 +11,11 @@ cFS.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from dataclasses import dataclass
+from functools import cached_property
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -130,10 +133,7 @@ class Instances:
         item, there = self.items[instance], ""
         if self.others_named(instance):
             there = f" at {self._addresses[item.host]}"
-            if any(
-                (other.name, other.host) == (item.name, item.host) and system != self.systems[instance]
-                for other, system in zip(self.items, self.systems, strict=True)
-            ):
+            if len(self._systems_at[item.name, item.host]) > 1:
                 ports = {
                     self._ports[source]
                     for source, known in self._owners.items()
@@ -144,10 +144,16 @@ class Instances:
 
     def others_named(self, instance: int) -> bool:
         """Return whether another cFS has the name of an instance."""
-        return any(
-            item.name == self.items[instance].name and system != self.systems[instance]
-            for item, system in zip(self.items, self.systems, strict=True)
-        )
+        return len(self._systems_at[self.items[instance].name, None]) > 1
+
+    @cached_property
+    def _systems_at(self) -> dict[tuple[str, int | None], set[int]]:
+        """The cFS that have a name at an address; None: at any."""
+        found: dict[tuple[str, int | None], set[int]] = {}
+        for item, system in zip(self.items, self.systems, strict=True):
+            found.setdefault((item.name, item.host), set()).add(system)
+            found.setdefault((item.name, None), set()).add(system)
+        return found
 
     @staticmethod
     def _name(rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> str:
@@ -201,9 +207,10 @@ class Instances:
 
     def owner(self, source: int, time_ns: int) -> int:
         """Return the instance whose Telemetry Output sends from an endpoint at a time, or ``NOBODY``."""
-        known = self._owners.get(source, [])
-        before = [index for since, index in known if since <= time_ns]
-        return before[-1] if before else known[0][1] if known else NOBODY
+        known = self._owners.get(source)
+        if not known:
+            return NOBODY
+        return known[max(bisect_right(known, time_ns, key=itemgetter(0)) - 1, 0)][1]
 
     def named(self, name: str, time_ns: int, source: int) -> int:
         """Return the instance of a name that was there at a time; the nearest where none was.

@@ -5,8 +5,10 @@ A peer is connected from its first datagram until it sends DISCONNECT, or nothin
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -63,6 +65,9 @@ class PeerSilence(NamedTuple):
     change: int
 
 
+_TIME: Final = attrgetter("time_ns")
+
+
 @dataclass(slots=True)
 class Connection:
     """A peer as one cFS sees it.
@@ -70,7 +75,7 @@ class Connection:
     Attributes:
         peer: who is seen, as ``66:3``.
         observer: the cFS that sees it.
-        changes: its states, in order.
+        changes: its states, in order of time.
         sent_ns: capture times of application messages that the observer sent to it.
     """
 
@@ -81,16 +86,15 @@ class Connection:
 
     def state_at(self, time_ns: int) -> ObservedState | None:
         """Return the state at a time; None before anything was seen."""
-        before = [change.state for change in self.changes if change.time_ns <= time_ns]
-        return before[-1] if before else None
+        before = bisect_right(self.changes, time_ns, key=_TIME)
+        return self.changes[before - 1].state if before else None
 
     def broken_within(self, start_ns: int, end_ns: int) -> bool:
         """Tell whether messages could not cross at some time of a span."""
         if self.state_at(start_ns) != "connected":
             return True
-        return any(
-            start_ns < change.time_ns <= end_ns and change.state != "silent" for change in self.changes
-        )
+        first, end = (bisect_right(self.changes, when, key=_TIME) for when in (start_ns, end_ns))
+        return any(change.state != "silent" for change in self.changes[first:end])
 
     def silences(self, end_ns: int) -> Iterator[PeerSilence]:
         """Yield every silence that the observer noticed, and one that lasts to the end of the capture."""

@@ -118,11 +118,14 @@ def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, 
             (end_ns >= rows.time_ns[into.rows[0]]) & (begin_ns <= rows.time_ns[into.rows[-1]] + _LONGEST_NS)
         ).tolist()
     )
+    known = _Prints(rows)
     for into, out in pairs:
         if not _may_follow(into, out) or not follows(into, out):
             continue
-        for prints in _prints(into, out, rows):
-            score = _likeness(*prints, sure=out.link.last_hop)
+        for kinds in _kinds(into, out, known):
+            prints = known.of(into, kinds[0]), known.of(out, kinds[1])
+            different = known.different(into, kinds[0]), known.different(out, kinds[1])
+            score = _likeness(*prints, different, sure=out.link.last_hop)
             near = -abs((into.msg_id & 0xF) - (out.msg_id & 0xF))
             if score >= _ALIKE and (score, near) > best.get(id(out), (0.0, 0))[:2]:
                 best[id(out)] = (score, near, into, *prints)
@@ -144,50 +147,102 @@ def _may_follow(into: Stream, out: Stream) -> bool:
     return into.is_command != out.is_command
 
 
-def _prints(into: Stream, out: Stream, rows: Rows) -> list[tuple[NDArray[np.uint64], NDArray[np.uint64]]]:
-    """Return the fingerprints to compare, the strictest first."""
+class _Prints:
+    """The fingerprints of streams: each is compared with many others, and looked up once.
+
+    A kind is a column of the table, or ``COUNT``: sequence counts, 0 where there is none. 0 tells nothing.
+    """
+
+    COUNT: Final = "count"
+
+    def __init__(self, rows: Rows) -> None:
+        self._rows = rows
+        self._cut = rows.has(Finding.CAPTURE_CUT)
+        self._of: dict[tuple[int, str], NDArray[np.uint64]] = {}
+        self._different: dict[tuple[int, str], NDArray[np.uint64]] = {}
+        self._cut_ones: dict[int, bool] = {}
+
+    def of(self, stream: Stream, kind: str) -> NDArray[np.uint64]:
+        """Return those of a stream's rows, u64."""
+        key, rows = (id(stream), kind), self._rows
+        if key not in self._of:
+            if kind == self.COUNT:
+                counts = rows.sequence_count[stream.rows].astype(np.uint64) + 1
+                self._of[key] = np.where(rows.counted[stream.rows], counts, 0)
+            else:
+                self._of[key] = getattr(rows, kind)[stream.rows]
+        return self._of[key]
+
+    def different(self, stream: Stream, kind: str) -> NDArray[np.uint64]:
+        """Return each of them once, in order, without 0."""
+        key = id(stream), kind
+        if key not in self._different:
+            prints = self.of(stream, kind)
+            self._different[key] = np.unique(prints[prints != 0])
+        return self._different[key]
+
+    def cut(self, stream: Stream) -> bool:
+        """Tell whether the capture cut some packet of a stream."""
+        key = id(stream)
+        if key not in self._cut_ones:
+            self._cut_ones[key] = bool(self._cut[stream.rows].any())
+        return self._cut_ones[key]
+
+
+def _kinds(into: Stream, out: Stream, known: _Prints) -> list[tuple[str, str]]:
+    """Return which fingerprints of each to compare, the strictest first."""
     if into.msg_id == out.msg_id:
-        cut = rows.has(Finding.CAPTURE_CUT)
-        if into.instance == out.instance != NOBODY and (cut[into.rows].any() or cut[out.rows].any()):
+        if into.instance == out.instance != NOBODY and (known.cut(into) or known.cut(out)):
             # What is left of a packet differs with the headers before it; one cFS gives a count once.
-            return [(_counts(into, rows), _counts(out, rows))]
-        return [(rows.packet_print[into.rows], rows.packet_print[out.rows])]
+            return [(known.COUNT, known.COUNT)]
+        return [("packet_print", "packet_print")]
     if out.link.last_hop:
         # A robot is sent bare numbers, their bytes or values as the configured type has them, or a struct.
-        came, shared = rows.value_print[into.rows], rows.shared_print
-        plain = [(came, kind[out.rows]) for kind in (rows.value_print, rows.stamped_print)]
-        return [*plain, (shared[into.rows], shared[out.rows])]
-    kinds = (rows.stamped_print, rows.value_print)
+        return [
+            ("value_print", "value_print"),
+            ("value_print", "stamped_print"),
+            ("shared_print", "shared_print"),
+        ]
+    kinds = ("stamped_print", "value_print")
     return [
-        (kind[into.rows], kind[out.rows]) for kind in kinds if kind[into.rows].any() and kind[out.rows].any()
+        (kind, kind) for kind in kinds if len(known.different(into, kind)) and len(known.different(out, kind))
     ]
 
 
-def _counts(stream: Stream, rows: Rows) -> NDArray[np.uint64]:
-    """Return the sequence counts of a stream as fingerprints; 0, which tells nothing, where it has none."""
-    return np.where(rows.counted[stream.rows], rows.sequence_count[stream.rows].astype(np.uint64) + 1, 0)
-
-
-def _likeness(came: NDArray[np.uint64], went: NDArray[np.uint64], *, sure: bool) -> float:
+def _likeness(
+    came: NDArray[np.uint64],
+    went: NDArray[np.uint64],
+    differing: tuple[NDArray[np.uint64], NDArray[np.uint64]],
+    *,
+    sure: bool,
+) -> float:
     """Return what part of the messages that come out went in: 0 where too few differ to tell.
 
     Args:
         came: fingerprints of what goes in.
         went: of what comes out.
+        differing: each of both once, in order, without 0.
         sure: the same value is no chance, however few there are.
     """
-    different = np.unique(went[went != 0])
+    known, different = differing
     if not len(different) or (len(different) < _LEAST_DIFFERENT and not sure):
         return 0.0
-    alike = float(np.isin(different, came).mean())
+    alike = float(_among(different, known).mean())
     if sure and alike < _ALIKE:
         # What comes out first may have gone in before the capture began; what follows did not.
         there = np.flatnonzero(np.isin(went, came) & (went != 0))
         behind = np.unique(went[there[0] :][went[there[0] :] != 0]) if len(there) else different[:0]
-        known = np.isin(behind, came)
-        if known.sum() >= _LEAST_DIFFERENT and known.mean() > _NEARLY_ALL:
+        there_too = _among(behind, known)
+        if there_too.sum() >= _LEAST_DIFFERENT and there_too.mean() > _NEARLY_ALL:
             return _ALIKE
     return alike
+
+
+def _among(values: NDArray[np.uint64], known: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """Return which values are in some others, which are in order."""
+    if not len(known):
+        return np.zeros(len(values), bool)
+    return np.asarray(known[np.minimum(np.searchsorted(known, values), len(known) - 1)] == values)
 
 
 def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went: NDArray[np.uint64]) -> Hop:

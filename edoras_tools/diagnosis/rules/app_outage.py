@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.executive_services import STARTS
-from edoras_tools.diagnosis.accounting.stops import outages
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 
@@ -33,7 +32,7 @@ def judge(case: Case) -> Iterator[Verdict]:
                 link="ci" if loss.stream is None else loss.stream.link.label,
                 remedy=_remedy(case, loss.hop),
             )
-    for item in outages(case.known):
+    for item in case.outages:
         end_ns = item.end_ns if item.end_ns is not None else case.end_ns
         if any(loss.hop == item.app and loss.start_ns <= end_ns + case.profile.ci_wake_ns for loss in told):
             continue
@@ -58,7 +57,7 @@ def judge(case: Case) -> Iterator[Verdict]:
 
 def _remedy(case: Case, app: str | None) -> str:
     """Return what helps: to start it again where it still does not run."""
-    last = next((item for item in reversed(outages(case.known)) if item.app == app), None)
+    last = next((item for item in reversed(case.outages) if item.app == app), None)
     if app not in STARTS or last is None or last.end_ns is not None:
         return "send nothing while an application is restarted"
     return f"start it again: {case.inject('es-start-app', app)}"

@@ -5,13 +5,14 @@ No counter has what would have come: it is estimated, and in no figure of the ba
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.diagnosis.accounting.stops import outages
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.rules import struct_overrun
 from edoras_tools.diagnosis.verdict import Severity, Verdict
@@ -21,13 +22,14 @@ from edoras_tools.wire import cfe
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.diagnosis.accounting.stops import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
 
 ID = "telemetry_vanished"
+_FIRST: Final = itemgetter(0)
 _LEAST: Final = 5
 _WAIT_NS: Final = 5 * SECOND
 _WAIT_PERIODS: Final = 6
@@ -38,11 +40,14 @@ _EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
 
 def judge(case: Case) -> Iterator[Verdict]:
     """Look for a stream that ended for good, and for what happened just then."""
-    stops = outages(case.known)
+    stops = case.outages
+    removed = _removed(case)
+    overruns: list[Verdict] | None = None
+    strange = _strange(case)
     for stream in case.streams:
         if stream.link is not TO or len(stream) < _LEAST or stream.known_id in _EVENTS:
             continue
-        if _asked_for(case, stream) or _stopped(case, stream, stops):
+        if _asked_for(case, stream, removed) or _stopped(case, stream, stops):
             continue
         if stream.instance == NOBODY or stream.instance != case.known.owner(stream):
             continue  # handed on for a peer, which may be gone
@@ -53,7 +58,13 @@ def judge(case: Case) -> Iterator[Verdict]:
         alive_ns = case.instances.items[stream.instance].last_ns
         if alive_ns - last_ns < max(_WAIT_NS, _WAIT_PERIODS * usual):
             continue
-        signs = list(_signs(case, stream, last_ns, alive_ns))
+        overruns = list(struct_overrun.judge(case)) if overruns is None else overruns
+        after = strange[
+            bisect_right(strange, last_ns, key=_FIRST) : bisect_left(strange, last_ns + _NEAR_NS, key=_FIRST)
+        ]
+        size = int(case.rows.packet_length[stream.rows[-1]])
+        alike = [other for _, other in after if case.rows.packet_length[other.rows[0]] == size]
+        signs = list(_signs(case, stream, (last_ns, alive_ns), overruns, alike))
         if not signs:
             continue  # topic_silent tells of it
         signs += _longer(case, last_ns)
@@ -84,15 +95,22 @@ def judge(case: Case) -> Iterator[Verdict]:
         )
 
 
-def _asked_for(case: Case, stream: Stream) -> bool:
+def _removed(case: Case) -> dict[int, list[int]]:
+    """Return when Telemetry Output was told to stop sending, in order, by MsgId; -1: all of them."""
+    stops = {telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL}
+    found: dict[int, list[int]] = {}
+    for item in case.payloads.output:
+        if item.function_code in stops:
+            found.setdefault(item.msg_id, []).append(int(case.rows.time_ns[item.row]))
+    return {msg_id: sorted(times) for msg_id, times in found.items()}
+
+
+def _asked_for(case: Case, stream: Stream, removed: Mapping[int, Sequence[int]]) -> bool:
     """Tell whether Telemetry Output was told to stop sending it."""
     last_ns = int(case.rows.time_ns[stream.rows[-1]])
-    stops = {telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL}
+    times = (removed.get(msg_id, ()) for msg_id in {-1, stream.msg_id})
     return any(
-        item.function_code in stops
-        and item.msg_id in {-1, stream.msg_id}
-        and abs(int(case.rows.time_ns[item.row]) - last_ns) < _NEAR_NS
-        for item in case.payloads.output
+        bisect_left(item, last_ns + _NEAR_NS) > bisect_right(item, last_ns - _NEAR_NS) for item in times
     )
 
 
@@ -102,9 +120,34 @@ def _stopped(case: Case, stream: Stream, stops: Sequence[Outage]) -> bool:
     return any(abs(item.start_ns - last_ns) < _NEAR_NS for item in stops)
 
 
-def _signs(case: Case, stream: Stream, last_ns: int, alive_ns: int) -> Iterator[str]:
-    """Yield what happened when it stopped: a message too long, a MsgId that is garbage."""
-    for verdict in struct_overrun.judge(case):
+def _strange(case: Case) -> list[tuple[int, Stream]]:
+    """Return the streams from Telemetry Output that are nobody's, and when each came first, in that order."""
+    found = [
+        (int(case.rows.time_ns[item.rows[0]]), item)
+        for item in case.streams
+        if item.link is TO and item.msg_id not in MSG_ID_NAMES and case.route(item.msg_id) is None
+    ]
+    return sorted(found, key=_FIRST)
+
+
+def _signs(
+    case: Case,
+    stream: Stream,
+    span: tuple[int, int],
+    overruns: Sequence[Verdict],
+    alike: Sequence[Stream],
+) -> Iterator[str]:
+    """Yield what happened when it stopped: a message too long, a MsgId that is garbage.
+
+    Args:
+        case: what it is judged by.
+        stream: what stopped.
+        span: when it did, and until when its cFS went on.
+        overruns: messages that were too long for their structs.
+        alike: streams of nobody's that began just then, of the same size.
+    """
+    last_ns, alive_ns = span
+    for verdict in overruns:
         if abs(verdict.start_ns - last_ns) < _NEAR_NS and verdict.msg_id is not None:
             yield f"{case.name(verdict.msg_id)} overran its struct at {case.at(verdict.start_ns)}"
     for reported, said in case.reported_losses.items():
@@ -112,12 +155,9 @@ def _signs(case: Case, stream: Stream, last_ns: int, alive_ns: int) -> Iterator[
         told = internal and not reported.at_pipe
         if told and -_NEAR_NS < said.first_ns - last_ns < 2 * _NEAR_NS:
             yield f"event at {case.at(said.first_ns)}: {said.records[0]}"
-    for other in case.streams:
+    for other in alike:
         first_ns = int(case.rows.time_ns[other.rows[0]])
-        strange = other.msg_id not in MSG_ID_NAMES and case.route(other.msg_id) is None
-        same_size = case.rows.packet_length[other.rows[0]] == case.rows.packet_length[stream.rows[-1]]
-        if other.link is TO and strange and same_size and 0 < first_ns - last_ns < _NEAR_NS:
-            yield f"0x{other.msg_id:04x}, of the same size and nobody's, came first at {case.at(first_ns)}"
+        yield f"0x{other.msg_id:04x}, of the same size and nobody's, came first at {case.at(first_ns)}"
     owner = case.instances.owner(stream.sender, last_ns)
     track = case.tracks.get(owner)
     if track:

@@ -8,7 +8,6 @@ import numpy as np
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.diagnosis.accounting.stops import outages
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.spans import steady_rate
 from edoras_tools.diagnosis.rules import telemetry_vanished
@@ -166,7 +165,7 @@ def _verdict(case: Case, stream: Stream, start_ns: int, until_ns: int | None, ra
         )
     evidence += [
         f"event {item.said}"
-        for item in outages(case.known)
+        for item in case.outages
         if start_ns - _NEAR_NS < item.start_ns < start_ns + 2 * _NEAR_NS
     ]
     return Verdict(

@@ -120,14 +120,18 @@ def _forward_only(rows: Rows) -> tuple[Rows, list[Jump]]:
 def _parted(rows: Rows, instances: Instances) -> Jump | None:
     """Find an instance that goes on as another, its clock or the capture's set."""
     order = sorted(range(len(instances.items)), key=lambda index: instances.items[index].first_ns)
-    counts = [_first_and_last(rows, np.flatnonzero(instances.of_row == index)) for index in range(len(order))]
+    by_instance = np.argsort(instances.of_row, kind="stable")
+    edges = np.searchsorted(instances.of_row[by_instance], np.arange(len(order) + 1))
+    counts = [
+        _first_and_last(rows, by_instance[edges[index] : edges[index + 1]]) for index in range(len(order))
+    ]
+    last = _places([counts[index][1] for index in order])
     for at, after in enumerate(order):
-        for before in order[:at]:
+        for place in _taken_up(last, counts[after][0], at):
+            before = order[place]
             first, second = instances.items[before], instances.items[after]
             named = first.name == second.name or not (first.name and second.name)
             if not named or first.last_ns > second.first_ns:
-                continue
-            if not _goes_on(counts[before][1], counts[after][0]):
                 continue
             by = second.offset_ns - first.offset_ns
             low = int(np.flatnonzero(instances.of_row == before)[-1])
@@ -150,10 +154,41 @@ def _first_and_last(rows: Rows, own: NDArray[np.intp]) -> list[dict[tuple[int, .
     return found
 
 
-def _goes_on(last: dict[tuple[int, ...], int], begin: dict[tuple[int, ...], int]) -> bool:
-    """Tell whether most counts of one instance are taken up by another."""
-    steps = [(begin[item] - last[item]) % _MODULUS for item in begin if item in last]
-    return len(steps) > 2 and sum(0 < step <= _NEXT for step in steps) > _MOST_GO_ON * len(steps)
+def _places(
+    last: list[dict[tuple[int, ...], int]],
+) -> dict[tuple[int, ...], tuple[NDArray[np.intp], NDArray[np.int64]]]:
+    """Return of each stream which instances have it, and their last counts of it."""
+    found: dict[tuple[int, ...], tuple[list[int], list[int]]] = {}
+    for place, counts in enumerate(last):
+        for item, count in counts.items():
+            places, known = found.setdefault(item, ([], []))
+            places.append(place)
+            known.append(count)
+    return {item: (np.array(one, np.intp), np.array(other, np.int64)) for item, (one, other) in found.items()}
+
+
+def _taken_up(
+    last: dict[tuple[int, ...], tuple[NDArray[np.intp], NDArray[np.int64]]],
+    begin: dict[tuple[int, ...], int],
+    end: int,
+) -> list[int]:
+    """Return of which instances before one it takes up most counts.
+
+    Args:
+        last: as ``_places`` returns them.
+        begin: its own first counts.
+        end: its place.
+    """
+    common, taken = (np.zeros(end, np.intp) for _ in range(2))
+    for item, count in begin.items():
+        if item in last:
+            places, known = last[item]
+            places = places[: np.searchsorted(places, end)]
+            step = (count - known[: len(places)]) % _MODULUS
+            common[places] += 1
+            taken[places] += (step > 0) & (step <= _NEXT)
+    found: list[int] = np.flatnonzero((common > 2) & (taken > _MOST_GO_ON * common)).tolist()
+    return found
 
 
 def _without(rows: Rows, jump: Jump) -> Rows:
