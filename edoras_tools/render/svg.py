@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,10 +14,16 @@ from rich.text import Text
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from rich.console import RenderableType
 
+_DEJAVU: Final = {
+    "serif_family": "DejaVu Serif",
+    "sans_serif_family": "DejaVu Sans",
+    "monospace_family": "DejaVu Sans Mono",
+}
+"""Where fontconfig is not installed, as in a small container, resvg finds no font by ``sans-serif`` alone."""
 _FONTS: Final = re.compile(r"\s*@font-face \{.*?\}", re.DOTALL)
 
 
@@ -44,8 +51,8 @@ def without_fonts(svg: str) -> str:
     return _FONTS.sub("", svg)
 
 
-def need_png() -> Any:
-    """Return the library that draws SVG as PNG, once it has drawn a letter.
+def need_png() -> Callable[..., Any]:
+    """Return ``resvg_py.svg_to_bytes``, once it has drawn a letter.
 
     Raises:
         ConfigError: it is not installed, or this system has no font.
@@ -57,14 +64,13 @@ def need_png() -> Any:
             "PNG needs resvg, which is not installed: pip install 'edoras-tools[plot]', or write SVG"
         ) from None
     box = '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="20">{}</svg>'
-    blank, letter = (
-        resvg.svg_to_bytes(svg_string=box.format(inside)) for inside in ("", '<text y="15">W</text>')
-    )
-    if blank == letter:
-        raise ConfigError(
-            "PNG needs a font, and this system has none: install fonts-dejavu-core, or write SVG"
-        )
-    return resvg
+    texts = ("", '<text y="15" font-family="sans-serif">W</text>')
+    for names in ({}, _DEJAVU):
+        draw = partial(resvg.svg_to_bytes, **names)
+        blank, letter = (draw(svg_string=box.format(text)) for text in texts)
+        if blank != letter:
+            return draw
+    raise ConfigError("PNG needs a font, and this system has none: install fonts-dejavu-core, or write SVG")
 
 
 def png(svg: str, width: int) -> bytes:
@@ -77,4 +83,4 @@ def png(svg: str, width: int) -> bytes:
     Raises:
         ConfigError: see ``need_png``.
     """
-    return bytes(need_png().svg_to_bytes(svg_string=svg, width=width))
+    return bytes(need_png()(svg_string=svg, width=width))

@@ -55,3 +55,16 @@ def test_png_without_its_library_or_without_a_font_says_what_to_do(monkeypatch, 
     monkeypatch.setitem(sys.modules, "resvg_py", library)
     with pytest.raises(ConfigError, match=told):
         png(BOX, 60)
+
+
+def test_png_where_only_names_of_families_find_a_font(monkeypatch):
+    """As in a container with fonts-dejavu-core and without fontconfig."""
+    drawn = []
+
+    def draw(*, svg_string, sans_serif_family="", **options):
+        drawn.append(sans_serif_family)
+        return b"text" if sans_serif_family == "DejaVu Sans" and "<text" in svg_string else b"blank"
+
+    monkeypatch.setitem(sys.modules, "resvg_py", SimpleNamespace(svg_to_bytes=draw))
+    assert png("<svg><text>W</text></svg>", 60) == b"text"
+    assert drawn == ["", "", *["DejaVu Sans"] * 3]

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
 import struct
-import sys
 from dataclasses import dataclass
 from typing import Final
 
@@ -82,16 +80,6 @@ def possible(name: str) -> bool:
 def missing_interface(name: str) -> CaptureError:
     """Return the error for an interface that does not exist."""
     return CaptureError(f"{name}: no such interface; there are {', '.join((*interfaces(), ANY_INTERFACE))}")
-
-
-def denied(name: str) -> CaptureError:
-    """Return the error for an interface that may not be opened."""
-    return CaptureError(
-        f"{name}: capturing needs CAP_NET_RAW: run it with sudo; "
-        f"or once 'sudo setcap cap_net_raw+ep {os.path.realpath(sys.executable)}'; "
-        "or 'docker run --cap-add NET_RAW'; "
-        "or receive the datagrams on a UDP socket with --listen, which needs no privilege"
-    )
 
 
 def loopback_index() -> int | None:

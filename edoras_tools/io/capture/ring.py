@@ -52,11 +52,11 @@ from edoras_tools.io.capture.bpf import (
 from edoras_tools.io.capture.interfaces import (
     ANY_INTERFACE,
     Interface,
-    denied,
     find_interface,
     loopback_index,
     possible,
 )
+from edoras_tools.io.capture.permission import claim_raw_sockets, denied
 from edoras_tools.model import InterfaceOutage, SourceInfo
 from edoras_tools.wire.window import PADDING
 
@@ -462,8 +462,12 @@ class Ring:
 
 def _socket(interface: str, *, cooked: bool) -> socket.socket:
     """Open a packet socket that receives nothing until it is bound."""
+    kind = socket.SOCK_DGRAM if cooked else socket.SOCK_RAW
+    with contextlib.suppress(PermissionError):
+        return socket.socket(socket.AF_PACKET, kind, 0)
+    claim_raw_sockets()
     try:
-        return socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM if cooked else socket.SOCK_RAW, 0)
+        return socket.socket(socket.AF_PACKET, kind, 0)
     except PermissionError:
         raise denied(interface) from None
 

@@ -17,7 +17,8 @@ import numpy as np
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, NOTHING, RAW, attach_program
 from edoras_tools.io.capture.device import DeviceSource
-from edoras_tools.io.capture.interfaces import denied, find_interface, interfaces, missing_interface
+from edoras_tools.io.capture.interfaces import find_interface, interfaces, missing_interface
+from edoras_tools.io.capture.permission import denied
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import Finding, InterfaceOutage, SourceInfo
 from edoras_tools.wire.window import PADDING
