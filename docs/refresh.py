@@ -201,7 +201,7 @@ def _layout(path: str) -> Callable[[], str]:
     def table() -> str:
         from importlib import import_module
 
-        module, _, name = path.partition(".")
+        module, _, name = path.rpartition(".")
         layout = getattr(import_module(f"edoras_tools.wire.{module}"), name)
         if name == "DEFAULT":
             layout = layout.layout
@@ -363,6 +363,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
             "envelope.DEFAULT",
             "cdr.ENCAPSULATION",
             "cfdp.PDU_HEADER",
+            *(f"transfer_frames.headers.{name}" for name in ("TM", "AOS", "AOS_PACKETS", "TC", "TC_SEGMENT")),
         )
     },
 }

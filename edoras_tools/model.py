@@ -212,7 +212,8 @@ class Datagram:
         frame: the frame as captured, link layer header included.
         payload: the UDP payload; put together from fragments where there were any. Of a stream, one message.
         payload_offset: where ``payload`` starts in ``frame``; -1 when it was put together from fragments.
-        original_length: bytes of the frame on the wire; more than ``len(frame)`` when the capture cut it.
+        original_length: bytes of the frame on the wire; more than ``len(frame)`` when the capture cut it; -1
+            of a packet taken out of transfer frames, which has none.
         stream: whether it is a message of a TCP stream; ``frame`` is then one segment that holds it alone.
     """
 
@@ -242,7 +243,8 @@ class PacketBatch:
         link_type: u16, pcap LINKTYPE of the frame.
         frame_offset: i64, start of the frame, link layer header included.
         frame_length: i32, captured bytes of the frame.
-        original_length: i32, bytes of the frame on the wire.
+        original_length: i32, bytes of the frame on the wire; -1 of a packet taken out of transfer frames,
+            which are rows of their own.
         offset: i64, start of the UDP payload. It lies outside its frame when put together from fragments.
         length: i32, bytes of the UDP payload that were captured.
         source_address: u32, IPv4 as a number; for IPv6 an index into ``ipv6``.
@@ -250,8 +252,8 @@ class PacketBatch:
         destination_address: u32, as ``source_address``.
         destination_port: u16.
         ip_version: u8, 4 or 6.
-        capture_findings: u32, the bits that only the capture can know: ``FRAGMENT``, ``CAPTURE_CUT``,
-            ``STREAM_GAP``, ``STREAM_RESENT``.
+        capture_findings: u32, the bits that one datagram alone cannot tell: ``FRAGMENT``, ``CAPTURE_CUT``,
+            ``STREAM_GAP``, ``STREAM_RESENT``, and what is wrong with transfer frames.
         ipv6: the IPv6 addresses, 16 bytes each, that the address columns index.
         streams: bool, which rows come from TCP streams; None where none does.
     """
@@ -310,6 +312,12 @@ class PacketBatch:
         if self.ip_version[index] == 6:
             return str(ipaddress.IPv6Address(self.ipv6[value]))
         return str(ipaddress.IPv4Address(value))
+
+    @property
+    def captured(self) -> Self:
+        """The rows that were captured: without packets that were taken out of transfer frames."""
+        own = self.original_length >= 0
+        return self if own.all() else self.take(own)
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
         """Return the rows that an index array, a mask or a slice chooses, over the same buffer."""

@@ -137,6 +137,7 @@ class Context:
         structs: the C structs that packets without a route hold.
         peers: grows as datagrams are decoded, in order.
         links: every link there is.
+        frames: the CCSDS transfer frames that come to a port, by port.
         ports: the UDP ports of each link, bool (65536,).
         claimants: the sets of links that claim a port.
         claim: u8 (65536,), index into ``claimants`` by port.
@@ -182,6 +183,7 @@ class Context:
         )
         self.peers = Peers()
         self.links = table.links()
+        self.frames = {item.port: item.format for item in self.mission.frames}
         self.ports = self._ports()
         self._settle_ports()
         self._settle_streams()
@@ -275,6 +277,9 @@ class Context:
             for bridge in self.mission.links:
                 if bridge.kind == link.bridge:
                     claimed[[getattr(bridge, name) for name in link.bridge_ports]] = True
+        for framed in self.mission.frames:  # no other link's packets are in the frames
+            for link, claimed in ports.items():
+                claimed[framed.port] = link == framed.link
         return ports
 
     def _settle_streams(self) -> None:

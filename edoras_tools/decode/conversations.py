@@ -288,7 +288,7 @@ def _alike(batch: PacketBatch, rows: NDArray[np.intp]) -> dict[str, NDArray[np.b
     head = gather(batch.data, batch.offset[rows], sbn.HEADER.size)
     have = batch.length[rows].astype(np.int64)
     # Bytes that the capture cut off count: a frame has its original length.
-    length = have + (batch.original_length[rows] - batch.frame_length[rows])
+    length = have + np.maximum(batch.original_length[rows] - batch.frame_length[rows], 0)
     word = head[:, 0].astype(np.int32) << 8 | head[:, 1]
     total = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int64) + ccsds.LENGTH_BIAS
     agrees = (have >= ccsds.PRIMARY.size) & ((word & _BEGINNING[0]) == _BEGINNING[1]) & (total == length)

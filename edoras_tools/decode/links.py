@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.links import table
+from edoras_tools.links.frames import FRAMES, frame_rows, is_frame
 from edoras_tools.model import OTHER, Finding, Link
 from edoras_tools.wire.window import gather
 
@@ -112,6 +113,8 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
     if batch.streams is not None:
         _stream_links(batch, context, link)
     link[(batch.capture_findings & Finding.FRAGMENT) != 0] = OTHER
+    if context.frames:
+        link[frame_rows(batch, context.frames)[0]] = FRAMES
     return link
 
 
@@ -144,6 +147,8 @@ def link_of(datagram: Datagram, context: Context) -> Link:
         return OTHER
     if datagram.stream:
         return _stream_link(datagram, context)
+    if is_frame(datagram, context.frames):
+        return FRAMES
     claim = context.claim[datagram.destination.port]
     link, best = table.link(context.decided[claim]), 0
     if link is OTHER and context.claimants[claim]:

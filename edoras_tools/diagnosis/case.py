@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.relays.proxied import Proxied, RouteWay
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.diagnosis.verdict import Verdict
+    from edoras_tools.io.frames.transfer import Unframer
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import HostCounters, InterfaceOutage
     from edoras_tools.sessions.cfdp import Transaction
@@ -64,6 +65,7 @@ class Capture:
         outages: when the interface was away.
         host: what the kernel of the recording host counted, oldest first.
         files: the CFDP transactions in it.
+        frames: the transfer frames in it, and what their counts say; None where the mission names none.
     """
 
     drops: int = 0
@@ -73,6 +75,7 @@ class Capture:
     outages: tuple[InterfaceOutage, ...] = ()
     host: tuple[HostCounters, ...] = ()
     files: tuple[Transaction, ...] = ()
+    frames: Unframer | None = None
 
     @property
     def away(self) -> list[tuple[int, int]]:

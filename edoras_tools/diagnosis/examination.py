@@ -22,6 +22,7 @@ from edoras_tools.diagnosis.rules import (
     OF_FILES,
     RULES,
     SINGLE,
+    frames_lost,
     not_cfs,
     not_examined,
     older_losses,
@@ -220,7 +221,11 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
         progress: told how many rules were asked, of how many.
     """
     if not len(case.rows):
-        return [verdict for rule in (not_examined, not_cfs, *OF_FILES) for verdict in rule.judge(case)]
+        return [
+            verdict
+            for rule in (not_examined, not_cfs, frames_lost, *OF_FILES)
+            for verdict in rule.judge(case)
+        ]
     found: dict[str, list[Verdict]] = {}
     for rule in (rule for rule in RULES if rule.ID in SINGLE):
         progress(len(found), len(RULES))
@@ -312,6 +317,7 @@ class Examination:
             zero_ns = self._before[0].zero_ns if self._before else self.zero_ns
             capture = replace(capture, zero_ns=zero_ns)
         followed = self._files.pdus if keep else 0
+        frames = sum(item.frames for item in capture.frames.channels) if capture.frames else 0
         capture = replace(capture, files=tuple(self._files.transactions) if keep else ())
         # A chapter has what was done up to its end; the last has the rest.
         until_ns = None if keep else self._recorder.last_ns
@@ -334,7 +340,7 @@ class Examination:
             case=case if keep else None,
             balance=tuple(balance(case)) if len(case.rows) else (),
             unnamed=tuple(unnamed(case.prepared.flows)),
-            left_out=self._recorder.left_out + case.prepared.foreign + capture.cut - followed,
+            left_out=self._recorder.left_out + case.prepared.foreign + capture.cut - followed - frames,
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
             missing=tuple(missing(case)) if self.listing and len(case.rows) else (),
         )

@@ -14,6 +14,7 @@ ROWS: Final = {
     "sbn": "edoras_tools.links.sbn:SBN",
     "robot": "edoras_tools.links.robot:ROBOT",
     "cfdp": "edoras_tools.links.cfdp:CFDP",
+    "frames": "edoras_tools.links.frames:FRAMES",
     "file": "edoras_tools.links.stored:STORED",
 }
 """The built-in links and where each object is; other packages add theirs by entry points."""

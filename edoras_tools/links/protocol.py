@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.framing import Framing
     from edoras_tools.links.reading import Reading
     from edoras_tools.model import PacketBatch
+    from edoras_tools.wire.transfer_frames.fields import FrameFormat
 
 BY_PORT: Final = 1
 BY_CONTENT: Final = 2
@@ -135,6 +136,10 @@ class Site(Protocol):
     def peers(self) -> Peers:
         """Identities by endpoint; grows as datagrams are read, in order."""
 
+    @property
+    def frames(self) -> Mapping[int, FrameFormat]:
+        """The CCSDS transfer frames that come to a port, by port."""
+
 
 class Located:
     """Where the space packets of some datagrams start, and what the headers in front of them say.
@@ -166,6 +171,10 @@ class BatchRows(Protocol):
     @property
     def batch(self) -> PacketBatch:
         """The whole batch; offsets point into its ``data``."""
+
+    @property
+    def context(self) -> Site:
+        """What is known of the place."""
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one of ``Columns``."""

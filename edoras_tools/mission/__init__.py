@@ -2,17 +2,27 @@
 
 ``scalars`` holds rcl's rules for numbers and words, ``parameters`` reads a ROS 2 parameter file into dotted
 names, ``bridges`` makes a link and its routes from one node, ``handling`` reads the keys that only
-edoras-tools knows, ``loading`` joins several files. Every mistake of every file is reported at once, each
-with its file, line and key.
+edoras-tools knows, ``framing`` those of transfer frames, ``loading`` joins several files. Every mistake of
+every file is reported at once, each with its file, line and key.
 """
 
 from edoras_tools.mission.loading import load, loads
-from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Handling, Mission, Route, TransferLink
+from edoras_tools.mission.model import (
+    Bridge,
+    FlightLink,
+    FramedPort,
+    GroundLink,
+    Handling,
+    Mission,
+    Route,
+    TransferLink,
+)
 from edoras_tools.mission.scalars import read_scalar
 
 __all__ = [
     "Bridge",
     "FlightLink",
+    "FramedPort",
     "GroundLink",
     "Handling",
     "Mission",

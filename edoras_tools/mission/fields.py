@@ -76,6 +76,17 @@ class Fields:
             return None
         return value
 
+    def flag(self, name: str) -> bool | None:
+        """Return a boolean; None where it is absent or wrong."""
+        allowed = "true or false is needed"
+        scalar = self._scalar(name, allowed)
+        if scalar is None:
+            return None
+        if isinstance(scalar.value, bool):
+            return scalar.value
+        self.mistake(name, f"{scalar.described}; {allowed}")
+        return None
+
     def rate(self, name: str) -> float | None:
         """Return a rate in Hz, an integer or a float above 0; None where it is absent or wrong."""
         if not self.has(name):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission.bridges import find_bridges, is_transfer, read_bridge, read_transfer
+from edoras_tools.mission.framing import FRAMES_GROUP, read_framed_ports
 from edoras_tools.mission.model import Mission
 from edoras_tools.mission.parameters import read_nodes
 from edoras_tools.mission.report import Mistakes
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping
 
     from edoras_tools.mission.bridges import CheckType, Claims
-    from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Route, TransferLink
+    from edoras_tools.mission.model import Bridge, FlightLink, FramedPort, GroundLink, Route, TransferLink
     from edoras_tools.wire.msg_id import MsgIds
 
 _PARAMETERS: Final = b"ros__parameters"
@@ -103,6 +104,8 @@ def _mission(
     links: list[GroundLink | FlightLink | TransferLink] = []
     routes: list[Route] = []
     whole: list[Bridge] = []
+    framed: list[FramedPort] = []
+    taken: dict[int, str] = {}
     for name, content in contents:
         if content in files.values():
             continue  # the same file given twice
@@ -117,7 +120,9 @@ def _mission(
         nodes = read_nodes(text, report) if text is not None else []
         bridges, transfers = find_bridges(nodes), [node for node in nodes if is_transfer(node)]
         links += [link for node in transfers if (link := read_transfer(node, report)) is not None]
-        if nodes and not bridges and not transfers and not report.mistakes:
+        framing = [node for node in nodes if FRAMES_GROUP in node.groups]
+        framed += [port for node in framing for port in read_framed_ports(node, report, taken)]
+        if nodes and not (bridges or transfers or framing or report.mistakes):
             what = "no node here is a bridge; it needs communication, command and telemetry"
             (report.warn if name in of_folders else report.mistake)(nodes[0].line, nodes[0].name, what)
         for node in bridges:
@@ -132,7 +137,13 @@ def _mission(
         raise ConfigError(*mistakes)
     warnings = _in_order(report.warnings for report in reports)
     return Mission(
-        tuple(routes), tuple(links), MappingProxyType(files), tuple(warnings), tuple(whole), msg_ids
+        tuple(routes),
+        tuple(links),
+        MappingProxyType(files),
+        tuple(warnings),
+        tuple(whole),
+        msg_ids,
+        tuple(framed),
     )
 
 

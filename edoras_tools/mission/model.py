@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from edoras_tools.wire.msg_id import MsgIds
+    from edoras_tools.wire.transfer_frames.fields import FrameFormat
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +164,27 @@ class TransferLink:
 
 
 @dataclass(frozen=True, slots=True)
+class FramedPort:
+    """One of ``frames``: a UDP port to which CCSDS transfer frames come.
+
+    Attributes:
+        name: that the file gives it.
+        port: where they are sent to.
+        format: of the frames.
+        link: the one that the packets in them belong to.
+        file: the file, as it was named when loaded.
+        line: where it starts, from 1.
+    """
+
+    name: str
+    port: int
+    format: FrameFormat
+    link: Link
+    file: str = ""
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Bridge:
     """One bridge: link, routes and limits, all that is needed to run in its place.
 
@@ -192,6 +214,7 @@ class Mission:
         warnings: one line each: what a bridge accepts but is probably a mistake.
         bridges: link and routes of each bridge together.
         msg_ids: the version of the MsgIds.
+        frames: the ports to which transfer frames come; no port twice.
     """
 
     routes: tuple[Route, ...] = ()
@@ -200,6 +223,7 @@ class Mission:
     warnings: tuple[str, ...] = ()
     bridges: tuple[Bridge, ...] = ()
     msg_ids: MsgIds = VERSION_1
+    frames: tuple[FramedPort, ...] = ()
 
     def numbered(self, msg_ids: MsgIds) -> Mission:
         """Return the same mission with the MsgIds that its packets have in another version."""

@@ -171,8 +171,15 @@ class ReadLoop:
             self.conversations.add(batch.take(others), columns.take(others))
 
     def _until_failure(self) -> Iterator[PacketBatch]:
+        frames = self.bench.frames
         try:
-            yield from self._batches
+            if frames is None:
+                yield from self._batches
+            else:
+                try:
+                    yield from map(frames.take, self._batches)
+                finally:
+                    self.bench.columns.context.notes += frames.notes()
         except CaptureError as error:
             if not self.keeps_failure:
                 raise

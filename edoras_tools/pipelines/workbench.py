@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.io import Source
+    from edoras_tools.io.frames.transfer import Unframer
     from edoras_tools.model import SourceInfo
     from edoras_tools.wire.cfe import Headers
 
@@ -34,12 +35,14 @@ class Workbench:
         types: the ROS types.
         columns: decodes batches.
         dissector: decodes single packets, with every field's bytes.
+        frames: takes packets out of transfer frames; None where the mission has none.
     """
 
     mission: Mission
     types: TypeStore
     columns: ColumnDecoder
     dissector: Dissector
+    frames: Unframer | None = None
 
     def with_headers(self, headers: Headers) -> Workbench:
         """Return one for packets with the headers of another build, and its MsgIds."""
@@ -47,7 +50,7 @@ class Workbench:
         mission, options = self.mission.numbered(headers.msg_ids), old.options.with_headers(headers)
         structs = old.structs if headers.msg_ids is old.msg_ids else None
         context = Context(mission, self.types, options, structs)
-        return Workbench(mission, self.types, ColumnDecoder(context), Dissector(context))
+        return _bench(mission, self.types, context)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +104,16 @@ class Settings:
             files = dict(zip(names or carried, (data for _, data in contents), strict=True))
             mission = replace(mission, files={**mission.files, **files})
         context = Context(mission, types, options, structs)
-        return Workbench(mission, types, ColumnDecoder(context), Dissector(context))
+        return _bench(mission, types, context)
+
+
+def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
+    frames = None
+    if context.frames:
+        from edoras_tools.io.frames.transfer import Unframer
+
+        frames = Unframer(context.frames)
+    return Workbench(mission, types, ColumnDecoder(context), Dissector(context), frames)
 
 
 def open_files(paths: Sequence[Path]) -> Source:

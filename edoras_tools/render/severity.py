@@ -67,7 +67,8 @@ EXPLANATIONS: Final = {
     Finding.CHECKSUM_BAD: Explanation(
         _WARNING,
         "checksum",
-        "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed.",
+        "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed; of "
+        "a transfer frame, its CRC is wrong, and its receiver drops it.",
     ),
     Finding.CHECKSUM_ABSENT: Explanation(
         _NOTE,
@@ -198,7 +199,8 @@ EXPLANATIONS: Final = {
     Finding.STREAM_GAP: Explanation(
         _WARNING,
         "stream gap",
-        "Bytes of the TCP stream before this are missing in the capture, or are no message of the link.",
+        "Bytes of the stream before this (TCP segments, or transfer frames) are missing in the capture, or "
+        "are no message of the link.",
     ),
     Finding.STREAM_RESENT: Explanation(
         _NOTE,

@@ -9,13 +9,17 @@ from dataclasses import replace
 import pytest
 from pdus import eof, finished, metadata, nak, pdu, piece
 from places import CAPTURES, ROOT
-from rewriting import datagrams, write
+from rewriting import Udp, datagrams, write
+from transfer_frames import Maker, space_packet
 
 from edoras_tools.diagnosis.rules import RULES
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.emulator import messages
+from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.to import TO
 from edoras_tools.model import Endpoint, HostCounters, Peer, SocketCounters
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.wire import cfe, envelope, sbn
@@ -606,6 +610,28 @@ def file_pieces_resent(lab, tmp_path, msg_id):
     assert told.reason == "2 pieces of x (CFDP 1:7) came again or late, of 3"
     assert not found.bad
     return found
+
+
+@case
+def frames_lost(lab, tmp_path, msg_id):
+    maker, packets = Maker("tm", 60), [space_packet(1, bytes([number]) * 80) for number in range(4)]
+    frames = [frame for frame, _ in maker.carry(packets)]
+    path = write(tmp_path / "f.pcap", [Udp(at, *FRAMED, frame) for at, frame in enumerate(frames) if at != 2])
+    config = tmp_path / "f.yaml"
+    told = f"{{port: {FRAMED[1][1]}, kind: tm, length: {maker.length}}}"
+    config.write_text(f"link: {{ros__parameters: {{frames: {{down: {told}}}}}}}")
+    sound = examine(
+        open_file(write(tmp_path / "s.pcap", [Udp(0, *FRAMED, frames[0])])), framed(config)
+    ).diagnosis
+    assert [item.rule for item in sound.verdicts if item.rule == "frames_lost"] == []
+    return examine(open_file(path), framed(config)).diagnosis
+
+
+FRAMED = ("10.0.0.2", 40000), ("10.0.0.1", 5111)
+
+
+def framed(config):
+    return Settings([config]).workbench()
 
 
 def test_a_file_that_arrives_is_no_verdict(lab):

@@ -63,6 +63,7 @@ class CaptureFileSink:
             CaptureError: the file cannot be written, or its format cannot hold a frame.
         """
         del columns
+        batch = batch.captured
         self.datagrams += len(batch)
         if len(batch):
             self._put(self._lay_out(batch))

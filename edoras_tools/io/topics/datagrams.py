@@ -83,11 +83,14 @@ class DatagramWriter:
             columns: of the same rows.
             published: i64, publish time, ns since 1970.
         """
+        rows = np.arange(len(batch))
+        if (batch.original_length < 0).any():  # packets that were taken out of frames: the frames are written
+            rows = np.flatnonzero(batch.original_length >= 0)
+            batch, columns, published = batch.take(rows), columns.take(rows), published[rows]
 
         def heads(chosen: slice) -> NDArray[Any]:
             return self._fill(batch.take(chosen), columns.take(chosen), published[chosen])
 
-        rows = np.arange(len(batch))
         return Messages(
             rows,
             self._channel_id,

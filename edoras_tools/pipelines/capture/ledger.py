@@ -99,6 +99,7 @@ class Ledger:
         sequences: shared with others that see the same batches; by default its own.
 
     Attributes:
+        taken_out: of the datagrams, packets that were taken out of transfer frames.
         behind: datagrams whose time is before that of the previous one.
         behind_ns: maximum by which the time runs back.
     """
@@ -110,6 +111,7 @@ class Ledger:
         self._known = 0
         """How many of its streams belong to accounts."""
         self.datagrams = 0
+        self.taken_out = 0
         self.start_ns = 0
         self.end_ns = 0
         self.behind = 0
@@ -132,6 +134,7 @@ class Ledger:
         self.start_ns = min(self.start_ns, low) if self.datagrams else low
         self.end_ns = max(self.end_ns, high)
         self.datagrams += len(batch)
+        self.taken_out += int(np.count_nonzero(batch.original_length < 0))
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Count a batch, and every stream in it."""

@@ -117,7 +117,9 @@ class CaptureReport:
         return {
             "source": self.source.info.name,
             "kind": self.source.info.kind,
-            "datagrams": self.ledger.datagrams - sum(item.datagrams for item in self.losses),
+            "datagrams": self.ledger.datagrams
+            - self.ledger.taken_out
+            - sum(item.datagrams for item in self.losses),
             "skipped": statistics.skipped,
             "start_ns": self.ledger.start_ns,
             "end_ns": self.ledger.end_ns,

@@ -116,8 +116,13 @@ def examine(
         statistics = source.statistics
         warnings = *bench.columns.context.notes, *statistics.warnings
         capture = Capture(
-            *(statistics.kernel_drops, warnings, examination.zero_ns, loop.outside),
-            *(tuple(statistics.outages), host),
+            statistics.kernel_drops,
+            warnings,
+            examination.zero_ns,
+            loop.outside,
+            tuple(statistics.outages),
+            host,
+            frames=bench.frames,
         )
         found, choice = examination.diagnose(capture), chosen.choice()
         return found.limited(choice) if choice else found

@@ -16,6 +16,7 @@ import numpy as np
 from edoras_tools.decode import Context
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.dissectors.lua import FindingText, Knowledge, RouteText, generate
+from edoras_tools.links.frames import FRAMES
 from edoras_tools.mission import load, loads
 from edoras_tools.model import NO_ROUTE, Finding, Link
 from edoras_tools.render.severity import EXPLANATIONS, Level
@@ -114,7 +115,10 @@ def _claim(claims: dict[int, list[int]], route_of: Iterable[int], first: int) ->
 
 
 def _ports(context: Context, link: Link) -> Iterable[int]:
-    return np.flatnonzero(context.ports[link])
+    """Return the ports of a link; those with transfer frames are of the link of frames alone."""
+    if link == FRAMES:
+        return context.frames
+    return (port for port in np.flatnonzero(context.ports[link]).tolist() if port not in context.frames)
 
 
 def _finding(item: Finding) -> FindingText:

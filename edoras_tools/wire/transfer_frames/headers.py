@@ -73,7 +73,7 @@ AOS: Final = Layout(
 AOS_PACKETS: Final = Layout(
     "aos_packets",
     "AOS Packet Zone",
-    Field("spare", 5, "0"),
+    Field("reserved", 5, "0"),
     Field(_FIRST.name, 11, _FIRST.doc, base=16, names=_FIRST.names, clause="732.0-B 4.1.4.2.2.3"),
 )
 """The header of an M_PDU, the data field of an AOS frame with packets."""
@@ -85,7 +85,7 @@ TC: Final = Layout(
     Field(
         "control_command_flag", 1, "1: a command to the frame's receiver itself", clause="232.0-B 4.1.2.2.3.2"
     ),
-    Field("spare", 2, "0"),
+    Field("reserved", 2, "0"),
     Field("spacecraft_id", 10, _CRAFT, base=16, clause="232.0-B 4.1.2.4"),
     Field("virtual_channel_id", 6, "the channel of the frame", clause="232.0-B 4.1.2.5"),
     Field("frame_length", 10, "bytes of the whole frame, less 1", clause="232.0-B 4.1.2.6"),

@@ -19,7 +19,7 @@ TC = {
     "transfer_frame_version_number": 0,
     "bypass_flag": 1,
     "control_command_flag": 0,
-    "spare": 0,
+    "reserved": 0,
     "spacecraft_id": 0x3FE,
     "virtual_channel_id": 0x21,
     "frame_length": 0x2AB,
@@ -31,7 +31,7 @@ TC = {
     ("layout", "raw", "values"),
     [
         (headers.AOS, "696a123456a9", AOS),
-        (headers.AOS_PACKETS, "07fe", {"spare": 0, "first_header_pointer": headers.ONLY_IDLE_DATA}),
+        (headers.AOS_PACKETS, "07fe", {"reserved": 0, "first_header_pointer": headers.ONLY_IDLE_DATA}),
         (headers.TC, "23fe86abcd", TC),
         (headers.TC_SEGMENT, "c5", {"segment_sequence_flags": 3, "map_id": 5}),
         (headers.TM_SECONDARY, "05", {"version_number": 0, "secondary_header_length": 5}),

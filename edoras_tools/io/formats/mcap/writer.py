@@ -108,7 +108,7 @@ class McapSink:
         )
         self._extras: dict[str, int] = {}
         self._noted: list[InterfaceOutage] = []
-        self._count = 0
+        self._count = self._captured = 0
         self._number = 0
         self._start_ns = 0
         self._state: Literal["open", "failed", "closed"] = "open"
@@ -226,6 +226,7 @@ class McapSink:
         else:
             self._chunks.append(self._streams.made(batch, columns, prepared), len(batch))
         self._count += len(batch)
+        self._captured += int(np.count_nonzero(batch.original_length >= 0))
 
     def _packed(self, batch: PacketBatch, columns: Columns, prepared: PreparedBatch) -> list[PackedChunks]:
         """Return the chunks of a batch; a worker has this sink as it was when the first file was opened."""
@@ -279,7 +280,7 @@ class McapSink:
 
     def _begin(self, file: McapFile) -> None:
         """Write what precedes the messages."""
-        self._count = 0
+        self._count = self._captured = 0
         self._extras = {}
         streams = self._streams
         schemas = {name: file.add_schema(name, text) for name, text in streams.definitions.items()}
@@ -302,13 +303,13 @@ class McapSink:
             METADATA_NAME,
             {
                 **self._opening(),
-                "datagrams": str(self._count),
+                "datagrams": str(self._captured),
                 "clock_offset_ns": json.dumps(self._streams.clock.offsets()),
                 **{key: str(value) for key, value in counted.items()},
             },
         )
         file.finish()
-        self.complete.append((file.output, self._count))
+        self.complete.append((file.output, self._captured))
 
     def _note_outages(self) -> None:
         """Write outages of the source's interface since the last call: as messages and as metadata."""
