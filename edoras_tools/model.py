@@ -465,6 +465,11 @@ class Decoded:
     stop: EdorasError | None = None
     summary: str = ""
 
+    @property
+    def link_name(self) -> str:
+        """The link's name for people; of traffic of no link, the transport's."""
+        return "TCP" if self.datagram.stream and self.link is OTHER else self.link.name
+
     def layer(self, name: str) -> Layer | None:
         """Return the first layer of that name, or None."""
         return next((item for item in self.layers if item.name == name), None)

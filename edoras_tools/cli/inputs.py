@@ -189,9 +189,10 @@ def _opened(given: LiveOptions, bench: Workbench, *, every_port: bool) -> Source
     if interface:
         from edoras_tools.io.capture.live import open_live
 
-        ports = () if every_port else bench.columns.context.capture_ports()
+        context = bench.columns.context
+        ports = () if every_port else context.capture_ports()
         ready = partial(_ready, interface)
-        return open_live(interface, ports, ready=ready, told=_tell, wait=waits)
+        return open_live(interface, ports, streams=context.framings, ready=ready, told=_tell, wait=waits)
     from edoras_tools.cli.listening import tell_reach
     from edoras_tools.io.net.address import parse_endpoint
     from edoras_tools.io.net.receive import UdpSource

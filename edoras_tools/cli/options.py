@@ -415,7 +415,7 @@ class DecodingOptions(NamedTuple):
             "--port",
             metavar="LINK:PORT",
             parser=link_port,
-            help=f"Another UDP port of {', '.join(ROWS)} or an installed link; repeatable.",
+            help=f"Another port of {', '.join(ROWS)} or an installed link; repeatable.",
         ),
     ] = None
     envelope: Annotated[

@@ -16,6 +16,7 @@ ROWS: Final = {
     "cfdp": "edoras_tools.links.cfdp:CFDP",
     "frames": "edoras_tools.links.frames:FRAMES",
     "file": "edoras_tools.links.stored:STORED",
+    "racs2": "edoras_tools.links.racs2:RACS2",
 }
 """The built-in links and where each object is; other packages add theirs by entry points."""
 ENTRY_POINT_GROUP: Final = "edoras.links"

@@ -47,7 +47,13 @@ class MessageContents:
 
 
 class StreamState(Protocol):
-    """What is known of one connection, for a link whose messages depend on those before."""
+    """What is known of one connection, for a link whose messages depend on those before.
+
+    Attributes:
+        foreign: whether it is another program's, which uses the same port: nothing of it is kept.
+    """
+
+    foreign: bool
 
     def contents(
         self,

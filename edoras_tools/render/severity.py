@@ -194,7 +194,8 @@ EXPLANATIONS: Final = {
     Finding.FRAGMENT: Explanation(
         _NOTE,
         "fragments",
-        "The datagram came in IP fragments and was reassembled from several frames.",
+        "A part of a message: an IP fragment, a piece of a TCP stream, one of several WebSocket frames; the "
+        "content comes with the frame that completes it, if one does.",
     ),
     Finding.STREAM_GAP: Explanation(
         _WARNING,

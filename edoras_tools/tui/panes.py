@@ -299,5 +299,5 @@ class Panes(App[None]):
 def _packet_title(decoded: Decoded) -> Text:
     line = line_of(decoded)
     msg_id = f"0x{line.msg_id:04x}" if line.msg_id >= 0 else ""
-    words = " ".join(filter(None, (decoded.link.name, line.kind, msg_id, clean(line.name))))
+    words = " ".join(filter(None, (decoded.link_name, line.kind, msg_id, clean(line.name))))
     return Text.assemble(f"Packet {decoded.datagram.number}  ", (words, decoded.link.colour))

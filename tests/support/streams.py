@@ -109,6 +109,7 @@ def sbn_messages(count: int, size: int = 20) -> list[bytes]:
 
 def segments_of(stream: bytes, cuts, begin: int = 1000, **options) -> list[Segment]:
     """Return a stream as segments that end at ``cuts``, after its SYN."""
-    edges = [0, *sorted({at for at in cuts if 0 < at < len(stream)}), len(stream)]
+    inner = {at for at in (*cuts, *range(0, len(stream), 50_000)) if 0 < at < len(stream)}
+    edges = [0, *sorted(inner), len(stream)]
     made = [Segment(begin - 1, flags=SYN, **options)]
     return made + [Segment(begin + first, stream[first:last], **options) for first, last in pairwise(edges)]

@@ -1,4 +1,4 @@
-"""The kernel's packet filter: classic BPF programs that keep UDP datagrams by port.
+"""The kernel's packet filter: classic BPF programs that keep UDP datagrams and TCP segments by port.
 
 A packet that the filter refuses never reaches the ring, so it costs neither memory nor a copy. The machine is
 that of McCanne and Jacobson, "The BSD Packet Filter" (1993), with Linux's ancillary loads
@@ -71,7 +71,7 @@ MAXIMUM_EXTENSIONS: Final = 4
 _SO_ATTACH_FILTER: Final = 26
 _VLAN_TYPES: Final = (0x8100, 0x88A8, 0x9100)
 _IPV4, _IPV6 = 0x0800, 0x86DD
-_UDP, _FRAGMENT = 17, 44
+_UDP, _TCP, _FRAGMENT = 17, 6, 44
 _EXTENSIONS: Final = (0, 43, 60)  # hop-by-hop options, routing, destination options (RFC 8200 section 4)
 
 
@@ -141,11 +141,12 @@ def port_filter(
     link_type: int,
     ports: Iterable[int] = (),
     *,
+    streams: Iterable[int] = (),
     snap_length: int = 262144,
     loopback: int | None = None,
     whole: bool = False,
 ) -> tuple[Instruction, ...]:
-    """Build the program that keeps UDP datagrams from or to some ports.
+    """Build the program that keeps UDP datagrams, and TCP segments, from or to some ports.
 
     It keeps UDP over IPv4 or IPv6, after at most ``MAXIMUM_TAGS`` VLAN tags and ``MAXIMUM_EXTENSIONS`` IPv6
     extension headers, if the source or destination port is in the set. A first fragment is judged by its
@@ -154,13 +155,14 @@ def port_filter(
     Args:
         link_type: ``ETHERNET``, ``RAW`` or ``LINUX_SLL2``.
         ports: UDP ports; if empty, every UDP datagram is kept.
+        streams: TCP ports; if empty, no TCP segment is kept.
         snap_length: bytes of each packet to capture.
         loopback: index of the loopback interface; its outgoing packets are dropped, because they come in
             again.
         whole: ``LINUX_SLL2``: the socket gives frames with their link layer headers.
 
     Raises:
-        CaptureError: a port is not a UDP port, or there are too many of them.
+        CaptureError: a port is not a UDP or TCP port, or there are too many of them.
     """
     program = Assembler()
     if loopback is not None:
@@ -191,8 +193,16 @@ def port_filter(
         program.test(JEQ, 0x40, then="ipv4")
         program.test(JEQ, 0x60, then="ipv6")
         program.emit(RET, 0)
-    _ipv4(program, snap_length)
-    _ipv6(program, snap_length)
+    segments = sorted(set(streams))
+    protocols = (_UDP, _TCP) if segments else (_UDP,)
+    _ipv4(program, snap_length, protocols)
+    _ipv6(program, snap_length, protocols)
+    program.label("transport")
+    if segments:
+        program.emit(LD_MEM, 0)
+        program.test(JEQ, _TCP, otherwise="udp")
+        _ports(program, segments, snap_length, "tcp ")
+        program.label("udp")
     _ports(program, sorted(set(ports)), snap_length)
     return program.assemble()
 
@@ -233,13 +243,15 @@ def _ethertype(program: Assembler, end: int, prefix: str = "") -> None:
             program.emit(LD_H, end + 4 * tags + 2)
 
 
-def _ipv4(program: Assembler, keep: int) -> None:
-    """Move X from an IPv4 header to the UDP header (RFC 791 section 3.1)."""
+def _ipv4(program: Assembler, keep: int, protocols: Sequence[int]) -> None:
+    """Move X from an IPv4 header to the transport header (RFC 791 section 3.1), its protocol to memory."""
     program.label("ipv4")
     program.emit(LD_B_X, 9)
-    program.test(JEQ, _UDP, then="ipv4 udp")
+    program.emit(ST, 0)
+    for protocol in protocols:
+        program.test(JEQ, protocol, then="ipv4 known")
     program.emit(RET, 0)
-    program.label("ipv4 udp")
+    program.label("ipv4 known")
     program.emit(LD_H_X, 6)
     program.test(JSET, 0x1FFF, otherwise="ipv4 whole")
     program.emit(RET, keep)
@@ -249,11 +261,11 @@ def _ipv4(program: Assembler, keep: int) -> None:
     program.emit(LSH_K, 2)
     program.emit(ADD_X)
     program.emit(TAX)
-    program.test(JA, 0, then="udp")
+    program.test(JA, 0, then="transport")
 
 
-def _ipv6(program: Assembler, keep: int) -> None:
-    """Move X from an IPv6 header, over its extension headers, to the UDP header (RFC 8200 section 4)."""
+def _ipv6(program: Assembler, keep: int, protocols: Sequence[int]) -> None:
+    """Move X from an IPv6 header, over its extension headers, to the transport header (RFC 8200, 4)."""
     program.label("ipv6")
     program.emit(LD_B_X, 6)
     program.emit(ST, 0)
@@ -262,7 +274,8 @@ def _ipv6(program: Assembler, keep: int) -> None:
     program.emit(TAX)
     program.emit(LD_MEM, 0)
     for count in range(MAXIMUM_EXTENSIONS):
-        program.test(JEQ, _UDP, then="udp")
+        for protocol in protocols:
+            program.test(JEQ, protocol, then="transport")
         program.test(JEQ, _FRAGMENT, then=f"fragment {count}")
         for extension in _EXTENSIONS:
             program.test(JEQ, extension, then=f"extension {count}")
@@ -287,24 +300,27 @@ def _ipv6(program: Assembler, keep: int) -> None:
         program.label(f"next {count}")
         program.emit(TAX)
         program.emit(LD_MEM, 0)
-    program.test(JEQ, _UDP, then="udp")
+    for protocol in protocols:
+        program.test(JEQ, protocol, then="transport")
     program.emit(RET, 0)
 
 
-def _ports(program: Assembler, ports: list[int], keep: int) -> None:
-    """Return the verdict for the UDP header at X (RFC 768)."""
-    program.label("udp")
+def _ports(program: Assembler, ports: list[int], keep: int, prefix: str = "") -> None:
+    """Return the verdict for the UDP or TCP header at X, which both begin with the ports.
+
+    ``prefix`` distinguishes the labels of two such parts.
+    """
     if not ports:
         program.emit(RET, keep)
         return
     if not 0 <= ports[0] <= ports[-1] <= 0xFFFF:
         wrong = ports[0] if ports[0] < 0 else ports[-1]
-        raise CaptureError(f"{wrong} is not a UDP port: 0 to 65535")
+        raise CaptureError(f"{wrong} is not a UDP or TCP port: 0 to 65535")
     for field in (0, 2):
         program.emit(LD_H_X, field)
         for first, last in _ranges(ports):
             # Each test has its own verdict: with many ports, a jump to a common one would be too long.
-            name = f"{field} {first}"
+            name = f"{prefix}{field} {first}"
             if first == last:
                 program.test(JEQ, first, otherwise=name)
             else:

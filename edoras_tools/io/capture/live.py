@@ -28,6 +28,7 @@ class LiveSource(DeviceSource):
     Args:
         interface: its name, or ``any``.
         ports: UDP ports to capture, source or destination; if empty, every UDP datagram.
+        streams: TCP ports to capture; if empty, none.
         ready: called once when ``batches`` starts; nothing that arrives after construction is missed.
         told: see ``DeviceSource``.
         wait: if the interface does not exist or is down, treat it as one that is away now.
@@ -41,17 +42,19 @@ class LiveSource(DeviceSource):
         interface: str,
         ports: Iterable[int] = (),
         *,
+        streams: Iterable[int] = (),
         ready: Callable[[], None] | None = None,
         told: Callable[[InterfaceOutage], None] | None = None,
         wait: bool = False,
     ) -> None:
-        super().__init__(Ring(interface, ports, wait=wait), ready=ready, told=told)
+        super().__init__(Ring(interface, ports, streams=streams, wait=wait), ready=ready, told=told)
 
 
 def open_live(
     interface: str,
     ports: Iterable[int] = (),
     *,
+    streams: Iterable[int] = (),
     backend: str = "auto",
     ready: Callable[[], None] | None = None,
     told: Callable[[InterfaceOutage], None] | None = None,
@@ -62,6 +65,7 @@ def open_live(
     Args:
         interface: its name, or ``any`` (ring only).
         ports: UDP ports to capture, source or destination; if empty, every UDP datagram.
+        streams: TCP ports to capture; if empty, none.
         backend: one of ``BACKENDS``.
         ready: called once when ``batches`` starts.
         told: see ``DeviceSource``.
@@ -73,6 +77,6 @@ def open_live(
     if backend not in BACKENDS:
         raise CaptureError(f"{backend}: no such capture back end; there are {', '.join(BACKENDS)}")
     if backend == "ring" or (backend == "auto" and hasattr(socket, "AF_PACKET")):
-        return LiveSource(interface, ports, ready=ready, told=told, wait=wait)
+        return LiveSource(interface, ports, streams=streams, ready=ready, told=told, wait=wait)
 
-    return ScapySource(interface, ports, ready=ready)
+    return ScapySource(interface, ports, streams=streams, ready=ready)

@@ -120,6 +120,7 @@ class Ring:
     Args:
         interface: its name, or ``any``.
         ports: UDP ports to capture, source or destination; if empty, every UDP datagram.
+        streams: TCP ports to capture; if empty, none.
         block_size: bytes of a block; a multiple of the page size that holds the largest frame.
         blocks: number of blocks; by default from ``_RING_BYTES``; halved until the kernel has enough memory.
         snap_length: bytes of a frame to keep.
@@ -143,6 +144,7 @@ class Ring:
         interface: str,
         ports: Iterable[int] = (),
         *,
+        streams: Iterable[int] = (),
         block_size: int = 1 << 17,
         blocks: int = 0,
         snap_length: int = 262144,
@@ -164,6 +166,7 @@ class Ring:
         self.look_s = FRESH_S if walks else _WATCH_S
         self.outages: list[InterfaceOutage] = []
         self._ports = tuple(ports)
+        self._streams = tuple(streams)
         self._promiscuous = promiscuous
         self._block_size = block_size
         self._blocks = blocks or _blocks(block_size)
@@ -193,6 +196,7 @@ class Ring:
         program = port_filter(
             self._link_type,
             self._ports,
+            streams=self._streams,
             snap_length=self.info.snap_length,
             loopback=loopback,
             whole=cooked and self._told,

@@ -52,7 +52,7 @@ class Sniffer:
 
     Args:
         interface: its name.
-        ports: UDP ports for the kernel's filter, if scapy can compile one.
+        expression: the kernel's filter, if scapy can compile it; None for none.
         snap_length: bytes of a frame to keep.
 
     Attributes:
@@ -66,7 +66,7 @@ class Sniffer:
         CaptureError: no such interface, or it may not be opened.
     """
 
-    def __init__(self, interface: str, ports: Iterable[int], snap_length: int) -> None:
+    def __init__(self, interface: str, expression: str | None, snap_length: int) -> None:
         if interface not in interfaces():
             raise missing_interface(interface)
         self.info = SourceInfo(interface, "live", time_resolution_ns=1000, snap_length=snap_length)
@@ -76,7 +76,7 @@ class Sniffer:
         self.outages: list[InterfaceOutage] = []
         self._number = 1
         self._failure: str | None = None
-        self._socket = _listen(interface, _expression(ports))
+        self._socket = _listen(interface, expression)
         inner = getattr(self._socket, "ins", None)
         self._packet_socket = inner if _LINUX and isinstance(inner, socket.socket) else None
         if self._packet_socket is not None:
@@ -157,6 +157,7 @@ class ScapySource(DeviceSource):
     Args:
         interface: its name.
         ports: UDP ports to capture, source or destination; if empty, every UDP datagram.
+        streams: TCP ports to capture; if empty, none.
         ready: called once when ``batches`` starts; nothing that arrives after construction is missed.
         snap_length: bytes of a frame to keep.
 
@@ -169,11 +170,13 @@ class ScapySource(DeviceSource):
         interface: str,
         ports: Iterable[int] = (),
         *,
+        streams: Iterable[int] = (),
         ready: Callable[[], None] | None = None,
         snap_length: int = 262144,
     ) -> None:
         self._ports = np.array(sorted(set(ports)), dtype=np.int64)
-        super().__init__(Sniffer(interface, self._ports.tolist(), snap_length), ready=ready)
+        expression = _expression(self._ports.tolist(), streams)
+        super().__init__(Sniffer(interface, expression, snap_length), ready=ready)
         if not _LINUX:
             self.statistics.warnings.append(
                 "scapy does not know how many frames this system dropped: 0 drops may be wrong"
@@ -186,14 +189,17 @@ class ScapySource(DeviceSource):
             return batch
         wanted = np.isin(batch.source_port, self._ports) | np.isin(batch.destination_port, self._ports)
         wanted |= (batch.capture_findings & Finding.FRAGMENT) != 0
+        if batch.streams is not None:
+            wanted |= batch.streams
         kept = batch.take(wanted)
         self.statistics.datagrams += len(kept) - len(batch)
         return kept
 
 
-def _expression(ports: Iterable[int]) -> str | None:
+def _expression(ports: Iterable[int], streams: Iterable[int] = ()) -> str | None:
     """Return the port filter in libpcap's language; in later fragments and tagged frames it sees no ports."""
     wanted = " or ".join(f"udp port {port}" for port in ports)
+    wanted = "".join([wanted, *(f" or tcp port {port}" for port in streams)]) if wanted else ""
     return f"{wanted} or (ip[6:2] & 0x1fff != 0) or ip6[6] == 44 or vlan" if wanted else None
 
 

@@ -18,11 +18,12 @@ The rules:
    messages probably start (``Framing.likely``).
 
 In the usual case, one message a segment and all in order, no byte is copied and no Python runs per segment.
-Of bytes that came twice with different values, those of the segment that starts first are used.
+Of bytes that came twice with different values, those that came first are used.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, field, fields
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
@@ -62,26 +63,44 @@ _RESENT: Final = np.uint32(Finding.STREAM_RESENT)
 
 
 @dataclass(slots=True, eq=False)
+class _Shared:
+    """What both directions of a connection share.
+
+    Attributes:
+        state: what their messages depend on; None where each is its own content.
+    """
+
+    state: StreamState | None
+
+    @property
+    def foreign(self) -> bool:
+        """Whether the connection is another program's."""
+        return self.state is not None and self.state.foreign
+
+
+@dataclass(slots=True, eq=False)
 class _Direction:
     """One direction of a connection.
 
     Attributes:
         framing: cuts its messages.
-        state: of both directions.
+        shared: what is kept of both directions.
         forward: which of the two it is.
         next: sequence number of the first byte that was not handed over; -1 before the first.
         begin: that of the first byte after SYN; -1 if that was not captured.
         synced: whether a message starts there.
         gap: whether bytes before it are missing.
+        known: whether a message was found.
     """
 
     framing: Framing
-    state: StreamState | None
+    shared: _Shared
     forward: bool
     next: int = -1
     begin: int = -1
     synced: bool = False
     gap: bool = False
+    known: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -146,7 +165,7 @@ class StreamReassembler:
         self._directions: dict[tuple[Any, ...], _Direction] = {}
 
     def messages(self, segments: Segments, *, final: bool = False) -> tuple[PacketBatch, NDArray[np.int64]]:
-        """Return the messages that some segments complete.
+        """Return the messages that some segments complete, but for those of other programs' connections.
 
         Args:
             segments: those that wait from the last call, then new ones, in the order of their capture.
@@ -168,7 +187,7 @@ class StreamReassembler:
             kept.append(follow.all(members, reached, final=final))
         while len(self._directions) > CONNECTIONS:
             del self._directions[next(iter(self._directions))]
-        return _batch(segments, rows, used), np.sort(np.concatenate(kept))
+        return _batch(segments, rows, used), np.unique(np.concatenate(kept))
 
     def _groups(self, segments: Segments) -> Iterator[tuple[tuple[Any, ...], NDArray[np.int64]]]:
         """Yield each direction that has segments: its key, and which they are."""
@@ -201,9 +220,9 @@ class StreamReassembler:
         if way is None:
             other = self._directions.get((key[0], key[3], key[4], key[1], key[2]))
             framing = self._framings.get(key[4]) or self._framings[key[2]]
-            talk = other.state if other else framing.state()
+            shared = other.shared if other else _Shared(framing.state())
             forward = not other.forward if other else True
-            way = self._directions[key] = _Direction(framing, talk, forward)
+            way = self._directions[key] = _Direction(framing, shared, forward)
         return way
 
 
@@ -229,11 +248,15 @@ class _Follow:
         fresh = np.diff(begins, prepend=way.begin) != 0
         parts = np.split(members, np.searchsorted(members, opening[fresh]))
         begin = [way.begin, *begins[fresh].tolist()]
-        kept = []
+        kept = [members[:0]]
         for place, part in enumerate(parts):
             if place:
                 way.next = way.begin = begin[place]
                 way.synced, way.gap = True, False
+                if not segments.flags[part[0]] & _ACK:  # the first segment of a connection
+                    way.shared.state = way.framing.state()
+            if way.shared.foreign:
+                continue
             holding = part[segments.length[part] > 0]
             sequence = segments.sequence[holding]
             far = np.flatnonzero(np.abs(_from(sequence[:-1], sequence[1:])) > _FAR) + 1
@@ -285,18 +308,32 @@ class _Follow:
             members, start, length = members[order], start[order], length[order]
         stop = start + length
         before = np.maximum(np.append(0, np.maximum.accumulate(stop)[:-1]), 0)
-        begin = np.maximum(start, before)
-        # One byte that had come before keeps a connection alive (RFC 1122 section 4.2.3.6).
-        again = segments.fresh[members] & (start < before) & ((length > 1) | (stop != before))
-        new = begin < stop
+        twice = start < before
+        if not twice.any():
+            whole = np.ones(len(members), bool)
+            return _Pieces(members, segments.start[members], start, length, whole), members[:0]
+        # Runs of segments that overlap; all others are as they are.
+        run = np.cumsum(~twice)
+        alone = ~twice & (np.append(run[1:], -1) != run)
+        kept = np.flatnonzero(alone)
+        parts = [np.stack((kept, start[kept], stop[kept]), axis=1)]
+        again: list[int] = []
+        apart = np.flatnonzero(~alone)
+        for overlapping in np.split(apart, np.flatnonzero(np.diff(run[apart])) + 1):
+            found, resent = _first_bytes(members, start, stop, overlapping)
+            parts.append(found)
+            again += resent
+        row, begin, end = np.concatenate(parts)[np.argsort(np.concatenate(parts)[:, 1], kind="stable")].T
+        chosen = members[row]
         pieces = _Pieces(
-            members[new],
-            (segments.start[members] + begin - start)[new],
-            begin[new],
-            (stop - begin)[new],
-            (begin == start)[new],
+            chosen,
+            segments.start[chosen] + begin - start[row],
+            begin,
+            end - begin,
+            (begin == start[row]) & (end == stop[row]),
         )
-        return pieces, members[again]
+        seen = members[np.array(sorted(again), np.int64)]
+        return pieces, seen[segments.fresh[seen]]
 
     def _is_lost(self, pieces: _Pieces, edge: int, reached: NDArray[np.int64] | None, base: int) -> bool:
         """Return whether the bytes before a piece will not come any more."""
@@ -415,13 +452,16 @@ class _Cut:
             if not way.synced:
                 start = self._message_start(position)
                 if start is None:
-                    if keep and self.total - position <= framing.largest:
+                    if keep and self.total - position <= min(framing.largest, _WINDOW):
                         break
+                    if way.shared.state is not None and not way.known:
+                        way.shared.state.foreign = True
                     start = self.total
                 if start > position:
                     put(np.array([position]), start, message=False)
                 position = start
                 way.synced = position < self.total
+                way.known |= way.synced
                 continue
             starts, end = walk_records(
                 position,
@@ -434,6 +474,7 @@ class _Cut:
             )
             if len(starts):
                 put(starts, end, message=True)
+                way.known = True
             position = end
             if position < self.total:
                 if framing.length(view, position, self.total) == NOT_A_MESSAGE:
@@ -473,6 +514,44 @@ class _Cut:
         return True
 
 
+def _first_bytes(
+    members: NDArray[np.int64], start: NDArray[np.int64], stop: NDArray[np.int64], rows: NDArray[np.intp]
+) -> tuple[NDArray[np.int64], list[int]]:
+    """Choose, of segments that overlap, the bytes that came first.
+
+    Args:
+        members: numbers that rise in the order of arrival.
+        start: place of the first byte of each; what is before 0 had come earlier.
+        stop: one past its last byte.
+        rows: which of them overlap, in the order of ``start``.
+
+    Returns:
+        i64 (n, 3), row, start and end of what is new; and the rows with bytes that had come before.
+    """
+    found: list[tuple[int, int, int]] = []
+    again: list[int] = []
+    there = [(-_WRAP, 0)]  # in order, apart from each other
+    for row in sorted(rows.tolist(), key=lambda item: int(members[item])):
+        begin, end = int(start[row]), int(stop[row])
+        first = bisect_right(there, begin, key=lambda item: item[1])
+        at, last, overlaps = begin, first, 0
+        while last < len(there) and there[last][0] < end:
+            low, high = there[last]
+            if at < low:
+                found.append((row, at, low))
+            overlaps += min(high, end) - max(low, begin)
+            at = max(at, high)
+            last += 1
+        if at < end:
+            found.append((row, at, end))
+        span = [begin, end, *(edge for item in there[first:last] for edge in item)]
+        there[first:last] = [(min(span), max(span))]
+        # One byte that had come before keeps a connection alive (RFC 1122 section 4.2.3.6).
+        if overlaps > (end - begin == 1):
+            again.append(row)
+    return np.array(found, np.int64).reshape(-1, 3), again
+
+
 def _from(base: int | NDArray[np.int64], sequence: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return how far sequence numbers are behind ``base``; less than 2**31 either way."""
     return np.asarray((sequence - base + _WRAP // 2) % _WRAP - _WRAP // 2)
@@ -504,11 +583,12 @@ def _batch(segments: Segments, rows: _Rows, ways: list[_Direction]) -> PacketBat
     contents = _contents(data, column, findings, ways, len(data) + len(added))
     extra, told, offset[told], length[told], part = contents
     findings[told[part]] |= _PART
+    foreign = np.array([way.shared.foreign for way in ways], bool)[column["direction"].astype(np.int64)]
     length[(findings & _PART) != 0] = 0
     original = frames.original_length[segment].astype(np.int64)
     original[made] = size[made]
     cut = whole & segments.cut[segment]
-    return PacketBatch(
+    batch = PacketBatch(
         data=np.concatenate((data, added, *extra, np.zeros(PADDING, np.uint8))),
         number=frames.number[segment],
         time_ns=frames.time_ns[segment],
@@ -527,6 +607,7 @@ def _batch(segments: Segments, rows: _Rows, ways: list[_Direction]) -> PacketBat
         ipv6=ip.addresses,
         streams=np.ones(len(segment), bool),
     )
+    return batch.take(~foreign) if foreign.any() else batch
 
 
 def _contents(
@@ -549,12 +630,12 @@ def _contents(
     ]
     talks: dict[int, list[int]] = {}
     for index, way in enumerate(ways):
-        if way.state is not None:
-            talks.setdefault(id(way.state), []).append(index)
+        if way.shared.state is not None:
+            talks.setdefault(id(way.shared), []).append(index)
     for members in talks.values():
         chosen = np.isin(column["direction"], members) & (findings & _PART == 0)
         rows = np.flatnonzero(chosen)
-        talk = ways[members[0]].state
+        talk = ways[members[0]].shared.state
         if not len(rows) or talk is None:
             continue
         forward = np.array([way.forward for way in ways])[column["direction"][rows].astype(np.int64)]

@@ -28,7 +28,7 @@ def packet_lines(
         width: cells that no line exceeds, at least 44.
         colour: whether to use ANSI styles.
         chosen: a layer or ``LAYER.FIELD`` to highlight in the bytes; empty for none.
-        base: dump the UDP payload, or the whole frame.
+        base: dump the payload, or the whole frame.
 
     Raises:
         ConfigError: the packet holds no such layer or field.
@@ -57,7 +57,8 @@ def _bytes(decoded: Decoded, width: int, paint: palette.Paint, chosen: str, base
         start, end = hexdump.choose(decoded, chosen)
         # A payload reassembled from fragments is not in a single frame.
         span = (start + shift, end + shift) if shift >= 0 else None
-    title = "UDP payload" if base == "payload" else "Frame"
+    content = "TCP message" if datagram.stream else "UDP payload"
+    title = content if base == "payload" else "Frame"
     pointed = f", {chosen} at {span[0]}-{span[1] - 1}" if span and span[1] > span[0] else ""
     head = paint(f"{title}, {len(data):,} bytes{pointed}", palette.STRONG)
     return [

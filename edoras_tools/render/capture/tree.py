@@ -91,7 +91,7 @@ def _packet(decoded: Decoded) -> Iterator[TreeRow]:
     yield TreeRow("packet", 0, f"Packet {datagram.number}", value, style=style)
     line = line_of(decoded)
     msg_id = f"0x{line.msg_id:04x}" if line.msg_id != NO_MSG_ID else ""
-    what = " ".join(word for word in (decoded.link.name, line.kind, msg_id, line.name) if word)
+    what = " ".join(word for word in (decoded.link_name, line.kind, msg_id, line.name) if word)
     yield TreeRow("packet", 0, "", clean(f"{what}  {datagram.source} → {datagram.destination}"), style=style)
 
 

@@ -269,7 +269,7 @@ def test_loopback_is_seen_once(packet_type, interface, kept):
 
 @pytest.mark.parametrize("port", [-1, 65536, 70000])
 def test_a_number_that_is_no_port(port):
-    with pytest.raises(CaptureError, match=f"{port} is not a UDP port"):
+    with pytest.raises(CaptureError, match=f"{port} is not a UDP or TCP port"):
         bpf.port_filter(bpf.ETHERNET, [1234, port])
 
 

@@ -142,7 +142,7 @@ def test_no_such_backend(live):
 
 
 def test_a_port_that_is_none(live):
-    with pytest.raises(CaptureError, match="70000 is not a UDP port"):
+    with pytest.raises(CaptureError, match="70000 is not a UDP or TCP port"):
         live("lo", [70000])
 
 

@@ -1,0 +1,178 @@
+"""RACS2: ROS 2 and cFS over WebSocket, as JAXA's public bridge connects them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen, Site
+from edoras_tools.links.websocket import WebSocketFraming, WebSocketState
+from edoras_tools.model import Decoded, LayerField, PacketBatch, Transport
+from edoras_tools.wire import cfe, racs2
+from edoras_tools.wire.layout import Field, Layout
+from edoras_tools.wire.websocket import Opcode, masking_keys, read_headers
+from edoras_tools.wire.window import gather
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.framing import MessageContents
+    from edoras_tools.links.reading import Reading
+
+_WORDS: Final = Layout(
+    "racs2_words",
+    "32 bytes",
+    Field("first", 16, "a MsgId, or two characters"),
+    Field("second", 16, "zeros, or two characters"),
+    *(Field(f"word_{place}", 32, "zeros, or four characters") for place in range(1, 8)),
+)
+"""A header as numbers: a MsgId and zeros, or the characters of a topic's name."""
+_REST: Final = tuple(slot.field.name for slot in _WORDS.slots[2:])
+_NAME_BYTES: Final = np.isin(
+    np.arange(256), list(b"/_~0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ")
+)
+_NO_ASCII: Final = 0x80808080
+
+
+class RacsBridgeFraming(WebSocketFraming):
+    """WebSocket whose messages have the header of RACS2; Foxglove uses the same port."""
+
+    def likely(
+        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
+    ) -> NDArray[np.bool_]:
+        """Ask for a message in one frame that begins with a header, or for a handshake."""
+        headers = read_headers(data, at, end)
+        room = np.broadcast_to(np.asarray(end - at), at.shape)
+        holds = headers.valid & headers.known & headers.final & (headers.length >= racs2.BRIDGE_HEADER)
+        holds &= (headers.opcode == Opcode.TEXT) | (headers.opcode == Opcode.BINARY)
+        holds &= ~headers.compressed & (room >= headers.size + racs2.BRIDGE_HEADER)
+        head = gather(data, np.where(holds, at + headers.size, 0), racs2.BRIDGE_HEADER)
+        head ^= np.tile(masking_keys(data, at, headers), racs2.BRIDGE_HEADER // 4)
+        handshake = ~headers.valid & (self.lengths(data, at, end) > 0)
+        return np.asarray(handshake | (holds & (_names_topic(head) | _names_msg_id(head))))
+
+    def state(self) -> RacsBridgeState:
+        """Return what is known of a new connection."""
+        return RacsBridgeState(self.largest)
+
+
+class RacsBridgeState(WebSocketState):
+    """One connection: another protocol's, if the handshake or the first message says so."""
+
+    foreign_protocols = (b"foxglove.",)
+
+    def __init__(self, largest: int) -> None:
+        super().__init__(largest)
+        self._told = False
+
+    def contents(
+        self,
+        data: NDArray[np.uint8],
+        offset: NDArray[np.int64],
+        length: NDArray[np.int64],
+        forward: NDArray[np.bool_],
+    ) -> MessageContents:
+        """Return the payloads of frames, and judge by the first message whose connection it is."""
+        found = super().contents(data, offset, length, forward)
+        headers = read_headers(data, offset, offset + length)
+        whole = headers.valid & (headers.opcode < Opcode.CLOSE) & ~found.part
+        if not self._told and whole.any():
+            self._told = True
+            row = int(np.argmax(whole))
+            start = int(found.offset[row])
+            head = found.data[start : start + min(int(found.length[row]), racs2.BRIDGE_HEADER)][None]
+            full = head.shape[1] == racs2.BRIDGE_HEADER
+            self.foreign |= not (full and bool((_names_topic(head) | _names_msg_id(head))[0]))
+        return found
+
+
+def _names_topic(head: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Tell which headers are a topic's name and zeros, bool (n,); the first byte is no digit."""
+    ended = np.logical_or.accumulate(head == 0, axis=1)
+    fits = np.where(ended, head == 0, _NAME_BYTES[head]).all(axis=1)
+    return np.asarray(fits & (head[:, 0] > ord("9")) | fits & (head[:, 0] == ord("/")))
+
+
+def _names_msg_id(head: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Tell which headers are a valid MsgId and zeros, bool (n,)."""
+    msg_id = head[:, 0].astype(np.int32) << 8 | head[:, 1]
+    return np.asarray((msg_id > 0) & (msg_id <= cfe.HIGHEST_MSG_ID) & ~head[:, 2:].any(axis=1))
+
+
+def _spaces(word: Any) -> Any:
+    """Return bits that are set where a word of four characters has a space, as every handshake has."""
+    apart = word ^ 0x20202020
+    return (apart - 0x01010101) & (apart ^ 0xFFFFFFFF) & _NO_ASCII
+
+
+class RacsBridgeLink(LinkProtocol):
+    """The link of the RACS2 bridges; the header of a message says which way it goes."""
+
+    code = 10
+    name = "RACS2"
+    label = "racs2"
+    colour = "red"
+    doc = "between the RACS2 bridges of ROS 2 and cFS, over WebSocket"
+    transport = Transport("tcp", (racs2.BRIDGE_WEBSOCKET_PORT,), first="client")
+    framing = RacsBridgeFraming()
+    to_cfs = True
+    from_cfs = True
+    layouts = (racs2.TO_ROS, racs2.TO_CFS)
+    port_decides = False
+
+    def recognise(self, seen: Seen) -> Any:
+        """Recognise the 32 bytes of a header; pings and handshakes are not of the link."""
+        first, second = (seen.field(_WORDS, item) for item in ("first", "second"))
+        letter = first >> 8
+        to_cfs = (first > 0) & (first < cfe.HIGHEST_MSG_ID + 1) & (second == 0)
+        name = ((letter == ord("/")) | (letter > ord("9"))) & ((first | second) & 0x8080 == 0)
+        for item in _REST:
+            word = seen.field(_WORDS, item)
+            to_cfs = to_cfs & (word == 0)
+            name = name & (word & _NO_ASCII == 0) & (_spaces(word) == 0)
+        return BY_CONTENT * ((seen.length > racs2.BRIDGE_HEADER - 1) & (to_cfs | name))
+
+    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+        """Find no packets: the messages have none."""
+        del batch, site
+        return Located(len(rows))
+
+    def dissect(self, reading: Reading, site: Site) -> None:
+        """Read the header and the body of one message."""
+        del site
+        data = reading.data
+        first = int.from_bytes(data[:2], "big")
+        reading.read(racs2.TO_CFS if first <= cfe.HIGHEST_MSG_ID else racs2.TO_ROS, 0)
+        body = data[racs2.BRIDGE_HEADER :]
+        values = {"body_length": len(body), **(racs2.std_msgs_values(body) or {})}
+        for name, value in values.items():
+            doc = "bytes of the body" if name == "body_length" else "in the body, as the public examples do"
+            reading.extend(LayerField(name, value, racs2.BRIDGE_HEADER, len(data), str(value), doc))
+
+    def places(
+        self, layout: Layout, rows: BatchRows, field: str = ""
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Find the headers of one direction."""
+        del field
+        owner = np.flatnonzero(rows.column("link") == self)
+        offset = rows.datagram("offset")[owner]
+        to_cfs = gather(rows.batch.data, offset, 1)[:, 0] <= cfe.HIGHEST_MSG_ID >> 8
+        there = to_cfs == (layout is racs2.TO_CFS)
+        return owner[there], offset[there]
+
+    def summary(self, decoded: Decoded) -> str:
+        """Return where the message goes, and what it holds."""
+        if not decoded.layers:
+            return ""
+        values = decoded.layers[0].values()
+        target = values.get("topic_name") or f"0x{values.get('msg_id', 0):04x}"
+        size = values.get("body_length", 0)
+        names = ("topic_name", "msg_id", "rest", "body_length")
+        held = ", ".join(f"{name} {value!r}" for name, value in values.items() if name not in names)
+        over = "msg_id" in values and size > racs2.LARGEST_BODY
+        room = f", more than the {racs2.LARGEST_BODY} that cFS has room for" if over else ""
+        return f"{target}: {held or f'{size} bytes'}{room}"
+
+
+RACS2: Final = RacsBridgeLink()

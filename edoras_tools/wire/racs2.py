@@ -1,0 +1,125 @@
+"""RACS2: messages between ROS 2 and cFS as JAXA's public bridge sends them in WebSocket frames.
+
+Read in its sources (racs2_bridge 1.1, https://github.com/jaxa/racs2_bridge): a header of 32 bytes, then the
+body. To ROS 2 the header is a topic's name; to cFS it starts with a MsgId. **No length crosses the wire**
+but that of the frame, and the cFS side always sends 128 bytes of body, with zeros behind the content. The
+body is anything; the public examples put a Protocol Buffers message of ``std_msgs`` there.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.wire.layout import Field, Layout
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+BRIDGE_WEBSOCKET_PORT: Final = 8765
+BRIDGE_HEADER: Final = 32
+LARGEST_BODY: Final = 128
+"""Bytes that the cFS side has room for; it copies longer ones over what follows its buffer."""
+BODY_MODULUS: Final = 256
+"""The cFS side keeps the length of a body in one byte."""
+TO_ROS: Final = Layout(
+    "racs2_topic",
+    "RACS2 to ROS 2",
+    Field("topic_name", 8 * BRIDGE_HEADER, "the topic that the body is published on", kind="text"),
+)
+TO_CFS: Final = Layout(
+    "racs2_message",
+    "RACS2 to cFS",
+    Field("msg_id", 16, "the MsgId that the body is sent with on the software bus", base=16),
+    Field("rest", 8 * (BRIDGE_HEADER - 2), "not used, zeros", kind="bytes"),
+)
+_NAMES: Final = {
+    1: "bool_data",
+    2: "float_data",
+    3: "double_data",
+    4: "int32_data",
+    5: "int64_data",
+    6: "string_data",
+    7: "uint32_data",
+    8: "uint64_data",
+    9: "float32_array_data",
+    10: "float64_array_data",
+    11: "int32_array_data",
+    12: "int64_array_data",
+    13: "uint32_array_data",
+    14: "uint64_array_data",
+}
+"""The fields of ``RACS2Bridge_std_msgs.proto``, by number."""
+_SIGNED: Final = (4, 5, 11, 12)
+_FIXED: Final = {2: "<f", 3: "<d", 9: "<f", 10: "<d"}
+_TEXT: Final = 6
+_FIRST_ARRAY: Final = 9
+_VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
+
+
+def std_msgs_values(body: bytes) -> dict[str, Any] | None:
+    """Return the values of a body that is a ``RACS2Bridge_std_msgs``; None where it is another.
+
+    Zeros at its end are padding. Field names are those of the public ``.proto`` file.
+    """
+    found: dict[str, Any] = {}
+    try:
+        for number, value in _fields(body):
+            if number >= _FIRST_ARRAY:
+                found.setdefault(_NAMES[number], []).extend(_numbers(number, value))
+            elif number == _TEXT:
+                found[_NAMES[number]] = value.decode()
+            else:
+                (found[_NAMES[number]],) = _numbers(number, value)
+    except (KeyError, ValueError, struct.error, AttributeError, TypeError):
+        return None
+    return found or None
+
+
+def _fields(body: bytes) -> Iterator[tuple[int, Any]]:
+    """Yield number and content of each field: an int, or bytes.
+
+    Raises:
+        ValueError: it is no Protocol Buffers message.
+    """
+    at = 0
+    while at < len(body) and any(body[at:]):
+        key, at = _varint(body, at)
+        number, kind = key >> 3, key & 7
+        if kind == _VARINT:
+            value, at = _varint(body, at)
+            yield number, value
+            continue
+        size, at = _varint(body, at) if kind == _BYTES else ({_EIGHT: 8, _FOUR: 4}[kind], at)
+        if at + size > len(body):
+            raise ValueError("it ends inside a field")
+        yield number, body[at : at + size]
+        at += size
+
+
+def _varint(body: bytes, at: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 70, 7):
+        if at >= len(body):
+            raise ValueError("it ends inside a number")
+        value |= (body[at] & 0x7F) << shift
+        at += 1
+        if body[at - 1] < 0x80:
+            return value, at
+    raise ValueError("a number is too long")
+
+
+def _numbers(number: int, value: Any) -> list[Any]:
+    """Return the numbers of a field, packed or not."""
+    if number in _FIXED:
+        return [item for (item,) in struct.iter_unpack(_FIXED[number], value)]
+    if isinstance(value, bytes):
+        found, at = [], 0
+        while at < len(value):
+            item, at = _varint(value, at)
+            found.append(item)
+    else:
+        found = [value]
+    if number in _SIGNED:
+        found = [item - (1 << 64) if item >> 63 else item for item in found]
+    return [bool(item) for item in found] if _NAMES[number] == "bool_data" else found
