@@ -10,7 +10,7 @@ QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis rend
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \
 	$(addprefix io/formats/,mcap/test_recover.py test_split.py))
 
-.PHONY: help venv demo test check long lint format bench kill explore fuzz soak lock sbom judges ros foxglove docs clean
+.PHONY: help venv demo test check long lint format bench kill explore fuzz soak lock sbom judges ros foxglove docs dist clean
 
 help:  ## Show what there is to make.
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -85,6 +85,9 @@ docs: venv  ## Build the pages as a site, with search, in dist/site; dead links 
 
 sbom: venv  ## List all that is installed, with versions and licences, in dist/edoras-tools.cdx.json (CycloneDX).
 	$(BIN)/python .ci/make_sbom.py dist/edoras-tools.cdx.json
+
+dist: venv  ## Build what is published, in dist/, for REPOSITORY=https://host/owner/name.
+	$(BIN)/python .ci/make_dist.py "$(REPOSITORY)" dist
 
 clean:  ## Remove what make made.
 	rm -rf $(VENV) .ros .npm build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache benchmarks/out
