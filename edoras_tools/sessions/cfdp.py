@@ -24,11 +24,12 @@ from edoras_tools.wire.cfdp import (
     Checksum,
     ConditionCode,
     Directive,
+    ModularSum,
     Pdus,
-    modular_checksum,
     parameters,
     read_pdus,
 )
+from edoras_tools.wire.crc import FileCrc
 from edoras_tools.wire.order import numbered
 from edoras_tools.wire.window import copy_rows
 
@@ -106,7 +107,7 @@ class Transaction:
         file_size: bytes, as EOF says, or Metadata before it.
         file_checksum: as EOF says.
         received: the bytes that were captured.
-        modular: the modular checksum of these.
+        sums: the checksums of these by type: of every type, until Metadata says which it is.
         segments: pieces of the file.
         resent: pieces without a byte that was new.
         filled: pieces with new bytes in front of the last one that was known.
@@ -129,7 +130,13 @@ class Transaction:
     file_size: int | None = None
     file_checksum: int | None = None
     received: ByteRanges = field(default_factory=ByteRanges)
-    modular: int = 0
+    sums: dict[int, ModularSum | FileCrc] = field(
+        default_factory=lambda: {
+            Checksum.MODULAR: ModularSum(),
+            Checksum.CRC_32: FileCrc(),
+            Checksum.CRC_32C: FileCrc(castagnoli=True),
+        }
+    )
     segments: int = 0
     resent: int = 0
     filled: int = 0
@@ -166,10 +173,11 @@ class Transaction:
 
     @property
     def checksum_right(self) -> bool | None:
-        """Whether the modular checksum is that of EOF; None: it is of another type, or bytes are missing."""
-        if not self.complete or self.checksum_type != Checksum.MODULAR:
+        """Whether the checksum is that of EOF; None: its type is null or not known, or bytes are missing."""
+        found = None if self.checksum_type is None else self.sums.get(self.checksum_type)
+        if found is None or not self.complete:
             return None
-        return self.modular == self.file_checksum
+        return found.of_file(self.file_size or 0) == self.file_checksum
 
     @property
     def condition(self) -> int:
@@ -278,7 +286,8 @@ class Follower:
         copy_rows(pieces, np.cumsum(sizes) - sizes, data, begin, sizes)
         for first, last in new:
             piece = pieces[first - start : last - start].tobytes()
-            found.modular = (found.modular + modular_checksum(piece, first)) & 0xFFFFFFFF
+            for item in found.sums.values():
+                item.add(piece, first)
             if self._keep:
                 self._keep(found, first, piece)
 
@@ -296,7 +305,8 @@ def _directive(found: Transaction, kind: int, told: dict[str, Any]) -> None:
     if kind == Directive.METADATA:
         found.source_file_name = told["source_file_name"]
         found.destination_file_name = told["destination_file_name"]
-        found.checksum_type = told["checksum_type"]
+        kind = found.checksum_type = told["checksum_type"]
+        found.sums = {kind: found.sums[kind]} if kind in found.sums else {}
         if found.eof is None:
             found.file_size = told["file_size"]
     elif kind == Directive.EOF:

@@ -55,6 +55,7 @@ class Checksum(IntEnum):
     """Checksum types that this package computes, of SANA's registry."""
 
     MODULAR = 0
+    CRC_32C = 2
     CRC_32 = 3
     NULL = 15
 
@@ -293,6 +294,22 @@ def parameters(kind: int, large: int, data: bytes) -> dict[str, Any]:
         ]
         values["segment_requests"] = [list(pair) for pair in zip(ends[::2], ends[1::2], strict=True)]
     return values
+
+
+class ModularSum:
+    """The modular checksum of a file whose pieces come in any order, each byte once."""
+
+    def __init__(self) -> None:
+        self._sum = 0
+
+    def add(self, piece: bytes, offset: int) -> None:
+        """Add a piece that begins at an offset of the file."""
+        self._sum = (self._sum + modular_checksum(piece, offset)) & 0xFFFFFFFF
+
+    def of_file(self, size: int) -> int:
+        """Return the checksum of the whole file, all of which was added."""
+        del size
+        return self._sum
 
 
 def modular_checksum(piece: bytes, offset: int) -> int:

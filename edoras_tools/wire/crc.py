@@ -1,15 +1,20 @@
-"""Cyclic redundancy checks: CRC-32 as zlib, MCAP and Ethernet have it, and CRC-16 as CCSDS has it.
+"""Cyclic redundancy checks: CRC-32 as zlib, MCAP and Ethernet have it, CRC-32C, and CRC-16 as CCSDS has it.
 
 CRC-32 comes by the ``isal`` library, at ten times the speed of zlib's; by zlib's on machines that it is not
 made for. CRC-16 (polynomial 0x1021, preset to ones, 132.0-B 4.1.6.2) is the standard library's for one range
-of bytes; over many ranges it goes on by two bytes of each at once.
+of bytes; over many ranges it goes on by two bytes of each at once. CRC-32C (Castagnoli, RFC 3720 B.4) is made
+of the CRCs of short rows, all at once.
+
+A CRC without its preset and its last inversion is a polynomial in x modulo P: that of bytes one behind the
+other is the sum of theirs, each times x to the power of the bits behind it. So the CRC of a file can be added
+up from its pieces in any order (``FileCrc``).
 """
 
 from __future__ import annotations
 
 from binascii import crc_hqx
 from functools import cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -23,7 +28,7 @@ except ImportError:
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CRC16_BYTES", "crc16", "crc16_rows", "crc32"]
+__all__ = ["CRC16_BYTES", "FileCrc", "crc16", "crc16_rows", "crc32", "crc32c"]
 
 CRC16_BYTES: Final = 2
 _ONES: Final = 0xFFFF
@@ -31,6 +36,14 @@ _FEW: Final = 32
 """Up to this many ranges, one call for each is faster."""
 _BLOCK: Final = 4 << 20
 """Bytes that are laid out at once, at the most."""
+_INVERTED: Final = 0xFFFFFFFF
+"""Preset and last inversion of both CRCs of 32 bits."""
+_CRC32: Final = 0xEDB88320
+_CRC32C: Final = 0x82F63B78
+"""The polynomials, x^31 in the lowest bit; 1 is the highest bit."""
+_ONE: Final = 1 << 31
+_ROW: Final = 64
+"""Bytes of a row of CRC-32C."""
 
 
 def crc16(octets: bytes | memoryview) -> int:
@@ -78,3 +91,98 @@ def crc16_rows(
     for word in words:
         remainder = table[remainder ^ word]
     return remainder
+
+
+def _times(one: Any, other: Any, polynomial: Any) -> Any:
+    """Multiply modulo a polynomial: numbers, or u32 arrays."""
+    product = one & 0
+    for bit in range(32):
+        product = product ^ (other * (one >> (31 - bit) & 1))
+        other = (other >> 1) ^ (other & 1) * polynomial
+    return product
+
+
+@cache
+def _power(polynomial: int, doublings: int, *, inverse: bool = False) -> int:
+    """Return x to the power of 8 * 2^doublings, or its inverse, modulo a polynomial."""
+    if doublings:
+        half = _power(polynomial, doublings - 1, inverse=inverse)
+        return int(_times(half, half, polynomial))
+    value = _ONE
+    for _ in range(8):
+        if inverse:  # by x: to the left; where 1 would leave, P is taken out first
+            carry = value >> 31
+            value = ((value ^ polynomial * carry) << 1 & _INVERTED) | carry
+        else:
+            value = (value >> 1) ^ (value & 1) * polynomial
+    return value
+
+
+def _shifted(value: int, octets: int, polynomial: int, *, inverse: bool = False) -> int:
+    """Multiply by x to the power of 8 * octets, or by its inverse."""
+    for doublings in range(octets.bit_length()):
+        if octets >> doublings & 1:
+            value = int(_times(value, _power(polynomial, doublings, inverse=inverse), polynomial))
+    return value
+
+
+@cache
+def _castagnoli() -> NDArray[np.uint32]:
+    """Return what a byte makes of a remainder of 0; u32 (256,)."""
+    value = np.arange(256, dtype=np.uint32)
+    for _ in range(8):
+        value = (value >> np.uint32(1)) ^ (value & np.uint32(1)) * np.uint32(_CRC32C)
+    return value
+
+
+def crc32c(octets: bytes, value: int = 0) -> int:
+    """Return the CRC-32C of some bytes, going on from that of the bytes in front of them."""
+    value ^= _INVERTED
+    if not octets:
+        return value ^ _INVERTED
+    table = _castagnoli()
+    rows = np.frombuffer(bytes(-len(octets) % _ROW) + octets, np.uint8).reshape(-1, _ROW)
+    remainder = np.zeros(len(rows), np.uint32)
+    for column in np.ascontiguousarray(rows.T):
+        remainder = table[(remainder ^ column) & np.uint32(0xFF)] ^ (remainder >> np.uint32(8))
+    doublings = _ROW.bit_length() - 1
+    while len(remainder) > 1:  # two and two: the front one times x to the power of the bits of the other
+        if len(remainder) % 2:
+            remainder = np.insert(remainder, 0, 0)
+        factor = np.uint32(_power(_CRC32C, doublings))
+        remainder = (
+            _times(remainder[::2], np.full(len(remainder) // 2, factor), np.uint32(_CRC32C)) ^ remainder[1::2]
+        )
+        doublings += 1
+    return int(remainder[0]) ^ _shifted(value, len(octets), _CRC32C) ^ _INVERTED
+
+
+class FileCrc:
+    """The CRC of a file whose pieces come in any order, each byte once.
+
+    Args:
+        castagnoli: CRC-32C instead of CRC-32.
+    """
+
+    def __init__(self, *, castagnoli: bool = False) -> None:
+        self._polynomial = _CRC32C if castagnoli else _CRC32
+        self._crc = crc32c if castagnoli else crc32
+        self._sum = 0
+        self._end = 0
+        self._run = 0
+
+    def add(self, piece: bytes, offset: int) -> None:
+        """Add a piece that begins at an offset of the file."""
+        if offset != self._end:
+            self._sum, self._run = self._folded(), 0
+        # Without preset and inversion: both are undone.
+        self._run = self._crc(piece, self._run ^ _INVERTED) ^ _INVERTED
+        self._end = offset + len(piece)
+
+    def _folded(self) -> int:
+        """Return the sum of all pieces, as if the file ended at its beginning."""
+        return self._sum ^ _shifted(self._run, self._end, self._polynomial, inverse=True)
+
+    def of_file(self, size: int) -> int:
+        """Return the CRC of the whole file of ``size`` bytes, all of which were added."""
+        return _shifted(self._folded() ^ _INVERTED, size, self._polynomial) ^ _INVERTED

@@ -187,6 +187,17 @@ def test_the_same_name_again_and_a_file_where_a_folder_is_needed(call, capture, 
     assert found == {"a": b"one", "a.2": b"two", "1_3": b"three"}
 
 
+CHECKSUMS = (
+    (3, 0xCBF43926, True),
+    (3, 0, False),
+    (2, 0xE3069283, True),
+    (2, 0xCBF43926, False),
+    (15, 0, None),
+    (9, 5, None),
+)
+"""Types of SANA's registry, the checksum of ``123456789`` or another, and whether it is right."""
+
+
 def test_what_is_missing_or_wrong_is_told_with_3(call, capture, tmp_path):
     begin, middle, end = transfer(b"a", b"x" * 10)
     result = call("files", capture(begin, middle), "-o", tmp_path / "1")
@@ -194,11 +205,13 @@ def test_what_is_missing_or_wrong_is_told_with_3(call, capture, tmp_path):
     assert [item.name for item in (tmp_path / "1").iterdir()] == ["a.incomplete"]
     result = call("files", capture(*transfer(b"a", b"x" * 10, checksum=5)), "-o", tmp_path / "2")
     assert (result.code, "wrong checksum" in result.out) == (3, True)
-    for checksum, right in ((0xCBF43926, True), (0, False)):
-        path = capture(*transfer(b"a", b"123456789", checksum=checksum, kind=3))
-        report = call("files", path, "-o", tmp_path / f"crc_{checksum}", "--json")
-        assert report.code == (0 if right else 3)
-        assert report.json()["transactions"][0]["checksum_right"] is right
+    for kind, checksum, right in CHECKSUMS:
+        path = capture(*transfer(b"a", b"123456789", checksum=checksum, kind=kind))
+        report = call("files", path, "-o", tmp_path / f"crc_{kind}_{checksum}", "--json")
+        assert report.code == (3 if right is False else 0)
+        (found,) = report.json()["transactions"]
+        assert (found["checksum_type"], found["checksum_right"]) == (kind, right)
+    assert "finished, checksum of unknown type 9" in call("files", path).out
     far = piece((1 << 31) - 1, b"far", acknowledged=False)
     assert call("files", capture(begin, far, end), "-o", tmp_path / "3").code == 3
     (sparse,) = (tmp_path / "3").iterdir()

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 from effort import examples
+from fastcrc import crc32
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
@@ -13,7 +14,8 @@ from pdus import eof, finished, metadata, nak, pdu, piece
 from edoras_tools.model import PacketBatch
 from edoras_tools.sessions import cfdp as follower
 from edoras_tools.sessions.cfdp import ByteRanges, Follower
-from edoras_tools.wire.cfdp import Directive
+from edoras_tools.wire import cfdp
+from edoras_tools.wire.cfdp import Checksum, Directive
 
 ENDS = 40000, 5222
 
@@ -204,3 +206,31 @@ def test_ranges_are_those_of_a_set(spans):
 @given(st.lists(st.binary(max_size=40) | st.sampled_from([FINISHED, nak((0, 9)), metadata(9)]), max_size=10))
 def test_nothing_makes_it_raise(payloads):
     follow(payloads, {})
+
+
+PEERS = {
+    Checksum.CRC_32: crc32.iso_hdlc,
+    Checksum.CRC_32C: crc32.iscsi,
+    Checksum.MODULAR: lambda content: cfdp.modular_checksum(content, 0),
+}
+
+
+@given(st.sampled_from(list(PEERS)), st.binary(max_size=90), st.data())
+def test_checksums_of_each_type_in_any_order(kind, content, data):
+    """Pieces and Metadata in any order, pieces also twice; beside a library of its own."""
+    ends = sorted({0, len(content), *data.draw(st.lists(st.integers(0, len(content)), max_size=5))})
+    sent = [piece(first, content[first:end]) for first, end in pairwise(ends)]
+    sent += data.draw(st.lists(st.sampled_from(sent), max_size=3)) if sent else []
+    right = PEERS[kind](content)
+    wrong = data.draw(st.booleans())
+    sent += [metadata(len(content), checksum_type=kind), eof(content, checksum=right ^ wrong)]
+    (found,) = follow(data.draw(st.permutations(sent)))
+    assert (found.complete, found.checksum_right) == (True, not wrong)
+
+
+def test_a_type_that_is_not_known_is_never_called_wrong():
+    for kind in (1, 9, Checksum.NULL):
+        (found,) = follow([metadata(4, checksum_type=kind), piece(0, b"file"), eof(b"file", checksum=7)])
+        assert (found.complete, found.checksum_type, found.checksum_right) == (True, kind, None)
+    (found,) = follow([piece(0, b"file"), eof(b"file", checksum=7)])
+    assert (found.checksum_type, found.checksum_right) == (None, None)

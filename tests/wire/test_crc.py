@@ -1,12 +1,15 @@
-"""CRC-16: the published check value, the definition bit by bit, and an independent library."""
+"""The published check values, the definition bit by bit, and an independent library."""
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from fastcrc import crc16 as peer
+from fastcrc import crc32 as peer32
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.crc import CRC16_BYTES, crc16, crc16_rows
+from edoras_tools.wire.crc import CRC16_BYTES, FileCrc, crc16, crc16_rows, crc32, crc32c
 
 
 def by_definition(octets):
@@ -45,3 +48,35 @@ def test_more_than_is_laid_out_at_once(monkeypatch):
     offset, length = np.arange(200, dtype=np.int64) * 97, np.full(200, 97, np.int32)
     expected = [crc16(data[at : at + 97].tobytes()) for at in offset]
     assert crc16_rows(data, offset, length).tolist() == expected
+
+
+def test_check_values_of_32_bits():
+    assert crc32(b"123456789") == 0xCBF43926
+    assert crc32c(b"123456789") == 0xE3069283
+    assert (crc32c(bytes(32)), crc32c(b"\xff" * 32)) == (0x8A9136AA, 0x62A8AB43), "RFC 3720 B.4"
+
+
+@given(st.binary(max_size=700), st.binary(max_size=300))
+def test_castagnoli_goes_on_where_it_ended(front, back):
+    assert crc32c(front) == peer32.iscsi(front)
+    assert crc32c(back, crc32c(front)) == peer32.iscsi(front + back)
+
+
+@pytest.mark.parametrize("castagnoli", [False, True])
+@given(st.binary(max_size=300), st.lists(st.integers(0, 300), max_size=6), st.randoms())
+def test_a_file_in_any_order(castagnoli, content, cuts, chance):
+    ends = sorted({*(min(cut, len(content)) for cut in cuts), 0, len(content)})
+    pieces = [(first, content[first:end]) for first, end in pairwise(ends)]
+    chance.shuffle(pieces)
+    found = FileCrc(castagnoli=castagnoli)
+    for offset, piece in pieces:
+        found.add(piece, offset)
+    expected = (peer32.iscsi if castagnoli else peer32.iso_hdlc)(content)
+    assert found.of_file(len(content)) == found.of_file(len(content)) == expected
+
+
+def test_far_behind_the_beginning():
+    found = FileCrc()
+    found.add(b"end", (1 << 20) + 5)
+    found.add(bytes((1 << 20) + 5), 0)
+    assert found.of_file((1 << 20) + 8) == crc32(bytes((1 << 20) + 5) + b"end")

@@ -23,8 +23,6 @@ from edoras_tools.io.outputs import check_links
 from edoras_tools.links.cfdp import CFDP
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.sessions.cfdp import Follower, Transaction
-from edoras_tools.wire.cfdp import Checksum
-from edoras_tools.wire.crc import crc32
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -35,7 +33,6 @@ if TYPE_CHECKING:
 
 _LONGEST: Final = 255
 """Bytes of a part of a path, on all usual file systems."""
-_BLOCK: Final = 1 << 20
 
 
 def safe_path(name: str | None) -> Path | None:
@@ -86,6 +83,7 @@ class TakenFile:
             "received": item.received.size,
             "holes": len(item.holes),
             "state": item.state,
+            "checksum_type": item.checksum_type,
             "checksum_right": self.checksum_right,
             "path": str(self.path) if self.path else None,
             "refused": self.refused,
@@ -210,8 +208,6 @@ class _Spool:
         if item not in self._files and not item.complete:
             return
         place = self._place(item)
-        if item.complete and item.checksum_type == Checksum.CRC_32:
-            taken.checksum_right = _crc(place) == item.file_checksum
         name = item.destination_file_name or item.source_file_name
         path = safe_path(name)
         taken.refused = path is None and name is not None
@@ -234,11 +230,3 @@ class _Spool:
         while (found := free.with_name(free.name + suffix)).exists():
             free, number = path.with_name(f"{path.name}.{number}"), number + 1
         return found
-
-
-def _crc(path: Path) -> int:
-    value = 0
-    with path.open("rb") as file:
-        while block := file.read(_BLOCK):
-            value = crc32(block, value)
-    return value

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.render import units
 from edoras_tools.render.terminal.text import clean
+from edoras_tools.wire.cfdp import Checksum
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -49,7 +50,9 @@ def files_lines(report: Mapping[str, Any]) -> Iterator[str]:
 
 def _row(item: Mapping[str, Any]) -> tuple[str, ...]:
     name = item["destination_file_name"] or item["source_file_name"]
-    end = item["state"] + {False: ", wrong checksum", True: "", None: ""}[item["checksum_right"]]
+    end = item["state"] + (", wrong checksum" if item["checksum_right"] is False else "")
+    kind = item["checksum_type"]
+    end += "" if kind is None or kind in set(Checksum) else f", checksum of unknown type {kind}"
     counts = (item["file_size"], *(item[key] for key in ("received", "segments", "resent", "filled", "naks")))
     return (
         f"{item['source_entity_id']}:{item['transaction_sequence_number']}",
