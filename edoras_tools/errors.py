@@ -90,3 +90,7 @@ class CaptureError(EdorasError):
 
     A source raises it *after* it has handed over everything that could be read.
     """
+
+
+class NoDatagramsError(CaptureError):
+    """A recording of topics, as other tools make it: it holds messages, and no datagrams."""

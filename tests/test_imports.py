@@ -24,7 +24,10 @@ PUT_OFF = {
     "pipelines/sending/inject.py": ("ruamel", "9 ms, and only where a message has values"),
     "pipelines/sending/keys.py": ("termios tty", "not there on Windows"),
     "io/capture/scapy_backend.py": ("scapy", "0.35 s, and only where there is no packet ring"),
-    "io/formats/open.py": ("tempfile", "4 ms, only for recordings from a pipe or packed"),
+    "io/formats/open.py": (
+        "tempfile edoras_tools.io.formats.rosbag2.folder",
+        "only for recordings from a pipe or packed, and for directories, whose metadata needs YAML",
+    ),
     "io/formats/stream.py": ("zstandard", "only for captures inside zstd data"),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
     "io/foxglove/server.py": (

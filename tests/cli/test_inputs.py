@@ -28,6 +28,15 @@ def test_bare_and_with_the_option(call, words):
     assert len(one) > 100
 
 
+@pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
+def test_a_rosbag2_directory_of_ours_is_a_capture(call, words, folder):
+    assert call("record", "-q", ROVER, "--rosbag2", "-o", "bag", "--split-count", "700").code == 0
+    assert call("record", "-q", ROVER, "-o", "bag.mcap").code == 0
+    one, other = (call(*words, item).out.replace('"bag.mcap"', '"bag"') for item in ("bag", "bag.mcap"))
+    assert one.replace('"kind": "rosbag2"', '"kind": "mcap"') == other
+    assert len(one) > 100
+
+
 @pytest.mark.parametrize(
     ("start", "end", "count"),
     [(10, 20, 290), (0.5, None, 1755), (None, 1, 72), (None, 100, 1827)],

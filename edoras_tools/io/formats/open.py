@@ -9,10 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, NoDatagramsError
 from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
 from edoras_tools.io.formats.stream import ByteStream, CompressedStream, FileStream, Window
-from edoras_tools.io.formats.table import CFE, MCAP, PCAPNG, READABLE
+from edoras_tools.io.formats.table import CFE, MCAP, PCAPNG, READABLE, TOPIC_READERS
 from edoras_tools.wire.cfe_file import CFE_MAGIC
 
 if TYPE_CHECKING:
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 _SECTION_HEADER = b"\x0a\x0d\x0d\x0a"
 _MCAP = b"\x89MCAP0\r\n"
+_DATABASE = b"SQLite f"
+"""Of rosbag2's storage in SQLite, as its ``.db3`` files begin."""
 _COMPRESSED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
 _LONGEST_MAGIC = 8
 _COPIED_BYTES = 1 << 20
@@ -29,7 +31,6 @@ _OTHERS = (
     (b"RTSS", "a Microsoft Network Monitor capture"),
     (b"snoop\x00\x00\x00", "a snoop capture"),
     (b"#ROSBAG", "a ROS 1 bag"),
-    (b"SQLite f", "an SQLite database (perhaps a rosbag2 one)"),
     (b"PK\x03\x04", "a zip archive"),
     (b"BZh", "bzip2 data"),
     (b"\xfd7zXZ\x00", "xz data"),
@@ -43,18 +44,30 @@ def open_file(path: str | Path, name: str = "") -> Source:
     """Open a capture or a recording by its content: pcap, pcapng or MCAP, perhaps with gzip or zstd.
 
     Args:
-        path: a file, a named pipe, or ``-`` for standard input.
+        path: a file, a named pipe, a rosbag2 directory, or ``-`` for standard input.
         name: what it is called in messages; its path by default.
 
     Raises:
         CaptureError: ``path`` cannot be read.
+        NoDatagramsError: it is another tool's recording, of topics only.
     """
+    if os.path.isdir(path):  # noqa: PTH112  Path raises an error at a name that no file can have
+        return _open_folder(Path(path))
     stream: ByteStream = FileStream(_open(path), name or str(path))
     try:
         return _tell(stream, path)
     except BaseException:
         stream.close()
         raise
+
+
+def _open_folder(path: Path) -> Source:
+    from edoras_tools.io.formats.rosbag2.folder import open_folder
+
+    source = open_folder(path, open_file)
+    if source is None:
+        raise CaptureError(f"{path}: is a directory; name a capture in it")
+    return source
 
 
 def is_cfe_file(path: Path) -> bool:
@@ -89,6 +102,8 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
         return stored
     if head.startswith(_MCAP):
         return _mcap(stream, path, b"" if stream.total_bytes and not wrapped else head)
+    if head.startswith(_DATABASE):
+        raise NoDatagramsError(f"{stream.name}: a database holds topics and no datagrams; {TOPIC_READERS}")
     raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")
 
 
@@ -128,8 +143,6 @@ def _open(path: str | Path) -> io.FileIO:
         return io.FileIO(path, "rb")
     except FileNotFoundError as error:
         raise CaptureError(f"{path}: there is no such file; check the name") from error
-    except IsADirectoryError as error:
-        raise CaptureError(f"{path}: is a directory; name a capture in it") from error
     except PermissionError as error:
         raise CaptureError(f"{path}: may not be read by this user; check its permissions") from error
     except (OSError, ValueError) as error:

@@ -83,6 +83,8 @@ READ: Final = _listed([item.name for item in FILE_FORMATS if item.suffix], "or")
 """The formats that can be read, for the user: ``pcap, pcapng or MCAP``."""
 READ_PACKED: Final = f"{READ} (.gz, .zst)"
 READABLE: Final = READ.replace(" or ", " and ")
+TOPIC_READERS: Final = "info, export and plot read its topics"
+"""What to do with a recording of topics where datagrams are needed."""
 FILE_SUFFIXES: Final = [item.suffix for item in reversed(FILE_FORMATS) if item.suffix]
 WRITTEN: Final = _listed(FILE_SUFFIXES, "or")
 """The suffixes of outputs, for the user: ``.mcap, .pcapng or .pcap``."""

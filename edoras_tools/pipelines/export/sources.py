@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError, ConfigError, EdorasError
+from edoras_tools.errors import CaptureError, ConfigError, EdorasError, NoDatagramsError
 from edoras_tools.io.formats.merge import recorded_faults
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
@@ -280,25 +280,28 @@ class BagTopics(TopicSource):
 
     def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:  # noqa: ARG002  what is read of a bag is not counted
         """Yield the messages of some topics."""
+        for found in self.recorded(wanted):
+            kind = self.topics[found.topic]
+            valid = self._types.valid(kind, found.data, found.offset, found.length)
+            self.left_out += len(found.offset) - int(valid.sum())
+            columns = self._types.columns(kind, found.data, found.offset[valid], found.length[valid])
+            yield TopicBlock(found.topic, found.time_ns[valid], columns)
+
+    def recorded(self, wanted: Collection[str]) -> Iterator[RecordedBlock]:
+        """Yield the messages of some topics in the chosen time, as they were recorded."""
         with on_interrupt(lambda: None) as asked:
             try:
-                for block in chain.from_iterable(bag.blocks(wanted) for bag in self._bags):
-                    yield self._block(block)
+                for found in chain.from_iterable(bag.blocks(wanted) for bag in self._bags):
+                    self.last_ns = max(self.last_ns, int(found.time_ns.max(initial=-1)))
+                    rows = np.flatnonzero(self._period.holds(found.time_ns - self.zero_ns))
+                    yield found._replace(
+                        time_ns=found.time_ns[rows], offset=found.offset[rows], length=found.length[rows]
+                    )
                     if asked.is_set():
                         break
             except CaptureError as error:
                 self.failure = error
             self.interrupted = asked.is_set()
-
-    def _block(self, found: RecordedBlock) -> TopicBlock:
-        kind = self.topics[found.topic]
-        self.last_ns = max(self.last_ns, int(found.time_ns.max(initial=-1)))
-        rows = np.flatnonzero(self._period.holds(found.time_ns - self.zero_ns))
-        valid = self._types.valid(kind, found.data, found.offset[rows], found.length[rows])
-        self.left_out += len(rows) - int(valid.sum())
-        rows = rows[valid]
-        columns = self._types.columns(kind, found.data, found.offset[rows], found.length[rows])
-        return TopicBlock(found.topic, found.time_ns[rows], columns)
 
 
 def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None = None) -> TopicSource:
@@ -314,14 +317,14 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
     if any(bags):
         raise ConfigError(
             f"{paths[bags.index(True)]} contains topics and {paths[bags.index(False)]} datagrams; "
-            "export them separately"
+            "read them separately"
         )
     source = open_files(paths)
 
     def judge(wanted: Collection[str], progress: Progress | None) -> Iterator[TopicBlock]:
         return judged_blocks(wanted, paths, settings, scope or Scope(), progress)
 
-    again = all(path.is_file() for path in paths)
+    again = all(path.is_file() or path.is_dir() for path in paths)
     try:
         return CaptureTopics(source, settings.workbench(source.info), scope, judge if again else None)
     except EdorasError:
@@ -335,9 +338,9 @@ def _is_bag(path: Path) -> bool:
         return False
     try:
         open_file(path).close()
-    except CaptureError:
-        if path.is_dir():
-            return True
+    except NoDatagramsError:
         with suppress(CaptureError):
-            return bool(open_rosbag(path).topics())
+            return path.is_dir() or bool(open_rosbag(path).topics())
+    except CaptureError:
+        return path.is_dir()
     return False  # what opens captures says what is wrong, if anything is

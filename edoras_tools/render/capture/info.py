@@ -92,19 +92,22 @@ def totals(summary: Mapping[str, Any]) -> Table:
     if summary.get("source"):
         kind = plain(summary.get("kind") or "", palette.DIM)
         grid.add_row("source", Text.assemble(plain(summary["source"], palette.STRONG), "  ", kind))
-    count = summary.get("datagrams", 0)
-    line = Text(plural(count, "datagram"))
+    topics = "messages" in summary
+    count = summary["messages"] if topics else summary.get("datagrams", 0)
+    line = Text(plural(count, "message" if topics else "datagram"))
     if summary.get("bytes"):
         line.append(f", {units.size(summary['bytes'])}")
     if summary.get("skipped"):
         line.append(f", {plural(summary['skipped'], 'other frame')} skipped", palette.DIM)
-    grid.add_row("packets", line)
+    grid.add_row("content" if topics else "packets", line)
     start, end = summary.get("start_ns"), summary.get("end_ns")
     if count and start is not None and end is not None:
         grid.add_row("from", Text(f"{units.utc(start)} UTC"))
         span = Text(f"   {units.duration((end - start) / 1e9)}", palette.STRONG)
         grid.add_row("to", Text(f"{units.utc(end)} UTC").append_text(span))
     drops = summary.get("capture_drops", 0)
+    if drops is None:
+        return grid
     if drops:
         lost = f"{plural(drops, 'frame')} lost by the capture itself; gaps below may be among them"
         grid.add_row("drops", Text(lost, Level.ERROR.style))
@@ -176,9 +179,15 @@ _COLUMNS: Final = (
 )
 
 
+_OF_TOPICS: Final = [
+    item for item in _COLUMNS if item.title in {"Topic", "Type", "Count", "Rate", "Jitter", "Bytes"}
+]
+
+
 def routes(rows: Sequence[Mapping[str, Any]], width: int) -> Table:
-    """Return the table of routes, with the columns that ``width`` has room for."""
-    return build(_COLUMNS, rows, width, apart=lambda row: "topic" if row.get("topic") else row.get("link"))
+    """Return the table of routes, with the columns that ``width`` has room for; topics have fewer."""
+    columns = _COLUMNS if any(row.get("link") for row in rows) else _OF_TOPICS
+    return build(columns, rows, width, apart=lambda row: "topic" if row.get("topic") else row.get("link"))
 
 
 def findings(counts: Mapping[str, int], datagrams: int, *, meaning: bool = True) -> Table:

@@ -21,9 +21,10 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from edoras_tools.errors import CaptureError, WireError
+from edoras_tools.errors import CaptureError, NoDatagramsError, WireError
 from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
+from edoras_tools.io.formats.table import TOPIC_READERS
 from edoras_tools.io.frames.frame_batch import FrameBatch, joined_frames
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.topics.datagrams import DATAGRAM
@@ -385,9 +386,9 @@ class McapSource:
 
     def _no_datagrams(self) -> CaptureError:
         topics = ", ".join(sorted(set(self._topics.values()))) or "none"
-        return CaptureError(
-            f"{self._name}: contains no {DATAGRAMS_TOPIC}, so no datagrams can be read; "
-            f"its topics are {topics}"
+        return NoDatagramsError(
+            f"{self._name}: contains no {DATAGRAMS_TOPIC}, so no datagrams can be read, and its topics are "
+            f"{topics}; {TOPIC_READERS}"
         )
 
 

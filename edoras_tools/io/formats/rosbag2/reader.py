@@ -9,7 +9,7 @@ import sqlite3
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from mcap.reader import make_reader
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from mcap.reader import McapReader
     from numpy.typing import NDArray
 
+METADATA: Final = "metadata.yaml"
+"""The file that every rosbag2 directory has."""
 _SQLITE = b"SQLite format 3\0"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _CDR = "cdr"
@@ -150,16 +152,16 @@ def open_rosbag(path: str | Path) -> Rosbag:
     if not path.is_dir():
         _kind(path)
         return Rosbag(path, (path,))
-    files = tuple(file for file in _listed(path) if _kind(file))
+    files = tuple(file for file in files_of(path) if _kind(file))
     if not files:
         raise CaptureError(f"{path}: is not a rosbag2 directory: it contains no .mcap and no .db3 file")
     return Rosbag(path, files)
 
 
-def _listed(folder: Path) -> list[Path]:
-    """Return the files of a rosbag2 directory in the order given by its metadata."""
+def files_of(folder: Path) -> list[Path]:
+    """Return the recordings in a directory, in the order that its metadata gives if it has some."""
+    metadata = folder / METADATA
     found = sorted((*folder.glob("*.mcap"), *folder.glob("*.db3"), *folder.glob("*.zstd")))
-    metadata = folder / "metadata.yaml"
     if metadata.exists():
         try:
             said = YAML(typ="safe").load(metadata)["rosbag2_bagfile_information"]["relative_file_paths"]
