@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import dask
 from dask.system import CPU_COUNT
 from distributed import Client, LocalCluster
+from distributed.core import rpc
 from distributed.security import Security
 
 from edoras_tools.errors import CaptureError
@@ -36,8 +38,9 @@ def workers(jobs: int, scheduler: str, *, most: int) -> Iterator[Client]:
         CaptureError: the scheduler does not answer, or has no worker.
     """
     quiet = logging.CRITICAL + 1  # a lost worker is told by whoever waits for its results
-    for name in ("distributed", "tornado", "asyncio"):
-        logging.getLogger(name).setLevel(quiet)
+    for name in ("asyncio", "tornado", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] in {"asyncio", "distributed", "tornado"}:
+            logging.getLogger(name).setLevel(quiet)
     with ExitStack() as opened:
         opened.enter_context(dask.config.set({"distributed.comm.timeouts.connect": f"{_PATIENCE_S}s"}))
         if scheduler:
@@ -59,12 +62,15 @@ def workers(jobs: int, scheduler: str, *, most: int) -> Iterator[Client]:
 
 def _client(scheduler: str) -> Client:
     try:
-        client = Client(scheduler, timeout=_PATIENCE_S, set_as_default=False)
-    except (OSError, TimeoutError, ValueError, ImportError) as error:
+        kind = asyncio.run(asyncio.wait_for(_kind(scheduler), _PATIENCE_S))
+    except (OSError, TimeoutError, asyncio.TimeoutError, ValueError, ImportError) as error:
         raise CaptureError(
             f"{scheduler}: no dask scheduler answers there; start one with 'dask scheduler', or leave "
             "--scheduler out"
         ) from error
+    if kind != "Scheduler":
+        raise CaptureError(f"{scheduler}: is the address of a {kind}, not of a dask scheduler; name that")
+    client = Client(scheduler, timeout=_PATIENCE_S, set_as_default=False)
     try:
         client.wait_for_workers(1, timeout=_PATIENCE_S)
     except TimeoutError as error:
@@ -73,3 +79,9 @@ def _client(scheduler: str) -> Client:
             f"{scheduler}: the scheduler has no worker; start some with 'dask worker {scheduler}'"
         ) from error
     return client
+
+
+async def _kind(address: str) -> str:
+    """Ask who is at an address: ``Client`` would wait for ever for one that accepts and says nothing."""
+    async with rpc(address, connection_args=Security().get_connection_args("client")) as other:
+        return str((await other.identity())["type"])

@@ -245,6 +245,14 @@ class _Run:
             CaptureError: the scheduler was lost, or the index cannot be written.
             ConfigError: a worker cannot do it.
         """
+        try:
+            self._all(waiting, progress)
+        except (OSError, FutureCancelledError) as error:
+            raise CaptureError(
+                "the scheduler was lost; what was read is in the index: run the same again to go on"
+            ) from error
+
+    def _all(self, waiting: deque[Task], progress: Progress | None) -> None:
         of = self._report.left
         coming = as_completed([], loop=self._client.loop, raise_errors=False)
         while waiting or self._tasks:
@@ -303,15 +311,10 @@ def _result(future: Future) -> Any:
     """Return what a worker returned.
 
     Raises:
-        CaptureError: the scheduler was lost.
         ConfigError: the worker could not begin.
     """
     try:
         return future.result()
-    except FutureCancelledError as error:
-        raise CaptureError(
-            "the scheduler was lost; what was read until then is in the index: run the same again to go on"
-        ) from error
     except (ImportError, AttributeError) as error:
         raise ConfigError(
             f"a worker cannot run this: {error}; install the same edoras-tools[archive] where workers run"

@@ -7,6 +7,7 @@ import http.server
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -424,13 +425,36 @@ def test_a_place_that_cannot_be_listed(root, told, tmp_path, monkeypatch):
     assert "\n" not in str(error.value)
 
 
-def test_a_scheduler_that_does_not_answer_is_refused(folder, monkeypatch):
-    monkeypatch.setattr(cluster, "_PATIENCE_S", 0.3)
-    update = Update((str(folder),), SETTINGS, scheduler="tcp://127.0.0.1:1")
+def refused(folder, address):
+    """Why an update with a scheduler is refused; nothing is written."""
+    update = Update((str(folder),), SETTINGS, scheduler=address)
     with open_index(folder / "x.duckdb", write=True) as opened, pytest.raises(CaptureError) as error:
         bring_up_to_date(opened, update)
-    assert str(error.value).startswith("tcp://127.0.0.1:1: no dask scheduler answers there; ")
     assert rows(folder / "x.duckdb", "SELECT count(*) FROM captures") == [(0,)]
+    return str(error.value)
+
+
+def test_a_scheduler_that_does_not_answer_is_refused(folder, monkeypatch):
+    monkeypatch.setattr(cluster, "_PATIENCE_S", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        for address in ("tcp://127.0.0.1:1", "nonsense", f"tcp://127.0.0.1:{silent.getsockname()[1]}"):
+            assert refused(folder, address).startswith(f"{address}: no dask scheduler answers there; ")
+
+
+def test_a_worker_is_no_scheduler(folder, scheduler):
+    with cluster.workers(0, scheduler, most=1) as client:
+        worker = next(iter(client.nthreads()))
+    assert refused(folder, worker).startswith(
+        f"{worker}: is the address of a Worker, not of a dask scheduler"
+    )
+
+
+def test_a_lost_scheduler_is_told(folder, monkeypatch):
+    lost = LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=60)
+    watch = _Run._watch
+    monkeypatch.setattr(_Run, "_watch", lambda run: (lost.close(), watch(run)))
+    told = refused(folder, lost.scheduler_address)
+    assert told == "the scheduler was lost; what was read is in the index: run the same again to go on"
 
 
 def test_a_scheduler_without_workers_is_refused(folder, monkeypatch):
@@ -439,10 +463,7 @@ def test_a_scheduler_without_workers_is_refused(folder, monkeypatch):
         n_workers=0, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=60
     ) as empty:
         address = empty.scheduler_address
-        update = Update((str(folder),), SETTINGS, scheduler=address)
-        with open_index(folder / "x.duckdb", write=True) as opened, pytest.raises(CaptureError) as error:
-            bring_up_to_date(opened, update)
-    assert str(error.value).startswith(f"{address}: the scheduler has no worker; ")
+        assert refused(folder, address).startswith(f"{address}: the scheduler has no worker; ")
 
 
 def test_no_index_another_file_an_older_index_and_one_in_use(tmp_path):
