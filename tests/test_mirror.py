@@ -78,6 +78,8 @@ ELSEWHERE = {
     "pipelines/structs.py": "cli/test_structs.py",
     "pipelines/sweep/*": "pipelines/sweep/test_run.py",
     "pipelines/wireshark/*": "dissectors/test_program.py",
+    "codegen/ground/*": "codegen/ground/test_xtce.py",
+    "pipelines/xtce.py": "codegen/ground/test_xtce.py",
     "io/formats/cfe/*": "cli/test_cfe_files.py",
     "pipelines/export/trace.py": "cli/test_cfe_files.py",
     "render/*": "render/test_hostile.py",

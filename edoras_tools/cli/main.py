@@ -41,7 +41,7 @@ GROUPS: Final = {
     "Record": ("record", "recover", "export", "files", "archive"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "sweep", "proxy"),
-    "Connect": ("bridge", "mission", "codegen", "structs", "wireshark"),
+    "Connect": ("bridge", "mission", "codegen", "structs", "wireshark", "xtce"),
     "Try": ("demo", "sim", "samples", "help"),
 }
 """The commands of each group; each is a function, or a group of commands, in a module of the same name."""

@@ -1,0 +1,49 @@
+"""``edoras xtce``: the packets of a mission for ground systems."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from edoras_tools.cli import options, recordings
+from edoras_tools.cli.endings import tell
+from edoras_tools.codegen.ground.form import GroundForm
+
+
+@options.grouped
+def xtce(
+    *,
+    output: Annotated[Path | None, options.output(help="Write it here; default: standard output.")] = None,
+    form: Annotated[
+        GroundForm, typer.Option("--format", metavar="FORM", help="xtce, or cosmos: telemetry as tlm.txt.")
+    ] = GroundForm.XTCE,
+    system: Annotated[
+        str, typer.Option(metavar="NAME", help="Name of the space system, or the target.")
+    ] = "edoras",
+    force: recordings.Force = False,
+    quiet: options.Quiet = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Describe the packets of a mission (-c) for ground systems: XTCE, or COSMOS.
+
+    Telemetry of Telemetry Output and of cFE itself, field by field; commands to Command Ingest of fixed size.
+    """
+    from edoras_tools.io.outputs import check_new, write_bytes
+    from edoras_tools.pipelines.xtce import describe_packets
+    from edoras_tools.words import plural
+
+    if output is not None:
+        check_new(output, force=force)
+    made = describe_packets(decoding.settings().workbench(), form, system)
+    if output is None:
+        typer.echo(made.text.decode(), nl=False)
+    else:
+        write_bytes(output, made.text, folders=True)
+    if not quiet:
+        for note in made.notes:
+            tell(note)
+        if output is not None:
+            what = f"{plural(made.telemetry, 'telemetry packet')}, {plural(made.commands, 'command')}"
+            tell(f"{output}: {what}")

@@ -1,0 +1,1 @@
+"""Descriptions of the packets of a mission for ground systems: XTCE, and COSMOS."""

@@ -1,0 +1,162 @@
+"""XTCE and COSMOS: judged by ``space_packet_parser`` on real captures, and by what ``inject`` sends."""
+
+import math
+import re
+import struct
+import warnings
+from xml.etree import ElementTree as ET
+
+import pytest
+from places import CAPTURES, MISSIONS
+from rewriting import datagrams
+from space_packet_parser.xtce.definitions import XtcePacketDefinition
+
+from edoras_tools.codegen.ground.cosmos import cosmos_telemetry
+from edoras_tools.codegen.ground.form import GroundForm
+from edoras_tools.codegen.ground.packets import PacketItem, StringItem, identifier, route_packet
+from edoras_tools.codegen.ground.xtce import xtce
+from edoras_tools.decode import Options
+from edoras_tools.errors import ConfigError
+from edoras_tools.links import table
+from edoras_tools.mission import Route
+from edoras_tools.pipelines.sending.topics import Encoder
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.pipelines.xtce import describe_packets
+from edoras_tools.ros import TypeStore
+from edoras_tools.wire import cfe
+
+TO_PORT = 1235
+NS = "{http://www.omg.org/spec/XTCE/20180204}"
+
+
+@pytest.fixture
+def definition(tmp_path):
+    """A function: what the independent reader makes of a description."""
+
+    def load(text):
+        path = tmp_path / "x.xml"
+        path.write_bytes(text)
+        return XtcePacketDefinition.from_xtce(path)
+
+    return load
+
+
+def parsed(definition, packet):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # bytes behind what is described
+        return dict(definition.parse_bytes(packet, root_container_name="CCSDSPacket").items())
+
+
+def flat(value, prefix=""):
+    """Yield (dotted name, value) of every leaf."""
+    if isinstance(value, dict):
+        for name, item in value.items():
+            yield from flat(item, f"{prefix}.{name}" if prefix else name)
+    elif isinstance(value, list):
+        for place, item in enumerate(value):
+            yield from flat(item, f"{prefix}[{place}]")
+    else:
+        yield prefix, value
+
+
+@pytest.mark.parametrize("name", ["a_rover", "b_arm_single"])
+def test_the_independent_reader_reads_the_values_that_we_do(name, definition):
+    mission = MISSIONS / ("single_arm_ground.yaml" if name == "b_arm_single" else "rover_ground.yaml")
+    bench = Settings([mission]).workbench()
+    made = definition(describe_packets(bench).text)
+    routes = {
+        route.msg_id: route for route in bench.mission.routes if not route.to_cfs and not route.link.peers
+    }
+    seen = compared = 0
+    for item in datagrams(CAPTURES / f"{name}.pcap"):
+        msg_id = int.from_bytes(item.payload[:2], "big")
+        if item.destination[1] != TO_PORT or msg_id not in routes:
+            continue
+        route = routes[msg_id]
+        (length,) = struct.unpack_from("<Q", item.payload, 16)
+        ours = dict(flat(bench.types.decode(route.type, item.payload[32 : 32 + length])))
+        prefix = f"{identifier(route.topic)}_"
+        theirs = parsed(made, item.payload)
+        seen += 1
+        for field, value in ours.items():
+            known = [key for key in theirs if re.fullmatch(f"{prefix}{identifier(field)}(_[0-7])?", key)]
+            for key in known:
+                compared += 1
+                assert theirs[key] == value or (value == "" and theirs[key] == ""), field
+    assert seen > 50
+    assert compared >= 3 * seen
+
+
+@pytest.mark.parametrize("length", [0, 1, 2, 6, 7, 8, 9, 15, 63, 254])
+def test_a_string_of_any_length_leaves_the_next_fields_in_place(length, definition):
+    route = Route("/odom", "nav_msgs/msg/Odometry", 0x0827, table.named("to"), "telemetry")
+    types = TypeStore()
+    packet = route_packet(route, types, 1)
+    made = definition(xtce("t", [packet], [], cfe.STANDARD))
+    pose = {"position": {"x": 1.5, "y": -2.0, "z": 3.25}}
+    names = {"header": {"frame_id": "a" * length}, "child_frame_id": "b" * (254 - length)}
+    cdr = types.encode(route.type, {**names, "pose": {"pose": pose, "covariance": [*map(float, range(36))]}})
+    data = cfe.emit_telemetry(0x0827, struct.pack("<QQ", len(cdr), len(cdr)) + cdr)
+    theirs = parsed(made, data)
+    assert packet.whole
+    assert theirs[f"odom_header_frame_id_{(length + 1) % 8}"] == "a" * length
+    assert [theirs[f"odom_pose_pose_position_{axis}"] for axis in "xyz"] == [1.5, -2.0, 3.25]
+    assert theirs["odom_pose_covariance_35_"] == 35.0
+    assert theirs["odom_twist_covariance_35_"] == 0.0
+
+
+def test_what_cannot_be_described_is_left_out_and_told():
+    types = TypeStore()
+    route = Route("/j", "sensor_msgs/msg/JointState", 0x0827, table.named("to"), "telemetry")
+    packet = route_packet(route, types, 1)
+    assert not packet.whole
+    assert isinstance(packet.items[-1], StringItem)
+    assert all(not follow for follow in packet.items[-1].after)
+
+
+def test_cfe_housekeeping_is_read_too(definition):
+    made = definition(describe_packets(Settings([MISSIONS / "rover_ground.yaml"]).workbench()).text)
+    events = [
+        item.payload
+        for item in datagrams(CAPTURES / "e_ci_errors.pcap")
+        if item.destination[1] == TO_PORT and item.payload[:2] == b"\x08\x08"
+    ]
+    assert len(events) > 10
+    for data in events:
+        (name,) = [value for key, value in parsed(made, data).items() if key.endswith("_app_name")]
+        assert name == data[16:36].split(b"\0")[0].decode()
+
+
+def test_a_command_is_the_packet_that_inject_sends():
+    bench = Settings([MISSIONS / "rover_ground.yaml"]).workbench()
+    root = ET.fromstring(describe_packets(bench).text)
+    command = root.find(f".//{NS}MetaCommand[@name='cmd_vel']")
+    values = {"linear_x": 1.5, "linear_y": -0.25, "angular_z": math.pi}
+    data = b""
+    for entry in command.iter():
+        if entry.tag == f"{NS}FixedValueEntry":
+            data += bytes.fromhex(entry.get("binaryValue"))
+            assert int(entry.get("sizeInBits")) == 4 * len(entry.get("binaryValue"))
+        elif entry.tag == f"{NS}ArgumentRefEntry":
+            data += struct.pack("<d", values.get(entry.get("argumentRef"), 0.0))
+    (route,) = (item for item in bench.mission.routes if item.topic == "/cmd_vel")
+    twist = {"linear": {"x": 1.5, "y": -0.25}, "angular": {"z": math.pi}}
+    sent = Encoder.of(route, bench).packet(bench.types.encode(route.type, twist), 0)
+    assert data == sent.packet
+
+
+def test_cosmos_items_follow_each_other():
+    route = Route("/pose", "geometry_msgs/msg/Pose", 0x0827, table.named("to"), "telemetry")
+    packet = route_packet(route, TypeStore(), 1)
+    lines = list(cosmos_telemetry("ROVER", [packet], cfe.STANDARD))
+    assert lines[0] == 'TELEMETRY ROVER POSE LITTLE_ENDIAN "/pose, geometry_msgs/msg/Pose"'
+    assert any(re.match(r"  APPEND_ID_ITEM APID 11 UINT 39 ", line) for line in lines)
+    bits = sum(int(line.split()[2]) for line in lines[1:])
+    assert bits == 8 * (16 + 16 + 4 + 7 * 8)
+    assert sum(item.bits for item in packet.items if isinstance(item, PacketItem)) == 8 * (16 + 4 + 56)
+
+
+def test_msg_ids_of_version_2_are_refused():
+    bench = Settings([MISSIONS / "rover_ground.yaml"], options=Options(msg_id_version=2)).workbench()
+    with pytest.raises(ConfigError, match="use version 1"):
+        describe_packets(bench, GroundForm.XTCE)
