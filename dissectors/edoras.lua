@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "b389ca4d076b2069"
+local DIGEST = "48681055e836bdc2"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1177,7 +1177,7 @@ D.findings = {
 		label = "checksum_bad",
 		severity = "warning",
 		short = "checksum",
-		meaning = "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed.",
+		meaning = "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed; of a transfer frame, its CRC is wrong, and its receiver drops it.",
 		unknowable = true,
 	},
 	{
@@ -1356,7 +1356,7 @@ D.findings = {
 		label = "stream_gap",
 		severity = "warning",
 		short = "stream gap",
-		meaning = "Bytes of the TCP stream before this are missing in the capture, or are no message of the link.",
+		meaning = "Bytes of the stream before this (TCP segments, or transfer frames) are missing in the capture, or are no message of the link.",
 	},
 	{
 		label = "stream_resent",
