@@ -9,7 +9,14 @@ import typer
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import tell
-from edoras_tools.codegen.ground.form import GroundForm
+from edoras_tools.older import StrEnum
+
+
+class GroundForm(StrEnum):
+    """A language that describes packets."""
+
+    XTCE = "xtce"
+    COSMOS = "cosmos"
 
 
 @options.grouped
@@ -36,7 +43,7 @@ def xtce(
 
     if output is not None:
         check_new(output, force=force)
-    made = describe_packets(decoding.settings().workbench(), form, system)
+    made = describe_packets(decoding.settings().workbench(), system, cosmos=form is GroundForm.COSMOS)
     if output is None:
         typer.echo(made.text.decode(), nl=False)
     else:

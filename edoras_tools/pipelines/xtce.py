@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import edoras_app
 from edoras_tools.codegen.ground.cosmos import cosmos_telemetry
-from edoras_tools.codegen.ground.form import GroundForm
 from edoras_tools.codegen.ground.packets import PacketItem, route_packet, struct_packet
 from edoras_tools.codegen.ground.xtce import xtce
 from edoras_tools.errors import ConfigError
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.codegen.ground.packets import GroundPacket
     from edoras_tools.pipelines.workbench import Workbench
-
-_NAME: Final = "edoras"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +36,13 @@ class GroundDescription:
     notes: list[str] = field(default_factory=list)
 
 
-def describe_packets(
-    bench: Workbench, form: GroundForm = GroundForm.XTCE, name: str = _NAME
-) -> GroundDescription:
+def describe_packets(bench: Workbench, name: str = "edoras", *, cosmos: bool = False) -> GroundDescription:
     """Describe the packets that CI and TO carry: those of the mission's routes, and of known C structs.
 
     Args:
         bench: the mission, its types and its structs.
-        form: the language.
         name: of the space system, or the target.
+        cosmos: telemetry for COSMOS instead of XTCE.
 
     Raises:
         ConfigError: MsgIds are of version 2, or a mission names two topics alike.
@@ -72,7 +67,7 @@ def describe_packets(
             notes.append(f"{packet.doc}: no command is described: its size varies")
     routed = {packet.msg_id for packet in telemetry}
     telemetry += [packet for packet in _structs(bench) if packet.msg_id not in routed]
-    if form is GroundForm.COSMOS:
+    if cosmos:
         lines = cosmos_telemetry(name, telemetry, headers)
         return GroundDescription("".join(f"{line}\n" for line in lines).encode(), len(telemetry), 0, notes)
     return GroundDescription(xtce(name, telemetry, commands, headers), len(telemetry), len(commands), notes)

@@ -12,7 +12,6 @@ from rewriting import datagrams
 from space_packet_parser.xtce.definitions import XtcePacketDefinition
 
 from edoras_tools.codegen.ground.cosmos import cosmos_telemetry
-from edoras_tools.codegen.ground.form import GroundForm
 from edoras_tools.codegen.ground.packets import PacketItem, StringItem, identifier, route_packet
 from edoras_tools.codegen.ground.xtce import xtce
 from edoras_tools.decode import Options
@@ -159,4 +158,4 @@ def test_cosmos_items_follow_each_other():
 def test_msg_ids_of_version_2_are_refused():
     bench = Settings([MISSIONS / "rover_ground.yaml"], options=Options(msg_id_version=2)).workbench()
     with pytest.raises(ConfigError, match="use version 1"):
-        describe_packets(bench, GroundForm.XTCE)
+        describe_packets(bench)
