@@ -53,7 +53,6 @@ ELSEWHERE = {
     "io/formats/jsonl/*": "io/formats/jsonl/test_writer.py",
     "io/formats/mcap/*": "io/formats/mcap/test_writer.py",
     "io/formats/mcap/recovery/*": "io/formats/mcap/test_recover.py",
-    "io/forked.py": "io/formats/mcap/test_workers.py",
     "io/foxglove/*": "io/foxglove/test_sink.py",
     "io/frames/*": "io/frames/test_linklayer.py",
     "io/net/*": "io/net/test_transmit.py",

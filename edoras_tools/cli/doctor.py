@@ -82,6 +82,7 @@ def doctor(
     given: InputOptions,
     task: TaskOptions,
     duration: options.Duration = None,
+    jobs: options.Jobs = None,
     printing: options.PrintOptions,
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
@@ -97,13 +98,13 @@ def doctor(
     if task.predict:
         _predict(settings, profile, scope, json=printing.json)
     elif task.list_lost is not None:
-        _list_lost(settings, profile, scope, given, task.list_lost, printing)
+        _list_lost(settings, profile, scope, given, task.list_lost, printing, jobs or 0)
     elif task.bag:
         _compare_bags(settings, scope, given, task.bag, printing)
     elif task.against is not None:
         _compare(settings, scope, given.paths, task.against, printing)
     else:
-        found = _examine(settings, profile, scope, given, duration or 0, printing)
+        found = _examine(settings, profile, scope, given, duration or 0, printing, jobs or 0)
         reasons = [] if task.max_loss is None else found.beyond(task.max_loss)
         for reason in reasons:
             tell(reason)
@@ -142,6 +143,7 @@ def _examine(
     given: InputOptions,
     duration_ns: int,
     printing: options.PrintOptions,
+    jobs: int,
 ) -> Diagnosis:
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
     from edoras_tools.render.doctor.live import LiveVerdicts
@@ -158,7 +160,7 @@ def _examine(
     with FileProgress(name, console=error_console(), quiet=quiet or json or live) as bar:
         source, bench = open_input(given, settings, aligned=True, progress=bar)
         with LiveVerdicts(source.info.name, quiet=quiet) if live else nullcontext() as onlooker:
-            pace = Pace(monotonic_ns, _EVERY_NS if live else 0, duration_ns, onlooker)
+            pace = Pace(monotonic_ns, _EVERY_NS if live else 0, duration_ns, onlooker, jobs)
             findings = examine(source, bench, profile=profile, scope=scope, pace=pace, progress=bar)
     if json:
         print_json(findings.summary())
@@ -184,8 +186,9 @@ def _list_lost(
     given: InputOptions,
     listing: Listing,
     printing: options.PrintOptions,
+    jobs: int,
 ) -> None:
-    from edoras_tools.pipelines.doctor.doctor import examine
+    from edoras_tools.pipelines.doctor.doctor import Pace, examine
     from edoras_tools.pipelines.doctor.missing import list_missing
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
@@ -195,7 +198,8 @@ def _list_lost(
         raise ConfigError("--list-lost reads the capture twice, so it needs files, not stdin: name files")
     with FileProgress(", ".join(map(str, files)), console=error_console(), quiet=printing.quiet) as bar:
         source, bench = open_input(given, settings, aligned=True, progress=bar)
-        findings = examine(source, bench, profile=profile, scope=scope, progress=bar, listing=True)
+        pace = Pace(monotonic_ns, jobs=jobs)
+        findings = examine(source, bench, profile=profile, scope=scope, pace=pace, progress=bar, listing=True)
         again, _ = open_input(given, settings, aligned=True, progress=bar)
         found = list_missing(findings.diagnosis, again, bench, bar)
     if listing is Listing.TABLE:

@@ -341,6 +341,14 @@ Unproved = Annotated[
     bool,
     typer.Option("--unproved", help="Also keep readable messages of damaged chunks that no checksum covers."),
 ]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        parser=counted,
+        help="Processes that share the work on a large file; as many as processor cores, at most 3.",
+    ),
+]
 EveryPort = Annotated[bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")]
 Constants = Annotated[
     list[str] | None,

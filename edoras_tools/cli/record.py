@@ -65,14 +65,7 @@ class TargetOptions(NamedTuple):
             help="Delete the oldest files while all are larger, e.g. 20G.",
         ),
     ] = None
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            parser=options.counted,
-            help="Processes that share the work on a large file; as many as processor cores, at most 3.",
-        ),
-    ] = None
+    jobs: options.Jobs = None
     sync: Annotated[
         int | None,
         typer.Option(

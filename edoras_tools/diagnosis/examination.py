@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final
@@ -265,6 +266,7 @@ class Examination:
         progress: see ``judge``.
         faults: what a proxy or a replay did on purpose, as the recording says.
         listing: whether to list every message that was lost.
+        apart: takes what judges a chapter, and returns what waits for the result; by default it runs at once.
     """
 
     def __init__(self, context: Context, profile: SimProfile | None = None) -> None:
@@ -272,15 +274,13 @@ class Examination:
         self.progress: Callable[[int, int], None] = lambda _done, _of: None
         self.faults: Sequence[Fault] = ()
         self.listing = False
+        self.apart: Callable[[Callable[[], Diagnosis]], Callable[[], Diagnosis]] = _at_once
         self.context = context
         self.profile = profile or SimProfile()
         self._recorder = Recorder(context)
         self._files = Follower()
-        self._before: list[Diagnosis] = []
+        self._before: list[Callable[[], Diagnosis]] = []
         self._scattered = False
-
-    def __len__(self) -> int:
-        return sum(part.datagrams for part in self._before) + len(self._recorder)
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch and its columns."""
@@ -298,32 +298,34 @@ class Examination:
 
     def separate(self) -> None:
         """Judge what was taken by itself: nothing of what follows is matched with it."""
-        if len(self._recorder):
-            self._before.append(self._chapter(Capture(), keep=False))
-            self._recorder = Recorder(self.context, self._recorder.conversations)
+        if not len(self._recorder):
+            return
+        # A chapter has what was done up to its end; the last has the rest.
+        until_ns = self._recorder.last_ns
+        faults = [item for item in self.faults if item.time_ns <= until_ns]
+        self.faults = [item for item in self.faults if item.time_ns > until_ns]
+        capture = Capture(zero_ns=self._zero_ns())
+        self._before.append(self.apart(partial(self._chapter, capture, faults, keep=False)))
+        self._recorder = Recorder(self.context, self._recorder.conversations)
 
     def diagnose(self, capture: Capture | None = None) -> Diagnosis:
         """Judge all that was taken."""
         capture = capture or Capture()
-        last = self._chapter(capture, keep=True)
-        found = _joined([*self._before, last], capture) if self._before else last
+        zero_ns = self._zero_ns() if capture.zero_ns is None else capture.zero_ns
+        last = self._chapter(replace(capture, zero_ns=zero_ns), self.faults, keep=True)
+        found = _joined([*(part() for part in self._before), last], capture) if self._before else last
         if self._scattered:
             told = out_of_order.too_many(found.start_ns, found.end_ns, MOST_SCATTERED * CHAPTER)
             found = replace(found, verdicts=(told, *found.verdicts))
         return found
 
-    def _chapter(self, capture: Capture, *, keep: bool) -> Diagnosis:
-        if capture.zero_ns is None:
-            zero_ns = self._before[0].zero_ns if self._before else self.zero_ns
-            capture = replace(capture, zero_ns=zero_ns)
+    def _zero_ns(self) -> int | None:
+        return self._before[0]().zero_ns if self._before else self.zero_ns
+
+    def _chapter(self, capture: Capture, faults: Sequence[Fault], *, keep: bool) -> Diagnosis:
         followed = self._files.pdus if keep else 0
         frames = sum(item.frames for item in capture.frames.channels) if capture.frames else 0
         capture = replace(capture, files=tuple(self._files.transactions) if keep else ())
-        # A chapter has what was done up to its end; the last has the rest.
-        until_ns = None if keep else self._recorder.last_ns
-        faults = [item for item in self.faults if until_ns is None or item.time_ns <= until_ns]
-        if not keep:
-            self.faults = [item for item in self.faults if item.time_ns > self._recorder.last_ns]
         case = Case(self._recorder, self.profile, capture, proxied(faults))
         found = judge(case, self.progress)
         spans = [(item.first_ns, item.last_ns) for item in capture.files]
@@ -344,6 +346,11 @@ class Examination:
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
             missing=tuple(missing(case)) if self.listing and len(case.rows) else (),
         )
+
+
+def _at_once(judging: Callable[[], Diagnosis]) -> Callable[[], Diagnosis]:
+    found = judging()
+    return lambda: found
 
 
 def _sorted(verdicts: Any) -> tuple[Verdict, ...]:

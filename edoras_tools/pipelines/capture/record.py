@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from dataclasses import dataclass, field, replace
 from time import time_ns
 from typing import TYPE_CHECKING, Any
@@ -19,6 +17,7 @@ from edoras_tools.io.formats.watched import Keep, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, QUIET_NS, Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
+from edoras_tools.pipelines.jobs import jobs_for
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.sessions.sequence import SequenceCounts
 
@@ -35,11 +34,6 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Watcher
-
-_LARGE = 32 << 20
-"""Files of at least this many bytes are recorded by several processes."""
-_MOST_JOBS = 3
-"""One process reads and decodes; two others compress as fast as it does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +190,7 @@ def open_sink(
         target.split_count,
         structs=bench.columns.context.structs,
         transforms=target.transforms,
-        jobs=_jobs(target, source),
+        jobs=jobs_for(source, target.jobs),
         sequences=sequences,
     )
 
@@ -223,14 +217,6 @@ def open_sink(
 
     sync_s, keep = target.sync_ns / 1e9, Keep(target.keep_files, target.keep_bytes)
     return WatchedSink(target.path, begin, target.told, source.statistics, sync_s=sync_s, keep=keep)
-
-
-def _jobs(target: Target, source: Source) -> int:
-    """Return how many processes write a target."""
-    if source.statistics.total_bytes < _LARGE:
-        return 1
-    cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else 1
-    return target.jobs or min(_MOST_JOBS, cores)
 
 
 def record(

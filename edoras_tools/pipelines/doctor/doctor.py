@@ -11,10 +11,12 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.io.forked import Later
 from edoras_tools.io.formats.cfe.contents import message_limits
 from edoras_tools.io.formats.merge import recorded_faults, recorded_host
 from edoras_tools.pipelines.clocks import OneByOne
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
+from edoras_tools.pipelines.jobs import jobs_for
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.words import did_you_mean
 
@@ -39,12 +41,14 @@ class Pace:
         every_ns: also judge at this interval, less often if judging takes long; 0: only at the end.
         duration_ns: stop after this time; 0: never.
         watcher: called with every intermediate diagnosis.
+        jobs: how many processes share the work on a large file; 0: as many as there are processor cores.
     """
 
     clock: Callable[[], int]
     every_ns: int = 0
     duration_ns: int = 0
     watcher: Watcher[Diagnosis] | None = None
+    jobs: int = 1
 
 
 @dataclass(slots=True)
@@ -90,7 +94,7 @@ def examine(
         bench: mission, types and decoders.
         profile: the constants of the cFS on the link.
         scope: what is examined and shown; all by default.
-        pace: for a live source.
+        pace: for a live source, and how many processes share the work; by default one.
         progress: updated after every batch, and while judging.
         counting: counts while they are read the datagrams that the scope selects.
         listing: also list every message that was lost.
@@ -110,6 +114,8 @@ def examine(
         source.close()
         raise
     pace = pace or Pace(lambda: 0)
+    if (count := jobs_for(source, pace.jobs)) > 1:
+        examination.apart = _Judges(examination, count - 1, source.info.name)
     host = tuple(recorded_host(source))
 
     def diagnose() -> Diagnosis:
@@ -160,6 +166,35 @@ def examine(
                 # Judging takes at most a fifth of the time, however large the capture is.
                 pause = max(pace.every_ns, 5 * (judged - now))
     return Findings(diagnose(), source, loop.failure, loop.interrupted)
+
+
+class _Judges:
+    """Lets other processes judge chapters while this one reads on.
+
+    Args:
+        examination: whose chapters they are.
+        count: how many judge at the same time.
+        name: of the source, for errors.
+    """
+
+    def __init__(self, examination: Examination, count: int, name: str) -> None:
+        self._examination, self._count, self._name = examination, count, name
+        self._judging: list[Later[Diagnosis]] = []
+
+    def __call__(self, judging: Callable[[], Diagnosis]) -> Callable[[], Diagnosis]:
+        """Begin to judge a chapter; return what waits for the result."""
+
+        def work() -> Diagnosis:
+            self._examination.progress = lambda _done, _of: None  # one process shows the progress
+            return judging()
+
+        self._judging = [item for item in self._judging if not item.done]
+        while len(self._judging) >= self._count:
+            self._judging.pop(0)()
+        self._judging.append(
+            Later(work, f"{self._name}: a process that examined part of it (--jobs 1 needs only one)")
+        )
+        return self._judging[-1]
 
 
 def profile_with(constants: Sequence[str]) -> SimProfile:

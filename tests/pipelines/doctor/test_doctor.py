@@ -1,10 +1,14 @@
 """The doctor from a source to a diagnosis: at the end, and again and again on the way."""
 
+import os
+import signal
 from types import SimpleNamespace
 
 import pytest
+from places import ROOT
 
 from edoras_tools import doctor
+from edoras_tools.diagnosis import examination
 from edoras_tools.diagnosis.rules import RULES
 from edoras_tools.emulator import Simulation
 from edoras_tools.emulator.source import SimulatedSource
@@ -14,7 +18,7 @@ from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.doctor.doctor import Pace, examine, profile_with
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.selection import Period, Selection
-from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.units import SECOND
 
 
@@ -159,3 +163,52 @@ def test_constants_are_named():
     ):
         with pytest.raises(ConfigError, match=words):
             profile_with([text])
+
+
+CAPTURES = sorted((ROOT / "samples/captures").glob("*.pcap"))
+
+
+def chapters(monkeypatch, path, jobs, *, listing=False):
+    """What is found in chapters of some hundred datagrams."""
+    monkeypatch.setattr("edoras_tools.pipelines.jobs._LARGE", 1)
+    monkeypatch.setattr(examination, "CHAPTER", 150)
+    source = open_files([path])
+    parts = _Parts(source, 100)
+    return examine(parts, Settings().workbench(source.info), pace=Pace(lambda: 0, jobs=jobs), listing=listing)
+
+
+class _Parts:
+    """A source in smaller batches."""
+
+    def __init__(self, source, rows):
+        self._source, self._rows = source, rows
+        self.info, self.statistics, self.close = source.info, source.statistics, source.close
+
+    def batches(self):
+        for batch in self._source.batches():
+            for first in range(0, len(batch), self._rows):
+                yield batch.take(slice(first, first + self._rows))
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+@pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.stem)
+def test_chapters_are_judged_alike_by_any_number_of_processes(monkeypatch, path):
+    found = [chapters(monkeypatch, path, jobs, listing=True) for jobs in (1, 2, 3)]
+    assert found[0].summary() == found[1].summary() == found[2].summary()
+    assert found[0].diagnosis.missing == found[1].diagnosis.missing == found[2].diagnosis.missing
+    assert found[0].diagnosis.balance == found[2].diagnosis.balance
+    assert found[0].diagnosis.datagrams > 300
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+def test_a_process_that_is_killed_while_it_judges_is_told(monkeypatch):
+    here, judge = os.getpid(), examination.judge
+
+    def killed(*given):
+        if os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return judge(*given)
+
+    monkeypatch.setattr(examination, "judge", killed)
+    with pytest.raises(CaptureError, match=r"a_rover\.pcap: a process that examined .* was killed, perhaps"):
+        chapters(monkeypatch, ROOT / "samples/captures/a_rover.pcap", 2)
