@@ -26,7 +26,7 @@ def files(
     chosen: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Show the files that CFDP transferred, and take them out of a capture.
+    """Show the files that CFDP transferred, or take them out.
 
     Names of files that would lie outside DIR are refused.
     """

@@ -35,7 +35,7 @@ def help_(
         list[str] | None,
         typer.Argument(
             metavar="[COMMAND]...",
-            help="E.g. sniff, or wireshark run.",
+            help="A command, e.g. sniff, or wireshark run.",
             autocompletion=_named_commands,
         ),
     ] = None,

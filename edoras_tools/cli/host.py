@@ -15,7 +15,9 @@ from edoras_tools.cli.output import print_json
 
 @options.grouped
 def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> None:
-    """Show what the kernel of this machine dropped of the links' datagrams, and what to change.
+    """Show what this machine's kernel dropped, and what to change.
+
+    Of the links' datagrams, by full sockets, lost fragments and interfaces.
 
     The ports are those of the links, of the mission files (-c) and of --port. No privilege is needed.
     """

@@ -26,7 +26,7 @@ class MessageOptions(NamedTuple):
     """What is sent."""
 
     what: Annotated[
-        str, typer.Argument(metavar="[WHAT]", help="A topic; or a command: to-enable, to-add, noop ...")
+        str, typer.Argument(metavar="[WHAT]", help="A topic, or a command: to-enable, to-add, noop ...")
     ] = ""
     values: Annotated[
         str,

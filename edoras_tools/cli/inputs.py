@@ -60,7 +60,7 @@ class FileOptions(NamedTuple):
     ] = None
     read: Annotated[
         list[Path] | None,
-        typer.Option("--read", "-r", metavar="FILE", help="A file; same as without -r; repeatable."),
+        typer.Option("--read", "-r", metavar="FILE", help="Same as FILE without -r; repeatable."),
     ] = None
 
     @property

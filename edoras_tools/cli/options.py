@@ -646,7 +646,7 @@ class FaultOptions(NamedTuple):
         typer.Option(
             "--fault",
             metavar="RULE",
-            help="A fault, e.g. drop:0.1 or delay:200ms,msg_id=0x1827 or corrupt:1%,from=10s; repeatable.",
+            help="Make a fault, e.g. drop:0.1, delay:200ms,msg_id=0x1827 or corrupt:1%,from=10s; repeatable.",
         ),
     ] = None
     profile: Annotated[

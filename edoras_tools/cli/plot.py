@@ -41,7 +41,7 @@ def plot(
     ] = None,
     read: Annotated[
         list[Path] | None,
-        typer.Option("--read", "-r", metavar="FILE", help="A file; same as without -r; repeatable."),
+        typer.Option("--read", "-r", metavar="FILE", help="Same as FILE without -r; repeatable."),
     ] = None,
     output: Annotated[
         Path | None,

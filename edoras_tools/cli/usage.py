@@ -87,8 +87,8 @@ def sections(command: Any, ctx: Any) -> Mapping[str, list[Entry]]:
 
 
 def first_line(command: Any) -> str:
-    """Return what a command does, in a line."""
-    return " ".join(command.help.partition("\n\n")[0].split())
+    """Return what a command does, in a sentence."""
+    return re.split(r"(?<=\.) ", " ".join(command.help.partition("\n\n")[0].split()))[0]
 
 
 def names(option: Any, ctx: Any) -> str:
@@ -161,7 +161,7 @@ def _command_lines(groups: Mapping[str, list[Entry]], width: int) -> Iterator[st
 
 def _shortened(entry: Entry) -> Entry:
     """Return an entry with the first clause of its text."""
-    return entry._replace(help=re.split(r"; |, e\.g\. |\. ", entry.help)[0])
+    return entry._replace(help=re.split(r"; |, e\.g\. |\. ", entry.help)[0].removesuffix("."))
 
 
 def _more(ctx: Any) -> str:

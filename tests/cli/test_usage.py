@@ -87,6 +87,22 @@ def test_commands_stand_in_their_groups(shown):
     assert groups == {group: set(names) for group, names in main.GROUPS.items()}
 
 
+def test_each_command_of_the_list_has_one_line(shown):
+    lines = shown("edoras", interactive=True)
+    for name in main.COMMANDS:
+        command, _ = TREE[f"edoras {name}"]
+        assert any(line.endswith(usage.first_line(command)) for line in lines), name
+
+
+@pytest.mark.parametrize("path", TREE)
+def test_shortened_texts_still_say_something_and_end_alike(path):
+    command, context = TREE[path]
+    for entries in usage.sections(command, context).values():
+        for text in (usage._shortened(item).help for item in entries):
+            assert re.search(r"[^.]$|\.\.\.?$", text), text
+            assert len(text) > len("E.g."), text
+
+
 def test_what_is_left_out_is_said_and_where_it_is(shown):
     assert "More options: edoras help wireshark run explains them" not in shown(
         "edoras wireshark run", interactive=False

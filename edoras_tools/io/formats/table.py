@@ -81,7 +81,8 @@ def _listed(names: list[str], last: str) -> str:
 
 READ: Final = _listed([item.name for item in FILE_FORMATS if item.suffix], "or")
 """The formats that can be read, for the user: ``pcap, pcapng or MCAP``."""
-READ_PACKED: Final = f"{READ} (.gz, .zst)"
+READ_PACKED: Final = f"{READ.replace(' or', ',')} (.gz, .zst) or rosbag2"
+"""The same, with how they may be packed, and the directories of rosbag2."""
 READABLE: Final = READ.replace(" or ", " and ")
 TOPIC_READERS: Final = "info, export and plot read its topics"
 """What to do with a recording of topics where datagrams are needed."""
