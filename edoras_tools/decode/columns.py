@@ -15,10 +15,12 @@ from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_columns
 from edoras_tools.decode.variants import Variants
+from edoras_tools.links.cfdp import holds_pdu
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Columns, Finding, PacketBatch
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cdr import ROUNDED
+from edoras_tools.wire.cfdp import read_pdus
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
 from edoras_tools.wire.order import by_value
 from edoras_tools.wire.window import any_nonzero, gather, xor_bytes
@@ -201,6 +203,8 @@ class _Pass:
         self._secondary(packet, head, total, command, build)
         for name in _PACKET_COLUMNS:
             self.out[name][absent] = _BLANK.get(name, 0)
+        if len(self.context.pdu_msg_ids):
+            self._pdus()
         self._envelopes(packet)
         self._structs()
 
@@ -251,6 +255,13 @@ class _Pass:
         )
         self.flag(Finding.UNKNOWN_FUNCTION_CODE, rows, unknown)
         self.flag(Finding.COMMAND_LENGTH, rows, misfit)
+
+    def _pdus(self) -> None:
+        """Judge whether the CFDP PDUs in packets are whole."""
+        rows = np.flatnonzero(holds_pdu(self.out.__getitem__, self.context.pdu_msg_ids))
+        header = self.out["header_length"][rows]
+        offset, length = self.out["packet_offset"][rows] + header, self.out["packet_length"][rows] - header
+        self.flag(Finding.TRUNCATED, rows, read_pdus(self.batch.data, offset, length).truncated)
 
     def _structs(self) -> None:
         """Judge whether packets are as long as the C structs they should hold."""

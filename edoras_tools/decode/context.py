@@ -13,6 +13,7 @@ from edoras_tools.decode.builds import Builds
 from edoras_tools.decode.commands import CommandTable
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import table
+from edoras_tools.links.cfdp import PDU_NAME
 from edoras_tools.links.protocol import Peers
 from edoras_tools.links.sbn import BRIDGE_PORT
 from edoras_tools.mission import FlightLink, GroundLink, Mission
@@ -155,6 +156,7 @@ class Context:
         route_row: u8 (256,), row of ``route_of`` by link; 0, which is empty, for those without routes.
         any_route_of: i16 (65536,), a route of any link by MsgId: what a packet seen on another link carries.
         known: bool (65536,), MsgIds that cFE or the mission names.
+        pdu_msg_ids: i32, MsgIds of packets that hold a CFDP PDU each.
         headers: those behind the primary header; :mod:`edoras_tools.decode.variants` may change them.
         msg_ids: how MsgIds are built; never detected.
         builds: the headers of conversations that have others.
@@ -221,6 +223,9 @@ class Context:
             self.route_of[self.route_row[route.link], route.msg_id] = index
             self.any_route_of[route.msg_id] = index
             self.known[route.msg_id] = True
+        self.pdu_msg_ids = np.array(self.mission.pdu_msg_ids, np.int32)
+        self.known[self.pdu_msg_ids] = True
+        self.route_of[:, self.pdu_msg_ids] = self.any_route_of[self.pdu_msg_ids] = NO_ROUTE
         usual = "" if self.options.envelope == "auto" else self.options.envelope
         self.unrouted = [EnvelopeFormat.named(usual) if usual else DEFAULT] * 2
         self.notes: list[str] = []
@@ -254,7 +259,8 @@ class Context:
         """Return how packets of a MsgId are called: cFE's name, else a route's topic or a struct's name."""
         route = int(self.any_route_of[msg_id])
         topic = self.mission.routes[route].topic if route != NO_ROUTE else ""
-        return names.message_name(self.msg_ids.known(msg_id)) or topic or self.structs.name(msg_id)
+        pdu = PDU_NAME if msg_id in self.pdu_msg_ids else ""
+        return names.message_name(self.msg_ids.known(msg_id)) or topic or pdu or self.structs.name(msg_id)
 
     def commands(self, msg_id: int) -> Mapping[int, names.Command] | None:
         """Return the function codes a command MsgId's app takes, or None where that is not known."""

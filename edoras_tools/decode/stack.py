@@ -13,6 +13,7 @@ from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_of
 from edoras_tools.decode.summary import summarise
 from edoras_tools.errors import EdorasError, TruncatedError, WireError
+from edoras_tools.links.cfdp import read_pdu
 from edoras_tools.links.reading import Reading
 from edoras_tools.links.table import protocol
 from edoras_tools.model import (
@@ -173,6 +174,9 @@ class _Dissection(Reading):
     def _payload(self, msg_id: int, start: int, header: int, code: int | None) -> None:
         """Read the payload behind the cFE header: an event, housekeeping, or a route's envelope."""
         at, length = start + header, len(self.data) - start
+        if msg_id in self.context.pdu_msg_ids:
+            read_pdu(self, at)
+            return
         exact = int(self.context.routes_on(self.link)[msg_id])
         route = exact if exact != NO_ROUTE else int(self.context.any_route_of[msg_id])
         if route == NO_ROUTE:

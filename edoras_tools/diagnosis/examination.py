@@ -8,8 +8,6 @@ from itertools import chain
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode.conversations import Unnamed, unnamed
 from edoras_tools.diagnosis.accounting.commands import Refused
@@ -31,7 +29,6 @@ from edoras_tools.diagnosis.rules import (
     topic_never_seen,
 )
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, Severity, Verdict
-from edoras_tools.links.cfdp import CFDP
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.sessions.cfdp import Follower
 from edoras_tools.words import plural
@@ -278,7 +275,7 @@ class Examination:
         self.context = context
         self.profile = profile or SimProfile()
         self._recorder = Recorder(context)
-        self._files = Follower()
+        self._files = Follower(msg_ids=context.mission.pdu_msg_ids)
         self._before: list[Callable[[], Diagnosis]] = []
         self._scattered = False
 
@@ -287,7 +284,7 @@ class Examination:
         if len(self._recorder) >= CHAPTER and not self._goes_on():
             self.separate()
         self._recorder.add(batch, columns)
-        self._files.take(batch, np.flatnonzero(columns.link == CFDP))
+        self._files.add(batch, columns)
 
     def _goes_on(self) -> bool:
         """Tell whether a chapter that is full has to take more: what belongs together is not in it yet."""
@@ -323,7 +320,7 @@ class Examination:
         return self._before[0]().zero_ns if self._before else self.zero_ns
 
     def _chapter(self, capture: Capture, faults: Sequence[Fault], *, keep: bool) -> Diagnosis:
-        followed = self._files.pdus if keep else 0
+        followed = self._files.pdus - self._files.packets if keep else 0
         frames = sum(item.frames for item in capture.frames.channels) if capture.frames else 0
         capture = replace(capture, files=tuple(self._files.transactions) if keep else ())
         case = Case(self._recorder, self.profile, capture, proxied(faults))

@@ -8,9 +8,11 @@ import numpy as np
 
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen, Site
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
-from edoras_tools.wire import cfdp
+from edoras_tools.wire import ccsds, cfdp
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from edoras_tools.links.reading import Reading
@@ -77,8 +79,7 @@ class FileDeliveryLink(LinkProtocol):
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Find the header, the directive code, or the parameters of one kind."""
         del field
-        owner = np.flatnonzero(rows.column("link") == self)
-        offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]
+        owner, offset, length = _pdu_places(rows, self)
         if layout is cfdp.PDU_HEADER:
             there = length >= layout.size
             return owner[there], offset[there]
@@ -97,6 +98,37 @@ class FileDeliveryLink(LinkProtocol):
 
 
 CFDP: Final = FileDeliveryLink()
+PDU_NAME: Final = "CFDP_PDU"
+"""What a packet that holds a PDU is called."""
+_NO_PDU: Final = np.uint32(Finding.HEADER_ONLY)
+
+
+def _pdu_places(
+    rows: BatchRows, link: FileDeliveryLink
+) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int32]]:
+    """Return the rows that hold a PDU, where it starts, and the bytes that are there."""
+    own = rows.column("link") == link
+    offset = rows.datagram("offset").astype(np.int64)
+    length = rows.datagram("length")
+    if len(rows.context.pdu_msg_ids):
+        inside, header = holds_pdu(rows.column, rows.context.pdu_msg_ids), rows.column("header_length")
+        offset = np.where(inside, rows.column("packet_offset") + header, offset)
+        length = np.where(inside, rows.column("packet_length") - header, length).astype(np.int32)
+        own |= inside
+    owner = np.flatnonzero(own)
+    return owner, offset[owner], length[owner]
+
+
+def holds_pdu(column: Callable[[str], NDArray[Any]], msg_ids: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Tell which rows are space packets that hold a PDU behind their cFE header.
+
+    Args:
+        column: gives one of ``Columns``.
+        msg_ids: of such packets.
+    """
+    there: NDArray[np.bool_] = np.isin(column("msg_id"), msg_ids)
+    there &= (column("header_length") > ccsds.PRIMARY.size) & ((column("findings") & _NO_PDU) == 0)
+    return there
 
 
 def read_pdu(reading: Reading, at: int) -> None:

@@ -140,6 +140,10 @@ class Site(Protocol):
     def frames(self) -> Mapping[int, FrameFormat]:
         """The CCSDS transfer frames that come to a port, by port."""
 
+    @property
+    def pdu_msg_ids(self) -> NDArray[np.int32]:
+        """MsgIds of packets that hold a CFDP PDU each."""
+
 
 class Located:
     """Where the space packets of some datagrams start, and what the headers in front of them say.

@@ -39,6 +39,7 @@ _ADDRESS: Final = None
 _PORT: Final = (1, 0xFFFF)
 _ID: Final = (0, 0xFFFFFFFF)
 _LARGEST: Final = 65507
+_PDU_MSG_IDS: Final = "cfdp.msg_ids"
 _GROUND: Final[dict[str, tuple[int, int] | None]] = {
     "bridge_port": _PORT,
     "fsw_port": _PORT,
@@ -83,11 +84,16 @@ def is_transfer(node: NodeParameters) -> bool:
 
 def read_transfer(node: NodeParameters, report: Mistakes) -> TransferLink | None:
     """Return the CFDP entities of a node of ``data_transfer``; None without them, or with a mistake."""
-    if "cfdp" not in node.groups:
-        return None
     fields = Fields(node, report)
+    if "cfdp" not in node.groups or (fields.has(_PDU_MSG_IDS) and not fields.has("cfdp.port")):
+        return None
     port, peer = (fields.integer(name, *_PORT) for name in ("cfdp.port", "cfdp.port_peer"))
     return TransferLink(port, peer, report.file, node.lines["cfdp"]) if port and peer else None
+
+
+def read_pdu_msg_ids(node: NodeParameters, report: Mistakes) -> tuple[int, ...]:
+    """Return the MsgIds of packets that hold a CFDP PDU each: our own key."""
+    return Fields(node, report).msg_ids(_PDU_MSG_IDS)
 
 
 def read_bridge(

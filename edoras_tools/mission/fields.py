@@ -128,6 +128,18 @@ class Fields:
             self.mistake(name, f'"{printable(text)}" {what}')
             return None
 
+    def msg_ids(self, name: str) -> tuple[int, ...]:
+        """Return a list of MsgIds; empty where it is absent or wrong."""
+        allowed = "a list of MsgIds from 0x1 to 0x1FFF is needed, as [0x18C8, 0x8C2]"
+        value = self.node.values.get(name)
+        if isinstance(value, tuple) and all(
+            type(item.value) is int and 0 < item.value <= 0x1FFF for item in value
+        ):
+            return tuple(int(item.value) for item in value)
+        if self.has(name):
+            self.mistake(name, allowed)
+        return ()
+
     def keys(self, name: str) -> list[ScalarNode]:
         """Return a list of strings, each with its line."""
         allowed = "a list of keys is needed, as ['cmd_twist']"

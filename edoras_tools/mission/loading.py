@@ -9,7 +9,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.mission.bridges import find_bridges, is_transfer, read_bridge, read_transfer
+from edoras_tools.mission.bridges import (
+    find_bridges,
+    is_transfer,
+    read_bridge,
+    read_pdu_msg_ids,
+    read_transfer,
+)
 from edoras_tools.mission.framing import FRAMES_GROUP, read_framed_ports
 from edoras_tools.mission.model import Mission
 from edoras_tools.mission.parameters import read_nodes
@@ -105,6 +111,7 @@ def _mission(
     routes: list[Route] = []
     whole: list[Bridge] = []
     framed: list[FramedPort] = []
+    pdus: list[int] = []
     taken: dict[int, str] = {}
     for name, content in contents:
         if content in files.values():
@@ -119,6 +126,7 @@ def _mission(
         text = _text(content, report)
         nodes = read_nodes(text, report) if text is not None else []
         bridges, transfers = find_bridges(nodes), [node for node in nodes if is_transfer(node)]
+        pdus += [item for node in transfers for item in read_pdu_msg_ids(node, report)]
         links += [link for node in transfers if (link := read_transfer(node, report)) is not None]
         framing = [node for node in nodes if FRAMES_GROUP in node.groups]
         framed += [port for node in framing for port in read_framed_ports(node, report, taken)]
@@ -144,6 +152,7 @@ def _mission(
         tuple(whole),
         msg_ids,
         tuple(framed),
+        tuple(dict.fromkeys(pdus)),
     )
 
 

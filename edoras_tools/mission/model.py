@@ -215,6 +215,7 @@ class Mission:
         bridges: link and routes of each bridge together.
         msg_ids: the version of the MsgIds.
         frames: the ports to which transfer frames come; no port twice.
+        pdu_msg_ids: of packets that hold a CFDP PDU each, as those of cFS's CF app.
     """
 
     routes: tuple[Route, ...] = ()
@@ -224,6 +225,7 @@ class Mission:
     bridges: tuple[Bridge, ...] = ()
     msg_ids: MsgIds = VERSION_1
     frames: tuple[FramedPort, ...] = ()
+    pdu_msg_ids: tuple[int, ...] = ()
 
     def numbered(self, msg_ids: MsgIds) -> Mission:
         """Return the same mission with the MsgIds that its packets have in another version."""
@@ -235,7 +237,9 @@ class Mission:
             return tuple(replace(item, msg_id=of_known(known(item.msg_id))) for item in routes)
 
         bridges = tuple(replace(item, routes=made(item.routes)) for item in self.bridges)
-        return replace(self, routes=made(self.routes), bridges=bridges, msg_ids=msg_ids)
+        pdus = tuple(msg_ids.of_known(self.msg_ids.known(item)) for item in self.pdu_msg_ids)
+        routes = made(self.routes)
+        return replace(self, routes=routes, bridges=bridges, msg_ids=msg_ids, pdu_msg_ids=pdus)
 
     @property
     def ground(self) -> tuple[GroundLink, ...]:

@@ -8,16 +8,20 @@ The rules that this file keeps:
    again; one with new bytes in front of the last one that is known was lost before, or overtaken.
 3. Memory does not grow with files: bytes are handed on, not kept. Transactions, and the ranges that are known
    of a file, are limited in number; what is beyond is left out, and the file stays incomplete.
+4. PDUs in space packets travel there by one link and back by another: their endpoints are the addresses
+   without the ports.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
+from edoras_tools.links.cfdp import CFDP, holds_pdu
 from edoras_tools.wire.cfdp import (
     CONDITION_NAMES,
     UNREAD,
@@ -34,11 +38,11 @@ from edoras_tools.wire.order import numbered
 from edoras_tools.wire.window import copy_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Collection, Iterator
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import PacketBatch
+    from edoras_tools.model import Columns, PacketBatch
 
     Keep: TypeAlias = "Callable[[Transaction, int, bytes], None]"
 
@@ -199,33 +203,55 @@ class Follower:
 
     Args:
         keep: gets each byte of each file once: the transaction, the offset in the file, the bytes.
+        msg_ids: of space packets that hold a PDU each.
 
     Attributes:
         transactions: in order of their first PDU.
         pdus: how many were taken.
+        packets: how many of them were in space packets.
         left_out: PDUs of transactions beyond the limit.
     """
 
-    def __init__(self, keep: Keep | None = None) -> None:
+    def __init__(self, keep: Keep | None = None, msg_ids: Collection[int] = ()) -> None:
         self.transactions: list[Transaction] = []
-        self.pdus = self.left_out = 0
+        self.pdus = self.packets = self.left_out = 0
         self._keep = keep
+        self._msg_ids = np.array([*msg_ids], np.int32)
         self._open: dict[tuple[int, ...], Transaction] = {}
 
-    def take(self, batch: PacketBatch, rows: NDArray[np.intp]) -> None:
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take all PDUs of a batch: those of the CFDP link, and those in space packets."""
+        self.take(batch, np.flatnonzero(columns.link == CFDP))
+        if len(self._msg_ids):
+            rows = np.flatnonzero(holds_pdu(partial(getattr, columns), self._msg_ids))
+            header = columns.header_length[rows]
+            place = columns.packet_offset[rows] + header, columns.packet_length[rows] - header
+            before = self.pdus
+            self.take(batch, rows, place)
+            self.packets += self.pdus - before
+
+    def take(
+        self,
+        batch: PacketBatch,
+        rows: NDArray[np.intp],
+        place: tuple[NDArray[np.int64], NDArray[np.int32]] | None = None,
+    ) -> None:
         """Take the PDUs in some rows of a batch, in order; nothing in them can make this raise.
 
         Args:
             batch: the datagrams.
             rows: those that hold a PDU.
+            place: where each PDU begins, and the bytes that are there, in space packets (rule 4); None for
+                datagrams that are PDUs.
         """
         if not len(rows):
             return
         self.pdus += len(rows)
-        pdus = read_pdus(batch.data, batch.offset[rows], batch.length[rows])
+        offset, length = place or (batch.offset[rows], batch.length[rows])
+        pdus = read_pdus(batch.data, offset, length)
         source, destination = (
             getattr(batch, f"{end}_address")[rows].astype(np.uint64) << np.uint64(16)
-            | getattr(batch, f"{end}_port")[rows]
+            | (getattr(batch, f"{end}_port")[rows] if place is None else np.uint64(0))
             for end in ("source", "destination")
         )
         ends = (

@@ -15,6 +15,7 @@ from rewriting import Udp, write
 from waiting import HOST, Program, free_ports, until
 
 from edoras_tools.pipelines.export.files import safe_path
+from edoras_tools.wire import cfe
 from edoras_tools.wire.cfdp import Directive
 
 SIZES = (60_000, 59_999, 50_000, 40_001, 60_000, 1)
@@ -128,6 +129,22 @@ def test_both_ends_through_a_proxy_that_drops_a_tenth(command, call, tmp_path):
     in_front = call("files", write(tmp_path / "front.pcap", [Udp(*item) for item in both]), "--json").json()
     assert totals(in_front) == counted(sender.sent)
     assert totals(in_front)["resent"] > 0
+
+    config = tmp_path / "cf.yaml"
+    config.write_text("cf: {ros__parameters: {cfdp: {msg_ids: [0x18C8, 0x8C2]}}}")
+    packed = write(tmp_path / "packets.pcap", map(in_packet, both))
+    inside = call("files", packed, "-c", config, "-o", tmp_path / "cf", "--json").json()
+    assert [item | {"path": None} for item in inside["transactions"]] == in_front["transactions"]
+    for number in range(len(SIZES)):
+        assert (tmp_path / f"cf/data_{number}").read_bytes() == (tmp_path / f"out/data_{number}").read_bytes()
+
+
+def in_packet(item):
+    """Return a PDU in a command to CI, or back in telemetry from TO, as cFS's CF app has them."""
+    at, source, _, pdu = item
+    if source == ENDS[0]:
+        return Udp(at, (HOST, 40000), (HOST, 1234), cfe.emit_command(0x18C8, 0, pdu))
+    return Udp(at, (HOST, 49152), (HOST, 1235), cfe.emit_telemetry(0x8C2, pdu, seconds=1, sequence_count=1))
 
 
 def transfer(name, content, number=7, *, checksum=None, kind=0):

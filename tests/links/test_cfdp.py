@@ -40,15 +40,18 @@ from spacepackets.cfdp.pdu.file_data import (
 from spacepackets.cfdp.pdu.finished import DeliveryCode, FileStatus, FinishedParams
 from spacepackets.cfdp.pdu.prompt import ResponseRequired
 from spacepackets.util import ByteFieldGenerator
+from transfer_frames import batch_of
 
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.cfdp import CFDP
 from edoras_tools.links.table import among
+from edoras_tools.model import NO_FINDINGS, Finding
 from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.wire import cfdp
+from edoras_tools.sessions.cfdp import Follower
+from edoras_tools.wire import cfdp, cfe
 
 
 def configuration(width=2, count=4, *, crc=False, large=False, toward_sender=False):
@@ -219,3 +222,66 @@ def test_the_modular_checksum_is_the_sum_of_its_pieces(data, cuts):
     ends = sorted({0, len(data), *(cut for cut in cuts if cut < len(data))})
     pieces = sum(cfdp.modular_checksum(data[first:end], first) for first, end in pairwise(ends))
     assert pieces & 0xFFFFFFFF == whole
+
+
+@pytest.fixture(scope="module")
+def packets(tmp_path_factory):
+    """Return each PDU in a command, and in telemetry, of a MsgId that a mission names."""
+    folder = tmp_path_factory.mktemp("cf")
+    config = folder / "cf.yaml"
+    config.write_text("cf: {ros__parameters: {cfdp: {msg_ids: [0x18C8, 0x8C2]}}}")
+    made = []
+    for number, (pdu, _) in enumerate(KINDS):
+        raw = bytes(pdu.pack())
+        made.append(Udp(number, ("127.0.0.1", 40000), ("127.0.0.1", 1234), cfe.emit_command(0x18C8, 0, raw)))
+        telemetry = cfe.emit_telemetry(0x8C2, raw, seconds=1, sequence_count=number)
+        made.append(Udp(number, ("127.0.0.1", 49152), ("127.0.0.1", 1235), telemetry))
+    bench = Settings([config]).workbench()
+    with closing(open_file(write(folder / "x.pcap", made))) as source:
+        (batch,) = (batch for batch in source.batches() if len(batch))
+    return bench, ColumnRows(bench.columns.context, 0, batch, bench.columns.decode(batch))
+
+
+def test_each_kind_in_space_packets(packets):
+    bench, found = packets
+    for index, row in enumerate(range(0, 2 * len(KINDS), 2)):
+        for item in (row, row + 1):
+            decoded = bench.dissector.dissect(found.batch[item])
+            assert KINDS[index][1].items() <= decoded.layers[-1].values().items()
+            assert (decoded.stop, decoded.findings & Finding.TRUNCATED) == (None, NO_FINDINGS)
+            assert " of 1:77" in decoded.summary
+    (name,) = {bench.columns.context.name(int(item)) for item in found.column("msg_id")}
+    assert name == "CFDP_PDU"
+
+
+def test_filters_find_the_fields_of_pdus_in_packets(packets):
+    bench, found = packets
+    for layer in CFDP.layouts:
+        for name in layer.by_name:
+            wanted = [
+                index
+                for index in range(len(found))
+                if (shown := bench.dissector.dissect(found.batch[index]).layer(layer.name))
+                and shown.values()[name] > 0
+            ]
+            chosen = Where(f"{layer.name}.{name} > 0", bench.columns.context).passing(found)
+            assert np.flatnonzero(chosen).tolist() == wanted, (layer.name, name)
+
+
+@given(st.lists(st.binary(max_size=40), min_size=1, max_size=8), st.booleans())
+def test_both_readers_say_the_same_of_any_bytes_in_packets(packets, payloads, command):
+    bench, _ = packets
+    made = [
+        cfe.emit_command(0x18C8, 0, item)
+        if command
+        else cfe.emit_telemetry(0x8C2, item, seconds=1, sequence_count=1)
+        for item in payloads
+    ]
+    batch = batch_of(made, destination=("127.0.0.1", 1234 if command else 1235))
+    columns = bench.columns.decode(batch)
+    for row in range(len(batch)):
+        decoded = bench.dissector.dissect(batch[row])
+        assert int(decoded.findings) == columns.findings[row], payloads[row].hex()
+    follower = Follower(msg_ids=(0x18C8, 0x8C2))
+    follower.add(batch, columns)
+    assert follower.pdus == follower.packets <= len(payloads)

@@ -6,6 +6,7 @@ from edoras_tools.decode import Context
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.cfdp import CFDP
 from edoras_tools.mission import TransferLink, loads
+from edoras_tools.wire.msg_id import VERSION_2
 
 FILE = """\
 /**:
@@ -34,6 +35,16 @@ def test_its_ports_are_those_of_the_link():
     assert {5111, 5222, 6111, 6222} == {int(port) for port in Context(mission).ports[CFDP].nonzero()[0]}
 
 
+def test_msg_ids_of_packets_with_pdus():
+    mission = read("cfdp: {msg_ids: [0x18C8, 0x8C2, 0x8C2]}")
+    assert (mission.pdu_msg_ids, mission.links) == ((0x18C8, 0x8C2), ())
+    both = read(ENTITIES.replace("{", "{msg_ids: [0x18C8], ", 1))
+    assert (both.pdu_msg_ids, len(both.links)) == ((0x18C8,), 1)
+    context = Context(mission)
+    assert (context.name(0x8C2), bool(context.known[0x8C2])) == ("CFDP_PDU", True)
+    assert mission.numbered(VERSION_2).pdu_msg_ids == (VERSION_2.of_known(0x18C8), VERSION_2.of_known(0x8C2))
+
+
 def test_entities_are_not_needed():
     assert read("read_data: ['x']").links == ()
 
@@ -42,6 +53,11 @@ def test_entities_are_not_needed():
     ("cfdp", "said"),
     [
         ("cfdp: {port: 6111}", "t.yaml:4: cfdp.port_peer: missing; an integer from 1 to 65535 is needed"),
+        (
+            "cfdp: {msg_ids: [0x2000]}",
+            "t.yaml:4: cfdp.msg_ids: a list of MsgIds from 0x1 to 0x1FFF is needed",
+        ),
+        ("cfdp: {msg_ids: 0x18C8}", "t.yaml:4: cfdp.msg_ids: a list of MsgIds from 0x1 to 0x1FFF is needed"),
         (ENTITIES.replace("6222", "0"), "t.yaml:4: cfdp.port_peer: 0 is out of range"),
         (ENTITIES.replace("6222", "x"), "t.yaml:4: cfdp.port_peer:"),
     ],

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.outputs import check_links
-from edoras_tools.links.cfdp import CFDP
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.sessions.cfdp import Follower, Transaction
 
@@ -138,9 +137,9 @@ def take_out(
     with ExitStack() as opened:
         loop = opened.enter_context(reading(source, bench, selection, limits))
         spool = opened.enter_context(_Spool(folder)) if folder else None
-        follower = Follower(spool.keep if spool else None)
+        follower = Follower(spool.keep if spool else None, bench.mission.pdu_msg_ids)
         for rows in loop:
-            follower.take(rows.batch, rows.indices()[rows.column("link") == CFDP])
+            follower.add(*rows.alone())
         report.left_out = follower.left_out
         for item in follower.transactions:
             taken = TakenFile(item, item.checksum_right)
