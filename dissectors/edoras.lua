@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "48681055e836bdc2"
+local DIGEST = "f01b838c8f866d76"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -315,6 +315,49 @@ D.layouts = {
 			},
 		},
 		place = {stamp_seconds = 1, stamp_nanoseconds = 2},
+	},
+	racs2_topic = {
+		name = "racs2_topic",
+		protocol = "racs2",
+		title = "RACS2 to ROS 2",
+		size = 32,
+		fields = {
+			{
+				abbreviation = "racs2.topic.topic_name",
+				name = "topic_name",
+				start = 0,
+				size = 32,
+				kind = "string",
+				doc = "the topic that the body is published on",
+			},
+		},
+		place = {topic_name = 1},
+	},
+	racs2_message = {
+		name = "racs2_message",
+		protocol = "racs2",
+		title = "RACS2 to cFS",
+		size = 32,
+		fields = {
+			{
+				abbreviation = "racs2.message.msg_id",
+				name = "msg_id",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				hex = true,
+				doc = "the MsgId that the body is sent with on the software bus",
+			},
+			{
+				abbreviation = "racs2.message.rest",
+				name = "rest",
+				start = 2,
+				size = 30,
+				kind = "bytes",
+				doc = "not used, zeros",
+			},
+		},
+		place = {msg_id = 1},
 	},
 	ccsds = {
 		name = "ccsds",
@@ -1323,7 +1366,7 @@ D.findings = {
 		label = "fragment",
 		severity = "note",
 		short = "",
-		meaning = "The datagram came in IP fragments and was reassembled from several frames.",
+		meaning = "A part of a message: an IP fragment, a piece of a TCP stream, one of several WebSocket frames; the content comes with the frame that completes it, if one does.",
 	},
 	{
 		label = "capture_cut",
@@ -1446,8 +1489,22 @@ D.links = {
 		sure = 1,
 		sender_port = false,
 	},
+	{
+		label = "racs2",
+		code = 10,
+		name = "RACS2",
+		doc = "between the RACS2 bridges of ROS 2 and cFS, over WebSocket",
+		title = "RACS2 link",
+		to_cfs = true,
+		from_cfs = true,
+		packets = false,
+		headers = {"racs2_topic", "racs2_message"},
+		header_bytes = 0,
+		sure = 1,
+		sender_port = false,
+	},
 }
-D.left = {[5111] = "cfdp", [5222] = "cfdp"}
+D.left = {[5111] = "cfdp", [5222] = "cfdp", [50000] = "data", [50001] = "data"}
 D.sure = {by_content = 2, by_address = 4}
 D.doubles = {smallest = 767, largest = 1086}
 D.ports = {
@@ -1456,6 +1513,7 @@ D.ports = {
 	sbn = {2234, 2235, 2236},
 	robot = {8080, 8585},
 	file = {0},
+	racs2 = {},
 }
 D.bridge_ports = {2236}
 D.cfs_addresses = {"127.0.0.1"}
@@ -1674,6 +1732,17 @@ function D.read.robot_state(s, p)
 	if stamp_seconds >= 2147483648 then stamp_seconds = stamp_seconds - 4294967296 end
 	local stamp_nanoseconds = ((b63 * 256 + b62) * 256 + b61) * 256 + b60
 	return stamp_seconds, stamp_nanoseconds
+end
+
+function D.read.racs2_topic(s, p)
+	local topic_name = D.text(s, p + 0, p + 31)
+	return topic_name
+end
+
+function D.read.racs2_message(s, p)
+	local b0, b1 = byte(s, p + 0, p + 1)
+	local msg_id = b0 * 256 + b1
+	return msg_id
 end
 
 function D.read.ccsds(s, p)

@@ -130,6 +130,7 @@ class Link(int):
         largest: bytes of the largest space packet that a datagram can hold.
         header_bytes: bytes in front of the space packet.
         last_hop: whether flight apps send on it what they were commanded, values without a header.
+        dictionary: whether a dictionary of F Prime describes what its packets hold.
     """
 
     code: ClassVar[int] = 0
@@ -149,6 +150,7 @@ class Link(int):
     largest: ClassVar[int] = 65507
     header_bytes: ClassVar[int] = 0
     last_hop: ClassVar[bool] = False
+    dictionary: ClassVar[bool] = False
 
     @property
     def only_to_cfs(self) -> bool:
@@ -455,6 +457,7 @@ class Decoded:
         message: the ROS message, where one decoded.
         stop: why decoding went no further, where it did not reach the end.
         summary: one short line for the packet list.
+        more: further messages, where one datagram holds several.
     """
 
     datagram: Datagram
@@ -464,6 +467,12 @@ class Decoded:
     message: RosMessage | None = None
     stop: EdorasError | None = None
     summary: str = ""
+    more: tuple[RosMessage, ...] = ()
+
+    @property
+    def messages(self) -> tuple[RosMessage, ...]:
+        """Every message."""
+        return (self.message, *self.more) if self.message else ()
 
     @property
     def link_name(self) -> str:

@@ -94,6 +94,7 @@ ELSEWHERE = {
     "sessions/sbn/*": "sessions/sbn/test_connection.py",
     "structs/*": "structs/test_compiled.py",
     "structs/debug_info/*": "structs/debug_info/test_dwarf.py",
+    "structs/fprime/*": "links/test_fprime.py",
     "tui/*": "tui/test_viewer.py",
     "tui/data/*": "tui/data/test_store.py",
     "tui/lists/*": "tui/test_viewer.py",

@@ -454,7 +454,7 @@ class DecodingOptions(NamedTuple):
         typer.Option(
             "--structs",
             metavar="FILE",
-            help="Layout of C structs, written by 'edoras structs'; repeatable.",
+            help="Layout of C structs, written by 'edoras structs', or F Prime dictionary; repeatable.",
         ),
     ] = None
 

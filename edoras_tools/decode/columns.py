@@ -266,9 +266,12 @@ class _Pass:
     def _structs(self) -> None:
         """Judge whether packets are as long as the C structs they should hold."""
         structs = self.context.structs
-        found = payloads(structs, self.out.__getitem__, partial(getattr, self.batch))
+        found = payloads(structs, self.out.__getitem__, partial(getattr, self.batch), self.batch.data)
         for _, members, fits in structs.split(found):
             self.flag(Finding.STRUCT_LENGTH, members.row, ~fits)
+        if structs.dictionary is not None:
+            self.flag(Finding.UNKNOWN_MSG_ID, found.row, found.key == structs.dictionary.unknown)
+            self.flag(Finding.LENGTH_MISMATCH, found.row, found.key == structs.dictionary.odd)
 
     def _envelopes(self, packet: NDArray[np.bool_]) -> None:
         """Read the envelopes of the routes' packets, a route at a time."""

@@ -31,10 +31,12 @@ from edoras_tools.structs.packets import OWN_LAYERS
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION, ROUNDED
 from edoras_tools.wire.envelope import DEFAULT, detect
+from edoras_tools.wire.fprime import ENTRY_HEADERS, PacketType
 from edoras_tools.wire.packet import length_of
 
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
+    from edoras_tools.structs.fprime.bound import BoundEntry
 
 
 class Dissector:
@@ -62,7 +64,9 @@ class Dissector:
         findings = work.findings
         if Finding.CAPTURE_CUT in findings:
             findings &= ~UNKNOWABLE
-        decoded = Decoded(datagram, link, tuple(work.layers), findings, work.message, stop)
+        decoded = Decoded(
+            datagram, link, tuple(work.layers), findings, work.message, stop, more=tuple(work.more)
+        )
         return summarise(decoded, self.context.msg_ids)
 
 
@@ -75,6 +79,7 @@ class _Dissection(Reading):
         self.link = link
         self.detail = detail
         self.message: RosMessage | None = None
+        self.more: list[RosMessage] = []
         self.headers = context.headers
 
     def run(self) -> None:
@@ -230,6 +235,50 @@ class _Dissection(Reading):
             )
             title = f"{bound.name}: {bound.struct.doc}" if bound.struct.doc else bound.name
             self.layers.append(Layer("cfs", title, at, len(self.data), fields))
+
+    def described(self, kind: int, at: int, end: int) -> bool:
+        """Read what a packet of F Prime holds; see :meth:`Reading.described`."""
+        table = self.context.structs.dictionary
+        if table is None or kind not in ENTRY_HEADERS:
+            return False
+        header = ENTRY_HEADERS[PacketType(kind)]
+        found = table.in_packet(self.data, kind, at, end)
+        for key, start, length in zip(
+            found.key.tolist(), found.offset.tolist(), found.length.tolist(), strict=True
+        ):
+            if key == table.odd:
+                self.findings |= Finding.LENGTH_MISMATCH
+                continue
+            first = start - header.slots[0].end
+            if first + header.size <= end:
+                self.read(header, first)
+            if key == table.unknown:
+                self.findings |= Finding.UNKNOWN_MSG_ID
+            elif length < 0:
+                self.findings |= Finding.STRUCT_LENGTH
+            else:
+                self._entry(table[key], start, start + length)
+        return bool(len(found.key))
+
+    def _entry(self, bound: BoundEntry, at: int, end: int) -> None:
+        """Read the values of one entry of a dictionary, as a message."""
+        payload = self.data[at:end]
+        cdr = bound.message(payload)
+        values = self.context.structs.types.decode(bound.type, cdr)
+        message = RosMessage(bound.type, bound.topic, values, cdr)
+        if self.message is None:
+            self.message = message
+        else:
+            self.more.append(message)
+        fields: tuple[LayerField, ...] = ()
+        if self.detail:
+            spans = zip(bound.spans(values, 0), bound.wire_places(payload), strict=True)
+            fields = tuple(
+                LayerField(path, value, at + low, at + high, bound.text(member, value), member.doc)
+                for (path, value, _, _, member), (low, high) in spans
+                if not bound.is_time(path)
+            )
+        self.layers.append(Layer("cfs", bound.told(values), at + bound.time_bytes, end, fields))
 
     def _envelope(self, route: int, at: int) -> None:
         envelope = self.context.envelopes[route] or detect(self.data, at) or DEFAULT

@@ -15,6 +15,7 @@ ROWS: Final = {
     "robot": "edoras_tools.links.robot:ROBOT",
     "cfdp": "edoras_tools.links.cfdp:CFDP",
     "frames": "edoras_tools.links.frames:FRAMES",
+    "fprime": "edoras_tools.links.fprime:FPRIME",
     "file": "edoras_tools.links.stored:STORED",
     "racs2": "edoras_tools.links.racs2:RACS2",
 }

@@ -62,6 +62,17 @@ class Reading:
         layer = self.layers[-1]
         self.layers[-1] = Layer(layer.name, layer.title, layer.start, field.end, (*layer.fields, field))
 
+    def described(self, kind: int, at: int, end: int) -> bool:
+        """Read what a packet of F Prime holds by its dictionary; tell whether there is one.
+
+        Args:
+            kind: a ``PacketType``.
+            at: the first byte behind the packet type.
+            end: one past the packet.
+        """
+        del kind, at, end
+        return False
+
     def truncated(self, layer: str, at: int, need: int) -> None:
         """Note that a layer is cut, and stop.
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.bound import Bound
+from edoras_tools.structs.fprime.bound import BoundEntry
 from edoras_tools.structs.messages import (
     HEADER_TYPE,
     definition,
@@ -17,6 +18,7 @@ from edoras_tools.structs.messages import (
     parts,
     unique,
 )
+from edoras_tools.structs.packets import FPRIME_KEY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,7 +56,7 @@ class Bindings:
         self.texts: dict[str, str] = {}
         self._names: dict[tuple[int, str, bool], str] = {}
         self._taken: set[str] = set()
-        bound = []
+        bound: list[Bound] = []
         for key, layout in sorted(
             taken.items(), key=lambda item: (item[0].msg_id, item[0].function_code or 0)
         ):
@@ -62,6 +64,10 @@ class Bindings:
             if struct.header and key.port is not None:
                 why = f"{struct.name} begins with a cFE header, which a robot's datagram has not"
                 raise ConfigError(f"{layout.origin}: {key}: {why}; bind what follows it")
+            if layout.entries:
+                entry = layout.entries[key.msg_id - FPRIME_KEY]
+                bound.append(BoundEntry(entry, key, layout, struct, self.define(layout, struct, whole=True)))
+                continue
             name = struct.name.removesuffix("_t")
             topic = f"/cfs/{name}/{key}".replace(":", "_") if often[name] > 1 else f"/cfs/{name}"
             bound.append(Bound(key, layout, struct, topic, self.define(layout, struct, whole=True)))
@@ -83,7 +89,7 @@ class Bindings:
         package = f"{layout.package}/msg/"
         name = self._names[key] = package + self._free(package, message_type_name(struct.name))
         names = {}
-        if whole:
+        if whole and not layout.entries:
             names[HEADER_TYPE] = package + HEADER_TYPE
             self._taken.add(names[HEADER_TYPE])
         inside = (*within, struct.name)
@@ -94,7 +100,7 @@ class Bindings:
         fields = described(layout, struct, names, whole=whole)
         self.definitions[name] = definition(name, fields)
         self.texts[name] = definition_text(struct, fields)
-        if whole and names[HEADER_TYPE] not in self.definitions:
+        if HEADER_TYPE in names and names[HEADER_TYPE] not in self.definitions:
             self.definitions[names[HEADER_TYPE]] = header = header_definition(names[HEADER_TYPE])
             self.texts[names[HEADER_TYPE]] = "# what the packet was, and where it came from\n" + header.text
         return name

@@ -55,10 +55,13 @@ class Bound:
         topic: where its messages go.
         type: their type, in full.
         size: bytes of the payload, where it is not open to the end.
+        repeats: whether a packet may hold several.
 
     Raises:
         ConfigError: the struct spells out too many values.
     """
+
+    repeats = False
 
     def __init__(self, key: Key, layout: StructLayout, struct: Struct, topic: str, type: str) -> None:  # noqa: A002
         self.key = key
@@ -224,6 +227,7 @@ class Held:
     Attributes:
         bound: the struct.
         rows: which packets.
+        repeats: whether a packet may be there more than once: it holds several.
         size: bytes of each message if all have the same known size; else 0.
     """
 
@@ -236,6 +240,7 @@ class Held:
     ) -> None:
         self.bound = bound
         self.rows = payloads.row
+        self.repeats = bound.repeats
         self._columns = columns
         self._data = data
         self._offset, self._length = payloads.offset, payloads.length
@@ -256,6 +261,11 @@ class Held:
         for field in HEADER_FIELDS:
             heads[field.name] = np.maximum(self._columns(field.name)[self.rows], 0)
         return heads
+
+
+def headed(payloads: NDArray[np.uint8], heads: NDArray[np.void]) -> NDArray[np.uint8]:
+    """Return each packet's head and payload, u8 (n, size), side by side."""
+    return np.concatenate([heads.view(np.uint8).reshape(len(heads), HEAD.itemsize), payloads], axis=1)
 
 
 def _window(

@@ -133,7 +133,8 @@ def described(
         names: types in full of the structs that it uses, and of the header, by name.
         whole: as for :func:`parts`.
     """
-    found = [Described(MessageField("header", names[HEADER_TYPE]), None, ())] if whole else []
+    has_header = whole and not layout.entries
+    found = [Described(MessageField("header", names[HEADER_TYPE]), None, ())] if has_header else []
     taken: set[str] = set()
     for part in parts(layout, struct, whole=whole):
         kind, shape, size = _type(layout, part.member, names), Shape.SCALAR, 0

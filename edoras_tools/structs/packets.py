@@ -27,6 +27,8 @@ PACKETS: Final = {
 """Struct by MsgId of version 1; :mod:`edoras_tools.structs.cfe` describes them."""
 UDP_KEY: Final = 1 << 16
 """A key from here on is a UDP port, not a MsgId: of datagrams of the robot link, on any port if it is 0."""
+FPRIME_KEY: Final = 2 * UDP_KEY
+"""A key from here on is a place in the table of a dictionary's entries."""
 DATAGRAMS: Final = {layout.size: layout for layout in robot.SENT_TO}
 """The header that a datagram on the robot link is, by its bytes."""
 OWN_LAYERS: Final = frozenset(

@@ -8,6 +8,7 @@ import numpy as np
 
 from edoras_tools.links.table import among
 from edoras_tools.wire import ccsds
+from edoras_tools.wire.fprime import read_ground_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -45,7 +46,10 @@ class StructPayloads(NamedTuple):
 
 
 def payloads(
-    structs: Structs, columns: Callable[[str], NDArray[Any]], datagrams: Callable[[str], NDArray[Any]]
+    structs: Structs,
+    columns: Callable[[str], NDArray[Any]],
+    datagrams: Callable[[str], NDArray[Any]],
+    data: NDArray[np.uint8],
 ) -> StructPayloads:
     """Return all that structs are bound to.
 
@@ -53,6 +57,7 @@ def payloads(
         structs: the structs.
         columns: gives the decoder's columns by name.
         datagrams: gives the batch's, of the same rows.
+        data: u8, what they point into.
     """
     key = columns("msg_id")
     rows = np.flatnonzero(structs.has[key])
@@ -65,6 +70,12 @@ def payloads(
         columns("packet_offset")[rows] + header,
         columns("packet_length")[rows] - header,
     )
+    if structs.dictionary is not None:
+        described = np.flatnonzero(among(columns("link"), lambda link: link.dictionary))
+        offset, size = datagrams("offset")[described], datagrams("length")[described]
+        packets = read_ground_frames(data, offset, size, checked=False).packets
+        entries = structs.dictionary.payloads(data, packets)
+        found = found.join(entries._replace(row=described[entries.row]))
     bare = np.flatnonzero(among(columns("link"), lambda link: link.last_hop))
     if not len(bare):
         return found

@@ -7,10 +7,12 @@ from enum import Enum
 from math import prod
 from typing import TYPE_CHECKING, Final, Literal
 
-from edoras_tools.structs.packets import UDP_KEY
+from edoras_tools.structs.packets import FPRIME_KEY, UDP_KEY
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from edoras_tools.mission.fprime import Entry
 
 ByteOrder = Literal["little", "big"]
 OPEN: Final = 0
@@ -156,10 +158,11 @@ class Struct:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Key:
-    """The packets that hold a struct, or the datagrams of the robot link.
+    """The packets that hold a struct, or the datagrams of the robot link, or an entry of a dictionary.
 
     Attributes:
-        msg_id: of the packet; of datagrams ``UDP_KEY`` and the port that they are sent to.
+        msg_id: of the packet; of datagrams ``UDP_KEY`` and the port that they are sent to; of an entry
+            ``FPRIME_KEY`` and its place.
         function_code: of a command; None for all. Of datagrams their bytes.
     """
 
@@ -169,9 +172,11 @@ class Key:
     @property
     def port(self) -> int | None:
         """The port that datagrams are sent to, 0 for any of the robot link; None of packets."""
-        return self.msg_id - UDP_KEY if self.msg_id >= UDP_KEY else None
+        return self.msg_id - UDP_KEY if UDP_KEY <= self.msg_id < FPRIME_KEY else None
 
     def __str__(self) -> str:
+        if self.msg_id >= FPRIME_KEY:
+            return f"fprime:{self.msg_id - FPRIME_KEY}"
         what = f"0x{self.msg_id:04x}" if self.port is None else f"udp:{self.port or 'robot'}"
         return what + (f"/{self.function_code}" if self.function_code is not None else "")
 
@@ -187,6 +192,7 @@ class StructLayout:
         byte_order: of every number.
         package: ROS package of the messages.
         origin: the file it was read from, for messages.
+        entries: of an F Prime dictionary, in the order of their keys; these have no cFE header.
     """
 
     structs: Mapping[str, Struct]
@@ -195,6 +201,7 @@ class StructLayout:
     byte_order: ByteOrder = "little"
     package: str = "cfs_msgs"
     origin: str = ""
+    entries: tuple[Entry, ...] = ()
 
     def enumeration(self, member: Member) -> Enumeration | None:
         """Return the enumeration that a member is of, or None."""

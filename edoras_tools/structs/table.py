@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.schema import complete_text
-from edoras_tools.structs.packets import UDP_KEY, packets
+from edoras_tools.structs.packets import FPRIME_KEY, UDP_KEY, packets
 from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.order import by_value
 
@@ -22,12 +23,13 @@ if TYPE_CHECKING:
     from edoras_tools.ros.types.schema import Definition
     from edoras_tools.structs.bindings import Bindings
     from edoras_tools.structs.bound import Bound, Held
+    from edoras_tools.structs.fprime.table import EntryTable
     from edoras_tools.structs.payloads import StructPayloads
     from edoras_tools.structs.shapes import Struct, StructLayout
     from edoras_tools.wire.msg_id import MsgIds
 
-_KEYS: Final = 2 * UDP_KEY + 1
-"""MsgIds, ports, and one that none has: that of ``NO_MSG_ID``."""
+_NONE: Final = 3
+"""Keys behind the last: an entry that is not in a dictionary, bytes that are none, and ``NO_MSG_ID``."""
 
 
 class Structs:
@@ -49,7 +51,8 @@ class Structs:
         self.msg_ids = msg_ids
         self._given = layouts
         self._whole = self
-        self.has: NDArray[np.bool_] = np.zeros(_KEYS, np.bool_)
+        entries = sum(len(layout.entries) for layout in layouts or ())
+        self.has: NDArray[np.bool_] = np.zeros(FPRIME_KEY + entries + _NONE, np.bool_)
         self.has[[*packets(msg_ids), UDP_KEY] if layouts is None else list(self._bindings.by_id)] = True
 
     @cached_property
@@ -70,6 +73,23 @@ class Structs:
         from edoras_tools.structs.bindings import Bindings
 
         return Bindings(self.layouts)
+
+    @property
+    def dictionary(self) -> EntryTable | None:
+        """The entries of an F Prime dictionary, if one of the layouts is one."""
+        return self._whole._entries  # noqa: SLF001  of its own kind
+
+    @cached_property
+    def _entries(self) -> EntryTable | None:
+        found = [layout.origin for layout in self._given or () if layout.entries]
+        if not found:
+            return None
+        if len(found) > 1:
+            raise ConfigError(f"{found[1]}: a second dictionary of F Prime, beside {found[0]}; name one")
+        from edoras_tools.structs.fprime.bound import BoundEntry
+        from edoras_tools.structs.fprime.table import EntryTable
+
+        return EntryTable([item for item in self._bindings.all if isinstance(item, BoundEntry)])
 
     @property
     def all(self) -> tuple[Bound, ...]:

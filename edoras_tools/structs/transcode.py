@@ -144,7 +144,7 @@ class StructPlan:
         self._copies = 0
         self.leaves: list[StructLeaf] = []
         self.width = HEAD.itemsize + length
-        for item in HEADER_FIELDS:
+        for item in () if layout.entries else HEADER_FIELDS:
             size = _SIZES[PRIMITIVES[item.type]]
             self._copy(HEAD.fields[item.name][1], size, size, "little")  # type: ignore[index]
         self._parts(struct, 0, (), whole=True)
@@ -210,7 +210,7 @@ class StructPlan:
 
     def _parts(self, struct: Struct, base: int, path: tuple[str | int, ...], *, whole: bool = False) -> None:
         found = parts(self._layout, struct, whole=whole)
-        if not found and not whole:
+        if not found and (not whole or self._layout.entries):
             self._constant(b"\0")  # an empty message is one byte on the wire
         for part in found:
             self._member(part.member, part.open, base, (*path, part.name))

@@ -36,6 +36,8 @@ PRIMARY: Final = Layout(
 )
 """The primary header; its first word whole is cFE's MsgId."""
 
+IDLE_APID: Final = 0x7FF
+"""CCSDS 133.0-B 4.1.3.3.4.4: a packet without content, which fills a frame."""
 LENGTH_BIAS: Final = 7
 """``packet_data_length`` is the whole packet's length less this."""
 

@@ -43,6 +43,8 @@ def test_interfaces(launcher):
         "EDORAS SBN}",
         "EDORAS ROBOT}",
         "EDORAS CFDP}",
+        "EDORAS FPRIME}",
+        "EDORAS RACS2}",
     ]
 
 

@@ -60,7 +60,7 @@ def messages(path):
         for batch in source.batches():
             columns = decoder.decode(batch)
             column = partial(getattr, columns)
-            found = payloads(shipped_structs(), column, partial(getattr, batch))
+            found = payloads(shipped_structs(), column, partial(getattr, batch), batch.data)
             for held in shipped_structs().held(found, column, batch.data):
                 encoded = held.encode()
                 for row, start, size in zip(held.rows, encoded.start, encoded.size, strict=True):

@@ -299,7 +299,7 @@ def test_one_by_one_and_all_at_once_agree(items, order):
     found = {}
     column = partial(getattr, columns)
     for held in where.structs.held(
-        payloads(where.structs, column, partial(getattr, batch)), column, batch.data
+        payloads(where.structs, column, partial(getattr, batch), batch.data), column, batch.data
     ):
         encoded = held.encode()
         assert held.size in {0, encoded.width}

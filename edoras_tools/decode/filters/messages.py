@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     """Rows that hold messages, and the messages."""
 
 _PART: Final = re.compile(r"(\w+)(?:\[(-?\d+)\])?")
+_DOT: Final = re.compile(r"\.")
 _PREFIX: Final = "ros."
 
 
@@ -103,8 +104,11 @@ class MessageFieldFinder:
     def of_structs(self, path: str) -> list[FilterField]:
         """Return the field of that path of each C struct that has it, or of the one it begins with."""
         path = path.removeprefix(_PREFIX)
-        name, _, rest = path.partition(".")
-        if name in self._structs:
+        # The names of a dictionary have dots, too.
+        names = [path, *(path[: match.start()] for match in reversed(list(_DOT.finditer(path))))]
+        name = next((name for name in names if name in self._structs), None)
+        if name is not None:
+            rest = path[len(name) + 1 :]
             found = [self._of_struct(path, rest, bound) for bound in self._structs[name]]
         else:
             every = [bound for bounds in self._structs.values() for bound in bounds]
@@ -117,7 +121,9 @@ class MessageFieldFinder:
             return FilterField(
                 path,
                 ValueKind.STRUCT,
-                lambda _, decoded: 0 if decoded.message and decoded.message.topic == bound.topic else None,
+                lambda _, decoded: (
+                    0 if any(message.topic == bound.topic for message in decoded.messages) else None
+                ),
                 partial(_read_struct, bound),
                 cost=MESSAGE_COST,
                 doc=f"whether there is a {bound.name}",
@@ -247,10 +253,12 @@ def _wanted(path: str) -> list[tuple[str, int | None]]:
 
 
 def _pick(name: str, steps: Sequence[_Step], _: PacketRows, decoded: Decoded) -> Any:
-    if decoded.message is None or name not in {decoded.message.type, decoded.message.topic}:
+    items: list[Any] = [
+        message.values for message in decoded.messages if name in {message.type, message.topic}
+    ]
+    if not items:
         return None
-    items: list[Any] = [decoded.message.values]
-    many = False
+    many = len(items) > 1
     for field, index in steps:
         items = [item[field.name] for item in items]
         if field.shape is schema.Shape.SCALAR:
@@ -281,7 +289,7 @@ def structs_of(rows: ColumnRows) -> dict[Bound, Held]:
 
     def make() -> dict[Bound, Held]:
         structs = rows.context.structs
-        found = payloads(structs, rows.column, rows.datagram)
+        found = payloads(structs, rows.column, rows.datagram, rows.batch.data)
         return {held.bound: held for held in structs.held(found, rows.column, rows.batch.data)}
 
     found: dict[Bound, Held] = rows.once("structs", make)

@@ -65,8 +65,11 @@ class Names:
             self._packet.setdefault(field.name, []).append(field)
         self._layers = {field.name: field for field in layer_fields(context)}
         self._short: dict[str, list[str]] = {}
+        # The headers of F Prime have names of cFE's; they do not make those less clear.
+        apart = {layout.name for link in context.links if link.dictionary for layout in link.layouts}
         for name in self._layers:
-            self._short.setdefault(name.rpartition(".")[2], []).append(name)
+            if name.partition(".")[0] not in apart:
+                self._short.setdefault(name.rpartition(".")[2], []).append(name)
         self._messages = MessageFieldFinder(context)
 
     def find(self, name: str) -> list[FilterField]:
@@ -318,7 +321,9 @@ def _distinct(rows: ColumnRows, key: Any, text: Any) -> Series:
 def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> FilterField:
     texts: list[str] = [*routed, *(getattr(bound, name) for bound in context.structs.all)]
 
-    def pick(_: PacketRows, decoded: Decoded) -> str | None:
+    def pick(_: PacketRows, decoded: Decoded) -> str | list[str] | None:
+        if decoded.more:
+            return [getattr(message, name) for message in decoded.messages]
         packet = decoded.layer("ccsds")
         if packet is None:
             bare: str | None = getattr(decoded.message, name, None)
@@ -334,11 +339,15 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
     def read(rows: ColumnRows) -> Series:
         routes = rows.routes()
         which = np.where(rows.column("msg_id") == NO_MSG_ID, NO_ROUTE, routes).astype(INDEX_DTYPE)
-        found = payloads(context.structs, rows.column, rows.datagram)
-        for bound, members, fits in context.structs.split(found):
-            which[members.row[fits]] = len(routed) + context.structs.all.index(bound)
+        found = payloads(context.structs, rows.column, rows.datagram, rows.batch.data)
         there = np.flatnonzero(which != NO_ROUTE)
-        return Series(len(rows), which[there], there, table=texts)
+        owner, values = [there], [which[there]]
+        for bound, members, fits in context.structs.split(found):
+            owner.append(members.row[fits])
+            values.append(np.full(len(owner[-1]), len(routed) + context.structs.all.index(bound)))
+        owners = np.concatenate(owner)
+        order = np.argsort(owners, kind="stable")
+        return Series(len(rows), np.concatenate(values)[order], owners[order], table=texts)
 
     return FilterField(
         name,

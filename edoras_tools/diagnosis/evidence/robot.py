@@ -76,7 +76,7 @@ class SharedFields:
         if not self._shared or types is None:
             return found
         column = partial(getattr, columns)
-        bare = payloads(structs, column, partial(getattr, batch))
+        bare = payloads(structs, column, partial(getattr, batch), batch.data)
         for held in structs.held(bare.take(bare.key >= UDP_KEY), column, batch.data):
             if held.bound.topic in self._shared:
                 told = held.encode()

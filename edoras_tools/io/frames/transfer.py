@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.model import PacketBatch
 
-IDLE_APID: Final = 0x7FF
-"""CCSDS 133.0-B 4.1.3.3.4.4: a packet without content, which fills a frame."""
 MOST_NOTES: Final = 8
 """Channels that notes tell of."""
 MOST_CHANNELS: Final = 1 << 10
@@ -313,7 +311,7 @@ class Unframer:
         laid = _Laid(batch, frames, self._states)
         cut = laid.settle()
         batch.capture_findings[frames.row[cut]] |= np.uint32(Finding.STREAM_GAP)
-        idle = (laid.words() & IDLE_APID) == IDLE_APID
+        idle = (laid.words() & ccsds.IDLE_APID) == ccsds.IDLE_APID
         owner = laid.owner()
         for index, at in by_value(frames.channel):
             channel = self.channels[index]

@@ -12,6 +12,7 @@ from edoras_tools.io.topics.cfe import event_messages, outage_messages, software
 from edoras_tools.io.topics.clock import MissionClock
 from edoras_tools.io.topics.datagrams import DatagramWriter, ros_messages, without_trailing
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, FAULTS_TYPE
+from edoras_tools.io.topics.fprime import log_messages
 from edoras_tools.io.topics.host import HOST_TOPIC, HOST_TYPE
 from edoras_tools.io.topics.latched import LatchedTopics
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
@@ -237,6 +238,8 @@ class Streams:
             event_messages(batch, columns, self._events, published),
             software_bus_messages(batch, columns, self._software_bus, published),
         ]
+        if self.structs.dictionary is not None:
+            streams.append(log_messages(batch, columns, self.structs, self._types, self._events))
         if self._add:
             streams += struct_messages(batch, columns, self.structs, added, published)
         if self._transforms and transforms and self._transforms.are_in(columns):
@@ -256,7 +259,7 @@ class Streams:
 
     def _place_structs(self, batch: PacketBatch, columns: Columns) -> None:
         """Add the topics of structs that come for the first time."""
-        found = payloads(self._new, partial(getattr, columns), partial(getattr, batch))
+        found = payloads(self._new, partial(getattr, columns), partial(getattr, batch), batch.data)
         for bound, _, fits in self._new.split(found):
             if fits.any():
                 self._place(Topic(bound.topic, bound.type, bound.metadata))

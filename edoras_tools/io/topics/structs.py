@@ -41,7 +41,7 @@ def struct_messages(
         values: NDArray[np.generic] = getattr(columns, name)
         return values
 
-    found = payloads(structs, column, partial(getattr, batch))
+    found = payloads(structs, column, partial(getattr, batch), batch.data)
     for held in structs.held(found, column, batch.data):
         yield _messages(held, batch, columns, channel_ids[held.bound.topic], published)
 
@@ -73,4 +73,5 @@ def _messages(
         encoded.data if encoded else batch.data,
         start,
         length,
+        repeats=held.repeats,
     )

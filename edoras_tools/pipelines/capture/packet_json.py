@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.decode.summary import Column
-    from edoras_tools.model import Decoded, Link
+    from edoras_tools.model import Decoded, Link, RosMessage
     from edoras_tools.ros.cdr.columns import MessageColumns
     from edoras_tools.ros.cdr.plan import CdrPlan
     from edoras_tools.wire.layout import Layout
@@ -80,9 +80,14 @@ def as_json(decoded: Decoded) -> dict[str, Any]:
         "topic": message.topic if message else None,
         "type": message.type if message else None,
         "message": json_value(message.values) if message else None,
+        **({"more": [_message(item) for item in decoded.more]} if decoded.more else {}),
         "findings": decoded.findings.labels,
         "stop": str(decoded.stop) if decoded.stop else None,
     }
+
+
+def _message(message: RosMessage) -> dict[str, Any]:
+    return {"topic": message.topic, "type": message.type, "message": json_value(message.values)}
 
 
 class PacketTexts:

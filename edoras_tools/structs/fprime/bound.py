@@ -1,0 +1,196 @@
+"""The values of one entry of a dictionary: their bytes as messages, one or many.
+
+On the wire a text is its length in two bytes and its characters, so what follows has no fixed place. It is
+copied to where the struct has it, each text at its most length, for many messages at once: a step for each
+text.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.structs.bound import Bound, Encoded, headed
+from edoras_tools.structs.transcode import HEAD
+from edoras_tools.wire.fprime import TIME_BYTES, PacketType
+from edoras_tools.wire.window import copy_rows, gather, read_at
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.mission.fprime import Entry
+    from edoras_tools.structs.shapes import Key, Member, Struct, StructLayout
+    from edoras_tools.structs.transcode import StructPlan
+
+_LENGTH_BYTES: Final = 2
+
+
+class BoundEntry(Bound):
+    """An entry of a dictionary, and where its values lie; see :class:`Bound`.
+
+    Args:
+        entry: what the dictionary says.
+        key: its place in the table of entries.
+        layout: of the struct.
+        struct: time and values.
+        type: of its messages, in full.
+
+    Attributes:
+        entry: as given.
+    """
+
+    repeats = True
+
+    def __init__(self, entry: Entry, key: Key, layout: StructLayout, struct: Struct, type: str) -> None:  # noqa: A002
+        super().__init__(key, layout, struct, entry.topic, type)
+        self.entry = entry
+
+    @property
+    def name(self) -> str:
+        """The qualified name."""
+        return self.entry.name
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What is told of its topic: what it is, its ID and its name."""
+        return {"link": "fprime", "id": self.entry.id_text, self.entry.word: self.entry.name}
+
+    def fits(self, length: NDArray[np.integer[Any]] | int) -> NDArray[np.bool_]:
+        """Tell which values are whole: their length was found with them, and is -1 of the others."""
+        return np.asarray(length) >= 0
+
+    def plan(self, length: int) -> StructPlan:
+        """Return the plan, which is the same for all."""
+        del length
+        return super().plan(self.struct.size)
+
+    @cached_property
+    def texts(self) -> list[tuple[int, int]]:
+        """Where each text starts in the struct, and its most bytes; in order."""
+        return [(leaf.start, leaf.end - leaf.start) for leaf in self.plan(0).leaves if leaf.member.text]
+
+    def measure(
+        self, data: NDArray[np.uint8], start: NDArray[np.int64], end: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Return how many bytes the values take that start at each place; -1 where they do not fit.
+
+        Args:
+            data: u8, contiguous.
+            start: i64 (n,), the first byte.
+            end: i64 (n,), one past the last byte that may be theirs.
+        """
+        cursor, good, _ = self._walk(data, start, end)
+        return np.where(good, cursor - start, -1)
+
+    def encode(
+        self,
+        data: NDArray[np.uint8],
+        offset: NDArray[np.int64],
+        length: NDArray[np.integer[Any]],
+        heads: NDArray[np.void],
+    ) -> Encoded:
+        """Return the messages of many; see :meth:`Bound.encode`."""
+        if not self.texts:
+            return super().encode(data, offset, length, heads)
+        image = np.zeros((len(offset), self.struct.size), np.uint8)
+        _, _, places = self._walk(data, offset, offset + length)
+        at, rows = 0, np.arange(len(offset)) * self.struct.size
+        for (start, most), (cursor, size) in zip(self.texts, places, strict=True):
+            if start > at:
+                image[:, at:start] = gather(data, cursor - _LENGTH_BYTES - (start - at), start - at)
+            copy_rows(image.reshape(-1), rows + start, data, cursor, size)
+            at = start + most
+            behind = cursor + (most if self.entry.padded else size)
+        if at < self.struct.size:
+            image[:, at:] = gather(data, behind, self.struct.size - at)
+        return Encoded(*self.plan(0).encode(headed(image, heads)), 0)
+
+    def message(self, payload: bytes) -> bytes:
+        """Return the message of one: CDR, encapsulation included."""
+        size = np.array([len(payload)])
+        data = np.frombuffer(payload or b"\0", np.uint8)
+        return self.encode(data, np.array([0]), size, np.zeros(1, HEAD)).data.tobytes()
+
+    def wire_places(self, payload: bytes) -> list[tuple[int, int]]:
+        """Return where each value of ``plan.leaves`` is in the bytes: first byte, and one past the last."""
+        data, size = np.frombuffer(payload or b"\0", np.uint8), np.array([len(payload)])
+        _, _, places = self._walk(data, np.array([0]), size)
+        texts = iter(zip(self.texts, places, strict=True))
+        found, shift = [], 0
+        for leaf in self.plan(0).leaves:
+            if not leaf.member.text:
+                found.append((leaf.start + shift, leaf.end + shift))
+                continue
+            (_, most), (cursor, length) = next(texts)
+            begin, end = int(cursor[0]), int(cursor[0] + length[0])
+            found.append((begin - _LENGTH_BYTES, end))
+            shift = (begin + most if self.entry.padded else end) - leaf.end
+        return found
+
+    @property
+    def time_bytes(self) -> int:
+        """Bytes of the time in front of the values."""
+        return TIME_BYTES if self.entry.timed else 0
+
+    def is_time(self, path: str) -> bool:
+        """Tell whether a field of a message is of the time in front of its values."""
+        return self.entry.timed and path.startswith("time.")
+
+    def told(self, values: Mapping[str, Any]) -> str:
+        """Return a message in a line: its name, and the text of an event, else the values."""
+        return f"{self.name}: {self._words(values)}".removesuffix(": ")
+
+    def _words(self, values: Mapping[str, Any]) -> str:
+        members = self.struct.members[int(self.entry.timed) :]
+        named = list(values.items())[int(self.entry.timed) :]
+        pairs = list(zip(members, named, strict=False))
+        words = [self._word(member, value) for member, (_, value) in pairs]
+        if self.entry.severity is not None:
+            return f"{self.entry.severity.name} {self.text_of(values)}".strip()
+        if self.entry.kind is PacketType.TELEMETRY:
+            return " ".join(words)
+        return " ".join(f"{name}={word}" for (_, (name, _)), word in zip(pairs, words, strict=True))
+
+    def text_of(self, values: Mapping[str, Any]) -> str:
+        """Return the text of an event."""
+        own = list(values.values())[int(self.entry.timed) :]
+        pairs = zip(self.struct.members[int(self.entry.timed) :], own, strict=False)
+        return self.entry.event_text(own, [self._word(member, value) for member, value in pairs])
+
+    def _word(self, member: Member, value: Any) -> str:
+        """Return a value as text, enumerations by name alone."""
+        if isinstance(value, list):
+            return "[" + ", ".join(self._word(member, item) for item in value) + "]"
+        if isinstance(value, dict):
+            parts = zip(self.layout.structs[str(member.type)].members, value.items(), strict=True)
+            return "{" + ", ".join(f"{name}={self._word(part, item)}" for part, (name, item) in parts) + "}"
+        return self.values(member).get(value) or (f"{value:.9g}" if isinstance(value, float) else str(value))
+
+    def _walk(
+        self, data: NDArray[np.uint8], start: NDArray[np.int64], end: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sequence[tuple[NDArray[np.int64], NDArray[np.int64]]]]:
+        """Go from text to text.
+
+        Returns:
+            where the values end; whether they end in time; where each text is, and its bytes.
+        """
+        cursor, good, at = start.copy(), np.ones(len(start), bool), 0
+        places = []
+        for where, most in self.texts:
+            cursor += where - at
+            good &= cursor + _LENGTH_BYTES <= end
+            size = (
+                read_at(data, np.where(good, cursor, 0), ">u2").astype(np.int64) if good.any() else cursor * 0
+            )
+            cursor += _LENGTH_BYTES
+            good &= (size <= most) & (cursor + size <= end)
+            size[~good] = 0
+            places.append((cursor.copy(), size))
+            cursor += most if self.entry.padded else size
+            at = where + most
+        cursor += self.struct.size - at
+        return cursor, good & (cursor <= end), places

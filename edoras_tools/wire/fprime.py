@@ -1,0 +1,339 @@
+"""F Prime's ground link, big-endian: frames, the packets in them, and the headers of what packets hold.
+
+F Prime's own frame is a start word, a length, one packet, and a CRC-32 of all that is in front of it. The
+other frame, the default since version 4, is of CCSDS: a TC frame to F Prime, a TM frame from it, with a
+CRC-16 and with space packets, each of which holds one packet.
+
+A packet is a packet type, then a command, telemetry or an event. Widths are those of F Prime's default
+configuration since version 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.wire import ccsds
+from edoras_tools.wire.crc import CRC16_BYTES, crc16_rows, crc32
+from edoras_tools.wire.layout import Field, Layout
+from edoras_tools.wire.transfer_frames import headers
+from edoras_tools.wire.window import gather, read_at
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+
+class PacketType(IntEnum):
+    """What a packet holds: ``ComCfg.Apid`` of the default configuration."""
+
+    COMMAND = 0
+    TELEMETRY = 1
+    EVENT = 2
+    FILE = 3
+    PACKETIZED_TELEMETRY = 4
+    DATA_PRODUCT = 5
+    IDLE = 6
+    PARAMETER = 7
+    HANDSHAKE = 0xFE
+
+
+START_WORD: Final = 0xDEADBEEF
+_NAMES: Final = {int(item): item.name.lower().replace("_", " ") for item in PacketType}
+TIME_BASES: Final = {0: "none", 1: "processor", 2: "workstation", 3: "spacecraft", 0xFFFF: "any"}
+_TIME: Final = (
+    Field("time_base", 16, "which clock", names=TIME_BASES),
+    Field("time_context", 8, "free for the mission"),
+    Field("seconds", 32, "of that clock"),
+    Field("microseconds", 32, "beyond its seconds"),
+)
+FRAME: Final = Layout(
+    "fprime",
+    "F Prime Frame",
+    Field("start_word", 32, "always 0xdeadbeef", base=16),
+    Field("length", 32, "bytes of the packet"),
+)
+_SPACE_PACKET: Final = {
+    "packet_type": "1 to F Prime",
+    "secondary_header_flag": "0: no other header follows",
+    "apid": "the packet type again; 0x7ff: idle",
+    "sequence_flags": "3: a whole packet",
+}
+SPACE_PACKET: Final = Layout(
+    "fprime_space_packet",
+    "CCSDS Space Packet",
+    *(
+        replace(slot.field, doc=_SPACE_PACKET.get(slot.field.name, slot.field.doc))
+        for slot in ccsds.PRIMARY.slots
+    ),
+)
+"""The primary header of a space packet."""
+PACKET: Final = Layout(
+    "fprime_packet", "F Prime Packet", Field("packet_type", 16, "what it holds", names=_NAMES)
+)
+ENTRY_HEADERS: Final = {
+    PacketType.COMMAND: Layout(
+        "fprime_command", "F Prime Command", Field("opcode", 32, "of the command", base=16)
+    ),
+    PacketType.TELEMETRY: Layout(
+        "fprime_channel", "F Prime Channel", Field("channel_id", 32, "of the channel", base=16), *_TIME
+    ),
+    PacketType.EVENT: Layout(
+        "fprime_event", "F Prime Event", Field("event_id", 32, "of the event", base=16), *_TIME
+    ),
+    PacketType.FILE: Layout(
+        "fprime_file",
+        "F Prime File",
+        Field("kind", 8, "part of the transfer", names={0: "start", 1: "data", 2: "end", 3: "cancel"}),
+        Field("sequence_index", 32, "counts the packets of a transfer"),
+    ),
+    PacketType.PACKETIZED_TELEMETRY: Layout(
+        "fprime_telemetry",
+        "F Prime Telemetry Packet",
+        Field("packet_id", 16, "of the packet of channels"),
+        *_TIME,
+    ),
+}
+"""What follows the packet type; values or arguments follow it, or the bytes of a file."""
+TIME_BYTES: Final = sum(field.bits for field in _TIME) // 8
+COMMAND_FRAME: Final = Layout("fprime_tc", headers.TC.title, *(slot.field for slot in headers.TC.slots))
+TELEMETRY_FRAME: Final = Layout("fprime_tm", headers.TM.title, *(slot.field for slot in headers.TM.slots))
+"""The headers of CCSDS, by names of this link's own."""
+LINK_LAYOUTS: Final = (FRAME, COMMAND_FRAME, TELEMETRY_FRAME, SPACE_PACKET, PACKET, *ENTRY_HEADERS.values())
+
+
+class FrameShape(NamedTuple):
+    """A kind of frame.
+
+    Attributes:
+        header: in front of its packets.
+        check: the field at its end, which tells whether it arrived as it was sent.
+    """
+
+    header: Layout
+    check: Field
+
+    @property
+    def check_bytes(self) -> int:
+        """Bytes of the check."""
+        return self.check.bits // 8
+
+
+_CRC16: Final = Field("frame_error_control", 8 * CRC16_BYTES, "CRC-16 of the frame in front of it", base=16)
+FRAME_SHAPES: Final = (
+    FrameShape(FRAME, Field("crc32", 32, "of the frame in front of it", base=16)),
+    FrameShape(COMMAND_FRAME, _CRC16),
+    FrameShape(TELEMETRY_FRAME, _CRC16),
+)
+"""The kinds of frames, by the numbers in ``Frames.shape``."""
+_OWN, _TC, _TM = range(3)
+TM_FRAME_BYTES: Final = 1024
+"""Bytes of a TM frame in F Prime's default configuration (``ComCfg.TmFrameFixedSize``)."""
+KEEP_ALIVE: Final = b"sitting well"
+"""What the ground system writes into a stream between frames, to keep its connection alive."""
+STREAM_HEAD: Final = len(KEEP_ALIVE)
+"""Bytes that tell the length of any frame."""
+_LEAST: Final = np.array([item.header.size + item.check_bytes for item in FRAME_SHAPES])
+
+
+class PacketPlaces(NamedTuple):
+    """The packets in some datagrams, in their order.
+
+    Attributes:
+        row: i64 (m,), the datagram.
+        space: i64 (m,), the space packet around it; -1 where there is none.
+        start: i64 (m,), the packet type in the data.
+        end: i64 (m,), one past the packet.
+        kind: i32 (m,), its ``PacketType``, or another number; -1 where it is cut.
+        whole: bool (m,), whether the header of what it holds is there, and its space packet is whole.
+    """
+
+    row: NDArray[np.intp]
+    space: NDArray[np.int64]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    kind: NDArray[np.int32]
+    whole: NDArray[np.bool_]
+
+    def take(self, chosen: NDArray[Any]) -> PacketPlaces:
+        """Return some of them."""
+        return PacketPlaces(*(column[chosen] for column in self))
+
+
+class Frames(NamedTuple):
+    """Many datagrams of one frame each; arrays have one element a datagram.
+
+    Attributes:
+        shape: i64 (n,), which of ``FRAME_SHAPES``.
+        check: i64 (n,), where the check starts in the data.
+        cut: bool (n,), the frame needs more bytes than there are: neither check nor packets are read.
+        truncated: bool (n,), it is cut, or a packet in it is.
+        longer: bool (n,), bytes follow the frame.
+        corrupt: bool (n,), the check says that it is not as it was sent.
+        packets: those of whole frames.
+    """
+
+    shape: NDArray[np.int64]
+    check: NDArray[np.int64]
+    cut: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    longer: NDArray[np.bool_]
+    corrupt: NDArray[np.bool_]
+    packets: PacketPlaces
+
+
+def frame_shapes_of(field: Callable[[Layout, str], Any], length: Any) -> tuple[Any, Any, Any]:
+    """Tell which of ``FRAME_SHAPES`` a datagram may be, or each of many.
+
+    Args:
+        field: returns a number of a header at its start; -1 where it is not there.
+        length: bytes of the datagram.
+
+    Returns:
+        for each of ``FRAME_SHAPES`` whether a datagram may be of it; the first that holds is meant.
+    """
+    own = field(FRAME, "start_word") == START_WORD
+    command = COMMAND_FRAME
+    last = field(command, "frame_length") + headers.TC_LENGTH_BIAS
+    tc = (last == length) & (length >= _LEAST[_TC]) & (field(command, "control_command_flag") == 0)
+    telemetry = TELEMETRY_FRAME
+    first = field(telemetry, "first_header_pointer")
+    tm = (length >= _LEAST[_TM]) & ((first < length) | (first >= headers.ONLY_IDLE_DATA))
+    for name, value in _TM_WITH_PACKETS.items():
+        tm = tm & (field(telemetry, name) == value)
+    version = field(telemetry, "transfer_frame_version_number") == 0
+    return own, tc & version, tm & version
+
+
+_TM_WITH_PACKETS: Final = {
+    "secondary_header_flag": 0,
+    "synchronization_flag": 0,
+    "packet_order_flag": 0,
+    "segment_length_id": 3,
+}
+
+
+def read_ground_frames(
+    data: NDArray[np.uint8],
+    offset: NDArray[np.int64],
+    length: NDArray[np.int32],
+    *,
+    checked: bool = True,
+) -> Frames:
+    """Read many frames; nothing in them can make this raise.
+
+    Args:
+        data: u8, contiguous.
+        offset: i64 (n,), where each datagram begins.
+        length: (n,), its bytes that are there.
+        checked: whether checks are computed; if not, nothing is ``corrupt``.
+    """
+    window = gather(data, offset, FRAME.size)
+    length = length.astype(np.int64)
+
+    def field(layout: Layout, name: str) -> NDArray[np.int64]:
+        there = length >= layout.by_name[name].end
+        return np.where(there, layout.column(name, window).astype(np.int64), -1)
+
+    framing = np.select(frame_shapes_of(field, length)[:_TM], [_OWN, _TC], _TM)
+    own = framing == _OWN
+    size = np.where(own, _LEAST[_OWN] + field(FRAME, "length"), length)
+    cut = (length < _LEAST[framing]) | (size > length)
+    check = offset + size - np.array([item.check_bytes for item in FRAME_SHAPES])[framing]
+    corrupt = np.zeros(len(offset), bool)
+    rows = np.flatnonzero(own & ~cut)
+    if len(rows) and checked:
+        said = read_at(data, check[rows], ">u4")
+        view = memoryview(data)  # type: ignore[arg-type]
+        ranges = zip(offset[rows].tolist(), check[rows].tolist(), strict=True)
+        corrupt[rows] = said != np.array([crc32(view[start:end]) for start, end in ranges], np.uint32)
+    whole = _packets(data, rows, np.full(len(rows), -1), offset[rows] + FRAME.size, check[rows])
+    rows = np.flatnonzero(~own & ~cut)
+    if len(rows):
+        if checked:
+            corrupt[rows] = crc16_rows(data, offset[rows], length[rows].astype(np.int32)) != 0
+        first = np.where(framing == _TM, field(TELEMETRY_FRAME, "first_header_pointer"), 0)[rows]
+        start = offset[rows] + _LEAST[framing[rows]] - CRC16_BYTES + first
+        ocf = np.where(framing == _TM, field(TELEMETRY_FRAME, "ocf_flag"), 0)[rows] * headers.OCF_BYTES
+        spaces = _space_packets(data, rows, start, check[rows] - ocf)
+        pairs: Iterator[tuple[Any, Any]] = zip(whole, spaces, strict=True)
+        both = [np.concatenate(pair) for pair in pairs]
+        whole = PacketPlaces(*both).take(np.argsort(both[0], kind="stable"))
+    truncated = cut.copy()
+    truncated[whole.row[~whole.whole]] = True
+    return Frames(framing, check, cut, truncated, ~truncated & (size < length), corrupt, whole)
+
+
+def frame_lengths(
+    data: NDArray[np.uint8], at: NDArray[np.int64]
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Tell where in a stream frames start, and how long they are.
+
+    A TM frame does not say its length, so that of F Prime's default configuration is assumed; a TC frame must
+    be as long as the one space packet in it.
+
+    Args:
+        data: u8, contiguous.
+        at: i64 (n,), positions.
+
+    Returns:
+        whether a frame may start, or a ``KEEP_ALIVE``; its bytes, which mean nothing before ``STREAM_HEAD``
+        bytes are there.
+    """
+    window = gather(data, at, STREAM_HEAD)
+
+    def field(layout: Layout, name: str, start: int = 0) -> NDArray[np.int64]:
+        return layout.column(name, window, start).astype(np.int64)
+
+    stated = field(COMMAND_FRAME, "frame_length") + headers.TC_LENGTH_BIAS
+    inside = field(SPACE_PACKET, "packet_data_length", COMMAND_FRAME.size) + ccsds.LENGTH_BIAS
+    own, tc, tm = frame_shapes_of(field, np.where(inside + _LEAST[_TC] == stated, stated, TM_FRAME_BYTES))
+    tc &= inside + _LEAST[_TC] == stated
+    own_size = field(FRAME, "length") + _LEAST[_OWN]
+    alive = (window == np.frombuffer(KEEP_ALIVE, np.uint8)).all(axis=1)
+    sizes = [np.int64(len(KEEP_ALIVE)), own_size, stated]
+    return own | tc | tm | alive, np.select([alive, own, tc], sizes, np.int64(TM_FRAME_BYTES))
+
+
+def _space_packets(
+    data: NDArray[np.uint8], row: NDArray[np.intp], start: NDArray[np.int64], end: NDArray[np.int64]
+) -> PacketPlaces:
+    """Read space packets that follow each other from ``start`` to ``end``; idle ones are left out."""
+    found = [_packets(data, row[:0], start[:0], start[:0], end[:0])]
+    while True:
+        left = start < end
+        row, start, end = row[left], start[left], end[left]
+        if not len(row):
+            break
+        head = gather(data, start, SPACE_PACKET.size)
+        size = SPACE_PACKET.column("packet_data_length", head).astype(np.int64) + ccsds.LENGTH_BIAS
+        behind = np.where(end - start < SPACE_PACKET.size, end + 1, start + size)
+        some = SPACE_PACKET.column("apid", head) != ccsds.IDLE_APID
+        some |= end - start < SPACE_PACKET.size
+        inside = np.minimum(start + SPACE_PACKET.size, end)[some]
+        packets = _packets(data, row[some], start[some], inside, np.minimum(behind, end)[some])
+        found.append(packets._replace(whole=packets.whole & (behind <= end)[some]))
+        start = behind
+    both = [np.concatenate(columns) for columns in zip(*found, strict=True)]
+    return PacketPlaces(*both).take(np.argsort(both[0], kind="stable"))
+
+
+def _packets(
+    data: NDArray[np.uint8],
+    row: NDArray[np.intp],
+    space: NDArray[np.int64],
+    start: NDArray[np.int64],
+    end: NDArray[np.int64],
+) -> PacketPlaces:
+    """Read the types of packets, and tell whether the header behind is whole."""
+    known = end - start >= PACKET.size
+    kind = np.full(len(row), -1, np.int32)
+    kind[known] = read_at(data, start[known], ">u2")
+    need = np.full(len(row), PACKET.size)
+    for item, layout in ENTRY_HEADERS.items():
+        need[kind == item] += layout.size
+    return PacketPlaces(row, space, start, end, kind, end - start >= need)
