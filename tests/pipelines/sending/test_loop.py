@@ -420,19 +420,30 @@ def test_without_telemetry_it_waits_for_one_report_and_says_nothing_of_ci():
 
 
 @pytest.mark.parametrize(
-    ("packets", "waits"),
+    ("packets", "options", "least_s"),
     [
-        ([enable_output("127.0.0.1")], False),
-        ([enable_output("127.0.0.1")] * 2, True),
-        ([cfe.emit_command(0x1880, 0)], True),
-        ([cfe.emit_command(0x1827, 6)], True),
+        ([enable_output("127.0.0.1")], {}, 0),
+        ([enable_output("127.0.0.1")] * 2, {}, 4),
+        ([cfe.emit_command(0x1880, 0)], {}, 1),
+        ([cfe.emit_command(0x1827, 6)], {}, 1),
+        ([cfe.emit_command(0x1827, 6)], {"max_loss": 0.0}, 4),
+        ([cfe.emit_command(0x1827, 6)], {"expect": ("event:X",)}, 4),
     ],
+    ids=["enables", "twice", "other command", "message", "judged", "expected"],
 )
-def test_before_telemetry_is_enabled_none_is_waited_for(packets, waits):
+def test_without_telemetry_only_what_is_judged_waits_for_a_count(packets, options, least_s):
     simulation = booted("rover")
     began = simulation.now
-    report = follow(simulation, Outgoing.packets(CI, [Packet(packet) for packet in packets]))
-    assert (report.first_ns - began > 4 * SECOND) == waits
+    report = follow(simulation, Outgoing.packets(CI, [Packet(packet) for packet in packets]), **options)
+    assert least_s * SECOND < report.first_ns - began < (least_s + 0.5) * SECOND
+    assert report.responses.ingest.summary()["state"] == "unknown"
+
+
+def test_with_telemetry_a_single_datagram_waits_for_the_count_and_is_followed():
+    simulation = booted("rover", replace(SimProfile(), housekeeping_ns=SECOND))
+    follow(simulation, plain(1), wait_for=("to-enabled",))
+    report = follow(simulation, plain(1))
+    assert report.responses.ingest.summary() == {"state": "all", "sent": 1, "read": 1, "missing": 0}
 
 
 class Scripted:
