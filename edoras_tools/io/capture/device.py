@@ -40,6 +40,8 @@ _FEW = 64 << 10
 _GATHER_S = 0.06
 _STEP_S = 0.1
 """How often at least to check, while frames gather, whether enough of them wait."""
+_CHECK_S = 0.1
+"""How often at least to check, while frames gather in the device, whether it can hold more."""
 _AHEAD_S = 0.03
 """How long before a batch is due to read for it."""
 _SILENCE_S = 0.1
@@ -78,6 +80,9 @@ class Device(Protocol):
 
     def count(self) -> None:
         """Update ``drops``."""
+
+    def pressed(self) -> bool:
+        """Return whether to read now, even if frames may gather for longer."""
 
     def refuse(self) -> None:
         """Drop every packet from now on, if possible."""
@@ -317,16 +322,17 @@ class DeviceSource:
             if not more and (self._deadline or not failure):
                 ready = poll.poll(5 if self._deadline else 1000 * max(device.look_s, self._step_s))
                 silent = time.monotonic() - came > _SILENCE_S
+                left = min(device.linger_s, _SOON_S if silent else self._until_read_s())
                 if not self._deadline and (ready or not silent):
-                    pause.poll(1000 * min(device.linger_s, _SOON_S if silent else self._until_read_s()))
+                    while left > 0 and not pause.poll(1000 * min(left, _CHECK_S)) and not device.pressed():
+                        left -= _CHECK_S
         if failure:
             raise CaptureError(failure)
 
     def _until_read_s(self) -> float:
         """Return in how many seconds to read for the next batch: before it is due, or frames wait for two."""
-        half = self.gather_s / 2
-        left = max(self._due_s() - min(_AHEAD_S, half / 2), 0)
-        return left if left > half else left + half
+        left = max(self._due_s() - min(_AHEAD_S, self.gather_s / 4), 0)
+        return left if left > self.gather_s / 2 else left + self._longest_s
 
     def _drain(self) -> bool:
         """Queue what the device holds; return whether to continue at once, because there may be more."""

@@ -374,6 +374,10 @@ class Ring:
         self._delivered += packets - drops
         self.drops += drops
 
+    def pressed(self) -> bool:
+        """Return False: the ring holds what may come in the longest time."""
+        return False
+
     def refuse(self) -> None:
         """Drop every packet from now on; packets in the ring stay."""
         attach_program(self._socket, NOTHING)

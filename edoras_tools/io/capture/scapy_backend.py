@@ -133,6 +133,10 @@ class Sniffer:
             counters = self._packet_socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
             self.drops += struct.unpack("=2I", counters)[1]
 
+    def pressed(self) -> bool:
+        """Return False: frames gather for a short time only."""
+        return False
+
     def refuse(self) -> None:
         """Drop every packet from now on, if possible."""
         if self._packet_socket is not None:

@@ -13,8 +13,9 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture.device import DeviceSource
 from edoras_tools.io.frames.build import ENDS, FramePage
 from edoras_tools.io.net.buffer import SLOTS, make_buffer
-from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
+from edoras_tools.io.net.sockets import LINUX, kernel_drops, local_endpoint, open_bound, waiting_bytes
 from edoras_tools.model import Endpoint, InterfaceOutage, SourceInfo
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 _READ_BYTES: Final = 1 << 20
 """Approximate bytes of payloads per read, divided among the sockets."""
 _RECEIVE_BUFFER: Final = 16 << 20
-_LINGER_S, _BUSY_LINGER_S = 0.4, 0.01
+_LINGER_S, _BUSY_LINGER_S = 0.4 if LINUX else 0.05, 0.01
 _FULL: Final = 16
 """A read comes soon enough to empty no more than this part of a receive buffer, as fast as it fills now."""
 _CHARGED: Final = 600
@@ -71,7 +72,6 @@ class Sockets:
         self._page = FramePage()
         self._number = 1
         self._smallest = 1 << 62
-        self._looked = time.monotonic()
         try:
             self.endpoints = tuple(self._bind(endpoint, receive_buffer) for endpoint in endpoints)
         except CaptureError:
@@ -103,17 +103,17 @@ class Sockets:
         page = self._page
         while True:
             kept, used = page.rows, page.used
-            now, whole_ns = time.monotonic(), time.time_ns()  # later datagrams have later times
+            now_ns = whole_ns = time.time_ns()  # later datagrams have later times
             for bound in self._bound:
                 if not self._drain(bound, page):
                     whole_ns = min(whole_ns, int(page.time_ns[page.rows - 1]))
             fresh = page.rows > kept
             if fresh:
                 filled = (page.rows - kept) * _CHARGED + page.used - used
-                part_s = self._smallest / _FULL * (now - self._looked) / filled
+                within_s = (now_ns - int(page.time_ns[kept : page.rows].min())) / SECOND
                 longest_s = min(_LINGER_S, self._smallest / _FILL_RATE)
+                part_s = self._smallest / _FULL / filled * within_s
                 self.linger_s = min(longest_s, max(part_s, _BUSY_LINGER_S))
-            self._looked = now
             order = np.argsort(page.time_ns[: page.rows], kind="stable")
             count = len(order)
             if fresh and len(self._bound) > 1:
@@ -155,6 +155,10 @@ class Sockets:
     def count(self) -> None:
         """Read the kernel's drop counters."""
         self.drops = sum(kernel_drops(bound.socket) for bound in self._bound)
+
+    def pressed(self) -> bool:
+        """Return whether a buffer fills faster than before."""
+        return any(waiting_bytes(bound.socket) > self._smallest // _FULL for bound in self._bound)
 
     def refuse(self) -> None:
         """Receive nothing from now on: each socket is connected to itself, so no other sender is accepted."""

@@ -30,6 +30,7 @@ _IPV6_RECVPKTINFO: Final = 49
 _SO_SNDBUFFORCE: Final = 32
 _SO_RCVBUFFORCE: Final = 33
 _SO_MEMINFO: Final = 55
+_MEMINFO_RECEIVED: Final = 0  # SK_MEMINFO_RMEM_ALLOC
 _MEMINFO_DROPS: Final = 8  # SK_MEMINFO_DROPS
 
 
@@ -111,10 +112,19 @@ def local_endpoint(opened: socket.socket) -> Endpoint:
 
 def kernel_drops(opened: socket.socket) -> int:
     """Return how many datagrams the kernel dropped at a socket since it was opened; 0 if unknown."""
+    return _memory_information(opened, _MEMINFO_DROPS)
+
+
+def waiting_bytes(opened: socket.socket) -> int:
+    """Return the bytes that wait to be read, as the kernel counts them against the buffer; 0 if unknown."""
+    return _memory_information(opened, _MEMINFO_RECEIVED)
+
+
+def _memory_information(opened: socket.socket, place: int) -> int:
     if not LINUX:
         return 0
-    information = opened.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 4 * (_MEMINFO_DROPS + 1))
-    return int(struct.unpack_from("=I", information, 4 * _MEMINFO_DROPS)[0])
+    information = opened.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 4 * (place + 1))
+    return int(struct.unpack_from("=I", information, 4 * place)[0])
 
 
 def received(opened: socket.socket, most: int = 256) -> Iterator[tuple[bytes, Endpoint]]:

@@ -37,6 +37,7 @@ class Fake:
         self.holds = list(holds)  # comes out only once nothing more gets in
         self.reads = 0
         self.refused = self.closed = 0
+        self.full = False
         self.pipe = os.pipe()
 
     def filenos(self):
@@ -53,6 +54,9 @@ class Fake:
 
     def count(self):
         self.drops += 1
+
+    def pressed(self):
+        return self.full
 
     def refuse(self):
         self.refused += 1
@@ -195,6 +199,19 @@ def test_the_device_is_read_before_a_batch_is_due(source_of):
     begun = time.monotonic()
     assert payloads([first(batches)]) == [b"second"]
     assert time.monotonic() - begun < 60
+
+
+def test_a_device_that_cannot_hold_more_is_read_before_a_batch_is_due(source_of):
+    device = Fake(frames(b"first", 1))
+    device.linger_s = 3600.0
+    source = source_of(device)
+    source.gather_s = 3600.0
+    batches = source.batches()
+    assert payloads([first(batches)]) == [b"first"]
+    device.items.append(frames(b"second", 2))
+    os.write(device.pipe[1], b"x")
+    device.full = True
+    until(lambda: not device.items)
 
 
 def test_an_interface_that_goes_away_is_told(source_of):
