@@ -17,19 +17,24 @@ def samples(
 ) -> None:
     """Copy the samples to a folder: captures, missions, scenarios."""
     from importlib.resources import as_file, files
-    from shutil import Error, copytree, ignore_patterns
+    from shutil import copy2, rmtree
 
-    if not force and folder.is_dir() and any(folder.iterdir()):
+    full = folder.is_dir() and any(folder.iterdir())
+    if full and not force:
         raise ConfigError(
             f"{folder}: not an empty folder; name a new one, or --force overwrites what is in it"
         )
     try:
         with as_file(files("edoras_tools.samples")) as source:
-            copytree(source, folder, ignore=ignore_patterns("__pycache__", "__init__.py"), dirs_exist_ok=True)
-    except (OSError, Error) as error:
-        raise CaptureError(
-            f"{folder}: cannot be written: {getattr(error, 'strerror', None) or error}"
-        ) from None
+            for path in sorted(source.rglob("*")):
+                if path.is_file() and path.name != "__init__.py" and "__pycache__" not in path.parts:
+                    target = folder / path.relative_to(source)
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    copy2(path, target)
+    except OSError as error:
+        if not full:
+            rmtree(folder, ignore_errors=True)
+        raise CaptureError(f"{folder}: cannot be written: {error.strerror or error}") from None
     count = sum(path.is_file() for path in folder.rglob("*"))
     command = f"edoras info {folder}/captures/a_rover.pcap -c {folder}/missions/rover_ground.yaml"
     typer.echo(f"{folder}: {count} files; start with: {command}")

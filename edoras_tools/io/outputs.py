@@ -60,7 +60,7 @@ def check_links(path: Path) -> None:
 
 
 def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
-    """Write a whole file.
+    """Write a whole file, or none: one that could be written in part only is removed.
 
     Args:
         path: the file; an existing one is replaced.
@@ -75,7 +75,13 @@ def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
             check_links(path)
             path.parent.mkdir(parents=True, exist_ok=True)
         with open(path, "wb", opener=opener) as file:
-            file.write(data)
+            try:
+                file.write(data)
+                file.flush()
+            except OSError:
+                if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                    path.resolve().unlink(missing_ok=True)
+                raise
     except OSError as error:
         raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
 

@@ -65,6 +65,31 @@ def test_nothing_is_left_where_nothing_can_be_written(limited, captures, tmp_pat
     assert f"{name}: cannot be written: File too large; name another file with -o or make room" in told
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["plot", "a.pcap", "/cmd_vel.linear.x", "-o", "new.html"],
+        ["report", "a.pcap", "-o", "new.html"],
+        ["check", "--init", "a.pcap", "-o", "new.yaml"],
+        ["mission", "draft", "a.pcap", "-o", "new.yaml"],
+        ["export", "a.pcap", "--topic", "/cmd_vel", "-o", "new.csv"],
+        ["codegen", "geometry_msgs", "-o", "new"],
+        ["samples", "new"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_no_part_of_a_file_is_left_where_there_is_no_room(
+    limited, captures, missions, tmp_path, monkeypatch, words
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.pcap").symlink_to(captures("a_rover"))
+    given = [*words, *(() if words[0] in {"codegen", "mission", "samples"} else missions("rover_ground"))]
+    code, told = limited(resource.RLIMIT_FSIZE, 300, *given)
+    assert code == 1
+    assert "cannot be written: File too large" in told
+    assert [path for path in tmp_path.rglob("new*") if path.is_file()] == []
+
+
 def test_open_files(limited, missions):
     (port,) = free_ports(1)
     listen = ["record", "--listen", port, "--duration", "0.1", "-o", "/dev/null/x.mcap"]

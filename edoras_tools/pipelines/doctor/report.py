@@ -21,5 +21,5 @@ def write_report(diagnosis: Diagnosis, name: str, path: Path, made: Made) -> int
         CaptureError: the file cannot be written.
     """
     data = page(diagnosis, name, made).encode("utf-8", "replace")
-    write_bytes(path, data)
+    write_bytes(path, data, folders=True)
     return len(data)

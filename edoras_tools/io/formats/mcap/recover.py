@@ -105,15 +105,17 @@ def recover(
     regular = target.is_file() or not target.exists()
     made = target.with_name(f"{target.name}.part") if regular else target
     with FileBytes(source) as file:
-        out = McapFile(made, header=b"")
+        out = None
         try:
+            out = McapFile(made, header=b"")
             report = _Assembly(file, out, unproved=unproved).run(progress)
             if regular:
                 made.replace(target)
         except BaseException as error:
-            out.abandon()
-            if regular:
-                made.unlink(missing_ok=True)
+            if out is not None:
+                out.abandon()
+                if regular:
+                    made.unlink(missing_ok=True)
             if isinstance(error, CaptureError):
                 raise CaptureError(
                     str(error).partition("; `edoras")[0].replace(str(made), str(target))
