@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "f01b838c8f866d76"
+local DIGEST = "20c408ca88b47b13"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1051,6 +1051,7 @@ D.sbn = {
 	ident = "$Id: dccf6239093d99c4c9351e140c15b61a95d8fc37 $",
 	ident_bytes = 48,
 }
+D.racs2 = {subprotocol = "example-protocol"}
 D.msg_id = {event = 2056, software_bus = 2051}
 D.msg_id_names = {
 	[2048] = "ES_HK",
@@ -1515,6 +1516,7 @@ D.ports = {
 	file = {0},
 	racs2 = {},
 }
+D.stream_ports = {sbn = {2234, 2235, 2236}, racs2 = {8765}}
 D.bridge_ports = {2236}
 D.cfs_addresses = {"127.0.0.1"}
 D.identities = {{66, 1}, {66, 3}}
@@ -2160,7 +2162,7 @@ for _, made in pairs(EXPERT) do table.insert(experts, made) end
 -- Which link a datagram belongs to: of the links that claim its port, the one that is surest. cpu2's CI port equals
 -- TO's destination port (both 1235): a port alone does not tell.
 
-local ports, link_by_label = {}, {}
+local ports, stream_ports, link_by_label = {}, {}, {}
 for _, link in ipairs(D.links) do
 	ports[link.label], link_by_label[link.label] = {}, link
 	link.form_ports = {}
@@ -2235,8 +2237,36 @@ local function likeness(link, pinfo, s)
 	return sure
 end
 
+-- Tell whether a message begins with a header of RACS2: a MsgId and zeros, or the name of a topic.
+local function is_racs2(s)
+	local size = D.layouts.racs2_message.size
+	if #s < size then return false end
+	local high, low = byte(s, 1, 2)
+	local msg_id = high * 256 + low
+	if msg_id > 0 and msg_id <= D.limits.highest_msg_id and not s:sub(3, size):find("[^\0]") then return true end
+	if high ~= 47 and high ~= 126 and (high <= 64 or high >= 123) then return false end
+	return not s:sub(1, size):find("[\128-\255]") and not s:sub(5, size):find('[ "]')
+end
+
+local TCP = 2  -- what pinfo.port_type says of TCP
+local RECOGNISED = {racs2 = is_racs2}
+
+-- Return the link of a message of a TCP stream, or nil for none.
+local function stream_link_of(pinfo, s)
+	for _, port in ipairs({pinfo.dst_port, pinfo.src_port}) do
+		for _, link in ipairs(D.links) do
+			local claimed = stream_ports[link.label]
+			if claimed and claimed[port] then
+				local recognised = RECOGNISED[link.label]
+				return (not recognised or recognised(s)) and link or nil
+			end
+		end
+	end
+end
+
 -- Return the link of a datagram, or nil for none.
 local function link_of(pinfo, s)
+	if pinfo.port_type == TCP then return stream_link_of(pinfo, s) end
 	local destination, source = pinfo.dst_port, pinfo.src_port
 	local best, found, ours = 0, nil, false
 	for _, link in ipairs(D.links) do
@@ -2902,7 +2932,8 @@ local function software_bus_network(s)
 	local legacy = is_legacy(s)
 	local layout = legacy and L.sbn_legacy or L.sbn
 	if legacy then note("sbn_legacy_header") end
-	if #s >= L.sbn.size and #s % D.limits.bridge_modulus < L.sbn.size and bridge_ports[W.pinfo.dst_port] then
+	if #s >= L.sbn.size and #s % D.limits.bridge_modulus < L.sbn.size and bridge_ports[W.pinfo.dst_port]
+		and W.pinfo.port_type ~= TCP then
 		note("bridge_drops_length")
 	end
 	if not take(layout, 0) then return nil end
@@ -2965,8 +2996,24 @@ local function read_headers(s, link)
 	return link.packets and at or nil
 end
 
+-- Read the header of a RACS2 message: a MsgId, or the name of a topic.
+local function racs2(s)
+	local to_cfs = byte(s, 1) * 256 <= D.limits.highest_msg_id
+	if not take(to_cfs and L.racs2_message or L.racs2_topic, 0) then return nil end
+	if W.listed then
+		local target
+		if to_cfs then
+			target = format("0x%04x", (read.racs2_message(s, 1)))
+		else
+			target = read.racs2_topic(s, 1)
+		end
+		W.summary = format("%s: %d bytes", target, #s - L.racs2_message.size)
+	end
+	return nil
+end
+
 -- Links whose headers hang on what they hold read them by themselves.
-local HEADER_READERS = {sbn = software_bus_network}
+local HEADER_READERS = {sbn = software_bus_network, racs2 = racs2}
 
 -- Space packets: the primary header, cFE's headers, what cFE itself sends, and the EDORAS envelope.
 
@@ -3393,7 +3440,7 @@ end
 
 local edoras = P.edoras
 for _, link in ipairs(D.links) do
-	local what = "Further UDP ports of the link " .. link.doc
+	local what = "Further ports of the link " .. link.doc
 	edoras.prefs[link.label .. "_ports"] = Pref.range(link.name .. " ports", "", what, 65535)
 end
 edoras.prefs.extended_header = Pref.bool(
@@ -3406,7 +3453,22 @@ edoras.prefs.msg_ids_of_version_2 = Pref.bool(
 	"MsgIds of version 2", D.msg_id_version == 2, "cFE builds MsgIds with the extended header's subsystem"
 )
 
-local registered = {}
+local registered, streams = {}, {}
+local STREAMS = {sbn = "tcp.port", racs2 = "ws.port"}  -- where Wireshark looks for who reads what a stream holds
+
+-- Let the links read what comes over TCP: the messages themselves, or what WebSocket frames hold.
+local function register_streams()
+	for _, entry in ipairs(streams) do DissectorTable.get(entry[1]):remove(entry[2], entry[3]) end
+	streams = {}
+	for label, list in pairs(D.stream_ports) do
+		stream_ports[label] = port_set(edoras.prefs[label .. "_ports"])
+		for _, port in ipairs(list) do stream_ports[label][port] = true end
+		for port in pairs(STREAMS[label] and stream_ports[label] or {}) do
+			streams[#streams + 1] = {STREAMS[label], port, P[label]}
+			DissectorTable.get(STREAMS[label]):add(port, P[label])
+		end
+	end
+end
 
 local function register_ports()
 	local udp = DissectorTable.get("udp.port")
@@ -3422,6 +3484,7 @@ local function register_ports()
 		if other then udp:add(port, other) end
 	end
 	for port in pairs(registered) do udp:add(port, edoras) end
+	register_streams()
 	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header, edoras.prefs.msg_ids_of_version_2)
 end
 
@@ -3618,10 +3681,23 @@ local function dissect(tvb, pinfo, tree)
 	return #s
 end
 
+-- The bytes of an SBN message that starts at an offset. A negative size is an error: what is left belongs to it.
+local function message_length(tvb, _, offset)
+	local size = tvb:range(offset, 2):int()
+	return size < 0 and tvb:reported_length_remaining(offset) or L.sbn.size + size
+end
+
+-- SBN messages follow each other in a stream; Wireshark puts it in order.
+local function dissect_stream(tvb, _, tree)
+	dissect_tcp_pdus(tvb, tree, L.sbn.size, message_length, dissect)
+	return captured_len(tvb)
+end
+
 for name, protocol in pairs(P) do
 	protocol.fields = members[name]
-	protocol.dissector = dissect
+	protocol.dissector = STREAMS[name] == "tcp.port" and dissect_stream or dissect
 end
 edoras.experts = experts
 register_ports()
+if P.racs2 then DissectorTable.get("ws.protocol"):add(D.racs2.subprotocol, P.racs2) end
 DissectorTable.get("udp.port"):add_for_decode_as(edoras)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from edoras_tools.cfs import limits, names
 from edoras_tools.dissectors.lua_text import literal, quoted
 from edoras_tools.links.protocol import BY_ADDRESS, BY_CONTENT, LARGEST_DOUBLE, SMALLEST_DOUBLE
-from edoras_tools.wire import ccsds, cdr, cfe, sbn
+from edoras_tools.wire import ccsds, cdr, cfe, racs2, sbn
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 
 if TYPE_CHECKING:
@@ -94,6 +94,7 @@ class Knowledge:
         findings: every finding.
         links: every link.
         ports: UDP ports by link.
+        stream_ports: TCP ports by link.
         bridge_ports: where flight bridges listen.
         cfs_addresses: IPv4 addresses of the cFS of ground missions.
         identities: (SpacecraftID, ProcessorID) that missions name.
@@ -121,6 +122,7 @@ class Knowledge:
     extended_header: bool = False
     telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES
     msg_id_version: int = 1
+    stream_ports: Mapping[str, Sequence[int]] = field(default_factory=dict)
     note: str = ""
 
 
@@ -184,6 +186,7 @@ def _data(knowledge: Knowledge) -> str:
             "ident": sbn.IDENT,
             "ident_bytes": sbn.IDENT_BYTES,
         },
+        "racs2": {"subprotocol": racs2.SUBPROTOCOL},
         "msg_id": {"event": cfe.EVENT_MSG_ID, "software_bus": cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID},
         "msg_id_names": names.MSG_ID_NAMES,
         "commands": {
@@ -217,6 +220,11 @@ def _data(knowledge: Knowledge) -> str:
         "sure": {"by_content": BY_CONTENT, "by_address": BY_ADDRESS},
         "doubles": {"smallest": SMALLEST_DOUBLE, "largest": LARGEST_DOUBLE},
         "ports": {item.label: list(knowledge.ports[item.label]) for item in _ours(knowledge)},
+        "stream_ports": {
+            item.label: list(knowledge.stream_ports[item.label])
+            for item in _ours(knowledge)
+            if knowledge.stream_ports.get(item.label)
+        },
         "bridge_ports": list(knowledge.bridge_ports),
         "cfs_addresses": list(knowledge.cfs_addresses),
         "identities": [list(pair) for pair in knowledge.identities],

@@ -2,7 +2,7 @@
 
 local edoras = P.edoras
 for _, link in ipairs(D.links) do
-	local what = "Further UDP ports of the link " .. link.doc
+	local what = "Further ports of the link " .. link.doc
 	edoras.prefs[link.label .. "_ports"] = Pref.range(link.name .. " ports", "", what, 65535)
 end
 edoras.prefs.extended_header = Pref.bool(
@@ -15,7 +15,22 @@ edoras.prefs.msg_ids_of_version_2 = Pref.bool(
 	"MsgIds of version 2", D.msg_id_version == 2, "cFE builds MsgIds with the extended header's subsystem"
 )
 
-local registered = {}
+local registered, streams = {}, {}
+local STREAMS = {sbn = "tcp.port", racs2 = "ws.port"}  -- where Wireshark looks for who reads what a stream holds
+
+-- Let the links read what comes over TCP: the messages themselves, or what WebSocket frames hold.
+local function register_streams()
+	for _, entry in ipairs(streams) do DissectorTable.get(entry[1]):remove(entry[2], entry[3]) end
+	streams = {}
+	for label, list in pairs(D.stream_ports) do
+		stream_ports[label] = port_set(edoras.prefs[label .. "_ports"])
+		for _, port in ipairs(list) do stream_ports[label][port] = true end
+		for port in pairs(STREAMS[label] and stream_ports[label] or {}) do
+			streams[#streams + 1] = {STREAMS[label], port, P[label]}
+			DissectorTable.get(STREAMS[label]):add(port, P[label])
+		end
+	end
+end
 
 local function register_ports()
 	local udp = DissectorTable.get("udp.port")
@@ -31,6 +46,7 @@ local function register_ports()
 		if other then udp:add(port, other) end
 	end
 	for port in pairs(registered) do udp:add(port, edoras) end
+	register_streams()
 	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header, edoras.prefs.msg_ids_of_version_2)
 end
 
@@ -227,10 +243,23 @@ local function dissect(tvb, pinfo, tree)
 	return #s
 end
 
+-- The bytes of an SBN message that starts at an offset. A negative size is an error: what is left belongs to it.
+local function message_length(tvb, _, offset)
+	local size = tvb:range(offset, 2):int()
+	return size < 0 and tvb:reported_length_remaining(offset) or L.sbn.size + size
+end
+
+-- SBN messages follow each other in a stream; Wireshark puts it in order.
+local function dissect_stream(tvb, _, tree)
+	dissect_tcp_pdus(tvb, tree, L.sbn.size, message_length, dissect)
+	return captured_len(tvb)
+end
+
 for name, protocol in pairs(P) do
 	protocol.fields = members[name]
-	protocol.dissector = dissect
+	protocol.dissector = STREAMS[name] == "tcp.port" and dissect_stream or dissect
 end
 edoras.experts = experts
 register_ports()
+if P.racs2 then DissectorTable.get("ws.protocol"):add(D.racs2.subprotocol, P.racs2) end
 DissectorTable.get("udp.port"):add_for_decode_as(edoras)

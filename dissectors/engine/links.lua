@@ -1,7 +1,7 @@
 -- Which link a datagram belongs to: of the links that claim its port, the one that is surest. cpu2's CI port equals
 -- TO's destination port (both 1235): a port alone does not tell.
 
-local ports, link_by_label = {}, {}
+local ports, stream_ports, link_by_label = {}, {}, {}
 for _, link in ipairs(D.links) do
 	ports[link.label], link_by_label[link.label] = {}, link
 	link.form_ports = {}
@@ -76,8 +76,36 @@ local function likeness(link, pinfo, s)
 	return sure
 end
 
+-- Tell whether a message begins with a header of RACS2: a MsgId and zeros, or the name of a topic.
+local function is_racs2(s)
+	local size = D.layouts.racs2_message.size
+	if #s < size then return false end
+	local high, low = byte(s, 1, 2)
+	local msg_id = high * 256 + low
+	if msg_id > 0 and msg_id <= D.limits.highest_msg_id and not s:sub(3, size):find("[^\0]") then return true end
+	if high ~= 47 and high ~= 126 and (high <= 64 or high >= 123) then return false end
+	return not s:sub(1, size):find("[\128-\255]") and not s:sub(5, size):find('[ "]')
+end
+
+local TCP = 2  -- what pinfo.port_type says of TCP
+local RECOGNISED = {racs2 = is_racs2}
+
+-- Return the link of a message of a TCP stream, or nil for none.
+local function stream_link_of(pinfo, s)
+	for _, port in ipairs({pinfo.dst_port, pinfo.src_port}) do
+		for _, link in ipairs(D.links) do
+			local claimed = stream_ports[link.label]
+			if claimed and claimed[port] then
+				local recognised = RECOGNISED[link.label]
+				return (not recognised or recognised(s)) and link or nil
+			end
+		end
+	end
+end
+
 -- Return the link of a datagram, or nil for none.
 local function link_of(pinfo, s)
+	if pinfo.port_type == TCP then return stream_link_of(pinfo, s) end
 	local destination, source = pinfo.dst_port, pinfo.src_port
 	local best, found, ours = 0, nil, false
 	for _, link in ipairs(D.links) do

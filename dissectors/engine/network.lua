@@ -139,7 +139,8 @@ local function software_bus_network(s)
 	local legacy = is_legacy(s)
 	local layout = legacy and L.sbn_legacy or L.sbn
 	if legacy then note("sbn_legacy_header") end
-	if #s >= L.sbn.size and #s % D.limits.bridge_modulus < L.sbn.size and bridge_ports[W.pinfo.dst_port] then
+	if #s >= L.sbn.size and #s % D.limits.bridge_modulus < L.sbn.size and bridge_ports[W.pinfo.dst_port]
+		and W.pinfo.port_type ~= TCP then
 		note("bridge_drops_length")
 	end
 	if not take(layout, 0) then return nil end
@@ -202,5 +203,21 @@ local function read_headers(s, link)
 	return link.packets and at or nil
 end
 
+-- Read the header of a RACS2 message: a MsgId, or the name of a topic.
+local function racs2(s)
+	local to_cfs = byte(s, 1) * 256 <= D.limits.highest_msg_id
+	if not take(to_cfs and L.racs2_message or L.racs2_topic, 0) then return nil end
+	if W.listed then
+		local target
+		if to_cfs then
+			target = format("0x%04x", (read.racs2_message(s, 1)))
+		else
+			target = read.racs2_topic(s, 1)
+		end
+		W.summary = format("%s: %d bytes", target, #s - L.racs2_message.size)
+	end
+	return nil
+end
+
 -- Links whose headers hang on what they hold read them by themselves.
-local HEADER_READERS = {sbn = software_bus_network}
+local HEADER_READERS = {sbn = software_bus_network, racs2 = racs2}

@@ -100,9 +100,12 @@ def _names_msg_id(head: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray((msg_id > 0) & (msg_id <= cfe.HIGHEST_MSG_ID) & ~head[:, 2:].any(axis=1))
 
 
-def _spaces(word: Any) -> Any:
-    """Return bits that are set where a word of four characters has a space, as every handshake has."""
-    apart = word ^ 0x20202020
+def _has(word: Any, character: str) -> Any:
+    """Return bits that are set where a word of four characters has one that no topic's name has.
+
+    Every handshake has spaces, every JSON object quotation marks.
+    """
+    apart = word ^ (ord(character) * 0x01010101)
     return (apart - 0x01010101) & (apart ^ 0xFFFFFFFF) & _NO_ASCII
 
 
@@ -126,11 +129,12 @@ class RacsBridgeLink(LinkProtocol):
         first, second = (seen.field(_WORDS, item) for item in ("first", "second"))
         letter = first >> 8
         to_cfs = (first > 0) & (first < cfe.HIGHEST_MSG_ID + 1) & (second == 0)
-        name = ((letter == ord("/")) | (letter > ord("9"))) & ((first | second) & 0x8080 == 0)
+        named = (letter == ord("/")) | (letter == ord("~")) | ((letter > ord("@")) & (letter < ord("{")))
+        name = named & ((first | second) & 0x8080 == 0)
         for item in _REST:
             word = seen.field(_WORDS, item)
             to_cfs = to_cfs & (word == 0)
-            name = name & (word & _NO_ASCII == 0) & (_spaces(word) == 0)
+            name = name & (word & _NO_ASCII == 0) & (_has(word, " ") == 0) & (_has(word, '"') == 0)
         return BY_CONTENT * ((seen.length > racs2.BRIDGE_HEADER - 1) & (to_cfs | name))
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 BRIDGE_WEBSOCKET_PORT: Final = 8765
+SUBPROTOCOL: Final = "example-protocol"
+"""What the cFS side asks for in the handshake; the public ROS side answers without one."""
 BRIDGE_HEADER: Final = 32
 LARGEST_BODY: Final = 128
 """Bytes that the cFS side has room for; it copies longer ones over what follows its buffer."""

@@ -242,6 +242,7 @@ def test_values_of_the_public_examples_messages(body, values):
         (bytes([0x18, 0x94, 1]) + bytes(29), OTHER),
         ("/tópico".encode().ljust(32, b"\0"), OTHER),
         (b"9topic".ljust(32, b"\0"), OTHER),
+        (b'{"op":"serverInfo","name":"Foxglove"}', OTHER),
     ],
 )
 def test_a_header_is_recognised(payload, link):

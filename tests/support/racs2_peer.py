@@ -44,8 +44,9 @@ class Talk:
         ours = [ClientPerMessageDeflateFactory(client_no_context_takeover=fresh)] if deflate else None
         theirs = [ServerPerMessageDeflateFactory(server_no_context_takeover=fresh)] if deflate else None
         uri = parse_uri("ws://10.0.0.2:8765/")
-        self.cfs = ClientProtocol(uri, subprotocols=[subprotocol], extensions=ours)
-        self.ros = ServerProtocol(extensions=theirs, subprotocols=[subprotocol])
+        asked = [subprotocol] if subprotocol else None
+        self.cfs = ClientProtocol(uri, subprotocols=asked, extensions=ours)
+        self.ros = ServerProtocol(extensions=theirs, subprotocols=asked)
         self.segments = [
             Segment(99, flags=SYN, destination=SERVER),
             Segment(499, flags=SYN | ACK, source=SERVER, destination=CLIENT),

@@ -32,10 +32,12 @@ if TYPE_CHECKING:
     from edoras_tools.io.capture.device import DeviceSource
     from edoras_tools.model import Link
 
+_NO_PORT: Final = 0
+"""Nothing is sent there; no port at all would be every one."""
 _OPTIONS: Final = (
     ("interface", "Capture from", "selector", "Interface with the traffic; needs the privilege to capture"),
     ("listen", "Or bind [HOST:]PORT", "string", "Receive the datagrams here; needs no privilege"),
-    ("ports", "More ports", "string", "UDP ports of this link besides the standard ones, e.g. 5010,5011"),
+    ("ports", "More ports", "string", "Ports of this link besides the standard ones, e.g. 5010,5011"),
     ("config", "Mission", "fileselect", "EDORAS bridge YAML, which names ports and addresses"),
 )
 
@@ -114,9 +116,12 @@ def capture(wish: CaptureRequest, fifo: Path) -> None:
     decoding = replace(settings.options, ports=tuple((wish.link, port) for port in _ports(wish)))
     bench = replace(settings, options=decoding).workbench()
     context = bench.columns.context
-    source = _source(wish, np.flatnonzero(context.ports[wish.link]).tolist())
+    ports = np.flatnonzero(context.ports[wish.link]).tolist()
+    streams = np.flatnonzero(context.stream_links == wish.link).tolist()
+    source = _source(wish, ports, streams)
     try:
-        chosen = Selection(links=(wish.link,))
+        # Wireshark needs the handshake as well, which is of no link.
+        chosen = Selection(links=(wish.link,)) if wish.link.transport.udp else Selection()
         with _opened(fifo) as file, reading(source, bench, chosen, patient=True) as loop:
             gone = _watch(file)
             sink = PcapngSink(file)
@@ -140,11 +145,11 @@ def _ports(wish: CaptureRequest) -> list[int]:
     return [*wish.ports, *(parse_endpoint(item, "--listen").port for item in wish.listen)]
 
 
-def _source(wish: CaptureRequest, ports: Sequence[int]) -> DeviceSource:
+def _source(wish: CaptureRequest, ports: Sequence[int], streams: Sequence[int]) -> DeviceSource:
     if wish.listen:
         return UdpSource([parse_endpoint(item, "--listen") for item in wish.listen])
 
-    return open_live(wish.interface, ports)
+    return open_live(wish.interface, ports or [_NO_PORT], streams=streams)
 
 
 def _opened(fifo: Path) -> BinaryIO:

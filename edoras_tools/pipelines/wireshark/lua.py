@@ -89,6 +89,12 @@ def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
             link.label: sorted({int(port) for context in contexts for port in _ports(context, link)})
             for link in contexts[0].links
         },
+        stream_ports={
+            link.label: sorted(
+                {int(port) for item in contexts for port in np.flatnonzero(item.stream_links == link)}
+            )
+            for link in contexts[0].links
+        },
         bridge_ports=sorted({int(port) for item in contexts for port in np.flatnonzero(item.bridge_ports)}),
         cfs_addresses=sorted(
             {str(ipaddress.IPv4Address(address)) for item in contexts for address in item.cfs_addresses}

@@ -1,0 +1,75 @@
+"""Links over TCP in Wireshark: our Lua reads what its TCP and WebSocket dissectors put together."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from racs2_peer import Talk, to_cfs, to_ros
+from streams import frames, sbn_messages, segments_of
+
+from edoras_tools.decode import Context, Dissector
+from edoras_tools.io.frames.linklayer import Demux
+
+
+def capture_of(segments, path):
+    """Write segments as a pcap file; return our own reading of them."""
+    batch = frames(segments)
+    out = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262144, 1)]
+    for offset, length, time_ns in zip(
+        batch.offset.tolist(), batch.length.tolist(), batch.time_ns.tolist(), strict=True
+    ):
+        seconds, rest = divmod(time_ns, 10**9)
+        head = struct.pack("<IIII", seconds, rest // 1000, length, length)
+        out.append(head + batch.data[offset : offset + length].tobytes())
+    path.write_bytes(b"".join(out))
+    demux, dissector = Demux(), Dissector(Context())
+    found = demux.demux(batch)
+    return [dissector.dissect(found[row]) for row in range(len(found))]
+
+
+def said(tshark, capture, *fields):
+    """Return every value of some fields that tshark gives, in order."""
+    asked = [word for name in fields for word in ("-e", name)]
+    how = ["-T", "fields", "-E", "occurrence=a", "-E", "aggregator=,"]
+    lines = tshark().run("-r", capture, *how, *asked).decode().splitlines()
+    columns = zip(*(line.split("\t") for line in lines), strict=True)
+    return [[item for row in column for item in row.split(",") if item] for column in columns]
+
+
+@pytest.mark.parametrize("cuts", [[], [33, 70, 200, 201, 777], range(0, 2000, 64)])
+def test_sbn_messages_of_any_segments(cuts, tshark, tmp_path):
+    messages = sbn_messages(60)
+    ours = capture_of(segments_of(b"".join(messages), cuts), tmp_path / "sbn.pcap")
+    names = ("msg_size", "msg_type", "processor_id", "spacecraft_id")
+    theirs = said(tshark, tmp_path / "sbn.pcap", *(f"sbn.{name}" for name in names), "edoras.link")
+    headers = [item.layer("sbn").values() for item in ours]
+    assert len(ours) == 60
+    for name, values in zip(names, theirs, strict=False):
+        assert [int(value, 0) for value in values] == [item[name] for item in headers]
+
+
+@pytest.mark.parametrize("deflate", [False, True])
+@pytest.mark.parametrize("subprotocol", ["example-protocol", None])
+def test_racs2_messages(deflate, subprotocol, tshark, tmp_path):
+    talk = Talk(deflate=deflate, subprotocol=subprotocol)
+    for number in range(20):
+        talk.cfs.send_binary(to_ros(f"/topic_{number}", bytes([number])))
+        talk.pass_on()
+        talk.ros.send_binary(to_cfs(0x1894 + number, b"body" * number))
+        talk.pass_on()
+    ours = capture_of(talk.segments, tmp_path / "racs2.pcap")
+    topics, ids = said(tshark, tmp_path / "racs2.pcap", "racs2.topic.topic_name", "racs2.message.msg_id")
+    values = [item.layers[0].values() for item in ours if item.layers]
+    assert topics == [item["topic_name"] for item in values if "topic_name" in item]
+    assert [int(item, 0) for item in ids] == [item["msg_id"] for item in values if "msg_id" in item]
+    assert len(topics) == len(ids) == 20
+
+
+def test_foxglove_and_other_text_on_the_port_are_left_to_wireshark(tshark, tmp_path):
+    talk = Talk(subprotocol=None)
+    for number in range(5):
+        talk.ros.send_text(b'{"op":"serverInfo"}' + bytes([48 + number]) * 60)
+        talk.pass_on()
+    capture_of(talk.segments, tmp_path / "other.pcap")
+    assert said(tshark, tmp_path / "other.pcap", "racs2.topic.topic_name", "racs2.message.msg_id") == [[], []]
