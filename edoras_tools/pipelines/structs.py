@@ -12,6 +12,7 @@ from edoras_tools.structs.bindings import Bindings
 from edoras_tools.structs.debug_info.compiler import SOURCE_SUFFIXES, compiled
 from edoras_tools.structs.debug_info.dwarf import DebugInfo, Listed
 from edoras_tools.structs.files import LAYOUT_FILE, load_layout
+from edoras_tools.structs.packets import FPRIME_KEY
 from edoras_tools.structs.shapes import StructLayout
 from edoras_tools.structs.writing import dumps
 from edoras_tools.words import did_you_mean
@@ -50,8 +51,10 @@ class LayoutFile:
     def bound(self) -> dict[str, str]:
         """Return the packets that contain structs, by the structs' names."""
         found: dict[str, list[str]] = {}
+        entries = self._layout.entries
         for key, name in self._layout.bindings.items():
-            found.setdefault(name, []).append(str(key))
+            entry = entries[key.msg_id - FPRIME_KEY] if entries else None
+            found.setdefault(name, []).append(f"{entry.word} {entry.id_text}" if entry else str(key))
         return {name: ", ".join(keys) for name, keys in found.items()}
 
     def layout(
@@ -173,13 +176,15 @@ def take(
 def write_definitions(taken: Taken, folder: Path, *, force: bool = False) -> list[Path]:
     """Write the definitions, ``PACKAGE/msg/NAME.msg``, and the layout, ``structs.yaml``.
 
-    Nothing is written if a file exists with other contents.
+    A dictionary of F Prime is a layout itself, so of one only the definitions are written. Nothing is written
+    if a file exists with other contents.
 
     Raises:
         ConfigError: such a file exists, and ``force`` was not given; or a file cannot be written.
     """
     contents = {folder / f"{name}.msg": text for name, text in taken.messages.texts.items()}
-    contents[folder / LAYOUT_FILE] = dumps(taken.layout)
+    if not taken.layout.entries:
+        contents[folder / LAYOUT_FILE] = dumps(taken.layout)
     others = [path for path, text in contents.items() if not _same(path, text)]
     there = [path for path in others if path.exists()]
     if there and not force:

@@ -4,6 +4,7 @@ import json
 import struct
 import subprocess
 import sys
+from collections import Counter
 from contextlib import closing
 from functools import partial
 
@@ -38,6 +39,8 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.links.fprime import FPRIME
 from edoras_tools.model import Finding, PacketBatch
+from edoras_tools.pipelines.capture.info import inspect
+from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.structs import Structs
 from edoras_tools.structs.files import load_layout
 from edoras_tools.structs.payloads import payloads
@@ -332,6 +335,17 @@ def test_what_keeps_a_connection_alive_is_no_frame():
     whole = [item for item in found if item.startswith(b"\xde\xad\xbe\xef")]
     assert sorted(whole) == sorted(frame for frame, _ in frames)
     assert {item for item in found if item not in whole} == {KEEP_ALIVE}
+
+
+def test_info_counts_every_entry():
+    with closing(open_file(CAPTURE)) as source:
+        report = inspect(source, Settings(structs=[DICTIONARY]).workbench(source.info))
+    counted = {
+        f"/fprime/{row['is']}s/{row['entry'].replace('.', '/')}": row for row in report.summary()["entries"]
+    }
+    wanted = Counter(topic for topic, _, _ in sent())
+    assert {topic: row["count"] for topic, row in counted.items()} == wanted
+    assert counted["/fprime/packets/Motion"]["id"] == "0x0001"
 
 
 def test_a_recording_has_the_topics_and_the_log(tmp_path):

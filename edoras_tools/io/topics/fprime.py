@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.io.topics.rows import Messages, bodies_of
-from edoras_tools.structs.packets import FPRIME_KEY
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.cdr import ENCAPSULATION
 from edoras_tools.wire.order import by_value
@@ -40,7 +39,7 @@ def log_messages(
     table = structs.dictionary
     assert table is not None, "called with one"
     found = payloads(structs, partial(getattr, columns), partial(getattr, batch), batch.data)
-    whole = found.take((found.key >= FPRIME_KEY) & (found.key < table.unknown) & (found.length >= 0))
+    whole = table.whole(found)
     told: list[tuple[int, int, bytes]] = []
     for key, members in by_value(whole.key):
         bound = table[key]

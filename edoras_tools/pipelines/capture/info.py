@@ -10,6 +10,8 @@ from edoras_tools.diagnosis.evidence.copies import Once
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import CaptureReport
 from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.structs.payloads import payloads
+from edoras_tools.wire.order import by_value
 
 if TYPE_CHECKING:
     from edoras_tools.decode.filters.rows import ColumnRows
@@ -34,6 +36,7 @@ class Counting:
     def __init__(self, source: Source, bench: Workbench) -> None:
         self.report = CaptureReport(Ledger(bench.mission), source, notes=bench.columns.context.notes)
         self._once = Once()
+        self._structs = bench.columns.context.structs
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """Add the chosen rows of a batch, and return those that count; the loop must follow conversations."""
@@ -41,6 +44,11 @@ class Counting:
         keep[loop.conversations.left_out()] = False
         kept = rows.take(np.flatnonzero(keep[rows.chosen]))
         self.report.ledger.add(*kept.alone())
+        table = self._structs.dictionary
+        if table is not None:
+            found = table.whole(payloads(self._structs, kept.column, kept.datagram, kept.batch.data))
+            for key, members in by_value(found.key):
+                self.report.entries[table[key].entry] += len(members)
         return kept
 
     def end(self, loop: ReadLoop) -> CaptureReport:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from time import time_ns
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Sink, Source
     from edoras_tools.io.formats.capture_file import CaptureFileSink
     from edoras_tools.io.formats.watched import FileSink, OutputLoss
+    from edoras_tools.mission.fprime import Entry
     from edoras_tools.model import Columns, HostCounters, PacketBatch
     from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.selection import Selection
@@ -88,6 +90,7 @@ class CaptureReport:
         unnamed: see ``Context``.
         losses: outputs that were removed while they were written.
         keep: how many of the oldest files were deleted because no more were to be kept.
+        entries: how often each entry of an F Prime dictionary was seen whole; ``info`` counts them.
     """
 
     ledger: Ledger
@@ -99,6 +102,7 @@ class CaptureReport:
     unnamed: int = 0
     losses: list[OutputLoss] = field(default_factory=list)
     keep: Keep = field(default_factory=Keep)
+    entries: Counter[Entry] = field(default_factory=Counter)
 
     @property
     def lost(self) -> int:
@@ -120,6 +124,7 @@ class CaptureReport:
             "capture_drops": statistics.kernel_drops,
             "outages": [outage.as_json() for outage in statistics.outages],
             "routes": self.ledger.routes(),
+            **({"entries": self._entries()} if self.entries else {}),
             "findings": dict(sorted(self.ledger.findings.items())),
             "warnings": [
                 *self.ledger.mission.warnings,
@@ -129,6 +134,14 @@ class CaptureReport:
                 *map(str, self.losses),
             ],
         }
+
+    def _entries(self) -> list[dict[str, Any]]:
+        """Return the entries of a dictionary, and how often each was seen."""
+        found = sorted(self.entries.items(), key=lambda item: (item[0].kind, item[0].id))
+        return [
+            {"entry": entry.name, "is": entry.word, "id": entry.id_text, "count": count}
+            for entry, count in found
+        ]
 
 
 def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = False) -> None:

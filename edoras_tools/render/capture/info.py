@@ -47,11 +47,24 @@ class _CaptureSummary:
         if self.summary.get("routes"):
             yield Text()
             yield routes(self.summary["routes"], options.max_width)
+        if self.summary.get("entries"):
+            yield Text()
+            yield _entries(self.summary["entries"])
         if self.summary.get("findings"):
             yield Text()
             yield findings(self.summary["findings"], self.summary.get("datagrams", 0), meaning=self.explain)
         for line in self.summary.get("warnings", ()):
             yield plain(f"! {line}", Level.WARNING.style)
+
+
+def _entries(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of the entries of an F Prime dictionary."""
+    grid = Table.grid(padding=(0, 2))
+    grid.add_row(*(plain(name, palette.STRONG) for name in ("F Prime", "ID", "Entry", "Count")))
+    for row in rows:
+        grid.add_row(row["is"], row["id"], plain(row["entry"]), f"{row['count']:,}")
+    grid.columns[3].justify = "right"
+    return grid
 
 
 def contents_lines(summary: Mapping[str, Any]) -> Iterator[str]:

@@ -52,6 +52,11 @@ class EntryTable:
         """Return the entry of a key."""
         return self._bounds[key - FPRIME_KEY]
 
+    def whole(self, found: StructPayloads) -> StructPayloads:
+        """Return those of payloads that are entries and not cut."""
+        known = (found.key >= FPRIME_KEY) & (found.key < self.unknown)
+        return found.take(known & (found.length >= 0))
+
     def in_packet(self, data: bytes, kind: int, at: int, end: int) -> StructPayloads:
         """Return what one packet holds.
 
