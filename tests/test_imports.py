@@ -30,6 +30,10 @@ PUT_OFF = {
     ),
     "io/formats/stream.py": ("zstandard", "only for captures inside zstd data"),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
+    "io/topics/streams.py": (
+        "edoras_tools.io.topics.files",
+        "only where a mission's messages travel as files",
+    ),
     "io/foxglove/server.py": (
         "edoras_tools.io.foxglove.client",
         "websockets, an extra: when the first client comes",

@@ -15,6 +15,7 @@ from edoras_tools.mission.model import (
     Handling,
     Mission,
     Route,
+    StoredTopic,
     TransferLink,
 )
 from edoras_tools.mission.scalars import read_scalar
@@ -27,6 +28,7 @@ __all__ = [
     "Handling",
     "Mission",
     "Route",
+    "StoredTopic",
     "TransferLink",
     "load",
     "loads",

@@ -16,14 +16,23 @@ from edoras_tools.mission.handling import (
     read_handling,
     warn_of_unknown,
 )
-from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Handling, Route, TransferLink
+from edoras_tools.mission.model import (
+    Bridge,
+    FlightLink,
+    GroundLink,
+    Handling,
+    Route,
+    StoredTopic,
+    TransferLink,
+)
 from edoras_tools.mission.report import printable
+from edoras_tools.mission.tree import ScalarNode
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import EnvelopeFormat
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
 
     from edoras_tools.mission.parameters import NodeParameters
     from edoras_tools.mission.report import Mistakes
@@ -89,6 +98,22 @@ def read_transfer(node: NodeParameters, report: Mistakes) -> TransferLink | None
         return None
     port, peer = (fields.integer(name, *_PORT) for name in ("cfdp.port", "cfdp.port_peer"))
     return TransferLink(port, peer, report.file, node.lines["cfdp"]) if port and peer else None
+
+
+def read_stored(node: NodeParameters, check_type: CheckType | None) -> Iterator[StoredTopic]:
+    """Yield the topics of a node of ``data_transfer``, those that it writes first.
+
+    What has no topic, no file or no known type is left out: ``data_transfer`` judges its own file.
+    """
+    for group in ("write_data", "read_data"):
+        listed = node.values.get(group)
+        for key in listed if isinstance(listed, tuple) else ():
+            values = (node.values.get(f"{key.value}.{name}") for name in ("topic", "type", "store_filename"))
+            topic, kind, file = (str(item.value) if isinstance(item, ScalarNode) else "" for item in values)
+            name = file.rpartition("/")[2]
+            known = _TYPE.fullmatch(kind) and (check_type is None or check_type(kind) is None)
+            if name and known and _TOPIC.fullmatch(topic):
+                yield StoredTopic("/" + topic.removeprefix("/"), kind, name)
 
 
 def read_pdu_msg_ids(node: NodeParameters, report: Mistakes) -> tuple[int, ...]:

@@ -14,6 +14,7 @@ from edoras_tools.mission.bridges import (
     is_transfer,
     read_bridge,
     read_pdu_msg_ids,
+    read_stored,
     read_transfer,
 )
 from edoras_tools.mission.framing import FRAMES_GROUP, read_framed_ports
@@ -27,7 +28,15 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping
 
     from edoras_tools.mission.bridges import CheckType, Claims
-    from edoras_tools.mission.model import Bridge, FlightLink, FramedPort, GroundLink, Route, TransferLink
+    from edoras_tools.mission.model import (
+        Bridge,
+        FlightLink,
+        FramedPort,
+        GroundLink,
+        Route,
+        StoredTopic,
+        TransferLink,
+    )
     from edoras_tools.wire.msg_id import MsgIds
 
 _PARAMETERS: Final = b"ros__parameters"
@@ -112,6 +121,7 @@ def _mission(
     whole: list[Bridge] = []
     framed: list[FramedPort] = []
     pdus: list[int] = []
+    stored: list[StoredTopic] = []
     taken: dict[int, str] = {}
     for name, content in contents:
         if content in files.values():
@@ -127,6 +137,7 @@ def _mission(
         nodes = read_nodes(text, report) if text is not None else []
         bridges, transfers = find_bridges(nodes), [node for node in nodes if is_transfer(node)]
         pdus += [item for node in transfers for item in read_pdu_msg_ids(node, report)]
+        stored += [item for node in transfers for item in read_stored(node, check_type)]
         links += [link for node in transfers if (link := read_transfer(node, report)) is not None]
         framing = [node for node in nodes if FRAMES_GROUP in node.groups]
         framed += [port for node in framing for port in read_framed_ports(node, report, taken)]
@@ -153,6 +164,7 @@ def _mission(
         msg_ids,
         tuple(framed),
         tuple(dict.fromkeys(pdus)),
+        tuple(dict.fromkeys(stored)),
     )
 
 

@@ -164,6 +164,21 @@ class TransferLink:
 
 
 @dataclass(frozen=True, slots=True)
+class StoredTopic:
+    """A topic whose messages EDORAS's ``data_transfer`` writes to a file, for CFDP.
+
+    Attributes:
+        topic: with a leading slash.
+        type: ROS type name, ``package/msg/Name``.
+        file_name: of the file, without its folder.
+    """
+
+    topic: str
+    type: str
+    file_name: str
+
+
+@dataclass(frozen=True, slots=True)
 class FramedPort:
     """One of ``frames``: a UDP port to which CCSDS transfer frames come.
 
@@ -216,6 +231,7 @@ class Mission:
         msg_ids: the version of the MsgIds.
         frames: the ports to which transfer frames come; no port twice.
         pdu_msg_ids: of packets that hold a CFDP PDU each, as those of cFS's CF app.
+        stored: topics whose messages travel as files.
     """
 
     routes: tuple[Route, ...] = ()
@@ -226,6 +242,7 @@ class Mission:
     msg_ids: MsgIds = VERSION_1
     frames: tuple[FramedPort, ...] = ()
     pdu_msg_ids: tuple[int, ...] = ()
+    stored: tuple[StoredTopic, ...] = ()
 
     def numbered(self, msg_ids: MsgIds) -> Mission:
         """Return the same mission with the MsgIds that its packets have in another version."""

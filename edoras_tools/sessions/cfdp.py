@@ -119,6 +119,7 @@ class Transaction:
         eof: condition code of EOF.
         finished: condition code of Finished.
         incomplete: whether Finished says that the receiver does not have the whole file.
+        finished_ns: time of the PDU with which it was ``finished``.
     """
 
     source_entity_id: int
@@ -148,6 +149,7 @@ class Transaction:
     eof: int | None = None
     finished: int | None = None
     incomplete: bool = False
+    finished_ns: int | None = None
 
     @property
     def name(self) -> str:
@@ -282,6 +284,8 @@ class Follower:
                     del self._open[key]
                     found = self._begin(key, pdus, first, int(time_ns[0])) or found
                 _directive(found, kind, told)
+            if found.finished_ns is None and found.eof is not None and found.state == "finished":
+                found.finished_ns = int(time_ns[-1])
 
     def _begin(self, key: tuple[int, ...], pdus: Pdus, row: int, time_ns: int) -> Transaction | None:
         if len(self.transactions) >= MOST_TRANSACTIONS:

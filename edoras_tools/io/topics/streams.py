@@ -19,6 +19,7 @@ from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.statistics import LinkStatistics
 from edoras_tools.io.topics.structs import struct_messages
 from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
+from edoras_tools.links.cfdp import CFDP
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
@@ -28,8 +29,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.io.topics.files import FileMessages
     from edoras_tools.io.topics.rows import Messages
-    from edoras_tools.mission import Mission
+    from edoras_tools.mission import Mission, StoredTopic
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.sequence import SequenceCounts
@@ -75,7 +77,7 @@ class PreparedBatch:
 
     Attributes:
         published: i64, publish time of each row, ns since 1970.
-        statistics: the seconds of link statistics that have ended.
+        statistics: the seconds of link statistics that have ended, and files that were transferred.
         added: channel ids of the topics that were added so far, by name.
     """
 
@@ -148,6 +150,7 @@ class Streams:
         self.definitions = {name: types.definition(name) for name in dict.fromkeys(names)}
         self.clock = MissionClock()
         self._latched = LatchedTopics(mission)
+        self._files = _file_messages(mission, types) if mission.stored and add else None
         self._statistics = LinkStatistics(mission, statistics, sequences)
         self._own = len(own)
         self.number(range(len(self.topics)))
@@ -198,6 +201,8 @@ class Streams:
         """
         published = self.clock.publish_times(batch.time_ns, columns)
         told = [self._statistics.messages(batch, columns, self._statistics_id)] if statistics else []
+        if self._files and self._add:
+            told += self._files.messages(batch, columns, self._place_stored)
         if self._latched.routes:
             rows = np.flatnonzero(np.isin(columns.route, self._latched.routes))
             taken, own = batch.take(rows), columns.take(rows)
@@ -268,6 +273,12 @@ class Streams:
             key for key in keys if all(item.topic in self._added for item in self._new.bound_to(key))
         )
 
+    def _place_stored(self, stored: StoredTopic) -> int:
+        for index, route in enumerate(self._mission.routes):
+            if (route.topic, route.type) == (stored.topic, stored.type):
+                return int(self._routes[index])
+        return self._place(Topic(stored.topic, stored.type, {"link": CFDP.label, "file": stored.file_name}))
+
     def _place(self, topic: Topic) -> int:
         """Return the channel of a topic that is added at first use."""
         if topic.name not in self._added:
@@ -278,3 +289,9 @@ class Streams:
     def finish(self) -> Messages:
         """Return the messages of the current second of statistics; all belong to row 0."""
         return self._statistics.finish(self._statistics_id)
+
+
+def _file_messages(mission: Mission, types: TypeStore) -> FileMessages:
+    from edoras_tools.io.topics.files import FileMessages
+
+    return FileMessages(mission, types)

@@ -1,0 +1,103 @@
+"""Messages that CFDP transferred: files of ``data_transfer``, each a ROS message in an EDORAS envelope.
+
+The rules that this file keeps:
+
+1. A file belongs to the topic whose ``store_filename`` ends with the same name. It is written when its
+   transaction has finished, at that time, if every byte was captured and its checksum is not wrong.
+2. It is a message only if it is an envelope with a whole message of the topic's type.
+3. At most ``MOST_BYTES`` of unfinished files are kept; files beyond are left out.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
+from edoras_tools.sessions.cfdp import Follower, Transaction
+from edoras_tools.wire.envelope import detect
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from edoras_tools.mission import Mission, StoredTopic
+    from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.ros import TypeStore
+
+MOST_BYTES: Final = 64 << 20
+
+
+class FileMessages:
+    """Follows CFDP transactions, and makes a message of each file that is one.
+
+    Args:
+        mission: says which files belong to which topics.
+        types: the ROS types.
+    """
+
+    def __init__(self, mission: Mission, types: TypeStore) -> None:
+        self._topics = {item.file_name: item for item in reversed(mission.stored)}
+        self._types = types
+        self._follower = Follower(self._keep, mission.pdu_msg_ids)
+        self._open: dict[Transaction, bytearray] = {}
+        self._bytes = 0
+        self._done: list[tuple[Transaction, StoredTopic, bytes]] = []
+        self._left_out: set[Transaction] = set()
+
+    def _topic(self, item: Transaction) -> StoredTopic | None:
+        names = (item.destination_file_name, item.source_file_name)
+        found = (self._topics.get(name.rpartition("/")[2]) for name in names if name)
+        return next((topic for topic in found if topic), None)
+
+    def _keep(self, item: Transaction, offset: int, piece: bytes) -> None:
+        if item in self._left_out:
+            return
+        kept = self._open.setdefault(item, bytearray())
+        more = max(offset + len(piece) - len(kept), 0)
+        if self._bytes + more > MOST_BYTES:
+            self._finish()
+        if self._bytes + more > MOST_BYTES:
+            self._bytes -= len(self._open.pop(item))
+            self._left_out.add(item)
+            return
+        self._bytes += more
+        kept.extend(bytes(more))
+        kept[offset : offset + len(piece)] = piece
+
+    def _finish(self) -> None:
+        """Take what has finished out of what is kept."""
+        for item in [item for item in self._open if item.finished_ns is not None]:
+            content = bytes(self._open.pop(item))
+            self._bytes -= len(content)
+            self._left_out.add(item)
+            topic, envelope = self._topic(item), detect(content)
+            if topic and envelope and item.complete and item.checksum_right is not False:
+                cdr = content[envelope.size : envelope.size + envelope.parse(content)[0]]
+                self._done.append((item, topic, cdr))
+
+    def messages(
+        self, batch: PacketBatch, columns: Columns, channel: Callable[[StoredTopic], int]
+    ) -> list[Messages]:
+        """Take a batch; return the messages of the files whose transactions finished in it.
+
+        Args:
+            batch: the datagrams.
+            columns: of the same rows.
+            channel: returns the MCAP channel of a topic.
+        """
+        self._follower.add(batch, columns)
+        self._finish()
+        done, self._done = self._done, []
+        made = []
+        for item, topic, cdr in done:
+            data, start = np.frombuffer(cdr, np.uint8), np.zeros(1, np.int64)
+            left = int(self._types.trailing(topic.type, data, start, np.array([len(cdr)], np.int32))[0])
+            if left < 0:
+                continue
+            size, time_ns = np.array([len(cdr) - left]), np.array([item.finished_ns or 0])
+            row = np.minimum(np.searchsorted(batch.time_ns, time_ns), len(batch) - 1)
+            heads, number = np.empty(1, np.dtype(RECORD)), channel(topic)
+            fill_record(heads, number, size, item.transaction_sequence_number & 0xFFFFFFFF, time_ns, time_ns)
+            made.append(Messages(row, number, time_ns, RECORD_BYTES, heads.__getitem__, data, start, size))
+        return made
