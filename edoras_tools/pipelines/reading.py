@@ -70,6 +70,7 @@ class ReadLoop:
             batch is added before it is yielded.
         failure: why the source ended early, if it did.
         begin_ns: time of the first datagram; None before it.
+        first_ns: earliest time of a datagram, also of one outside; None before.
         last_ns: latest time of a datagram, also of one outside; -1 before.
         outside: number of datagrams outside ``examined``.
     """
@@ -86,6 +87,7 @@ class ReadLoop:
     _asked: threading.Event
     failure: CaptureError | None = None
     begin_ns: int | None = None
+    first_ns: int | None = None
     last_ns: int = -1
     outside: int = 0
     _ends_ns: int = 0
@@ -134,7 +136,9 @@ class ReadLoop:
                 if self.begin_ns is None:
                     self.begin_ns = int(whole.time_ns[0])
                     examined, shown = self.examined.since(self.begin_ns), limits.period.since(self.begin_ns)
-                self.last_ns = max(self.last_ns, int(whole.time_ns.max()))
+                earliest, latest = int(whole.time_ns.min()), int(whole.time_ns.max())
+                self.first_ns = earliest if self.first_ns is None else min(self.first_ns, earliest)
+                self.last_ns = max(self.last_ns, latest)
             begin_ns = self.begin_ns or 0
             batch = whole
             if examined:
@@ -156,7 +160,7 @@ class ReadLoop:
                 if not hasattr(self.source, "stop"):
                     return
                 self.source.stop()  # what arrived until now is still read
-        if self.begin_ns is not None and self.begin_ns < _NO_CLOCK_NS <= self.last_ns:
+        if self.first_ns is not None and self.first_ns < _NO_CLOCK_NS <= self.last_ns:
             self.bench.columns.context.notes.append(
                 "some times are before the year 2000 and others are not: a clock was not set, and spans and "
                 "rates over both are wrong; choose one of them with --start and --end"

@@ -404,7 +404,8 @@ def test_a_report_never_overwrites_its_input(call, captures, tmp_path):
     own = tmp_path / "a.pcap"
     shutil.copy(captures("a_rover"), own)
     assert call("report", own, "-o", own).code == 2
-    assert call("report", own, "-o", tmp_path / "no" / "dir.html").code == 1
+    assert call("report", own, "-o", own / "no.html").code == 1
+    assert call("report", own, "-o", tmp_path / "new" / "dir.html").code == 3
 
 
 def test_there_is_no_report_of_what_could_not_be_read(call, captures, tmp_path):

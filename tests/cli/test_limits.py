@@ -125,6 +125,33 @@ def test_garbled_times_are_no_reason_for_memory(limited, captures, missions, tmp
 
 
 @pytest.mark.parametrize(
+    "words",
+    [
+        ["info"],
+        ["plot", "-o", "x.svg"],
+        ["export", "--topic", "/cmd_vel", "-o", "x.csv"],
+        ["record", "-o", "x.mcap"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_clock_that_was_not_set_for_every_second_packet(
+    limited, captures, missions, tmp_path, monkeypatch, words
+):
+    monkeypatch.chdir(tmp_path)
+    data = bytearray(captures("a_rover").read_bytes())
+    place, odd = 24, False
+    while place < len(data):
+        seconds, _, length = struct.unpack_from("<3I", data, place)
+        if odd:
+            struct.pack_into("<I", data, place, seconds - 1_795_000_000)
+        place, odd = place + 16 + length, not odd
+    (tmp_path / "mixed.pcap").write_bytes(data)
+    code, told = limited(resource.RLIMIT_AS, 1000 * MIB, *words, "mixed.pcap", *missions("rover_ground"))
+    assert code == 0
+    assert told.count("some times are before the year 2000 and others are not") == 1
+
+
+@pytest.mark.parametrize(
     "told", ["error return without exception set", "<built-in> returned NULL without setting an exception"]
 )
 def test_python_without_memory_for_its_own_error(told):

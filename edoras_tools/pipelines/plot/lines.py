@@ -26,6 +26,8 @@ _FINEST: Final = 0.1
 """Seconds of the parts in which messages are counted."""
 _BARS: Final = 100
 """Values of a rate, at most."""
+_MOST_PARTS: Final = 1_000_000
+"""Places that messages are spread over."""
 
 
 @dataclass(slots=True)
@@ -94,6 +96,8 @@ class RateCounts:
     ) -> None:
         """Add messages of which only is known between which two times they were.
 
+        Beyond a day they are placed less finely: a clock that is set on the way gives spans of decades.
+
         Args:
             begin: from when, s.
             end: until when, s; not before ``begin``.
@@ -107,11 +111,13 @@ class RateCounts:
         first, last, counts = first[~known], last[~known], numbers[~known]
         self.spread += int(counts.sum())
         start = int(first.min())
-        steps = np.zeros(int(last.max()) - start + 2)
+        coarse = (int(last.max()) - start) // _MOST_PARTS + 1
+        first, last = (first - start) // coarse, (last - start) // coarse
+        steps = np.zeros(int(last.max()) + 2)
         share = counts / (last - first + 1)
-        np.add.at(steps, first - start, share)
-        np.add.at(steps, last - start + 1, -share)
-        self._parts.append(start + np.arange(len(steps) - 1))
+        np.add.at(steps, first, share)
+        np.add.at(steps, last + 1, -share)
+        self._parts.append(start + np.arange(len(steps) - 1) * coarse)
         self._numbers.append(np.cumsum(steps)[:-1].clip(0))
 
     def join(self, other: RateCounts) -> None:

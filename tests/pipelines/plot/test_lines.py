@@ -101,6 +101,18 @@ def test_spans_hold_every_message(spans):
     assert line.values.min() >= 0
 
 
+def test_spans_of_decades_hold_every_message_in_bounded_memory():
+    """A clock that was not set at first: from 1970 to 2026 there are 18,000,000,000 tenths of a second."""
+    made, years = RateCounts(), 1.8e9
+    made.add_spans(np.array([0.0, 5.0, 100.0]), np.array([years, years, 100.05]), np.array([600, 50, 3]))
+    assert (made.total, made.spread) == (653, 650)
+    assert sum(len(part) for part in made._parts) < 1_000_002
+    width = bar_seconds((0.0, years))
+    values = made.line(0, (0.0, years), width).values
+    assert values.sum() * width == pytest.approx(653, rel=0.01)
+    assert values[1:].max() < 2 * values[1:].min(), "evenly"
+
+
 @pytest.mark.parametrize(("end", "width"), [(0.001, 0.1), (9, 0.1), (65.3, 1), (125, 2), (86_400, 1000)])
 def test_rates_are_means_over_round_times(end, width):
     assert bar_seconds((0, end)) == pytest.approx(width)
