@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
+from time import time_ns
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
@@ -282,3 +284,53 @@ def query(
             from edoras_tools.render.terminal.console import output_console
 
             output_console().print(answer_table(names, rows))
+
+
+@archive.command(cls=Command)
+@options.grouped
+def report(
+    *,
+    index: Index = _INDEX,
+    output: Annotated[Path, options.output(help="Output file.")] = Path("archive.html"),
+    quiet: options.Quiet = False,
+    chosen: SpanOptions,
+) -> None:
+    """Write one HTML page: runs over time, trends of losses and latencies, the worst of both."""
+    from edoras_tools.pipelines.archive import check_installed
+
+    check_installed()
+    from edoras_tools.io.outputs import refuse_input
+    from edoras_tools.pipelines.archive.index import open_index
+    from edoras_tools.pipelines.archive.trends import write_archive_report
+    from edoras_tools.render.doctor.report import Made
+
+    refuse_input(output, [index])
+    with open_index(index) as opened:
+        made = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
+        size = write_archive_report(opened, chosen.span(), output, made)
+    if not quiet:
+        sys.stderr.write(f"{output}: {size / 1024:.0f} KiB\n")
+
+
+@archive.command(cls=Command)
+@options.grouped
+def export(
+    *,
+    output: Annotated[Path, options.output(metavar="DIR", help="A new or empty folder.")],
+    index: Index = _INDEX,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing folder.")] = False,
+    printing: options.PrintOptions,
+) -> None:
+    """Write the index as Parquet: a folder for each table, partitioned by date, link and topic."""
+    from edoras_tools.pipelines.archive import check_installed
+
+    check_installed()
+    from edoras_tools.pipelines.archive.dataset import export_dataset
+    from edoras_tools.pipelines.archive.index import open_index
+
+    with open_index(index) as opened:
+        written = export_dataset(opened, output, force=force)
+    if printing.json:
+        print_json({"output": str(output), "rows": written})
+    elif not printing.quiet:
+        sys.stderr.write(f"{output}: {sum(written.values()):,} rows of {len(written)} tables\n")

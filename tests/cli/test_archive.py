@@ -6,14 +6,22 @@ import csv
 import importlib.util
 import io
 import json
+import re
+import shutil
 import subprocess
 import sys
+from html import escape
 
+import duckdb
+import polars as pl
 import pytest
+from effort import long_but
 from places import CAPTURES, MISSIONS
 from schema import held
 
 NAMES = ("a_rover", "b_arm_single")
+DRIVES = 92 + 120
+"""Lost commands: the arm's have the MsgId of the rover's, and its application loses them otherwise."""
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +112,83 @@ def test_query(call, index, monkeypatch):
     assert call("archive", "query", "SELECT 0 / 0.0 AS a", "--json").json()["rows"] == [["NaN"]]
     many = call("archive", "query", "FROM range(1200)").out.splitlines()
     assert (len(many), many[-1]) == (1002, "and 200 rows more: --csv")
+
+
+def test_report(call, index, tmp_path):
+    path = tmp_path / "r.html"
+    done = call("archive", "report", "-o", path)
+    assert (done.code, done.out) == (0, "")
+    text = path.read_text()
+    assert "<h1>" in text
+    assert not re.search(r"(?:src|href)=.(?!#)", text), "it loads nothing"
+    (head,) = re.findall(r'class="end-note lost">(.*?)</p>', text)
+    lost = sum(row["lost"] or 0 for row in call("archive", "list", "--json").json()["captures"])
+    assert head.startswith(f"{lost:,} lost, 0 unaccounted for, in ")
+    table = re.search(r'id="worst-routes".*?</section>', text, re.DOTALL)[0]
+    assert "<td>/cmd_vel</td><td>CI</td>" in table
+    assert f"<td>{DRIVES}</td>" in table
+    assert escape(str(index / "text.pcap")) in re.search(r'id="not-whole".*?</section>', text, re.DOTALL)[0]
+    assert text.count("<svg") == len(re.findall(r"<figure", text)) > 2
+    (index / "<b>.duckdb").write_bytes((index / "x.duckdb").read_bytes())
+    assert call("archive", "report", "-o", path, "--index", index / "<b>.duckdb").code == 0
+    assert "<b>" not in path.read_text()
+    assert call("archive", "report", "-o", path, "--since", "2030-01-01").code == 1
+    assert call("archive", "report", "-o", index / "x.duckdb").code == 2
+
+
+@pytest.mark.parametrize(("width", "scheme"), long_but([(400, "dark")], [(400, "dark"), (1280, "light")]))
+def test_chromium_shows_the_report(width, scheme, call, index, tmp_path):
+    call("archive", "report", "-o", tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text()
+    probe = (
+        "<script>addEventListener('load',()=>{const b=document.body,r=[...document.querySelectorAll('svg')];"
+        "document.title=JSON.stringify({over:b.scrollWidth>innerWidth,charts:r.length,"
+        "empty:r.filter(s=>s.getBoundingClientRect().height<20||!s.childElementCount).length,"
+        "ground:getComputedStyle(b).backgroundColor})})</script>"
+    )
+    (tmp_path / "r.html").write_text(text.replace("</body>", probe + "</body>"))
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    assert browser, "chromium is missing: install it, as apt install chromium"
+    options = ["--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},900", "--dump-dom"]
+    options += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=3000"]
+    options += [f"--blink-settings=preferredColorScheme={0 if scheme == 'dark' else 1}"]
+    done = subprocess.run(
+        [browser, *options, (tmp_path / "r.html").as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    found = json.loads(re.search(r"<title>(\{.*?\})</title>", done.stdout)[1])
+    assert (found["over"], found["empty"], found["charts"]) == (False, 0, text.count("<svg"))
+    red = int(re.search(r"rgb\((\d+)", found["ground"])[1])
+    assert (red < 60) == (scheme == "dark")
+
+
+def test_export_is_read_by_others(call, index, tmp_path, monkeypatch):
+    folder = tmp_path / "it's"
+    done = call("archive", "export", "-o", folder, "--json")
+    said = done.json()
+    assert done.code == 0
+    for name, count in said["rows"].items():
+        assert call("archive", "query", f"SELECT count(*) FROM {name}", "--json").json()["rows"] == [[count]]
+        if not count:
+            assert not (folder / name).exists()
+            continue
+        assert len(pl.scan_parquet(folder / name, hive_partitioning=True).collect()) == count
+    lost = pl.scan_parquet(folder / "outcomes").filter(pl.col("topic") == "/cmd_vel").collect()
+    assert lost["lost"].sum() == DRIVES
+    assert {"date", "link", "topic", "sent"} <= set(lost.columns)
+    monkeypatch.chdir(folder)
+    found = duckdb.sql(
+        "SELECT date, sum(lost) FROM 'outcomes/**/*.parquet' WHERE topic = '/cmd_vel' GROUP BY date"
+    ).fetchall()
+    assert [(str(date), lost) for date, lost in found] == [("2026-11-21", DRIVES)]
+    assert [path.name for path in (folder / "outcomes").iterdir()] == ["date=2026-11-21"]
+    assert call("archive", "export", "-o", folder).code == 2
+    assert call("archive", "export", "-o", folder, "--force", "-q").code == 0
+    assert call("archive", "export", "-o", index / "x.duckdb", "--force").code == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["it's"]
 
 
 @pytest.mark.parametrize(

@@ -142,13 +142,13 @@ class Index:
             if old:
                 for table in TABLES.values():
                     self._connection.execute(
-                        f"DELETE FROM {table.name} WHERE capture IN (SELECT unnest(?))",  # noqa: S608  own names
+                        f"DELETE FROM {table.name} WHERE capture IN (SELECT unnest(?))",
                         [old],
                     )
             for part in parts:
                 for name, rows in part.items():
                     self._connection.register("new_rows", rows)
-                    self._connection.execute(f"INSERT INTO {name} BY NAME SELECT * FROM new_rows")  # noqa: S608
+                    self._connection.execute(f"INSERT INTO {name} BY NAME SELECT * FROM new_rows")
                     self._connection.unregister("new_rows")
 
     def touch(self, items: Iterable[ListedFile]) -> None:

@@ -451,6 +451,7 @@ def test_a_worker_is_no_scheduler(folder, scheduler):
 
 def test_a_lost_scheduler_is_told(folder, monkeypatch):
     lost = LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=60)
+    monkeypatch.setattr(cluster, "_PATIENCE_S", 0.5)
     watch = _Run._watch
     monkeypatch.setattr(_Run, "_watch", lambda run: (lost.close(), watch(run)))
     told = refused(folder, lost.scheduler_address)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 from math import ceil, floor
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from edoras_tools.render.chart import ticks
 
@@ -16,6 +16,18 @@ if TYPE_CHECKING:
 CHART_WIDTH: Final = 720
 CHART_HEIGHT: Final = 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 52, 12, 24, 26
+
+
+class TimeSpan(Protocol):
+    """What a time axis shows.
+
+    Attributes:
+        begin: where it begins, in s of any clock.
+        seconds: how long it is.
+    """
+
+    begin: float
+    seconds: float
 
 
 class Frame:
@@ -30,7 +42,7 @@ class Frame:
     """
 
     def __init__(
-        self, drawn: Plots, y_most: float, unit: str, title: str, height: int = CHART_HEIGHT
+        self, drawn: Plots | TimeSpan, y_most: float, unit: str, title: str, height: int = CHART_HEIGHT
     ) -> None:
         self.begin, self.x_most, self.y_most = drawn.begin, drawn.seconds or 1.0, (y_most or 1.0) * 1.08
         self.unit, self.title, self.height = unit, title, height

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools import __version__
 from edoras_tools.diagnosis.plots import plots
 from edoras_tools.diagnosis.verdict import Severity, alike, group_verdicts
 from edoras_tools.render import units
@@ -16,10 +12,19 @@ from edoras_tools.render.doctor import balance
 from edoras_tools.render.doctor.doctor import clean_to, conclusion, limits, told_of
 from edoras_tools.render.doctor.report import charts
 from edoras_tools.render.doctor.report.links import links_picture
+from edoras_tools.render.doctor.report.parts import (
+    Made,
+    chart_card,
+    colour_key,
+    contents,
+    document,
+    footer,
+    section,
+)
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.diagnosis.plots import Plots
@@ -29,20 +34,6 @@ _MOST_CHARTS: Final = 24
 _MOST_VERDICTS: Final = 200
 _ALIKE: Final = 4
 """Verdicts of one rule from here on share a table."""
-_HEADING: Final = re.compile(r'<section id="([\w-]+)"><h2>(.*?)</h2>')
-
-
-@dataclass(frozen=True, slots=True)
-class Made:
-    """How and when a page was made: its footer.
-
-    Attributes:
-        command: the command line that makes it again.
-        time_ns: when, ns since 1970-01-01 UTC.
-    """
-
-    command: str
-    time_ns: int
 
 
 def page(found: Diagnosis, name: str, made: Made) -> str:
@@ -53,21 +44,13 @@ def page(found: Diagnosis, name: str, made: Made) -> str:
         name: of the source.
         made: for the footer.
     """
-    sections = [_section("Links", [links_picture(found)]), _verdicts(found)]
+    sections = [section("Links", [links_picture(found)]), _verdicts(found)]
     if found.case is not None and found.datagrams:
         drawn = plots(found.case, found.choice)
         sections += [_rates(drawn), _latency(drawn), _time(drawn), _sizes(drawn)]
     sections += [_balance(found), _routes(found), _habits(found)]
-    parts = [_head(found, name), _summary(found), _contents(sections), *sections, _footer(made)]
-    style = (files("edoras_tools.render.doctor.report") / "style.css").read_text(encoding="utf-8")
-    title = escape(f"edoras report: {name}")
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-        + "\n".join(part for part in parts if part)
-        + "\n</body>\n</html>\n"
-    )
+    parts = [_head(found, name), _summary(found), contents(sections), *sections, footer(made)]
+    return document(f"edoras report: {name}", parts)
 
 
 def _head(found: Diagnosis, name: str) -> str:
@@ -103,18 +86,6 @@ def _summary(found: Diagnosis) -> str:
     return f'<table class="summary">{head}{rows}</table>' if rows else ""
 
 
-def _contents(sections: Sequence[str]) -> str:
-    """Return links to the sections of the page."""
-    found = [match for section in sections for match in _HEADING.findall(section)]
-    links = "".join(f'<a href="#{anchor}">{title}</a>' for anchor, title in found)
-    return f'<nav class="dim">{links}</nav>' if len(found) > 1 else ""
-
-
-def _footer(made: Made) -> str:
-    told = f"edoras-tools {__version__}, {units.utc(made.time_ns, digits=0)} UTC"
-    return f'<footer class="dim">{told}<br><code>{escape(made.command)}</code></footer>'
-
-
 def _verdicts(found: Diagnosis) -> str:
     groups = group_verdicts(found.verdicts)
     if not groups:
@@ -130,7 +101,7 @@ def _verdicts(found: Diagnosis) -> str:
     ]
     rest = len(cards) - _MOST_VERDICTS
     more = f'<p class="dim">... and {rest:,} more, in doctor --json</p>' if rest > 0 else ""
-    return _section("Verdicts", [*cards[:_MOST_VERDICTS], more])
+    return section("Verdicts", [*cards[:_MOST_VERDICTS], more])
 
 
 def _many(found: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
@@ -183,28 +154,12 @@ def _when(found: Diagnosis, item: Verdict) -> str:
     return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
 
 
-def _chart(title: str, svg: str, note: str = "") -> str:
-    told = f'<p class="dim">{escape(note)}</p>' if note else ""
-    return f'<figure class="chart"><figcaption><h3>{escape(title)}</h3>{told}</figcaption>{svg}</figure>'
-
-
-def _section(title: str, inside: Iterable[str], lead: str = "") -> str:
-    drawn = "".join(inside)
-    anchor = title.lower().replace(" ", "-")
-    return f'<section id="{anchor}"><h2>{title}</h2>{lead}{drawn}</section>' if drawn else ""
-
-
-def _key(entries: Sequence[tuple[str, str]]) -> str:
-    spans = "".join(f'<span style="background:var(--{colour})"></span>{text}' for colour, text in entries)
-    return f'<p class="key dim">{spans}</p>'
-
-
 def _rates(drawn: Plots) -> str:
-    key = _key((("ci", "CI"), ("to", "TO"), ("sbn", "SBN"), ("error", "lost")))
+    key = colour_key((("ci", "CI"), ("to", "TO"), ("sbn", "SBN"), ("error", "lost")))
     rows = drawn.rates[:_MOST_CHARTS]
-    return _section(
+    return section(
         "Rates against limits",
-        (_chart(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn)) for row in rows),
+        (chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn)) for row in rows),
         key,
     )
 
@@ -215,15 +170,18 @@ def _latency(drawn: Plots) -> str:
         figures = [units.milliseconds(told[name]) for name in ("p50_ms", "p99_ms", "max_ms")]
         return "p50 {}, p99 {}, max {}".format(*figures)
 
-    return _section(
+    return section(
         "Latency through cFS",
-        (_chart(row["label"], charts.delays(row, drawn), note(row)) for row in drawn.delays[:_MOST_CHARTS]),
+        (
+            chart_card(row["label"], charts.delays(row, drawn), note(row))
+            for row in drawn.delays[:_MOST_CHARTS]
+        ),
     )
 
 
 def _time(drawn: Plots) -> str:
     inside = [
-        _chart(
+        chart_card(
             f"Lost on the software bus, {row['label']}",
             charts.counters(row, drawn),
             "from 0x803; solid: over a message limit, dashed: by full pipes",
@@ -232,8 +190,8 @@ def _time(drawn: Plots) -> str:
         if row["limits"][-1] or row["overflows"][-1]
     ]
     if drawn.peers or drawn.events:
-        inside.append(_chart("SBN peers and events", charts.timeline(drawn)))
-    key = _key(
+        inside.append(chart_card("SBN peers and events", charts.timeline(drawn)))
+    key = colour_key(
         (
             ("good", "connected"),
             ("warning", "silent"),
@@ -242,7 +200,7 @@ def _time(drawn: Plots) -> str:
             ("note", "event"),
         )
     )
-    return _section("Over time", inside, key)
+    return section("Over time", inside, key)
 
 
 def _sizes(drawn: Plots) -> str:
@@ -255,7 +213,7 @@ def _sizes(drawn: Plots) -> str:
     )
     head = "<tr><th>route</th><th>link</th><th></th><th>largest</th><th>buffer</th></tr>"
     table = f'<div class="scroll"><table>{head}{rows}</table></div>'
-    return _section("Sizes against buffers", [table] if rows else [])
+    return section("Sizes against buffers", [table] if rows else [])
 
 
 def _balance(found: Diagnosis) -> str:
@@ -286,7 +244,7 @@ def _balance(found: Diagnosis) -> str:
     both = "In and Twice are" if any(name == "duplicated" for name, _ in figures) else "In is"
     lead = f'<p class="dim">{both} the sum of the figures that follow, in every row.</p>'
     table = f'<div class="scroll"><table class="balance"><tr>{head}</tr>{rows}</table></div>'
-    return _section("Balance", [table] if rows else [], lead)
+    return section("Balance", [table] if rows else [], lead)
 
 
 def _routes(found: Diagnosis) -> str:
@@ -318,10 +276,10 @@ def _routes(found: Diagnosis) -> str:
         for row in found.routes
     )
     table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
-    return _section("Accounts", [table] if rows else [])
+    return section("Accounts", [table] if rows else [])
 
 
 def _habits(found: Diagnosis) -> str:
     lines = "".join(f"<li>{escape(item.reason)}</li>" for item in found.habits)
     lead = '<p class="dim">What these senders always do; nothing is wrong with this link for it.</p>'
-    return _section("Habits", [f"<ul>{lines}</ul>"] if lines else [], lead)
+    return section("Habits", [f"<ul>{lines}</ul>"] if lines else [], lead)

@@ -1,0 +1,265 @@
+"""An archive's report as one self-contained HTML page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from html import escape
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.older import UTC
+from edoras_tools.render import units
+from edoras_tools.render.archive.tables import short
+from edoras_tools.render.doctor.report.charts import Frame
+from edoras_tools.render.doctor.report.parts import (
+    chart_card,
+    colour_key,
+    contents,
+    document,
+    footer,
+    section,
+)
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from edoras_tools.render.doctor.report import Made
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_MOST_WORST: Final = 20
+_MOST_ERRORS: Final = 200
+BINS: Final = 60
+"""Bars of a trend."""
+_MARKS: Final = 3
+_DAY_S: Final = 86_400
+_PARTS: Final = {
+    "crossing": "through cFS",
+    "delay": "from publication to the wire",
+    "to_robot": "to the robot",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ArchiveTrends:
+    """What a report shows; rows are as the queries of ``pipelines.archive.trends`` name them.
+
+    Attributes:
+        name: of the index.
+        totals: of all captures with datagrams.
+        runs: a row for each, the oldest first.
+        routes: those with the most losses.
+        trends: routes of several runs: what was sent and is missing, by bin of the whole time.
+        delays: routes with the longest latencies: the 99th percentile of each run.
+        rules: errors and warnings, by rule.
+        errors: why captures are not whole, a line each.
+    """
+
+    name: str
+    totals: dict[str, Any]
+    runs: list[dict[str, Any]]
+    routes: list[dict[str, Any]]
+    trends: list[tuple[dict[str, Any], list[dict[str, Any]]]]
+    delays: list[tuple[dict[str, Any], list[dict[str, Any]]]]
+    rules: list[dict[str, Any]]
+    errors: list[str]
+
+    @property
+    def bin_ns(self) -> int:
+        """Length of a bin."""
+        return bin_ns(self.totals)
+
+
+def bin_ns(totals: dict[str, Any]) -> int:
+    """Return how long a bin of the whole time is."""
+    return max(1, -(-(int(totals["end_ns"]) - int(totals["start_ns"])) // BINS))
+
+
+class _Calendar:
+    """How long a chart is, in s, and when it begins, as ``Frame`` takes it."""
+
+    def __init__(self, found: ArchiveTrends) -> None:
+        self.begin = found.totals["start_ns"] / 1e9
+        self.seconds = max(1.0, (found.totals["end_ns"] - found.totals["start_ns"]) / 1e9)
+
+    def at(self, time_ns: int) -> float:
+        """Return a time as s since the begin."""
+        return float(time_ns / 1e9 - self.begin)
+
+
+class _DateFrame(Frame):
+    """A plot over days or months: the marks of its time axis are dates, or times within a day."""
+
+    def seconds(self) -> list[str]:
+        """Return the marks of the time axis."""
+        marks = []
+        for number in range(_MARKS):
+            share = number / (_MARKS - 1)
+            when = _EPOCH + timedelta(seconds=self.begin + share * self.x_most)
+            text = f"{when:%Y-%m-%d}" if self.x_most > 2 * _DAY_S else f"{when:%d. %H:%M}"
+            style = "first" if number == 0 else "end" if number == _MARKS - 1 else "mid"
+            marks.append(
+                f'<text class="{style}" x="{self.x(share * self.x_most)}" y="{self.height - 8}">{text}</text>'
+            )
+        return marks
+
+
+def archive_page(found: ArchiveTrends, made: Made) -> str:
+    """Return the HTML page.
+
+    Args:
+        found: what the index says.
+        made: for the footer.
+    """
+    calendar = _Calendar(found)
+    sections = [
+        section("Runs over time", _runs(found, calendar)),
+        section("Trends", _trends(found, calendar), colour_key((("error", "lost or unaccounted for"),))),
+        section("Latency", _delays(found, calendar)),
+        section("Worst routes", [_routes(found)] if found.routes else []),
+        section("Worst runs", [_worst(found)] if found.totals["with_loss"] else []),
+        section("Verdicts by rule", [_rules(found)] if found.rules else []),
+        section("Not whole", _errors(found)),
+    ]
+    return document(
+        f"edoras archive report: {found.name}", [_head(found), contents(sections), *sections, footer(made)]
+    )
+
+
+def _head(found: ArchiveTrends) -> str:
+    totals = found.totals
+    missing = totals["lost"] + totals["unaccounted"]
+    style = "lost" if missing else "fine"
+    sent = sum(row["sent"] for row in found.runs)
+    of = f", {_percent(missing, sent)} of {sent:,} sent" if sent and missing else ""
+    told = (
+        f"{totals['lost']:,} lost, {totals['unaccounted']:,} unaccounted for, in "
+        f"{totals['with_loss']:,} of {plural(totals['captures'], 'run')}{of}"
+    )
+    when = f"{units.utc(totals['start_ns'], digits=0)} to {units.utc(totals['end_ns'], digits=0)} UTC"
+    return (
+        f"<header><h1>{escape(short(found.name))}</h1>"
+        f'<p class="dim">{plural(totals["captures"], "run")}, {totals["datagrams"]:,} datagrams, '
+        f"{units.duration(totals['seconds'])} in all, {when}</p>"
+        f'<p class="end-note {style}">{told}</p></header>'
+    )
+
+
+def _runs(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
+    shares = [
+        (calendar.at(row["start_ns"]), 100 * (row["lost"] + row["unaccounted"]) / row["sent"], row["worst"])
+        for row in found.runs
+        if row["sent"]
+    ]
+    most = max((share for _, share, _ in shares), default=0.0)
+    frame = _DateFrame(calendar, most or 1.0, "% missing", "share of each run's messages that is missing")
+    for lossy, style in ((False, "run"), (True, "run lossy")):
+        frame.dots(_apart(frame, ((x, y) for x, y, _ in shares if bool(y) is lossy)), style)
+    yield chart_card("Missing of what was sent, a dot for each run", frame.svg())
+    counts = [0.0] * _bins(found)
+    for row in found.runs:
+        counts[min((row["start_ns"] - found.totals["start_ns"]) // found.bin_ns, len(counts) - 1)] += 1
+    frame = _DateFrame(calendar, max(counts), "runs", "runs over time")
+    frame.bars(counts, [0.0] * len(counts), found.bin_ns / 1e9, "seen other")
+    yield chart_card("Runs", frame.svg(), f"a bar is {units.duration(found.bin_ns / 1e9)}")
+
+
+def _bins(found: ArchiveTrends) -> int:
+    span = int(found.totals["end_ns"]) - int(found.totals["start_ns"])
+    return max(1, -(-span // found.bin_ns))
+
+
+def _apart(frame: Frame, points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the points that can be told apart in the picture, however many there are."""
+    return list({(frame.x(x), frame.y(y)): (x, y) for x, y in points}.values())
+
+
+def _trends(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
+    for row, bins in found.trends:
+        values = [0.0] * _bins(found)
+        for item in bins:
+            if item["sent"]:
+                values[min(item["bin"], len(values) - 1)] = 100 * item["missing"] / item["sent"]
+        frame = _DateFrame(calendar, max(values), "% missing", f"share of {row['route']} that is missing")
+        frame.bars(values, [0.0] * len(values), found.bin_ns / 1e9, "missing")
+        missing = row["lost"] + row["unaccounted"]
+        runs = f"{row['with_loss']:,} of {plural(row['captures'], 'run')}"
+        note = f"{missing:,} of {row['sent']:,} missing, in {runs}"
+        yield chart_card(f"{row['route']}, {row['link'].upper()}".rstrip(", "), frame.svg(), note)
+
+
+def _delays(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
+    for row, delays in found.delays:
+        frame = _DateFrame(calendar, row["p99_ms"], "ms", f"latency of {row['route']}")
+        frame.dots(_apart(frame, ((calendar.at(item["start_ns"]), item["p99_ms"]) for item in delays)), "dot")
+        note = (
+            f"a dot is the 99th percentile of a run, the highest {units.milliseconds(row['p99_ms'])}; "
+            f"{row['timed']:,} messages in {plural(row['captures'], 'run')}"
+        )
+        yield chart_card(f"{row['route']}, {row['link'].upper()}, {_PARTS[row['part']]}", frame.svg(), note)
+
+
+def _routes(found: ArchiveTrends) -> str:
+    rows = (
+        (
+            row["route"],
+            row["link"].upper(),
+            f"{row['with_loss']:,} of {row['captures']:,}",
+            units.count(row["sent"]),
+            units.count(row["lost"]),
+            units.count(row["unaccounted"]),
+            _percent(row["lost"] + row["unaccounted"], row["sent"]),
+        )
+        for row in found.routes
+    )
+    return _table(("route", "link", "runs with loss", "sent", "lost", "unaccounted", "missing"), rows)
+
+
+def _worst(found: ArchiveTrends) -> str:
+    runs = sorted(found.runs, key=lambda row: (-(row["lost"] + row["unaccounted"]), row["capture"]))
+    rows = (
+        (
+            short(row["capture"]),
+            units.utc(row["start_ns"], digits=0),
+            row["worst"] or "",
+            units.count(row["datagrams"]),
+            units.count(row["lost"]),
+            units.count(row["unaccounted"]),
+            _percent(row["lost"] + row["unaccounted"], row["sent"]),
+        )
+        for row in runs[:_MOST_WORST]
+        if row["lost"] + row["unaccounted"]
+    )
+    return _table(("run", "began (UTC)", "worst", "datagrams", "lost", "unaccounted", "missing"), rows)
+
+
+def _rules(found: ArchiveTrends) -> str:
+    rows = (
+        (
+            row["rule"],
+            row["severity"],
+            row["example"],
+            units.count(row["captures"]),
+            units.count(row["verdicts"]),
+            units.count(row["lost"]),
+        )
+        for row in found.rules
+    )
+    return _table(("rule", "severity", "for example", "runs", "verdicts", "lost"), rows)
+
+
+def _errors(found: ArchiveTrends) -> Iterable[str]:
+    if found.errors:
+        lines = "".join(f"<li>{escape(line)}</li>" for line in found.errors[:_MOST_ERRORS])
+        rest = len(found.errors) - _MOST_ERRORS
+        yield f"<ul>{lines}</ul>" + (f'<p class="dim">and {rest:,} more</p>' if rest > 0 else "")
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    head = "".join(f"<th>{item}</th>" for item in heads)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    return f'<div class="scroll"><table><tr>{head}</tr>{body}</table></div>'
+
+
+def _percent(missing: int, sent: int) -> str:
+    return f"{100 * missing / sent:.3g} %" if sent else units.NONE

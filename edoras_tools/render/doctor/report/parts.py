@@ -1,0 +1,74 @@
+"""What every page is put together from: its frame, sections, charts in cards, and its footer."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools import __version__
+from edoras_tools.render import units
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+_HEADING: Final = re.compile(r'<section id="([\w-]+)"><h2>(.*?)</h2>')
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """How and when a page was made: its footer.
+
+    Attributes:
+        command: the command line that makes it again.
+        time_ns: when, ns since 1970-01-01 UTC.
+    """
+
+    command: str
+    time_ns: int
+
+
+def document(title: str, parts: Iterable[str]) -> str:
+    """Return a whole page: it loads nothing from elsewhere."""
+    style = (files("edoras_tools.render.doctor.report") / "style.css").read_text(encoding="utf-8")
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        + "\n".join(part for part in parts if part)
+        + "\n</body>\n</html>\n"
+    )
+
+
+def contents(sections: Sequence[str]) -> str:
+    """Return links to the sections of the page."""
+    found = [match for section in sections for match in _HEADING.findall(section)]
+    links = "".join(f'<a href="#{anchor}">{title}</a>' for anchor, title in found)
+    return f'<nav class="dim">{links}</nav>' if len(found) > 1 else ""
+
+
+def footer(made: Made) -> str:
+    """Return how and when the page was made."""
+    told = f"edoras-tools {__version__}, {units.utc(made.time_ns, digits=0)} UTC"
+    return f'<footer class="dim">{told}<br><code>{escape(made.command)}</code></footer>'
+
+
+def chart_card(title: str, svg: str, note: str = "") -> str:
+    """Return a chart below its title, and a note on it."""
+    told = f'<p class="dim">{escape(note)}</p>' if note else ""
+    return f'<figure class="chart"><figcaption><h3>{escape(title)}</h3>{told}</figcaption>{svg}</figure>'
+
+
+def section(title: str, inside: Iterable[str], lead: str = "") -> str:
+    """Return a section; empty where nothing is in it."""
+    drawn = "".join(inside)
+    anchor = title.lower().replace(" ", "-")
+    return f'<section id="{anchor}"><h2>{title}</h2>{lead}{drawn}</section>' if drawn else ""
+
+
+def colour_key(entries: Sequence[tuple[str, str]]) -> str:
+    """Return what colours mean: each with its text."""
+    spans = "".join(f'<span style="background:var(--{colour})"></span>{text}' for colour, text in entries)
+    return f'<p class="key dim">{spans}</p>'
