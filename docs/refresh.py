@@ -363,6 +363,8 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
             "envelope.DEFAULT",
             "cdr.ENCAPSULATION",
             "cfdp.PDU_HEADER",
+            "fprime.FRAME",
+            "fprime.PACKET",
             *(f"transfer_frames.headers.{name}" for name in ("TM", "AOS", "AOS_PACKETS", "TC", "TC_SEGMENT")),
         )
     },

@@ -100,7 +100,8 @@ def limits(found: Diagnosis) -> list[str]:
     lines = [item.told for item in found.unnamed]
     if other := found.left_out - found.capture.cut - sum(item.datagrams for item in found.unnamed):
         lines.append(
-            f"{plural(other, 'datagram')} not examined: states that a robot sends, or traffic of no link"
+            f"{plural(other, 'datagram')} not examined: states that a robot sends, or traffic of another "
+            "link or of none"
         )
     if found.capture.cut:
         lines.append(
