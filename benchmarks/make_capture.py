@@ -2,7 +2,7 @@
 
 They come round and round, each with the time and the sequence count that it would have had.
 
-Run: python benchmarks/make_capture.py FILE [PACKETS]
+Run: python benchmarks/make_capture.py FILE [PACKETS] [--cfdp PERCENT]
 """
 
 from __future__ import annotations
@@ -10,7 +10,16 @@ from __future__ import annotations
 import argparse
 import struct
 from collections import defaultdict
+from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edoras_tools.ros import TypeStore
+from edoras_tools.wire import cfdp
+from edoras_tools.wire.envelope import DEFAULT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 SAMPLES = Path(__file__).parents[1] / "samples" / "captures"
 STEP_US = 100
@@ -41,18 +50,46 @@ def frames() -> list[tuple[bytearray, int, bytes]]:
     return found
 
 
+def transfers() -> Iterator[bytes]:
+    """Yield frames of one file after the other, as EDORAS's ``data_transfer`` sends laser scans: class 1."""
+    scan = TypeStore().encode("sensor_msgs/msg/LaserScan", {"ranges": [1.5] * 7000})
+    content = DEFAULT.emit(scan)
+    head = (
+        bytes(12) + struct.pack(">HBBHHHBBH", 0x800, 0x45, 0, 0, 0, 0, 64, 17, 0) + bytes([127, 0, 0, 1]) * 2
+    )
+    for number in count(1):
+        told = cfdp.PDU_LAYOUTS[0][cfdp.Directive.METADATA].emit({"file_size": len(content)})
+        total = {"file_checksum": cfdp.modular_checksum(content, 0), "file_size": len(content)}
+        field = [bytes([cfdp.Directive.METADATA]) + told + b"\x04scan\x04scan"]
+        field += [struct.pack(">I", at) + content[at : at + 1000] for at in range(0, len(content), 1000)]
+        field += [
+            bytes([cfdp.Directive.EOF]) + cfdp.PDU_LAYOUTS[0][cfdp.Directive.EOF].emit(total),
+        ]
+        for place, body in enumerate(field):
+            piece = 0 < place < len(field) - 1
+            values = {"pdu_type": piece, "transmission_mode": 1, "sequence_number_length": 3}
+            pdu = cfdp.PDU_HEADER.emit({**values, "version": 1, "pdu_data_field_length": len(body)})
+            payload = pdu + struct.pack(">BIB", 1, number, 2) + body
+            udp = struct.pack(">HHHH", 5111, 5222, 8 + len(payload), 0) + payload
+            yield head[:16] + struct.pack(">H", 20 + len(udp)) + head[18:] + udp
+
+
 def main() -> None:
     """Write the file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("path", type=Path)
     parser.add_argument("packets", type=int, nargs="?", default=1_000_000)
+    parser.add_argument("--cfdp", type=int, default=0, help="percent of the packets that are CFDP")
     options = parser.parse_args()
     pool = frames()
     counts: dict[bytes, int] = defaultdict(int)
+    files = transfers()
     with options.path.open("wb") as file:
         file.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262144, 1))
         for number in range(options.packets):
             frame, at, owner = pool[number % len(pool)]
+            if number % 100 < options.cfdp:
+                frame, at = next(files), 0
             if at:
                 struct.pack_into(">H", frame, at, 0xC000 | counts[owner] & 0x3FFF)
                 counts[owner] += 1

@@ -65,6 +65,26 @@ def doctor(folder: Path, packets: int) -> dict[str, object]:
     return {"packets": packets, **found}
 
 
+def files(folder: Path) -> dict[str, object]:
+    """Record with 30 % CFDP, whose files are messages, beside the same traffic without: CPU a packet."""
+    packets = 300_000
+    plain, mixed = captured(folder, packets), folder / "cfdp.pcap"
+    subprocess.run(
+        [sys.executable, HERE / "make_capture.py", mixed, str(packets), "--cfdp", "30"], check=True
+    )
+    transfer = folder / "transfer.yaml"
+    scan = '{type: "sensor_msgs/msg/LaserScan", topic: "/scan", store_filename: "scan"}'
+    transfer.write_text(f"/**: {{ros__parameters: {{write_data: [scan], scan: {scan}}}}}")
+    target = folder / "files.mcap"
+
+    def one(path: Path) -> dict[str, float]:
+        target.unlink(missing_ok=True)
+        told = command([EDORAS, "record", "-q", "-r", path, *TWO_ROVERS, "-c", transfer, "-o", target])
+        return {"cpu_us": told["cpu_s"] / packets * 1e6}
+
+    return alternated({"without": partial(one, plain), "30 % CFDP": partial(one, mixed)})
+
+
 def messages() -> dict[str, object]:
     """One message decoded, us of CPU: beside rosbags, and beside a copy of its bytes."""
     store, peer = TypeStore(), get_typestore(Stores.ROS2_JAZZY)
@@ -242,6 +262,7 @@ def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, obje
     return {
         "texts": partial(texts, folder),
         "doctor": partial(doctor, folder, packets),
+        "files": partial(files, folder),
         "messages": messages,
         "inject": partial(inject, folder),
         "relays": partial(relays, folder),

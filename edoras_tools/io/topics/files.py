@@ -17,6 +17,7 @@ import numpy as np
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
 from edoras_tools.sessions.cfdp import Follower, Transaction
 from edoras_tools.wire.envelope import detect
+from edoras_tools.wire.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -89,15 +90,34 @@ class FileMessages:
         self._follower.add(batch, columns)
         self._finish()
         done, self._done = self._done, []
-        made = []
-        for item, topic, cdr in done:
-            data, start = np.frombuffer(cdr, np.uint8), np.zeros(1, np.int64)
-            left = int(self._types.trailing(topic.type, data, start, np.array([len(cdr)], np.int32))[0])
-            if left < 0:
-                continue
-            size, time_ns = np.array([len(cdr) - left]), np.array([item.finished_ns or 0])
-            row = np.minimum(np.searchsorted(batch.time_ns, time_ns), len(batch) - 1)
-            heads, number = np.empty(1, np.dtype(RECORD)), channel(topic)
-            fill_record(heads, number, size, item.transaction_sequence_number & 0xFFFFFFFF, time_ns, time_ns)
-            made.append(Messages(row, number, time_ns, RECORD_BYTES, heads.__getitem__, data, start, size))
-        return made
+        by_topic: dict[StoredTopic, list[tuple[Transaction, bytes]]] = {}
+        for item, topic, cdr in sorted(done, key=lambda item: item[0].finished_ns or 0):
+            by_topic.setdefault(topic, []).append((item, cdr))
+        made = (self._of_topic(batch, topic, items, channel) for topic, items in by_topic.items())
+        return [item for item in made if item is not None]
+
+    def _of_topic(
+        self,
+        batch: PacketBatch,
+        topic: StoredTopic,
+        items: list[tuple[Transaction, bytes]],
+        channel: Callable[[StoredTopic], int],
+    ) -> Messages | None:
+        """Return the messages of one topic's files that hold one each; None if none does."""
+        data = np.frombuffer(b"".join(cdr for _, cdr in items) + bytes(PADDING), np.uint8)
+        length = np.array([len(cdr) for _, cdr in items], np.int32)
+        offset = np.cumsum(length, dtype=np.int64) - length
+        left = self._types.trailing(topic.type, data, offset, length)
+        whole = left >= 0
+        if not whole.any():
+            return None
+        size, offset = (length - left)[whole], offset[whole]
+        chosen = [item for (item, _), good in zip(items, whole.tolist(), strict=True) if good]
+        time_ns = np.array([item.finished_ns for item in chosen], np.int64)
+        count = np.array([item.transaction_sequence_number & 0xFFFFFFFF for item in chosen])
+        row = np.minimum(np.searchsorted(batch.time_ns, time_ns), len(batch) - 1)
+        heads, number = np.empty(len(chosen), np.dtype(RECORD)), channel(topic)
+        fill_record(heads, number, size, count, time_ns, time_ns)
+        return Messages(
+            *(row, number, time_ns, RECORD_BYTES, heads.__getitem__, data, offset, size), repeats=True
+        )
