@@ -288,3 +288,22 @@ def test_the_output_is_a_new_json_file(call, tmp_path):
     done = call("export", MARKERS, "-o", path)
     assert (done.code, path.read_text()) == (2, "before")
     assert call("export", MARKERS, "-o", path, "--force").code == 0
+
+
+def test_files_that_the_cf_app_sent(call, tmp_path):
+    """A file of 9 PDUs came whole; of one of 19 the last 9 were lost at TO's pipe, as the console says."""
+    given = (FILES / "cf_transfer.pcap", "-c", FILES / "cf.yaml")
+    done = call("files", *given, "-o", tmp_path / "out", "--json")
+    whole, cut = done.json()["transactions"]
+    assert (whole["state"], cut["state"], done.code) == ("finished", "not finished", 3)
+    (taken,) = (tmp_path / "out").glob("*evs.log")
+    assert taken.read_bytes() == (FILES / "cf_events.log").read_bytes()
+
+
+def test_losses_behind_the_last_message_are_those_that_events_name(call):
+    done = call("doctor", FILES / "cf_transfer.pcap", "-c", FILES / "cf.yaml", "--json").json()
+    (route,) = (item for item in done["routes"] if item["msg_id"] == "0x08c2")
+    assert (route["sent"], route["seen"], route["lost"]) == (29, 20, 9)
+    assert {item["rule"]: item["lost"] for item in done["verdicts"] if item["lost"]} == {
+        "to_message_limit": 9
+    }

@@ -169,21 +169,28 @@ class Leftover:
         known = self._known
         found = []
         for reported, said in known.reported_losses.items():
-            # What leaves by a pipe and is seen behind it has gaps, which are counted there.
-            gaps = (reported.at_output or reported.at_peer) and any(
-                stream.msg_id == reported.msg_id and stream.link.peers == reported.at_peer
+            if (reported.instance, reported.kind) != (instance, kind):
+                continue
+            out = [
+                stream
                 for stream in known.streams
-            )
-            if (reported.instance, reported.kind) != (instance, kind) or gaps:
+                if (reported.at_output or reported.at_peer)
+                and stream.msg_id == reported.msg_id
+                and stream.link.peers == reported.at_peer
+            ]
+            # What leaves by a pipe and is seen behind it has gaps, which are counted there; what is lost
+            # behind the last message that was seen leaves none.
+            if any(known.captured(stream)[-1] > said.first_ns for stream in out):
                 continue
             fate = self._fed(reported, instance)
             if fate is None or not fate.seen:
                 stream = fate.stream if fate else None
-                found.append(
-                    Candidate(
-                        known, instance, kind, reported.msg_id, reported.pipe, stream, reported.sender, said
-                    )
+                item = Candidate(
+                    known, instance, kind, reported.msg_id, reported.pipe, stream, reported.sender, said
                 )
+                if stream is None and len(out) == 1:
+                    item.stream = out[0]
+                found.append(item)
         if not found and kind == "limit":
             found = list(self._suspects(instance))
         for item in found:

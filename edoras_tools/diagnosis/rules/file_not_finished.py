@@ -8,6 +8,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.cfdp import CFDP
 from edoras_tools.units import SECOND
 from edoras_tools.wire.cfdp import ConditionCode
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,7 +34,8 @@ def judge(case: Case) -> Iterator[Verdict]:
             severity = Severity.NOTE if going_on else Severity.ERROR
             how = "was not finished when the capture ended" if going_on else "was never finished"
         size = "?" if item.file_size is None else f"{item.file_size:,}"
-        seen = ["was not" if told is None else "was" for told in (item.eof, item.finished)]
+        ends = {"EOF": item.eof, **({"Finished": item.finished} if item.acknowledged else {})}
+        seen = [f"{name} was {'not ' * (told is None)}captured" for name, told in ends.items()]
         yield Verdict(
             ID,
             severity,
@@ -43,8 +45,8 @@ def judge(case: Case) -> Iterator[Verdict]:
             start_ns=item.first_ns,
             end_ns=item.last_ns,
             evidence=(
-                f"EOF {seen[0]} captured, Finished {seen[1]}",
-                f"{len(item.holes):,} holes, {item.naks:,} NAKs that ask for something",
+                ", ".join(seen),
+                f"{plural(len(item.holes), 'hole')}, {plural(item.naks, 'NAK')} that ask for something",
             ),
             remedy="look at both entities, and at what lies between; edoras files takes out what there is",
         )
