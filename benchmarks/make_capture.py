@@ -1,8 +1,9 @@
 """Write a large capture of mixed CI, TO and SBN traffic, made of the sample captures' own datagrams.
 
-They come round and round, each with the time and the sequence count that it would have had.
+They come round and round, each with the time and the sequence count that it would have had. With ``--tcp``,
+this share of the frames is SBN over TCP, the same messages: most alone in a segment, one in ten cut in two.
 
-Run: python benchmarks/make_capture.py FILE [PACKETS] [--cfdp PERCENT]
+Run: python benchmarks/make_capture.py FILE [PACKETS] [--cfdp PERCENT] [--tcp PERCENT]
 """
 
 from __future__ import annotations
@@ -74,14 +75,53 @@ def transfers() -> Iterator[bytes]:
             yield head[:16] + struct.pack(">H", 20 + len(udp)) + head[18:] + udp
 
 
+def is_message(frame: bytearray) -> bool:
+    """Return whether it holds an SBN message of the size that its header says."""
+    size = len(frame) - PAYLOAD - SBN_HEADER
+    network = struct.unpack_from(">H", frame, 36)[0] in SBN_PORTS
+    return network and size >= 0 and struct.unpack_from(">h", frame, PAYLOAD)[0] == size
+
+
+class Streams:
+    """SBN messages of some datagrams as TCP segments, one direction a connection."""
+
+    def __init__(self, pool: list[tuple[bytearray, int, bytes]]) -> None:
+        self._pool = [item for item in pool if is_message(item[0])]
+        self._next: dict[bytes, int] = defaultdict(int)
+        self._turn = 0
+        self._waiting: list[bytes] = []
+
+    def frame(self, counts: dict[bytes, int]) -> bytes:
+        """Return the next frame."""
+        if not self._waiting:
+            datagram, at, owner = self._pool[self._turn % len(self._pool)]
+            self._turn += 1
+            if at:
+                struct.pack_into(">H", datagram, at, 0xC000 | counts[owner] & 0x3FFF)
+                counts[owner] += 1
+            message = bytes(datagram[PAYLOAD:])
+            cut = len(message) // 2 if self._turn % 10 == 0 else len(message)
+            self._waiting = [self._segment(datagram, part) for part in (message[:cut], message[cut:]) if part]
+        return self._waiting.pop(0)
+
+    def _segment(self, datagram: bytearray, data: bytes) -> bytes:
+        ends = bytes(datagram[26:38])
+        tcp = ends[8:] + struct.pack(">IIBBHHH", self._next[ends] & 0xFFFFFFFF, 1, 5 << 4, 24, 65535, 0, 0)
+        self._next[ends] += len(data)
+        head = struct.pack(">BBHHHBBH", 0x45, 0, 40 + len(data), 0, 0, 64, 6, 0) + ends[:8]
+        return bytes(datagram[:14]) + head + tcp + data
+
+
 def main() -> None:
     """Write the file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("path", type=Path)
     parser.add_argument("packets", type=int, nargs="?", default=1_000_000)
     parser.add_argument("--cfdp", type=int, default=0, help="percent of the packets that are CFDP")
+    parser.add_argument("--tcp", type=int, default=0)
     options = parser.parse_args()
     pool = frames()
+    streams = Streams(pool)
     counts: dict[bytes, int] = defaultdict(int)
     files = transfers()
     with options.path.open("wb") as file:
@@ -90,6 +130,8 @@ def main() -> None:
             frame, at, owner = pool[number % len(pool)]
             if number % 100 < options.cfdp:
                 frame, at = next(files), 0
+            if number % 100 < options.tcp:
+                frame, at = streams.frame(counts), 0
             if at:
                 struct.pack_into(">H", frame, at, 0xC000 | counts[owner] & 0x3FFF)
                 counts[owner] += 1

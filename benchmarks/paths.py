@@ -15,9 +15,10 @@ MISSIONS = [ROOT / f"samples/missions/two_rovers_{side}.yaml" for side in ("grou
 TWO_ROVERS = [argument for path in MISSIONS for argument in ("-c", str(path))]
 
 
-def captured(folder: Path, packets: int) -> Path:
-    """Return a capture of mixed traffic, made where the folder has none."""
-    capture = folder / f"{packets}.pcap"
+def captured(folder: Path, packets: int, tcp: int = 0) -> Path:
+    """Return a capture of mixed traffic, ``tcp`` % of it over TCP, made where the folder has none."""
+    capture = folder / (f"{packets}_tcp_{tcp}.pcap" if tcp else f"{packets}.pcap")
     if not capture.exists():
-        subprocess.run([sys.executable, HERE / "make_capture.py", capture, str(packets)], check=True)
+        make = [sys.executable, HERE / "make_capture.py", capture, str(packets), "--tcp", str(tcp)]
+        subprocess.run(make, check=True)
     return capture

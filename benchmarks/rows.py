@@ -52,6 +52,21 @@ def texts(folder: Path) -> dict[str, object]:
     )
 
 
+def tcp(folder: Path, packets: int) -> dict[str, object]:
+    """Record with 30 % of the frames SBN over TCP, beside record without; one process, so CPU time tells."""
+    ways = {
+        name: partial(
+            command,
+            [
+                *[EDORAS, "record", "-q", "--force", "--jobs", "1", "-r", captured(folder, packets, share)],
+                *[*TWO_ROVERS, "-o", folder / "tcp.mcap"],
+            ],
+        )
+        for name, share in {"without": 0, "30 % TCP": 30}.items()
+    }
+    return {"packets": packets, **alternated(ways)}
+
+
 def doctor(folder: Path, packets: int) -> dict[str, object]:
     """Doctor and report beside info."""
     capture = captured(folder, packets)
@@ -261,6 +276,7 @@ def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, obje
     """Return the measurements by name; so many packets are examined by the doctor."""
     return {
         "texts": partial(texts, folder),
+        "tcp": partial(tcp, folder, packets),
         "doctor": partial(doctor, folder, packets),
         "files": partial(files, folder),
         "messages": messages,

@@ -192,7 +192,7 @@ def main() -> None:
         "--only",
         choices=[
             *("record", "memory", "live", "startup", "pacing"),
-            *("texts", "doctor", "files", "messages", "inject", "relays", "shares", "limits"),
+            *("texts", "tcp", "doctor", "files", "messages", "inject", "relays", "shares", "limits"),
             *("proxy", "bridge", "foxglove", "where", "lua", "codegen", "tui", "export"),
         ],
     )

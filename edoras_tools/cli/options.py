@@ -387,6 +387,7 @@ class RelayName(StrEnum):
     TO = "to"
     SBN = "sbn"
     CFDP = "cfdp"
+    RACS2 = "racs2"
 
 
 DISTRO: Final = "jazzy"

@@ -15,7 +15,7 @@ from edoras_tools.cli.listening import tell_reach
 from edoras_tools.cli.live import RelayOutputOptions, Show
 from edoras_tools.cli.output import print_json
 from edoras_tools.cli.sending import DryRun, Yes, confirm_targets, endpoint
-from edoras_tools.errors import EdorasError
+from edoras_tools.errors import ConfigError, EdorasError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -79,6 +79,13 @@ class RelayOptions(NamedTuple):
             help="Messages per second: for each MsgId, for one topic or MsgId, or for all=HZ; repeatable.",
         ),
     ] = None
+    tcp: Annotated[bool, typer.Option("--tcp", help="Relay TCP connections, not datagrams.")] = False
+    cut: Annotated[
+        int | None,
+        typer.Option(
+            metavar="TIME", parser=options.duration, help="With --tcp: cut each connection after this time."
+        ),
+    ] = None
 
 
 class TimeOptions(NamedTuple):
@@ -133,6 +140,12 @@ def proxy(
         headers=bench.columns.context.headers,
         idle_ns=_IDLE_NS if times.idle is None else times.idle or _NEVER_NS,
     )
+    streams = relayed.tcp or not link.transport.udp
+    if relayed.cut and not streams:
+        raise ConfigError("--cut is for TCP connections: add --tcp")
+    if streams and not dry_run:
+        _relay_streams(plan, relayed, outputs, times, printing, confirmed=yes)
+        return
     if dry_run:
         if json:
             print_json(plan.summary())
@@ -146,6 +159,46 @@ def proxy(
         tell_reach(relayed.bind, "answer as the target")
     failure = _run(relay, output, times.duration or 0, keyboard=asks, quiet=quiet or json)
     finish_relay(relay, view.outcome, view.notes, output, printing, failure)
+
+
+def _relay_streams(
+    plan: ProxyPlan,
+    relayed: RelayOptions,
+    outputs: RelayOutputOptions,
+    times: TimeOptions,
+    printing: options.PrintOptions,
+    *,
+    confirmed: bool,
+) -> None:
+    """Relay TCP connections until the end, and print what was relayed."""
+    from edoras_tools.pipelines.interrupt import on_interrupt
+    from edoras_tools.pipelines.proxy.streams import StreamProxy
+    from edoras_tools.render.sending.proxy import stream_lines
+
+    if not plan.link.transport.tcp:
+        raise ConfigError(f"{plan.link.label} is not a link over TCP: leave --tcp out")
+    if len(plan.targets) > 1 or plan.bind or relayed.limit:
+        raise ConfigError("--to, --bind and --limit are for datagrams: a TCP connection has one target")
+    if outputs.output or outputs.live is not None:
+        raise ConfigError(
+            "a relay of TCP does not record: use edoras record -i beside it, on the interface of the target"
+        )
+    confirm_targets(*plan.targets, confirmed=confirmed)
+    relay = StreamProxy(plan, relayed.cut or 0)
+    tell_reach(relayed.listen, f"connect to {plan.targets[0]} through it")
+    with on_interrupt(relay.stop):
+        sys.stderr.write(f"relaying {relay.title}; Ctrl-C ends\n")
+        sys.stderr.flush()
+        try:
+            relay.run(duration_ns=times.duration or 0)
+        finally:
+            relay.close()
+    json, quiet = printing
+    if json:
+        print_json(relay.summary())
+    elif not quiet:
+        for line in stream_lines(relay.summary()):
+            sys.stderr.write(f"{line}\n")
 
 
 def _opened(plan: ProxyPlan, bench: Workbench, goal: Target | None, show: Show | None) -> Proxy:

@@ -168,3 +168,43 @@ def test_a_port_in_use_is_told_before_a_recording_is_begun(call, target, tmp_pat
     assert result.code == 1
     assert "another program has port" in result.err[0]
     assert not list(tmp_path.iterdir())
+
+
+ENDS = ("--listen", f"{HOST}:0", "--target", f"{HOST}:9")
+WRONG_STREAMS = {
+    ("ci", "--tcp"): "ci is not a link over TCP",
+    ("sbn", "--cut", "1s"): "add --tcp",
+    ("sbn", "--tcp", "--to", f"{HOST}:8"): "a TCP connection has one target",
+    ("racs2", "--fault", "drop:0.1"): "a TCP stream cannot have this fault",
+    ("racs2", "-o", "x.mcap"): "does not record",
+}
+
+
+@pytest.mark.parametrize("arguments", WRONG_STREAMS, ids=range(len(WRONG_STREAMS)))
+def test_what_a_stream_cannot_have_is_told_in_one_line(call, arguments):
+    result = call("proxy", *arguments, *ENDS)
+    (line,) = result.err
+    assert (result.code, WRONG_STREAMS[arguments] in line) == (2, True), line
+
+
+def test_tcp_is_relayed_and_counted(command):
+    with socket.create_server((HOST, 0)) as server:
+        ends = ["--listen", f"{HOST}:0", "--target", f"{HOST}:{server.getsockname()[1]}"]
+        arguments = ["racs2", *ends, "--fault", "delay:20ms,to=cfs", "--json"]
+        with Program(command, "proxy", *arguments) as proxy:
+            told = proxy.line(proxy.err)
+            assert told.startswith("relaying RACS2 over TCP"), told
+            port = int(told.split(",")[1].split()[0].rpartition(":")[2])
+            with socket.create_connection((HOST, port)) as client:
+                client.settimeout(PATIENCE_S)
+                accepted, _ = server.accept()
+                with accepted:
+                    accepted.settimeout(PATIENCE_S)
+                    client.sendall(b"there")
+                    assert accepted.recv(99) == b"there"
+                    accepted.sendall(b"and back")
+                    assert client.recv(99) == b"and back"
+            out, _ = proxy.end()
+    report = held(json.loads(out), ["proxy", "--json"])
+    assert (report["connections"], report["bytes_to_target"], report["bytes_to_client"]) == (1, 5, 8)
+    assert report["faults"][0]["struck"] == 1

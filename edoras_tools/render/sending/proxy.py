@@ -26,6 +26,19 @@ if TYPE_CHECKING:
 _MOST_CLIENTS: Final = 8
 
 
+def stream_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return lines on what a relay of TCP did, from its summary."""
+    cut, refused = summary["cut"], summary["refused"]
+    ends = "".join(
+        f", {count} {what}" for count, what in ((cut, "cut"), (refused, "refused by the target")) if count
+    )
+    bytes_ = f"{summary['bytes_to_target']:,} bytes to the target, {summary['bytes_to_client']:,} back"
+    return [
+        f"{plural(summary['connections'], 'connection')}{ends}: {bytes_}",
+        *(f"  {fault['rule']} held bytes {fault['struck']:,} times" for fault in summary["faults"]),
+    ]
+
+
 def live_table(console: Console, output: Path | None = None, *, keys: bool = False) -> LiveTable[LiveRun]:
     """Return the table of a proxy while it runs.
 

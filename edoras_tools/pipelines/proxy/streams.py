@@ -1,0 +1,261 @@
+"""A relay for TCP: every connection to it becomes one to the target, with faults that a stream can have.
+
+Rules that it keeps:
+
+1. Bytes leave unchanged and in order. Where a peer reads slowly, the other one is read no faster.
+2. An end that stops sending is told to the other end once all its bytes have left; a broken connection breaks
+   the other one too.
+3. One thread moves everything and sleeps until something arrives or is due.
+"""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import struct
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.net.sockets import local_endpoint
+from edoras_tools.sessions.faults.streams import StreamFaults
+
+if TYPE_CHECKING:
+    from edoras_tools.model import Endpoint
+    from edoras_tools.pipelines.proxy.plan import ProxyPlan
+
+_AT_ONCE: Final = 1 << 16
+_MOST_BYTES: Final = 1 << 20
+"""Bytes that wait in one direction; more are left with their sender."""
+_WAIT_S: Final = 0.05
+_CONNECT_S: Final = 5.0
+_RESET: Final = struct.pack("ii", 1, 0)
+"""``struct linger`` with a time of 0."""
+
+
+@dataclass(slots=True, eq=False)
+class _Pipe:
+    """One direction of a connection: bytes that wait, each with the time when they may leave."""
+
+    source: socket.socket
+    target: socket.socket
+    faults: StreamFaults
+    counts: StreamCounts
+    waiting: deque[tuple[int, bytes]] = field(default_factory=deque)
+    size: int = 0
+    ended: bool = False
+    told: bool = False
+
+    def receive(self, now: int) -> None:
+        """Take what the source sent.
+
+        Raises:
+            OSError: the connection is broken.
+        """
+        while self.size < _MOST_BYTES and not self.ended:
+            try:
+                data = self.source.recv(_AT_ONCE)
+            except BlockingIOError:
+                return
+            self.ended = not data
+            if data:
+                self.waiting.append((self.faults.leave(now, len(data)), data))
+                self.size += len(data)
+
+    def send(self, now: int) -> None:
+        """Send what may leave.
+
+        Raises:
+            OSError: the connection is broken.
+        """
+        while self.waiting and self.waiting[0][0] <= now:
+            due, data = self.waiting[0]
+            try:
+                sent = self.target.send(data)
+            except BlockingIOError:
+                return
+            self.size -= sent
+            self.counts.octets += sent
+            if sent < len(data):
+                self.waiting[0] = due, data[sent:]
+                return
+            self.waiting.popleft()
+        if self.ended and not self.waiting and not self.told:
+            self.told = True
+            with suppress(OSError):  # it may be closed already
+                self.target.shutdown(socket.SHUT_WR)
+
+
+@dataclass(slots=True, eq=False)
+class StreamCounts:
+    """What went one way, over all connections.
+
+    Attributes:
+        octets: bytes that were passed on.
+    """
+
+    octets: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class _Connection:
+    pipes: tuple[_Pipe, _Pipe]
+    opened: int
+
+    @property
+    def sockets(self) -> tuple[socket.socket, socket.socket]:
+        return self.pipes[0].source, self.pipes[0].target
+
+
+class StreamProxy:
+    """One TCP relay; the constructor binds its port.
+
+    Args:
+        plan: one target, no ``bind``.
+        cut_ns: how long a connection is relayed before it is cut; 0: never.
+
+    Attributes:
+        endpoint: where it listens.
+        connections: how many were made.
+        refused: how many the target did not take.
+        cut: how many were cut on purpose.
+        to_target: what went to the target.
+        to_client: what went to clients.
+
+    Raises:
+        CaptureError: the port cannot be bound.
+        ConfigError: a fault is none that a stream can have.
+    """
+
+    def __init__(self, plan: ProxyPlan, cut_ns: int = 0) -> None:
+        self._plan, self._cut_ns = plan, cut_ns
+        self._rules = plan.faults.rules
+        for way in (True, False):
+            StreamFaults(self._rules, to_cfs=way)
+        self._struck = [0] * len(self._rules)
+        self.connections = self.refused = self.cut = 0
+        self.to_target, self.to_client = StreamCounts(), StreamCounts()
+        self._open: list[_Connection] = []
+        self._stopping = False
+        self._begin = time.monotonic_ns()
+        try:
+            family = socket.AF_INET6 if ":" in plan.listen.address else socket.AF_INET
+            self._listen = socket.create_server((plan.listen.address, plan.listen.port), family=family)
+        except OSError as error:
+            raise CaptureError(f"--listen {plan.listen}: {error.strerror or error}") from error
+        self._listen.setblocking(False)
+        self.endpoint: Endpoint = local_endpoint(self._listen)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listen, selectors.EVENT_READ)
+
+    @property
+    def title(self) -> str:
+        """What is relayed, for people."""
+        return f"{self._plan.link.name} over TCP, {self.endpoint} to {self._plan.targets[0]}"
+
+    def stop(self) -> None:
+        """End ``run``; for any thread."""
+        self._stopping = True
+
+    def run(self, *, duration_ns: int = 0) -> None:
+        """Relay until ``stop``, or for a time."""
+        while not self._stopping and not (duration_ns and self._now() >= duration_ns):
+            self._selector.select(self._wait_s())
+            self._accept()
+            for connection in tuple(self._open):
+                self._move(connection)
+
+    def close(self) -> None:
+        """Close all connections."""
+        for connection in tuple(self._open):
+            self._end(connection)
+        self._selector.close()
+        self._listen.close()
+
+    def summary(self) -> dict[str, Any]:
+        """Return what was relayed, in the shape of ``proxy --json``."""
+        plan = self._plan.summary()
+        for place, fault in enumerate(plan["faults"]):
+            now = sum(pipe.faults.struck[place] for item in self._open for pipe in item.pipes)
+            fault["struck"] = self._struck[place] + now
+        return {
+            **plan,
+            "connections": self.connections,
+            "refused": self.refused,
+            "cut": self.cut,
+            "bytes_to_target": self.to_target.octets,
+            "bytes_to_client": self.to_client.octets,
+        }
+
+    def _now(self) -> int:
+        return time.monotonic_ns() - self._begin
+
+    def _wait_s(self) -> float:
+        due = [pipe.waiting[0][0] for item in self._open for pipe in item.pipes if pipe.waiting]
+        return min(_WAIT_S, max(0.0, (min(due) - self._now()) / 1e9)) if due else _WAIT_S
+
+    def _accept(self) -> None:
+        try:
+            client, _ = self._listen.accept()
+        except BlockingIOError:
+            return
+        target = self._plan.targets[0]
+        try:
+            there = socket.create_connection((target.address, target.port), timeout=_CONNECT_S)
+        except OSError:
+            self.refused += 1
+            client.close()
+            return
+        for end in (client, there):
+            end.setblocking(False)
+            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._selector.register(end, selectors.EVENT_READ)
+        self.connections += 1
+        way = self._plan.to_cfs
+        faults = [StreamFaults(self._rules, to_cfs=towards) for towards in (way, not way)]
+        pipes = (
+            _Pipe(client, there, faults[0], self.to_target),
+            _Pipe(there, client, faults[1], self.to_client),
+        )
+        self._open.append(_Connection(pipes, self._now()))
+
+    def _move(self, connection: _Connection) -> None:
+        now = self._now()
+        if self._cut_ns and now - connection.opened >= self._cut_ns:
+            self.cut += 1
+            self._end(connection, abort=True)
+            return
+        try:
+            for pipe in connection.pipes:
+                pipe.receive(now)
+                pipe.send(now)
+        except OSError:
+            self._end(connection, abort=True)
+            return
+        for pipe in connection.pipes:
+            self._watch(pipe)
+        if all(pipe.told for pipe in connection.pipes):
+            self._end(connection)
+
+    def _watch(self, pipe: _Pipe) -> None:
+        """Wait for a source only while there is room, and for nothing that it will not send."""
+        wanted = pipe.size < _MOST_BYTES and not pipe.ended
+        known = pipe.source in self._selector.get_map()
+        if wanted and not known:
+            self._selector.register(pipe.source, selectors.EVENT_READ)
+        elif known and not wanted:
+            self._selector.unregister(pipe.source)
+
+    def _end(self, connection: _Connection, *, abort: bool = False) -> None:
+        self._open.remove(connection)
+        for place in range(len(self._struck)):
+            self._struck[place] += sum(pipe.faults.struck[place] for pipe in connection.pipes)
+        for end in connection.sockets:
+            with suppress(KeyError, ValueError):
+                self._selector.unregister(end)
+            if abort:  # what waits is lost, and the peers are told: RST
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            end.close()

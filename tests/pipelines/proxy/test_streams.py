@@ -1,0 +1,174 @@
+"""The relay of TCP: bytes, ends, faults and counts, on real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import time
+from contextlib import contextmanager, suppress
+
+import pytest
+import websockets
+from racs2_peer import to_cfs, to_ros
+from streams import sbn_messages
+from waiting import PATIENCE_S, until
+
+from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.links.racs2 import RACS2
+from edoras_tools.links.sbn import SBN
+from edoras_tools.model import Endpoint
+from edoras_tools.pipelines.proxy.plan import ProxyPlan
+from edoras_tools.pipelines.proxy.streams import StreamProxy
+from edoras_tools.sessions.faults.machine import FaultPlan
+from edoras_tools.sessions.faults.rules import parse_rule
+
+
+@contextmanager
+def relay(target, *rules, link=SBN, cut_ns=0):
+    plan = ProxyPlan(
+        link=link,
+        listen=Endpoint("127.0.0.1", 0),
+        targets=(Endpoint("127.0.0.1", target),),
+        faults=FaultPlan(tuple(map(parse_rule, rules))),
+    )
+    made = StreamProxy(plan, cut_ns)
+    thread = threading.Thread(target=made.run)
+    thread.start()
+    try:
+        yield made
+    finally:
+        made.stop()
+        thread.join(PATIENCE_S)
+        made.close()
+
+
+@pytest.fixture
+def server():
+    with socket.create_server(("127.0.0.1", 0)) as made:
+        made.settimeout(PATIENCE_S)
+        yield made
+
+
+@pytest.fixture
+def connected():
+    """A function: both ends of a connection through a relay."""
+    ends = []
+
+    def connect(made, server):
+        client = socket.create_connection(("127.0.0.1", made.endpoint.port))
+        accepted, _ = server.accept()
+        ends.extend((client, accepted))
+        for end in ends:
+            end.settimeout(PATIENCE_S)
+        return client, accepted
+
+    yield connect
+    for end in ends:
+        end.close()
+
+
+def read_all(end):
+    data = b""
+    while part := end.recv(65536):
+        data += part
+    return data
+
+
+def test_every_byte_both_ways_and_each_end(server, connected):
+    there, back = b"".join(sbn_messages(3000)), b"".join(sbn_messages(2000, 50))
+    with relay(server.getsockname()[1]) as made:
+        client, accepted = connected(made, server)
+        found = {}
+        reader = threading.Thread(target=lambda: found.update(there=read_all(accepted)))
+        reader.start()
+        client.sendall(there)
+        client.shutdown(socket.SHUT_WR)
+        reader.join(PATIENCE_S)
+        accepted.sendall(back)
+        accepted.close()
+        assert read_all(client) == back
+        client.close()
+        assert found["there"] == there
+        until(lambda: not made._open)
+    summary = made.summary()
+    assert summary["bytes_to_target"] == len(there)
+    assert summary["bytes_to_client"] == len(back)
+    assert (summary["connections"], summary["cut"], summary["refused"]) == (1, 0, 0)
+
+
+def test_what_is_slow_to_read_is_not_kept_here(server, connected):
+    with relay(server.getsockname()[1]) as made:
+        client, accepted = connected(made, server)
+        client.settimeout(0.3)
+        sent = 0
+        with suppress(TimeoutError):
+            while sent < 200_000_000:
+                sent += client.send(bytes(1 << 16))
+        until(lambda: made._open[0].pipes[0].size >= 1 << 20)
+        assert made._open[0].pipes[0].size < 2 << 20
+        client.close()
+        assert len(read_all(accepted)) == sent
+
+
+def test_bytes_are_late_and_in_order(server, connected):
+    with relay(server.getsockname()[1], "delay:80ms,to=cfs") as made:
+        client, accepted = connected(made, server)
+        began = time.monotonic()
+        client.sendall(b"one")
+        client.sendall(b"two")
+        client.close()
+        assert read_all(accepted) == b"onetwo"
+        assert time.monotonic() - began >= 0.08
+    assert made.summary()["faults"][0]["struck"] >= 1
+
+
+def test_a_connection_is_cut(server, connected):
+    with relay(server.getsockname()[1], cut_ns=50_000_000) as made:
+        client, accepted = connected(made, server)
+        for end in (client, accepted):
+            with pytest.raises(ConnectionResetError):
+                end.recv(10)
+        until(lambda: made.cut == 1)
+
+
+def test_a_target_that_is_not_there_is_counted():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        with relay(probe.getsockname()[1]) as made:
+            with socket.create_connection(("127.0.0.1", made.endpoint.port)) as client:
+                client.settimeout(PATIENCE_S)
+                assert client.recv(1) == b""
+            until(lambda: made.refused == 1)
+
+
+def test_racs2_bridges_through_it():
+    async def talk():
+        heard = []
+
+        async def ros(connection):
+            async for message in connection:
+                heard.append(message)
+                await connection.send(to_cfs(0x1894, message[32:40]))
+
+        async with websockets.serve(ros, "127.0.0.1", 0) as serving:
+            port = serving.sockets[0].getsockname()[1]
+            with relay(port, "delay:5ms", link=RACS2) as made:
+                async with websockets.connect(f"ws://127.0.0.1:{made.endpoint.port}/") as cfs:
+                    for number in range(20):
+                        await cfs.send(to_ros("/topic", bytes([number])))
+                        assert await cfs.recv() == to_cfs(0x1894, bytes([number]).ljust(8, b"\0"))
+        return heard
+
+    assert len(asyncio.run(talk())) == 20
+
+
+def test_what_a_stream_cannot_have_is_refused_before_anything_is_opened():
+    with pytest.raises(ConfigError, match="cannot have this fault"), relay(1, "drop:0.1"):
+        pass
+
+
+def test_a_port_in_use(server):
+    plan = ProxyPlan(SBN, Endpoint("127.0.0.1", server.getsockname()[1]), (Endpoint("127.0.0.1", 1),))
+    with pytest.raises(CaptureError, match="--listen"):
+        StreamProxy(plan)
