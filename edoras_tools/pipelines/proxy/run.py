@@ -9,7 +9,8 @@ Rules that it keeps:
 3. A client has its own socket towards each target, so that answers can be assigned to it.
 4. Every loss here has a count: in the kernel, in a full queue, in the recording, without a client.
 5. Datagrams are forwarded first, then counted and copied for the recording.
-6. After traffic the thread polls again at once for a short time; then it sleeps until something arrives or
+6. Where the system allows it, the thread runs before programs of normal priority while it takes little time.
+7. After traffic the thread polls again at once for a short time; then it sleeps until something arrives or
    is due.
 """
 
@@ -26,6 +27,7 @@ from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
 from edoras_tools.io.net.forward import Direction
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
+from edoras_tools.io.priority import Precedence
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.proxy.clients import Clients, Routing
 from edoras_tools.pipelines.proxy.faults import FaultStage, Outbox
@@ -100,6 +102,7 @@ class Proxy:
         self.to_client = Direction("to clients")
         bind = resolve(plan.bind, f"--bind {plan.bind}")[1] if plan.bind else None
         client = resolve(plan.client, f"--client {plan.client}")[1] if plan.client else None
+        self._precedence = Precedence()
         self._active_ns = self._upkeep_ns = self._untimed = 0
         self._poll = select.poll()
         self._owners: dict[int, tuple[socket.socket, ProxyClient | None]] = {}
@@ -162,7 +165,7 @@ class Proxy:
             self._poll.register(keys.fileno(), select.POLLIN)
         began = self._now()
         end = began + duration_ns if duration_ns else 1 << 63
-        with on_interrupt(self.stop) as asked, watched(self, watcher), threads_take_turns():
+        with on_interrupt(self.stop) as asked, watched(self, watcher), threads_take_turns(), self._precedence:
             while not self._stopping and (now := self._now()) < end:
                 self._turn(now, min(end, self._upkeep_ns), keys)
             self.interrupted = asked.is_set()
@@ -367,6 +370,7 @@ class Proxy:
         """Do the periodic work: queues, counters, idle clients, the recording."""
         now = self._now()
         self._upkeep_ns = now + _UPKEEP_NS
+        self._precedence.look()
         for client in self.clients:
             for outlet in client.outlets:
                 if outlet.waits:

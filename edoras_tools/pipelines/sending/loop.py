@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io.priority import Precedence
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.sessions.outgoing import Changes, Outgoing
 from edoras_tools.sessions.pacing import Lateness, Timetable
@@ -207,6 +208,7 @@ class Sending:
         self._wire, self._schedule, self._table = wire, schedule, schedule.table
         self._session, self._faults, self._keys, self._watcher = session, faults, keys, watcher
         self._note = note
+        self._precedence = Precedence()
         self._paused = schedule.paused
         self._steps = 0
         self._due = schedule.table.due_ns.data
@@ -224,7 +226,7 @@ class Sending:
         Every error on the way is in ``SendReport.failure``.
         """
         report = self.report
-        with on_interrupt(self.stop), self._keys or nullcontext():
+        with on_interrupt(self.stop), self._keys or nullcontext(), self._precedence:
             try:
                 self._wait_for(wait_for, timeout_ns)
                 if not self.stopped:
@@ -335,6 +337,7 @@ class Sending:
 
     def _look_around(self) -> int:
         """Handle what arrived, keep the session alive, handle keys; return the time."""
+        self._precedence.look()
         now = self._wire.now()
         session, responses = self._session, self.report.responses
         responses.ingest.sent = self._wire.statistics.sent
