@@ -52,7 +52,10 @@ class GroundDataFraming(Framing):
 
 
 class GroundDataLink(LinkProtocol):
-    """The link between F Prime and its ground system: frames of its own, or TC and TM frames of CCSDS."""
+    """The link between F Prime and its ground system: frames of its own, or TC and TM frames of CCSDS.
+
+    Where a mission says that transfer frames carry its space packets, these come one by one.
+    """
 
     code = 7
     name = "FPRIME"
@@ -70,8 +73,8 @@ class GroundDataLink(LinkProtocol):
 
     def recognise(self, seen: Seen) -> Any:
         """Recognise a start word, or the header of a TC or TM frame that fits the datagram."""
-        own, command, telemetry = fprime.frame_shapes_of(seen.field, seen.length)
-        return BY_CONTENT * (own | command | telemetry)
+        own, space, command, telemetry = fprime.frame_shapes_of(seen.field, seen.length)
+        return BY_CONTENT * (own | space | command | telemetry)
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Judge frames; see :meth:`LinkProtocol.locate`."""
@@ -90,15 +93,17 @@ class GroundDataLink(LinkProtocol):
             np.frombuffer(data, np.uint8), np.array([0]), np.array([len(data)])
         )
         framing, check = fprime.FRAME_SHAPES[frames.shape[0]], int(frames.check[0])
-        reading.read(framing.header, 0)
+        if framing.check:
+            reading.read(framing.header, 0)
         if frames.cut[0]:
             reading.truncated(framing.header.name, 0, check + framing.check_bytes)
         for name, finding in _VERDICTS.items():
             reading.findings |= finding if getattr(frames, name)[0] else Finding(0)
-        number = int.from_bytes(data[check : check + framing.check_bytes], "big")
-        text = framing.check.text(number) + (", which is wrong" if frames.corrupt[0] else "")
-        end = check + framing.check_bytes
-        reading.extend(LayerField(framing.check.name, number, check, end, text, framing.check.doc))
+        if framing.check:
+            end = check + framing.check_bytes
+            number = int.from_bytes(data[check:end], "big")
+            text = framing.check.text(number) + (", which is wrong" if frames.corrupt[0] else "")
+            reading.extend(LayerField(framing.check.name, number, check, end, text, framing.check.doc))
         for index in range(len(frames.packets.row)):
             _packet(reading, frames.packets, index)
 
@@ -111,7 +116,7 @@ class GroundDataLink(LinkProtocol):
         offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]
         frames = fprime.read_ground_frames(rows.batch.data, offset, length)
         kinds = [item.header for item in fprime.FRAME_SHAPES]
-        if layout in kinds:
+        if layout in kinds and layout is not fprime.SPACE_PACKET:
             there = (frames.shape == kinds.index(layout)) & (length >= layout.size)
             return owner[there], offset[there]
         packets = frames.packets

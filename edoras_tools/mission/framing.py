@@ -64,7 +64,7 @@ def _framed_port(fields: Fields, name: str) -> FramedPort | None:
         if not fields.has(f"{group}.kind"):
             fields.mistake(group, f"kind is missing; {' or '.join(FRAME_LAYOUTS)} is needed")
         return None
-    of_packets = [item.label for item in links() if item.packets]
+    of_packets = [item.label for item in links() if item.packets or item.dictionary]
     link = fields.word(f"{group}.link", of_packets) or _USUAL_LINK[kind]
     own = _OWN_KEYS[kind]
     values: dict[str, Any] = {"kind": kind}

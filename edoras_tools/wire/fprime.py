@@ -111,26 +111,29 @@ class FrameShape(NamedTuple):
 
     Attributes:
         header: in front of its packets.
-        check: the field at its end, which tells whether it arrived as it was sent.
+        check: the field at its end, which tells whether it arrived as it was sent; None where there is none.
     """
 
     header: Layout
-    check: Field
+    check: Field | None
 
     @property
     def check_bytes(self) -> int:
         """Bytes of the check."""
-        return self.check.bits // 8
+        return self.check.bits // 8 if self.check else 0
 
 
 _CRC16: Final = Field("frame_error_control", 8 * CRC16_BYTES, "CRC-16 of the frame in front of it", base=16)
 FRAME_SHAPES: Final = (
     FrameShape(FRAME, Field("crc32", 32, "of the frame in front of it", base=16)),
+    FrameShape(SPACE_PACKET, None),
     FrameShape(COMMAND_FRAME, _CRC16),
     FrameShape(TELEMETRY_FRAME, _CRC16),
 )
-"""The kinds of frames, by the numbers in ``Frames.shape``."""
-_OWN, _TC, _TM = range(3)
+"""The kinds of frames, by the numbers in ``Frames.shape``; a space packet may come without one."""
+_OWN, _SPACE, _TC, _TM = range(4)
+_BODY: Final = np.array([FRAME.size, 0, COMMAND_FRAME.size, TELEMETRY_FRAME.size])
+"""Where in a frame its packets start."""
 TM_FRAME_BYTES: Final = 1024
 """Bytes of a TM frame in F Prime's default configuration (``ComCfg.TmFrameFixedSize``)."""
 KEEP_ALIVE: Final = b"sitting well"
@@ -186,27 +189,33 @@ class Frames(NamedTuple):
     packets: PacketPlaces
 
 
-def frame_shapes_of(field: Callable[[Layout, str], Any], length: Any) -> tuple[Any, Any, Any]:
+def frame_shapes_of(field: Callable[[Layout, str, int], Any], length: Any) -> tuple[Any, Any, Any, Any]:
     """Tell which of ``FRAME_SHAPES`` a datagram may be, or each of many.
 
     Args:
-        field: returns a number of a header at its start; -1 where it is not there.
+        field: returns a number of a header that starts at a byte; -1 where it is not there.
         length: bytes of the datagram.
 
     Returns:
         for each of ``FRAME_SHAPES`` whether a datagram may be of it; the first that holds is meant.
     """
-    own = field(FRAME, "start_word") == START_WORD
+    own = field(FRAME, "start_word", 0) == START_WORD
+    # The APID of a space packet is the packet type in it.
+    inside = field(PACKET, "packet_type", SPACE_PACKET.size)
+    space = (field(SPACE_PACKET, "apid", 0) == inside) & (inside >= 0)
+    space = space & (field(SPACE_PACKET, "packet_data_length", 0) + ccsds.LENGTH_BIAS == length)
+    for name in ("packet_version_number", "secondary_header_flag"):
+        space = space & (field(SPACE_PACKET, name, 0) == 0)
     command = COMMAND_FRAME
-    last = field(command, "frame_length") + headers.TC_LENGTH_BIAS
-    tc = (last == length) & (length >= _LEAST[_TC]) & (field(command, "control_command_flag") == 0)
+    last = field(command, "frame_length", 0) + headers.TC_LENGTH_BIAS
+    tc = (last == length) & (length >= _LEAST[_TC]) & (field(command, "control_command_flag", 0) == 0)
     telemetry = TELEMETRY_FRAME
-    first = field(telemetry, "first_header_pointer")
+    first = field(telemetry, "first_header_pointer", 0)
     tm = (length >= _LEAST[_TM]) & ((first < length) | (first >= headers.ONLY_IDLE_DATA))
     for name, value in _TM_WITH_PACKETS.items():
-        tm = tm & (field(telemetry, name) == value)
-    version = field(telemetry, "transfer_frame_version_number") == 0
-    return own, tc & version, tm & version
+        tm = tm & (field(telemetry, name, 0) == value)
+    version = field(telemetry, "transfer_frame_version_number", 0) == 0
+    return own, space, tc & version, tm & version
 
 
 _TM_WITH_PACKETS: Final = {
@@ -235,11 +244,11 @@ def read_ground_frames(
     window = gather(data, offset, FRAME.size)
     length = length.astype(np.int64)
 
-    def field(layout: Layout, name: str) -> NDArray[np.int64]:
-        there = length >= layout.by_name[name].end
-        return np.where(there, layout.column(name, window).astype(np.int64), -1)
+    def field(layout: Layout, name: str, at: int = 0) -> NDArray[np.int64]:
+        there = length >= at + layout.by_name[name].end
+        return np.where(there, layout.column(name, window, at).astype(np.int64), -1)
 
-    framing = np.select(frame_shapes_of(field, length)[:_TM], [_OWN, _TC], _TM)
+    framing = np.select(frame_shapes_of(field, length)[:_TM], range(_TM), _TM)
     own = framing == _OWN
     size = np.where(own, _LEAST[_OWN] + field(FRAME, "length"), length)
     cut = (length < _LEAST[framing]) | (size > length)
@@ -255,9 +264,10 @@ def read_ground_frames(
     rows = np.flatnonzero(~own & ~cut)
     if len(rows):
         if checked:
-            corrupt[rows] = crc16_rows(data, offset[rows], length[rows].astype(np.int32)) != 0
+            framed = rows[framing[rows] != _SPACE]
+            corrupt[framed] = crc16_rows(data, offset[framed], length[framed].astype(np.int32)) != 0
         first = np.where(framing == _TM, field(TELEMETRY_FRAME, "first_header_pointer"), 0)[rows]
-        start = offset[rows] + _LEAST[framing[rows]] - CRC16_BYTES + first
+        start = offset[rows] + _BODY[framing[rows]] + first
         ocf = np.where(framing == _TM, field(TELEMETRY_FRAME, "ocf_flag"), 0)[rows] * headers.OCF_BYTES
         spaces = _space_packets(data, rows, start, check[rows] - ocf)
         pairs: Iterator[tuple[Any, Any]] = zip(whole, spaces, strict=True)
@@ -291,7 +301,7 @@ def frame_lengths(
 
     stated = field(COMMAND_FRAME, "frame_length") + headers.TC_LENGTH_BIAS
     inside = field(SPACE_PACKET, "packet_data_length", COMMAND_FRAME.size) + ccsds.LENGTH_BIAS
-    own, tc, tm = frame_shapes_of(field, np.where(inside + _LEAST[_TC] == stated, stated, TM_FRAME_BYTES))
+    own, _, tc, tm = frame_shapes_of(field, np.where(inside + _LEAST[_TC] == stated, stated, TM_FRAME_BYTES))
     tc &= inside + _LEAST[_TC] == stated
     own_size = field(FRAME, "length") + _LEAST[_OWN]
     alive = (window == np.frombuffer(KEEP_ALIVE, np.uint8)).all(axis=1)

@@ -25,8 +25,8 @@ from fprime_session import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rewriting import Udp, write
 from rewriting import datagrams as captured
-from rewriting import write
 from rosbags.highlevel import AnyReader
 from streams import frames as stream_frames
 from streams import segments_of
@@ -229,6 +229,8 @@ BAD = {
     "a frame in which no packet starts": (tm(space(EVENT), first=0x7FF), [], 0),
     "a frame that begins with the rest of a packet": (tm(b"rest", space(EVENT), first=4), [], 1),
     "two events": (own(EVENT + EVENT[2:]), [], 2),
+    "a space packet without a frame": (space(EVENT), [], 1),
+    "a space packet that says another packet type": (tc(space(EVENT, apid=1)), [], 1),
 }
 
 
@@ -250,7 +252,7 @@ def any_frames(draw):
         packet[draw(st.integers(0, len(packet) - 1))] = draw(st.integers(0, 255))
     packet = bytes(packet[: draw(st.integers(0, len(packet)) | st.just(len(packet)))])
     packet += draw(st.binary(max_size=5))
-    kind = draw(st.integers(0, 3))
+    kind = draw(st.integers(0, 4))
     if kind == 0:
         return draw(st.binary(max_size=60))
     frame = bytearray(
@@ -258,6 +260,8 @@ def any_frames(draw):
         if kind == 1
         else tc(space(packet or b"\0\0", apid=draw(st.sampled_from([0, 2, 0x7FF]))))
         if kind == 2
+        else space(packet or b"\0\0")
+        if kind == 3
         else tm(space(packet or b"\0\0", apid=2), space(EVENT), size=400)
     )
     if draw(st.booleans()):
@@ -265,7 +269,7 @@ def any_frames(draw):
     return bytes(frame[: draw(st.integers(0, len(frame)) | st.just(len(frame)))])
 
 
-@settings(max_examples=examples(80))
+@settings(max_examples=examples(60))
 @given(frames=st.lists(any_frames(), max_size=6))
 def test_any_bytes_are_read_alike_one_by_one_and_all_at_once(frames):
     both_ways(PLAIN, *frames)
@@ -335,6 +339,38 @@ def test_what_keeps_a_connection_alive_is_no_frame():
     whole = [item for item in found if item.startswith(b"\xde\xad\xbe\xef")]
     assert sorted(whole) == sorted(frame for frame, _ in frames)
     assert {item for item in found if item not in whole} == {KEEP_ALIVE}
+
+
+RADIO = """
+radio:
+  ros__parameters:
+    frames:
+      downlink: {port: 50001, kind: tm, length: 100, link: fprime}
+"""
+
+
+def test_packets_over_the_borders_of_frames_are_whole_where_a_mission_names_the_frames(tmp_path):
+    down = [packet for packet in PACKETS if packet[:2] != b"\0\0"]
+    spaces = [space(packet, count) for count, packet in enumerate(down)]
+    stream = b"".join(spaces)
+    starts = np.cumsum([0, *map(len, spaces)])
+    frames = []
+    for count, at in enumerate(range(0, len(stream), 92)):
+        inside = starts[(starts >= at) & (starts < at + 92) & (starts < len(stream))]
+        first = int(inside[0]) - at if len(inside) else 0x7FF
+        frames.append(tm(stream[at : at + 92], count=count, size=100, first=first))
+    assert len({len(frame) for frame in frames[:-1]}) == 1
+    ends = ("127.0.0.1", 41000), ("127.0.0.1", 50001)
+    items = [Udp(10**18 + index, *ends, one) for index, one in enumerate(frames)]
+    path = write(tmp_path / "spanned.pcap", items)
+    (tmp_path / "radio.yaml").write_text(RADIO)
+    asked = [sys.executable, "-m", "edoras_tools", "sniff", path, "-c", tmp_path / "radio.yaml"]
+    asked += ["--structs", DICTIONARY, "--json", "--link", "fprime"]
+    done = subprocess.run(asked, check=True, capture_output=True, timeout=120)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    found = [item["topic"] for line in lines for item in (line, *line.get("more", []))]
+    assert found == [topic for topic, _, _ in sent() if "/commands/" not in topic]
+    assert not any(line["findings"] for line in lines)
 
 
 def test_info_counts_every_entry():
