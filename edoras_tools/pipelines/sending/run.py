@@ -18,7 +18,7 @@ from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedul
 from edoras_tools.pipelines.sending.options import Receiver, Role
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.pipelines.sending.safety import check_allowed
-from edoras_tools.pipelines.sending.wait_for import conditions, count_known
+from edoras_tools.pipelines.sending.wait_for import conditions, count_known, only_enables
 from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.sessions.sbn.habits import CLIENT, PUBLIC_BRIDGE
 from edoras_tools.units import SECOND
@@ -213,9 +213,12 @@ class Transmission:
             wait_for = chain(wait_for, count_known(self.out, options, report.responses, wire))
             sending.run(wait_for, options.timeout_ns)
         if report.to_ci and report.failure is None and not report.responses.telemetry:
+            advice = "usually Telemetry Output is not enabled: edoras inject to-enable"
+            if only_enables(self.out, options.headers):
+                advice = "Telemetry Output may answer later: listen longer with --linger 10s"
             report.notes.append(
                 f"no telemetry came to {local}, so nothing can answer, and nothing shows whether cFS read "
-                "what was sent; usually Telemetry Output is not enabled: edoras inject to-enable"
+                f"what was sent; {advice}"
             )
         if recorded is not None:
             try:

@@ -162,7 +162,7 @@ def count_known(out: Outgoing, options: SendOptions, responses: Responses, wire:
         responses: what was received so far.
         wire: what was sent so far; what asked for telemetry among it.
     """
-    if not options.follows_ci or "nothing" in options.wait_for or _only_enables(out, options.headers):
+    if not options.follows_ci or "nothing" in options.wait_for or only_enables(out, options.headers):
         return
     single = len(out) == options.passes == 1 and not options.expect and options.max_loss is None
     if single:
@@ -175,7 +175,8 @@ def count_known(out: Outgoing, options: SendOptions, responses: Responses, wire:
     )
 
 
-def _only_enables(out: Outgoing, headers: cfe.Headers) -> bool:
+def only_enables(out: Outgoing, headers: cfe.Headers) -> bool:
+    """Return whether the command that enables telemetry is all that is sent."""
     asked = headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID)
     if len(out) != 1 or out.msg_id[0] != asked:
         return False
