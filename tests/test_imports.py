@@ -38,6 +38,7 @@ PUT_OFF = {
         "edoras_tools.io.foxglove.client",
         "websockets, an extra: when the first client comes",
     ),
+    "links/racs2.py": ("edoras_tools.links.streams", "2 ms, and only where there are its streams"),
     "links/table.py": ("importlib.metadata", "11 ms, and only where a package adds a link"),
     "middleware/dds/joining.py": (
         "edoras_tools.middleware.dds",

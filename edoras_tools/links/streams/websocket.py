@@ -37,10 +37,14 @@ _EXTENSIONS: Final = re.compile(rb"(?im)^sec-websocket-extensions:[ \t]*([^\r\n]
 
 
 class WebSocketFraming(Framing):
-    """Cuts a stream into the handshake and frames."""
+    """Cuts a stream into the handshake and frames.
 
-    head = LARGEST_HEADER
-    largest = 1 << 20
+    Args:
+        longest: bytes of the longest message.
+    """
+
+    def __init__(self, longest: int) -> None:
+        self.longest = longest
 
     def lengths(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
@@ -49,7 +53,7 @@ class WebSocketFraming(Framing):
         room = np.broadcast_to(np.asarray(end - at), at.shape)
         headers = read_headers(data, at, end)
         size = headers.size + headers.length
-        fits = headers.valid & (headers.length <= self.largest - LARGEST_HEADER)
+        fits = headers.valid & (headers.length <= self.longest - LARGEST_HEADER)
         found = np.where(headers.known, np.where(fits, size, NOT_A_MESSAGE), NOT_YET)
         first = data[np.minimum(at, len(data) - 1)]
         for text in _HTTP:  # the first byte of neither can begin a frame
@@ -60,7 +64,7 @@ class WebSocketFraming(Framing):
 
     def state(self) -> WebSocketState:
         """Return what is known of a new connection."""
-        return WebSocketState(self.largest)
+        return WebSocketState(self.longest)
 
 
 class WebSocketState:

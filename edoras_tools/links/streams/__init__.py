@@ -1,0 +1,1 @@
+"""What links over TCP need besides their messages; loaded with the first stream."""
