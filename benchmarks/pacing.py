@@ -18,6 +18,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Self
 
 from paths import EDORAS
+from rounds import absent
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -157,6 +158,7 @@ def measure(folder: Path) -> dict[str, object]:
     senders = {"edoras": by_edoras, "tcpreplay": by_tcpreplay, "sleep_between": by_sleeping}
     if not shutil.which("tcpreplay"):
         del senders["tcpreplay"]
+        found |= absent("tcpreplay")
     rounds = [{name: paced(folder, sender) for name, sender in senders.items()} for _ in range(ROUNDS)]
     for name in senders:
         found[name] = min((one[name] for one in rounds), key=itemgetter("late_us_p99"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import statistics
 import subprocess
 import time
@@ -28,6 +29,11 @@ def alternated(ways: Mapping[str, Callable[[], Mapping[str, float]]]) -> dict[st
                 found[name].setdefault(figure, []).append(value)
         rounds += 1
     return {"rounds": rounds, **{name: summed_up(figures) for name, figures in found.items()}}
+
+
+def absent(*names: str) -> dict[str, str]:
+    """Say which of some peers are not installed."""
+    return {name: "not installed" for name in names if not shutil.which(name)}
 
 
 def summed_up(figures: Mapping[str, list[float]]) -> dict[str, list[float]]:

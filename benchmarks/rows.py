@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import proxy
 from paths import EDORAS, HERE, MISSION, TWO_ROVERS, captured
 from rosbags.typesys import Stores, get_typestore
-from rounds import ROUNDS, alternated, busy_ns, command, summed_up
+from rounds import ROUNDS, absent, alternated, busy_ns, command, summed_up
 
 from edoras_tools.ros import TypeStore
 
@@ -154,7 +154,7 @@ def inject(folder: Path) -> dict[str, object]:
     ways["waits for answers"] = partial(ours, "--listen", f"127.0.0.1:{PORT + 1}")
     if shutil.which("tcpreplay"):
         ways["tcpreplay"] = partial(command, ["tcpreplay", "-q", "-i", "lo", one])
-    return alternated(ways)
+    return alternated(ways) | absent("tcpreplay")
 
 
 def relays(folder: Path) -> dict[str, object]:
@@ -179,7 +179,7 @@ def relays(folder: Path) -> dict[str, object]:
         if rate == 50_000:
             ways["edoras recording"] = partial(through, rate, "--force", "-o", str(folder / "relayed.mcap"))
         found[f"{rate}/s"] = alternated(ways)
-    return found
+    return found | ({} if compiled else {"C relay": "no C compiler"})
 
 
 def programs(folder: Path) -> dict[str, list[object]]:
@@ -212,9 +212,8 @@ def running(arguments: list[object]) -> Iterator[subprocess.Popen[str]]:
 def shares(folder: Path) -> dict[str, object]:
     """Share of a core, in percent, that each program takes of the same datagrams, in windows of a second."""
     every = programs(folder)
-    return shares_of(every, RATES) | shares_of(
-        {name: arguments for name, arguments in every.items() if name != "sniff -i"}, MANY
-    )
+    recorders = {name: arguments for name, arguments in every.items() if name != "sniff -i"}
+    return shares_of(every, RATES) | shares_of(recorders, MANY) | absent("dumpcap", "tcpdump")
 
 
 def shares_of(every: dict[str, list[object]], rates: tuple[int, ...]) -> dict[str, object]:
@@ -261,15 +260,17 @@ def limits(folder: Path) -> dict[str, object]:
             lost = sent["sent"] - kept["datagrams"]
             rows.append(
                 {
+                    "asked_per_s": rate,
                     "sent_per_s": round(sent["sent"] / sent["seconds"]),
                     "lost": lost,
+                    "dropped_by_kernel": kept["capture_drops"],
                     "cpu_us_per_datagram": round(busy_s / max(kept["datagrams"], 1) * 1e6, 2),
                 }
             )
             if lost:
                 break
         found[name] = rows
-    return found
+    return found | absent("dumpcap")
 
 
 def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, object]]]:

@@ -202,6 +202,8 @@ def main() -> None:
     results: dict[str, object] = {
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
     }
+    took_s: dict[str, int] = {}
+    results["took_s"] = took_s
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for key, run in {
@@ -221,8 +223,10 @@ def main() -> None:
             "export": lambda: export.measure(folder, options.packets),
         }.items():
             if options.only in {None, key}:
+                began = time.monotonic()
                 results[key] = run()
-                print(key, json.dumps(results[key], indent=2), flush=True)
+                took_s[key] = round(time.monotonic() - began)
+                print(key, json.dumps(results[key], indent=2), f"\ntook {took_s[key]} s", flush=True)
     out = HERE / "out"
     out.mkdir(exist_ok=True)
     (out / "results.json").write_text(json.dumps(results, indent=2) + "\n")
