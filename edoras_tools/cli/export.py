@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated, Any, NamedTuple
+from contextlib import contextmanager
+from pathlib import Path
+from shutil import copyfileobj
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -11,7 +15,11 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import topics_read
 from edoras_tools.cli.inputs import FileOptions
 from edoras_tools.cli.output import print_json
+from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, TimeForm
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _FORMATS = ", ".join(item.suffix[1:] for item in TABLE_FORMATS)
 
@@ -60,7 +68,9 @@ def export(
     inputs: FileOptions,
     output: Annotated[
         str,
-        options.output(metavar="FILE|DIR/", help=f"A file for one topic ({TABLES_WRITTEN}), or a folder."),
+        options.output(
+            metavar="FILE|DIR/", help=f"A file for one topic ({TABLES_WRITTEN}), a folder, or - for stdout."
+        ),
     ],
     table: TableOptions,
     printing: options.PrintOptions,
@@ -74,6 +84,37 @@ def export(
     /edoras/datagrams, and the results of the doctor, /edoras/verdicts and /edoras/lost.
     A performance log of cFE becomes a trace for Perfetto and Chrome, a .json file.
     """
+    if output == "-" and printing.json:
+        raise ConfigError("-o - prints the table where --json prints its report: leave one of them out")
+    printing = printing._replace(quiet=printing.quiet or output == "-")
+    with _printed(output, table.layout) as place:
+        _export(place, inputs, table, printing, part, decoding)
+
+
+@contextmanager
+def _printed(output: str, layout: str | None) -> Iterator[str]:
+    """Yield where to write: of ``-`` a temporary file, which is copied to standard output at the end."""
+    if output != "-":
+        yield output
+        return
+    with TemporaryDirectory(prefix="edoras-") as folder:
+        file = Path(folder) / f"-.{layout or 'csv'}"
+        try:
+            yield str(file)
+        finally:
+            if file.exists():
+                with file.open("rb") as table:
+                    copyfileobj(table, sys.stdout.buffer)
+
+
+def _export(
+    output: str,
+    inputs: FileOptions,
+    table: TableOptions,
+    printing: options.PrintOptions,
+    part: options.ScopeOptions,
+    decoding: options.DecodingOptions,
+) -> None:
     from dataclasses import replace
 
     from edoras_tools.pipelines.export.run import ExportTarget

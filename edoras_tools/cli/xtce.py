@@ -33,9 +33,10 @@ def xtce(
     quiet: options.Quiet = False,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Describe the packets of a mission (-c) for ground systems: XTCE, or COSMOS.
+    """Describe packets for ground systems, as XTCE or for COSMOS.
 
-    Telemetry of Telemetry Output and of cFE itself, field by field; commands to Command Ingest of fixed size.
+    Of the missions that -c names: telemetry of Telemetry Output and of cFE itself, field by field; commands
+    to Command Ingest of fixed size.
     """
     from edoras_tools.io.outputs import check_new, write_bytes
     from edoras_tools.pipelines.xtce import describe_packets

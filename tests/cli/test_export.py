@@ -8,6 +8,8 @@ import subprocess
 import sys
 
 import pytest
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
 
 from edoras_tools.pipelines.export.sources import CaptureTopics
 
@@ -35,6 +37,21 @@ def test_json_holds_to_its_schema(call, rover, tmp_path):
     assert {item["path"] for item in told["files"]} == {str(item) for item in (tmp_path / "out").iterdir()}
 
 
+@pytest.mark.parametrize("kind", ["csv", "jsonl", "arrow", "parquet"])
+def test_a_table_on_standard_output_is_that_of_a_file(edoras, rover, tmp_path, kind):
+    line = ["export", *rover, "--topic", "/cmd_vel"]
+    assert edoras(*line, "-q", "-o", tmp_path / f"a.{kind}").returncode == 0
+    done = edoras(*line, "--format", kind, "-o", "-")
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout == (tmp_path / f"a.{kind}").read_bytes()
+
+
+def test_a_table_and_a_report_do_not_go_to_the_same_place(call, rover):
+    done = call("export", *rover, "--topic", "/cmd_vel", "-o", "-", "--json")
+    assert (done.code, done.out) == (2, "")
+    assert "leave one of them out" in done.err[0]
+
+
 def test_what_is_there_is_replaced_only_by_force(call, rover, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("before")
@@ -59,7 +76,11 @@ def test_what_is_there_is_replaced_only_by_force(call, rover, tmp_path):
         (["-o", "a.csv", "--topic", "cmd_vel", "--fields", "linaer.x"], 2, "did you mean linear.x"),
         (["-o", "a.csv", "--topic", "cmd_vel", "--start", "90"], 1, "its times go from 0 to 65.270 s"),
         (["-o", "a.csv", "--start", "9", "--end", "8"], 2, "--end is not after --start"),
-        (["-o", "a.csv"], 2, "are several topics; select one with --topic, or name a folder: -o a/"),
+        (
+            ["-o", "a.csv"],
+            2,
+            "are several topics; select one with --topic, or name a folder",
+        ),
         (["-o", "/dev/full"], 2, "name its --format"),
         (["-o", "/dev/full", "--format", "csv", "--topic", "cmd_vel"], 1, "No space left on device"),
         (["-o", "/proc/a.csv", "--topic", "cmd_vel"], 1, "/proc/a.csv: cannot be written"),
@@ -127,10 +148,22 @@ def test_rosbag2_directories_are_read_by_topic(call, rover, tmp_path):
     assert call("record", "-q", "-r", *rover, "--rosbag2", "-o", bag).code == 0
     assert call("export", bag, "--topic", "cmd_vel", "-o", tmp_path / "a.jsonl").code == 0
     assert len((tmp_path / "a.jsonl").read_text().splitlines()) == 600
-    done = call("export", bag, "--link", "ci", "-o", tmp_path / "b.jsonl")
+    assert call("export", bag, "--link", "ci", "-o", tmp_path / "b.jsonl").code == 0
+    assert (tmp_path / "b.jsonl").read_bytes() == (tmp_path / "a.jsonl").read_bytes()
+    assert call("export", bag, *rover, "--topic", "cmd_vel", "-o", tmp_path / "c.jsonl").code == 0
+    assert len((tmp_path / "c.jsonl").read_text().splitlines()) == 1200
+
+
+def test_what_has_topics_only_is_not_chosen_from_by_link(call, rover, tmp_path):
+    path = tmp_path / "bag"
+    with Writer(path, version=9) as writer:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        topic = writer.add_connection("/cmd_vel", "geometry_msgs/msg/Twist", typestore=store)
+        writer.write(topic, 10**18, bytes([0, 1, 0, 0]) + bytes(48))
+    done = call("export", path, "--link", "ci", "-o", tmp_path / "b.jsonl")
     assert (done.code, len(done.err)) == (2, 1)
     assert "contains topics but no datagrams" in done.err[0]
-    done = call("export", bag, rover[0], "-o", tmp_path / "b.jsonl")
+    done = call("export", path, rover[0], "-o", tmp_path / "b.jsonl")
     assert (done.code, len(done.err)) == (2, 1)
 
 

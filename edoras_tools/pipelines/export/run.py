@@ -89,8 +89,8 @@ class ExportTarget:
         """
         if others and not self.folder:
             raise ConfigError(
-                f"{self.path}: {', '.join(others)} and {topic} are several topics; select one with --topic, "
-                f"or name a folder: -o {self.path.with_suffix('')}/"
+                f"{', '.join(others)} and {topic} are several topics; select one with --topic, "
+                "or name a folder that ends with /"
             )
 
     def place(self, topic: str) -> Path:
