@@ -122,6 +122,8 @@ def record(
     )
     if plan and files.rosbag2:
         raise ConfigError("--snapshot writes files, and --rosbag2 a directory: leave one of them out")
+    if files.tf and target.format is not None and not target.format.messages:
+        raise ConfigError(f"{path}: --tf writes a topic, and {target.format.name} has none: use .mcap")
     check_output(target, given.paths, snapshots=plan is not None)
     source, bench = open_input(given, decoding.settings(), every_port=every, output=path)
     if plan:

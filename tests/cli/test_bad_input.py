@@ -224,6 +224,7 @@ USAGE = [
     ("sniff -r ok.pcap --duration nan", 2, "'nan' is not a duration"),
     ("sniff -r ok.pcap --msg-id 0x10000", 2, "MsgId 0x10000 does not fit 16 bits"),
     ("sniff -r ok.pcap --msg-id -1", 2, "MsgId -1 does not fit 16 bits"),
+    ("record ok.pcap --tf -o x.pcap", 2, "x.pcap: --tf writes a topic, and pcap has none: use .mcap"),
     ("sniff -r ok.pcap --link up", 2, "'up' is not a link; there are ci, to, sbn, robot, cfdp"),
     ("sniff -r ok.pcap --topic /nothing", 1, "no configured topic matches '/nothing'"),
     ("record -r ok.pcap -o x.mcap --topic /nothing", 1, "no configured topic matches '/nothing'"),
