@@ -57,6 +57,7 @@ ELSEWHERE = {
     "io/frames/*": "io/frames/test_linklayer.py",
     "io/net/*": "io/net/test_transmit.py",
     "links/streams/*": "links/test_racs2.py",
+    "io/shared.py": "pipelines/test_ahead.py",
     "io/topics/*": "io/formats/mcap/test_writer.py",
     "links/*": "decode/test_agreement.py",
     "middleware/dds/*": "middleware/dds/test_graph.py",

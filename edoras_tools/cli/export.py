@@ -73,6 +73,7 @@ def export(
         ),
     ],
     table: TableOptions,
+    jobs: options.Jobs = None,
     printing: options.PrintOptions,
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
@@ -88,7 +89,7 @@ def export(
         raise ConfigError("-o - prints the table where --json prints its report: leave one of them out")
     printing = printing._replace(quiet=printing.quiet or output == "-")
     with _printed(output, table.layout) as place:
-        _export(place, inputs, table, printing, part, decoding)
+        _export(place, inputs, table, printing, part, decoding, jobs or 0)
 
 
 @contextmanager
@@ -114,6 +115,7 @@ def _export(
     printing: options.PrintOptions,
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
+    jobs: int,
 ) -> None:
     from dataclasses import replace
 
@@ -137,6 +139,7 @@ def _export(
     fields = tuple(item.strip() for item in (table.fields or "").split(",") if item.strip())
     form = TableForm(fields, table.explode, table.time)
     source = open_topics(files, decoding.settings(), scope)
+    source.jobs = jobs
     quiet = printing.quiet or printing.json
     with FileProgress(source.name, console=error_console(), quiet=quiet) as bar:
         report = write(source, target, patterns, form, bar)

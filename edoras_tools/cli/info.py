@@ -27,6 +27,7 @@ def info(
     verify: Annotated[
         bool, typer.Option("--verify", help="Only check every checksum of the recordings.")
     ] = False,
+    jobs: options.Jobs = None,
     printing: options.PrintOptions,
     part: options.PartOptions,
     chosen: options.SelectionOptions,
@@ -66,7 +67,9 @@ def info(
         _topics(captures, settings, chosen.selection(), limits.period, printing)
         return
     with watcher(source, None, quiet=printing.quiet or printing.json, live=False) as watch:
-        report = inspect(source, bench, selection=chosen.selection(), limits=limits, watcher=watch)
+        report = inspect(
+            source, bench, selection=chosen.selection(), limits=limits, watcher=watch, jobs=jobs or 0
+        )
     if printing.json:
         print_json(report.summary())
     elif report.ledger.datagrams:

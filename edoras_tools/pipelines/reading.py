@@ -18,6 +18,7 @@ from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.model import OTHER
+from edoras_tools.pipelines.ahead import Ahead
 from edoras_tools.pipelines.interrupt import interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
@@ -131,6 +132,7 @@ class ReadLoop:
         left, began = limits.count, limits.clock()
         examined = shown = Period()
         inside = False
+        decode = self.source.decode if isinstance(self.source, Ahead) else bench.columns.decode
         for whole in self._until_failure():
             if len(whole):
                 if self.begin_ns is None:
@@ -144,7 +146,7 @@ class ReadLoop:
             if examined:
                 batch = whole.take(examined.holds(whole.time_ns - begin_ns))
                 self.outside += len(whole) - len(batch)
-            columns = bench.columns.decode(batch)
+            columns = decode(batch)
             self._follow(batch, columns)
             rows = self.selection.rows(batch, columns)
             inside = inside or (len(batch) > 0 and bool(shown.holds(batch.time_ns - begin_ns).any()))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.copies import Once
+from edoras_tools.pipelines.ahead import read_ahead
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import CaptureReport
 from edoras_tools.pipelines.reading import Limits, reading
@@ -66,13 +67,24 @@ def inspect(
     selection: Selection | None = None,
     limits: Limits = Limits(),  # noqa: B008  frozen
     watcher: Watcher[CaptureReport] | None = None,
+    jobs: int = 1,
 ) -> CaptureReport:
     """Read a source to its end and count the selected datagrams; ``failure`` says why it ended early.
+
+    Args:
+        source: where datagrams come from; it is closed.
+        bench: mission, types and decoders.
+        selection: which datagrams; all by default.
+        limits: when to end.
+        watcher: called with the report after every batch.
+        jobs: how many processes share the work, see ``read_ahead``; what selects is asked in one.
 
     Raises:
         RouteError: the selection names a topic that is not configured.
         ConfigError: its filter has an error.
     """
+    if not selection:
+        source = read_ahead(source, bench.columns, jobs)
     counting = Counting(source, bench)
     with reading(source, bench, selection, limits, keeps_failure=True, conversing=True) as loop:
         for rows in loop:

@@ -21,6 +21,7 @@ from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.rows import RECORD_BYTES, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, Streams
+from edoras_tools.pipelines.ahead import read_ahead
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.block import TopicBlock
 from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_blocks
@@ -58,6 +59,7 @@ class TopicSource(ABC):
         unnamed: see ``Context``.
         failure: why it ended early, if it did.
         interrupted: Ctrl-C ended it.
+        jobs: how many processes share the work, see ``read_ahead``; may be set before it is read.
     """
 
     source: Source | None = None
@@ -69,6 +71,7 @@ class TopicSource(ABC):
         self.left_out = self.unnamed = 0
         self.failure: EdorasError | None = None
         self.interrupted = False
+        self.jobs = 1
         self._scope = scope or Scope()
 
     @property
@@ -166,9 +169,10 @@ class CaptureTopics(TopicSource):
         """Yield the messages of some topics."""
         routes = [place for place, item in enumerate(self._bench.mission.routes) if item.topic in wanted]
         statistics = STATISTICS_TOPIC in wanted
-        with reading(
-            self._source, self._bench, self._scope.selection, examined=self._scope.period, keeps_failure=True
-        ) as loop:
+        scope, source = self._scope, self._source
+        if not scope.selection and not scope.period:  # else it is decoded where it is selected
+            source = read_ahead(source, self._bench.columns, self.jobs)
+        with reading(source, self._bench, scope.selection, examined=scope.period, keeps_failure=True) as loop:
             for rows in loop:
                 if progress is not None:
                     progress.read(self._source)

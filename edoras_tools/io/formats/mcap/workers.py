@@ -10,9 +10,7 @@ Arrays go through shared memory, everything else is pickled through a socket. Th
 
 from __future__ import annotations
 
-import mmap
 import os
-import pickle
 import select
 from collections import deque
 from contextlib import suppress
@@ -22,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.io.forked import await_end, fork, killed, portable, receive, send, undisturbed
+from edoras_tools.io.shared import ROOM_BYTES, SLOT_BYTES, pickled, place, shared_memory, unpickled
 
 if TYPE_CHECKING:
     import socket
@@ -30,14 +29,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.io.shared import Packed
+
 _SLOTS: Final = 2
 """Tasks of each process: the one that it works on, and the next."""
-_SLOT_BYTES: Final = 32 << 20
-"""Space for the arrays of a task, and again for those of its result; the rest goes through the socket. Only
-pages in use need memory."""
-_ROOM_BYTES: Final = 9 << 20
-"""Memory for a source to read into: one for each task, and one for the next batch."""
-_ALIGNMENT: Final = 64
+_SLOT_BYTES: Final = SLOT_BYTES
+"""For the arrays of a task, and again for those of its result."""
+_ROOM_BYTES: Final = ROOM_BYTES
+"""One for each task, and one for the next batch."""
 _STANDARD_ERROR: Final = 2
 
 
@@ -60,7 +59,7 @@ class Workers:
         """The number of the last task that used each room, from 1."""
         self._lent = len(self._used) * _ROOM_BYTES
         size = self._lent + 2 * self._tasks * _SLOT_BYTES
-        self._memory: NDArray[np.uint8] = np.frombuffer(mmap.mmap(-1, size), np.uint8)
+        self._memory: NDArray[np.uint8] = shared_memory(size)
         self._room = 0
         self._asked = self._answered = 0
         self._results: deque[tuple[Exception | None, Any]] = deque()
@@ -118,14 +117,14 @@ class Workers:
         rooms: set[int] = set()
 
         def lent(data: NDArray[np.uint8]) -> int | None:
-            at = _address(data) - _address(self._memory)
+            at = place(data, self._memory)
             if not 0 <= at < self._lent:
                 return None
             rooms.add(at // _ROOM_BYTES)
             return at
 
         slot = self._asked % self._tasks
-        request = _pack(values, self._memory, self._lent + 2 * slot * _SLOT_BYTES, lent)
+        request = pickled(values, self._memory, self._lent + 2 * slot * _SLOT_BYTES, lent, size=_SLOT_BYTES)
         link = self._links[self._asked % len(self._links)]
         self._asked += 1
         with undisturbed():
@@ -174,60 +173,11 @@ class Workers:
                     self._gone()
                     return
                 self._answered += 1
-                self._results.append((failure, answer and _unpack(answer, self._memory)))
+                self._results.append((failure, answer and unpickled(answer, self._memory)))
 
     def _gone(self) -> None:
         self._results += [(killed(self._path), None)] * (self._asked - self._answered)
         self._answered = self._asked
-
-
-_Packed = tuple[bytes, list[tuple[int, int]]]
-"""A pickle, and where its arrays are in the shared memory."""
-
-
-def _pack(
-    value: Any,
-    memory: NDArray[np.uint8],
-    at: int,
-    lent: Callable[[NDArray[np.uint8]], int | None] = lambda _: None,
-) -> _Packed:
-    """Pickle a value, with its arrays in shared memory.
-
-    Args:
-        value: what is pickled.
-        memory: the shared memory.
-        at: where in it there are ``_SLOT_BYTES`` for arrays.
-        lent: tells where an array is if it is already there.
-    """
-    places: list[tuple[int, int]] = []
-    end = at + _SLOT_BYTES
-
-    def inside(buffer: pickle.PickleBuffer) -> bool:
-        """Put an array into shared memory; return True if it has to stay in the pickle."""
-        nonlocal at
-        data = np.frombuffer(buffer.raw(), np.uint8)
-        there = lent(data)
-        if there is not None:
-            places.append((there, there + len(data)))
-            return False
-        if at + len(data) > end:
-            return True
-        memory[at : at + len(data)] = data
-        places.append((at, at + len(data)))
-        at += -(-len(data) // _ALIGNMENT) * _ALIGNMENT
-        return False
-
-    return pickle.dumps(value, protocol=5, buffer_callback=inside), places
-
-
-def _unpack(packed: _Packed, memory: NDArray[np.uint8]) -> Any:
-    body, places = packed
-    return pickle.loads(body, buffers=[memory[first:end] for first, end in places])  # noqa: S301  our own data
-
-
-def _address(data: NDArray[np.uint8]) -> int:
-    place: int = data.__array_interface__["data"][0]
-    return place
 
 
 def _serve(work: Callable[..., Any], memory: NDArray[np.uint8], lent: int, link: socket.socket) -> None:
@@ -240,10 +190,10 @@ def _serve(work: Callable[..., Any], memory: NDArray[np.uint8], lent: int, link:
     while True:
         slot, request = receive(link)
         failure: Exception | None = None
-        answer: _Packed | None = None
+        answer: Packed | None = None
         try:
-            result = work(*_unpack(request, memory))
-            answer = _pack(result, memory, lent + (2 * slot + 1) * _SLOT_BYTES)
+            result = work(*unpickled(request, memory))
+            answer = pickled(result, memory, lent + (2 * slot + 1) * _SLOT_BYTES, size=_SLOT_BYTES)
         except Exception as error:  # noqa: BLE001  the one who takes the result gets it
             failure = portable(error)
         send(link, (failure, answer))

@@ -1,0 +1,156 @@
+"""A file that another process reads and decodes: all is as with one process."""
+
+import os
+import signal
+import sys
+from contextlib import closing
+from dataclasses import fields
+from itertools import zip_longest
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from places import CAPTURES, ROOT
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats import stream
+from edoras_tools.model import Columns, PacketBatch
+from edoras_tools.pipelines import ahead as module
+from edoras_tools.pipelines.ahead import Ahead
+from edoras_tools.pipelines.capture.info import inspect
+from edoras_tools.pipelines.export.run import ExportTarget, export
+from edoras_tools.pipelines.export.sources import open_topics
+from edoras_tools.pipelines.reading import Limits
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import Settings, open_files
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning"),
+    pytest.mark.skipif(sys.platform != "linux", reason="there is one process elsewhere"),
+]
+SAMPLES = sorted((ROOT / "samples/captures").glob("*.pcap"))
+
+
+@pytest.fixture(autouse=True)
+def any_file(monkeypatch):
+    """Small files are read ahead too, in many windows."""
+    monkeypatch.setattr("edoras_tools.pipelines.jobs._LARGE", 1)
+    for name in ("FIRST", "_SECOND_WINDOW", "SLICE"):
+        monkeypatch.setattr(stream, name, 8 << 10)
+
+
+def looked_at(path, jobs, **how):
+    source = open_files([path])
+    return inspect(source, Settings().workbench(source.info), jobs=jobs, **how)
+
+
+def same(one, other):
+    """Compare two batches, or the columns of two, byte for byte."""
+    for item in fields(type(one)):
+        here, there = getattr(one, item.name), getattr(other, item.name)
+        assert np.array_equal(here, there), item.name
+        assert getattr(here, "dtype", None) == getattr(there, "dtype", None), item.name
+    return True
+
+
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+def test_info_is_the_same_with_any_number_of_processes(path):
+    found = [looked_at(path, jobs).summary() for jobs in (1, 2, 3)]
+    assert found[0] == found[1] == found[2]
+    assert found[0]["datagrams"] > 500
+
+
+@pytest.mark.parametrize("name", ["a_rover", "f_sbn_disconnect"])
+def test_tables_are_the_same_with_any_number_of_processes(name, tmp_path):
+    written = []
+    for jobs in (1, 2):
+        folder = tmp_path / str(jobs)
+        source = open_topics([ROOT / f"samples/captures/{name}.pcap"], Settings())
+        source.jobs = jobs
+        report = export(source, ExportTarget.of(folder, name="csv", folder=True))
+        written.append({path.name: path.read_bytes() for path in folder.iterdir()})
+        assert report.source.left_out == 0
+    assert written[0] == written[1]
+    assert sum(map(len, written[0].values())) > 10_000
+
+
+@settings(max_examples=10)
+@given(
+    window=st.integers(6_000, 200_000),
+    slots=st.integers(1, 5),
+    rooms=st.integers(0, 2),
+    room=st.sampled_from([1 << 10, 40 << 10, 9 << 20]),
+    slot=st.sampled_from([1 << 10, 100 << 10, 32 << 20]),
+)
+def test_batches_are_the_same_however_they_are_cut(window, slots, rooms, room, slot):
+    path = ROOT / "samples/captures/a_rover.pcap"
+    with (
+        patch.multiple(stream, FIRST=window, _SECOND_WINDOW=window, SLICE=window),
+        patch.multiple(module, _SLOTS=slots, _ROOMS=slots + 1 + rooms, ROOM_BYTES=room, SLOT_BYTES=slot),
+    ):
+        here, there = open_files([path]), open_files([path])
+        decoder = Settings().workbench(here.info).columns
+        ahead = Ahead(there, Settings().workbench(there.info).columns)
+        with closing(here), closing(ahead):
+            for one, other in zip_longest(here.batches(), ahead.batches()):
+                assert isinstance(other, PacketBatch)
+                columns = ahead.decode(other)
+                assert isinstance(columns, Columns)
+                assert same(decoder.decode(one), columns)
+                assert same(one, other)
+                assert here.statistics.frames == ahead.statistics.frames
+    assert here.statistics == ahead.statistics
+    assert ahead.statistics.datagrams == 1827
+
+
+def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(tmp_path):
+    path = tmp_path / "cut.pcap"
+    path.write_bytes((ROOT / "samples/captures/a_rover.pcap").read_bytes()[:100_000])
+    one, two = (looked_at(path, jobs) for jobs in (1, 2))
+    assert str(one.failure) == str(two.failure)
+    assert "ends inside record" in str(two.failure)
+    assert one.summary() == two.summary()
+
+
+def test_what_is_not_wanted_is_not_waited_for():
+    found = [
+        looked_at(CAPTURES / "a_rover.pcap", jobs, limits=Limits(count=300)).summary() for jobs in (1, 2)
+    ]
+    assert found[0] == found[1]
+    assert found[0]["datagrams"] == 300
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+def test_what_selects_is_asked_in_one_process(monkeypatch):
+    monkeypatch.setattr("edoras_tools.pipelines.ahead.fork", None)
+    report = looked_at(CAPTURES / "a_rover.pcap", 2, selection=Selection(where="link == to"))
+    assert 0 < report.ledger.datagrams < 1827
+
+
+def test_one_that_is_killed_is_told_and_what_came_before_is_counted(monkeypatch):
+    here, given = os.getpid(), []
+    decode = module._Reader._hand_over
+
+    def killed(self, batch):
+        given.append(batch)
+        if len(given) > 3 and os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        decode(self, batch)
+
+    monkeypatch.setattr(module._Reader, "_hand_over", killed)
+    report = looked_at(CAPTURES / "a_rover.pcap", 2)
+    assert isinstance(report.failure, CaptureError)
+    assert "a_rover.pcap: the process that read it was killed, perhaps" in str(report.failure)
+    assert 0 < report.ledger.datagrams < 1827
+
+
+def test_where_no_process_can_be_forked_it_is_read_here(monkeypatch):
+    def none(*_):
+        raise BlockingIOError("Resource temporarily unavailable")
+
+    expected = looked_at(CAPTURES / "a_rover.pcap", 1).summary()
+    monkeypatch.setattr("os.fork", none)
+    assert looked_at(CAPTURES / "a_rover.pcap", 2).summary() == expected
