@@ -10,6 +10,7 @@ import pytest
 from pdus import eof, finished, metadata, nak, pdu, piece
 from places import CAPTURES, ROOT
 from rewriting import Udp, datagrams, write
+from streams import ACK, CLIENT, SERVER, Segment, sbn_message, sbn_messages, segments_of, write_segments
 from transfer_frames import Maker, space_packet
 
 from edoras_tools.diagnosis.rules import RULES
@@ -87,6 +88,20 @@ def not_cfs(lab, tmp_path, msg_id):
 @case
 def cut_frames(lab, tmp_path, msg_id):
     return rover(lab, tmp_path / "x.pcap", lambda items: items, snap=80)
+
+
+@case
+def stream_gap(lab, tmp_path, msg_id):
+    """SBN over TCP of which the capture lacks one segment; two equal heartbeats in one segment are two."""
+    sent = [sbn_message(4, b"\x0b"), *[sbn_message(0xA0, b"")] * 2, *sbn_messages(30)]
+    stream = b"".join(sent)
+    segments = segments_of(stream, range(100, len(stream), 100))
+    segments.append(Segment(1, b"", ACK, 1000 + len(stream), SERVER, CLIENT))
+    write_segments(tmp_path / "whole.pcap", segments)
+    whole = lab.read(tmp_path / "whole.pcap", lab.missions("rover"))
+    assert not {"stream_gap", "captured_twice", "duplicated"} & {item.rule for item in whole.verdicts}
+    write_segments(tmp_path / "x.pcap", [item for place, item in enumerate(segments) if place != 5])
+    return lab.read(tmp_path / "x.pcap", lab.missions("rover"))
 
 
 @case

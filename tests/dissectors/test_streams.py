@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import struct
-
 import pytest
 from racs2_peer import Talk, to_cfs, to_ros
-from streams import frames, sbn_messages, segments_of
+from streams import frames, sbn_messages, segments_of, write_segments
 
 from edoras_tools.decode import Context, Dissector
 from edoras_tools.io.frames.linklayer import Demux
@@ -14,17 +12,9 @@ from edoras_tools.io.frames.linklayer import Demux
 
 def capture_of(segments, path):
     """Write segments as a pcap file; return our own reading of them."""
-    batch = frames(segments)
-    out = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262144, 1)]
-    for offset, length, time_ns in zip(
-        batch.offset.tolist(), batch.length.tolist(), batch.time_ns.tolist(), strict=True
-    ):
-        seconds, rest = divmod(time_ns, 10**9)
-        head = struct.pack("<IIII", seconds, rest // 1000, length, length)
-        out.append(head + batch.data[offset : offset + length].tobytes())
-    path.write_bytes(b"".join(out))
+    write_segments(path, segments)
     demux, dissector = Demux(), Dissector(Context())
-    found = demux.demux(batch)
+    found = demux.demux(frames(segments))
     return [dissector.dissect(found[row]) for row in range(len(found))]
 
 

@@ -88,6 +88,18 @@ def frames(segments, number: int = 1) -> FrameBatch:
     )
 
 
+def write_segments(path, segments) -> None:
+    """Write segments as a pcap file."""
+    batch = frames(segments)
+    out = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262144, 1)]
+    columns = batch.offset.tolist(), batch.length.tolist(), batch.time_ns.tolist()
+    for offset, length, time_ns in zip(*columns, strict=True):
+        seconds, rest = divmod(time_ns, 10**9)
+        head = struct.pack("<IIII", seconds, rest // 1000, length, length)
+        out.append(head + batch.data[offset : offset + length].tobytes())
+    path.write_bytes(b"".join(out))
+
+
 def sbn_message(kind: int, payload: bytes, processor: int = 3, spacecraft: int = 0x42) -> bytes:
     """Return one SBN message."""
     return struct.pack(">hBII", len(payload), kind, processor, spacecraft) + payload

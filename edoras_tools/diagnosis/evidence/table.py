@@ -180,6 +180,10 @@ class Recorder:
         plain, stamped = self._fingerprints(batch, columns, offset, length)
         there = columns.packet_offset >= 0
         network, identification, life = network_headers(batch)
+        if batch.streams is not None:
+            # The messages of one segment have its identification; no message of a stream comes twice.
+            identification = np.where(batch.streams, np.arange(len(batch)) % 0xFFFF + 1, identification)
+            identification = identification.astype(np.uint16)
         tap = of_bytes(batch.data, batch.frame_offset, network - batch.frame_offset)
         told = self._sequences.follow(batch, columns)
         self._told.append(told)
