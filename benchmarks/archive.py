@@ -172,7 +172,7 @@ def kill(folder: Path, kills: int) -> None:
         command = [EDORAS, "archive", str(folder), "--index", str(index), "-q", "-c", str(MISSION)]
         for _ in range(kills):
             with subprocess.Popen(command, start_new_session=True) as running:
-                time.sleep(chance.uniform(0.5, 0.4 * seconds))
+                time.sleep(chance.uniform(0.2, 0.8) * seconds)
                 running.send_signal(signal.SIGKILL)
             with duckdb.connect(str(index)) as opened:
                 tables = opened.execute("SELECT count(*) FROM duckdb_tables()").fetchone()[0]
