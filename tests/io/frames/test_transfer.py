@@ -165,6 +165,23 @@ def test_frames_of_type_b_are_not_counted():
     assert (reader.channels[0].counted, reader.channels[0].counts) == (False, None)
 
 
+F_PRIME = (
+    "20440416001827c0000009000000000000000000003acd",
+    "20440416001827c001000901010101010101010101891f",
+    "20440416001827c0020009020202020202020202024d48",
+)
+"""TC frames of Type-B as ``fprime-gds`` 4.4.1 writes them around three packets."""
+
+
+def test_tc_frames_of_an_independent_package():
+    reader = Unframer({PORT: FrameFormat("tc")})
+    found, rows = taken([bytes.fromhex(frame) for frame in F_PRIME], [], reader)
+    assert [packet.hex() for packet, _ in found] == [frame[10:-4] for frame in F_PRIME]
+    assert not any(rows)
+    (channel,) = reader.channels
+    assert (channel.spacecraft_id, channel.virtual_channel_id, channel.counted) == (0x44, 1, False)
+
+
 def test_a_pointer_is_believed_more_than_the_length_of_a_packet():
     maker = Maker("tm", 30)
     wrong = bytearray(space_packet(1, b"a" * 24))
