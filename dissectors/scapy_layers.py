@@ -19,12 +19,12 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from scapy.fields import PacketListField, StrLenField
-from scapy.layers.inet import UDP
-from scapy.packet import Packet, Raw, bind_top_down
+from scapy.layers.inet import TCP, UDP
+from scapy.packet import Packet, Raw, bind_bottom_up, bind_top_down
 
 from edoras_tools.dissectors.scapy_fields import fields, put
 from edoras_tools.links import table
-from edoras_tools.wire import ccsds, cdr, cfe, sbn
+from edoras_tools.wire import ccsds, cdr, cfe, racs2, sbn
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect
 from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, MsgIds
 
@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.wire.layout import Layout
 
-_LINKS: Final = tuple(link for link in table.links() if not (link.forms or link.wireshark))
+_LINKS: Final = tuple(
+    link for link in table.links() if link.transport.udp and not (link.forms or link.wireshark)
+)
 """Those whose ports tell what they carry, with fixed headers: scapy binds layers to ports, not to lengths."""
 CAPTURE_FILTER: Final = " or ".join(
     f"udp port {port}" for port in sorted({port for link in _LINKS for port in link.transport.ports})
@@ -402,6 +404,27 @@ class SBNProto(Packet):  # type: ignore[misc]
     fields_desc = fields(sbn.PROTO, protocol_version=sbn.PROTOCOL_VERSION)
 
 
+class RACS2(Packet):  # type: ignore[misc]
+    """A message of RACS2 to ROS 2, as a WebSocket frame holds it, unmasked."""
+
+    name = racs2.TO_ROS.title
+    fields_desc = fields(racs2.TO_ROS)
+
+    @classmethod
+    def dispatch_hook(cls, raw: bytes | None = None, *_args: Any, **_values: Any) -> type[Packet]:
+        """Choose the header to cFS where the first bytes can be a MsgId."""
+        if cls is RACS2 and raw and raw[0] <= cfe.HIGHEST_MSG_ID >> 8:
+            return RACS2Message
+        return cls
+
+
+class RACS2Message(RACS2):
+    """A message of RACS2 to cFS."""
+
+    name = racs2.TO_CFS.title
+    fields_desc = fields(racs2.TO_CFS)
+
+
 _MESSAGES: Final[Mapping[int, tuple[type[Packet], Layout]]] = {
     sbn.MsgType.SUB: (SBNSubscriptions, sbn.SUBSCRIPTIONS),
     sbn.MsgType.UNSUB: (SBNSubscriptions, sbn.SUBSCRIPTIONS),
@@ -453,6 +476,10 @@ bind_top_down(SBN, SBNSubscriptions, msg_type=sbn.MsgType.SUB)
 bind_top_down(SBN, SBNProto, msg_type=sbn.MsgType.PROTO)
 bind_top_down(UDP, SpacePacket, sport=1235, dport=1234)
 bind_top_down(UDP, SBN, sport=2236, dport=2234)
+# Of TCP, a segment that begins with a message, as those in what these tools write.
+for _port in next(link for link in _LINKS if link.peers).transport.ports:
+    bind_bottom_up(TCP, SBN, dport=_port)
+    bind_bottom_up(TCP, SBN, sport=_port)
 # In front of all others: a source port that means something else elsewhere must not win.
 UDP.payload_guess[:0] = [
     *(({"dport": port}, _first(link)) for link in reversed(_LINKS) for port in link.transport.ports),

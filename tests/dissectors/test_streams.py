@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pytest
 from racs2_peer import Talk, to_cfs, to_ros
+from scapy.layers.l2 import Ether
 from streams import frames, sbn_messages, segments_of, write_segments
 
 from edoras_tools.decode import Context, Dissector
+from edoras_tools.dissectors import scapy_layers
 from edoras_tools.io.frames.linklayer import Demux
 
 
@@ -63,3 +65,17 @@ def test_foxglove_and_other_text_on_the_port_are_left_to_wireshark(tshark, tmp_p
         talk.pass_on()
     capture_of(talk.segments, tmp_path / "other.pcap")
     assert said(tshark, tmp_path / "other.pcap", "racs2.topic.topic_name", "racs2.message.msg_id") == [[], []]
+
+
+def test_scapy_reads_what_is_written():
+    messages = sbn_messages(30)
+    demux = Demux()
+    batch = demux.demux(frames(segments_of(b"".join(messages), [33, 70, 500])))
+    for row, message in enumerate(messages):
+        packet = Ether(batch[row].frame)[scapy_layers.SBN]
+        assert (packet.msg_type, packet.processor_id, packet.spacecraft_id) == (message[2], 3, 0x42)
+        assert bytes(packet) == message
+    topic, command = scapy_layers.RACS2(to_ros("/a/b", b"x")), scapy_layers.RACS2(to_cfs(0x1894, b"x"))
+    assert topic.topic_name == "/a/b"
+    assert (type(command), command.msg_id) == (scapy_layers.RACS2Message, 0x1894)
+    assert bytes(command.payload) == b"x"
