@@ -14,7 +14,7 @@ class StoredLink(LinkProtocol):
     code = 9
     name = "FILE"
     label = "file"
-    colour = "bright_black"
+    colour = "dim"
     doc = "packets in a file that cFS wrote (event log, Data Storage)"
     transport = Transport(ports=(0,), first="server")
     from_cfs = True
