@@ -81,7 +81,7 @@ def _client(scheduler: str) -> Client:
     client = Client(scheduler, timeout=_PATIENCE_S, set_as_default=False)
     try:
         client.wait_for_workers(1, timeout=_PATIENCE_S)
-    except TimeoutError as error:
+    except (TimeoutError, asyncio.TimeoutError) as error:
         client.close()
         raise CaptureError(
             f"{scheduler}: the scheduler has no worker; start some with 'dask worker {scheduler}'"
