@@ -115,7 +115,7 @@ def examine(
         raise
     pace = pace or Pace(lambda: 0)
     if (count := jobs_for(source, pace.jobs)) > 1:
-        examination.apart = _Judges(examination, count - 1, source.info.name)
+        examination.apart = _Judges(examination, count, source.info.name)
     host = tuple(recorded_host(source))
 
     def diagnose() -> Diagnosis:
@@ -169,7 +169,7 @@ def examine(
 
 
 class _Judges:
-    """Lets other processes judge chapters while this one reads on.
+    """Lets other processes judge chapters while this one reads on: that takes less time, so it mostly waits.
 
     Args:
         examination: whose chapters they are.
