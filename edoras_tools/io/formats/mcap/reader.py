@@ -352,6 +352,8 @@ class McapSource:
                 record = Metadata.read(stream)
                 if record.name == OUTAGE_METADATA_NAME:
                     self._note(InterfaceOutage.from_text(record.metadata))
+                if record.name not in self._metadata:
+                    self.statistics.kernel_drops += int(record.metadata.get("kernel_drops", 0))
                 self._metadata[record.name] = record.metadata
             else:
                 attachment = Attachment.read(stream)

@@ -59,6 +59,14 @@ def same(one, other):
         assert one[row] == other[row]
 
 
+def test_what_the_recorder_lost_is_told(tmp_path):
+    sink = McapSink(tmp_path / "a.mcap", MISSION, TYPES, SourceInfo("lo", "live"))
+    sink.close(SourceStatistics(kernel_drops=63_784))
+    recording = open_file(tmp_path / "a.mcap")
+    assert list(recording.batches()) == []
+    assert recording.statistics.kernel_drops == 63_784
+
+
 @pytest.mark.parametrize("name", ["a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect"])
 def test_a_capture_comes_back(tmp_path, name):
     source = open_file(CAPTURES / f"{name}.pcap")
