@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-import tomllib
+from toml_files import TOML
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("edoras_tools", "dissectors", "samples")
@@ -182,7 +182,7 @@ def test_imports_inside_functions_are_those_that_are_named():
 
 
 def test_every_package_is_installed():
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    settings = TOML.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     there = {file.parent.relative_to(ROOT) for file in (ROOT / "edoras_tools").rglob("*.py")}
     assert {".".join(folder.parts) for folder in there} <= {*settings["packages"]}
 

@@ -11,8 +11,8 @@ import json
 import re
 
 import pytest
-import tomllib
 from places import ROOT
+from toml_files import TOML
 
 GPL = {"scapy": "GPL-2.0-only"}
 """Imported by dissectors/ and by one back end of live capture, for systems without packet sockets."""
@@ -87,7 +87,7 @@ def test_the_bill_of_materials_is_whole(sbom, monkeypatch, tmp_path):
     assert bill["metadata"]["timestamp"] == "1970-01-01T00:00:01Z"
     assert bill == sbom.bill(), "the same environment gives the same bill"
     names = {item["name"].lower() for item in bill["components"]}
-    wanted = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    wanted = TOML.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
     assert {
         re.match(r"[\w.-]+", item)[0].lower() for item in wanted if "python_version <" not in item
     } <= names
@@ -110,7 +110,7 @@ def test_every_locked_version_has_hashes_and_no_place_to_come_from(sbom):
         if found := re.match(r"([a-z][\w.-]*)==(\S+)", entry):
             assert re.search(r"--hash=sha256:[0-9a-f]{64}", entry), found[0]
             locked[found[1]] = found[2]
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    project = TOML.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = [item for extra in project["optional-dependencies"].values() for item in extra]
     asked = {re.match(r"[\w.-]+", item)[0] for item in (*project["dependencies"], *extras)}
     assert {sbom.plain(name) for name in asked} - {sbom.PACKAGE} <= set(locked)

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomllib
 from hypothesis import given
 from hypothesis import strategies as st
 from places import SAMPLES
+from toml_files import TOML
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.errors import ConfigError, WireError
@@ -71,7 +71,7 @@ def site(tmp_path_factory):
     """A folder with the package installed, as pip would lay it out."""
     folder = tmp_path_factory.mktemp("site")
     shutil.copy(SAMPLES / "links/edoras_radio_link.py", folder)
-    project = tomllib.loads((SAMPLES / "links/pyproject.toml").read_text())["project"]
+    project = TOML.loads((SAMPLES / "links/pyproject.toml").read_text())["project"]
     info = folder / f"edoras_radio_link-{project['version']}.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(
