@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import closing
 from dataclasses import fields
 
 import numpy as np
@@ -62,8 +63,8 @@ def same(one, other):
 def test_what_the_recorder_lost_is_told(tmp_path):
     sink = McapSink(tmp_path / "a.mcap", MISSION, TYPES, SourceInfo("lo", "live"))
     sink.close(SourceStatistics(kernel_drops=63_784))
-    recording = open_file(tmp_path / "a.mcap")
-    assert list(recording.batches()) == []
+    with closing(open_file(tmp_path / "a.mcap")) as recording:
+        assert list(recording.batches()) == []
     assert recording.statistics.kernel_drops == 63_784
 
 
