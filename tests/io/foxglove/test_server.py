@@ -269,7 +269,9 @@ def test_what_is_no_foxglove_client_is_told_so(serve, capfd):
     assert told[-1] == f"a client at 127.0.0.1 was refused: {offers}"
     assert answer(server, b"\x16\x03\x01 this is TLS\r\n\r\n") == b""
     assert told[-1] == "a client at 127.0.0.1 was refused: it speaks TLS; use http:// or ws://"
-    assert answer(server, b"GET /" + b"x" * 100_000).startswith(b"HTTP/1.1 414 ")
+    too_long = answer(server, b"GET /" + b"x" * 100_000)
+    # websockets before 17, the last for Python 3.10, closes without an answer
+    assert too_long.startswith(b"HTTP/1.1 414 ") or (sys.version_info < (3, 11) and too_long == b"")
     with socket.create_connection((server.endpoint.address, server.endpoint.port)):
         pass
     assert server.summary()["connections"] == 0
