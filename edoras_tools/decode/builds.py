@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
 from edoras_tools.wire.msg_id import VERSION_1
-from edoras_tools.wire.order import by_value
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -19,11 +19,11 @@ from edoras_tools.links.cfdp import holds_pdu
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Columns, Finding, PacketBatch
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import any_nonzero, gather, xor_bytes
 from edoras_tools.wire.cdr import ROUNDED
 from edoras_tools.wire.cfdp import read_pdus
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
-from edoras_tools.wire.order import by_value
-from edoras_tools.wire.window import any_nonzero, gather, xor_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Collection

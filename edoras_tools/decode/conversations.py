@@ -27,9 +27,9 @@ import numpy as np
 from edoras_tools.links import table
 from edoras_tools.model import OTHER, Endpoint, Finding, Link
 from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import VERSION_1
-from edoras_tools.wire.order import numbered
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -14,7 +14,7 @@ from edoras_tools.decode.contents import Contents, endpoints, links_of, message_
 from edoras_tools.decode.summary import LAYER_TEXTS, message_texts, packet_text
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.wire import cfe
-from edoras_tools.wire.order import by_value
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 from edoras_tools.links import table
 from edoras_tools.links.frames import FRAMES, frame_rows, is_frame
 from edoras_tools.model import OTHER, Finding, Link
-from edoras_tools.wire.window import gather
+from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

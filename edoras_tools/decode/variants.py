@@ -26,10 +26,10 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Endpoint
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
 from edoras_tools.wire.msg_id import VERSION_1
-from edoras_tools.wire.order import by_value
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -12,8 +12,9 @@ import numpy as np
 
 from edoras_tools.links.protocol import BatchRows, LinkProtocol, Seen, Site
 from edoras_tools.model import Datagram, Decoded, LayerField, PacketBatch
-from edoras_tools.wire.crc import CRC16_BYTES, crc16
-from edoras_tools.wire.order import by_value
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.transfer_frames import headers
 from edoras_tools.wire.transfer_frames.fields import (
     FRAME_LAYOUTS,
@@ -21,7 +22,6 @@ from edoras_tools.wire.transfer_frames.fields import (
     NO_FIRST,
     FrameFormat,
 )
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

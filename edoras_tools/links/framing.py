@@ -89,7 +89,7 @@ class Framing:
         """Return the bytes of the message that starts at each position.
 
         Args:
-            data: u8, contiguous; at least ``wire.window.PADDING`` bytes follow each ``end``.
+            data: u8, contiguous; at least ``wire.arrays.window.PADDING`` bytes follow each ``end``.
             at: i64 (n,), positions, at most ``end``.
             end: one past the last byte that is there, for all or i64 (n,).
 

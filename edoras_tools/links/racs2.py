@@ -11,8 +11,8 @@ from edoras_tools.links.framing import Framing
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen, Site
 from edoras_tools.model import Decoded, LayerField, PacketBatch, Transport
 from edoras_tools.wire import cfe, racs2
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.layout import Field, Layout
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -16,8 +16,8 @@ from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located, Site
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds, sbn
-from edoras_tools.wire.order import by_value
-from edoras_tools.wire.window import gather
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

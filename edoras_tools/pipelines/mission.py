@@ -20,8 +20,8 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Link, Peer
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.ros.fitting import types_that_fit
 from edoras_tools.wire import cfe
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat, detect
-from edoras_tools.wire.order import by_value
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:

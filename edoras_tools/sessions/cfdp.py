@@ -22,6 +22,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from edoras_tools.links.cfdp import CFDP, holds_pdu
+from edoras_tools.wire.arrays.crc import FileCrc
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.window import copy_rows
 from edoras_tools.wire.cfdp import (
     CONDITION_NAMES,
     UNREAD,
@@ -33,9 +36,6 @@ from edoras_tools.wire.cfdp import (
     parameters,
     read_pdus,
 )
-from edoras_tools.wire.crc import FileCrc
-from edoras_tools.wire.order import numbered
-from edoras_tools.wire.window import copy_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator

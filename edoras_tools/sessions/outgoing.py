@@ -21,9 +21,9 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link, Peer
 from edoras_tools.older import StrEnum
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at, xor_bytes
 from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, VERSION_2
-from edoras_tools.wire.order import by_value
-from edoras_tools.wire.window import copy_rows, put_rows, read_at, xor_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

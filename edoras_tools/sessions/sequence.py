@@ -42,8 +42,8 @@ import numpy as np
 
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import SECOND
-from edoras_tools.wire import fingerprint
-from edoras_tools.wire.order import order_by
+from edoras_tools.wire.arrays import fingerprint
+from edoras_tools.wire.arrays.order import order_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

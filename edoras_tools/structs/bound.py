@@ -11,8 +11,8 @@ from edoras_tools.structs.counting import MOST_VALUES, Counter
 from edoras_tools.structs.messages import HEADER_FIELDS, parts
 from edoras_tools.structs.packets import SHIPPED
 from edoras_tools.structs.transcode import HEAD, StructPlan
-from edoras_tools.wire.order import by_value
-from edoras_tools.wire.window import gather
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

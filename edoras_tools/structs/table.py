@@ -12,8 +12,8 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.schema import complete_text
 from edoras_tools.structs.packets import FPRIME_KEY, UDP_KEY, packets
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.msg_id import VERSION_1
-from edoras_tools.wire.order import by_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

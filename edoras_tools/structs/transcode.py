@@ -17,7 +17,7 @@ from edoras_tools.ros.types.schema import PRIMITIVES
 from edoras_tools.structs.counting import MOST_VALUES
 from edoras_tools.structs.messages import HEADER_FIELDS, parts, primitive
 from edoras_tools.structs.shapes import BasicKind
-from edoras_tools.wire.window import copy_rows, put_rows
+from edoras_tools.wire.arrays.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.layout import Field, Layout
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

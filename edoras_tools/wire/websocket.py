@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.wire.window import gather
+from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

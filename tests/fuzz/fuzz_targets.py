@@ -47,7 +47,7 @@ from edoras_tools.render.doctor.doctor import diagnosis as view
 from edoras_tools.render.doctor.report.page import Made, page
 from edoras_tools.render.doctor.runs import runs_view
 from edoras_tools.ros import TypeStore
-from edoras_tools.wire.window import PADDING
+from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError, FieldError, TruncatedError, WireError
 from edoras_tools.model import Peer
-from edoras_tools.wire import ccsds, cfe, sbn, window
+from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.arrays import window
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect
 from edoras_tools.wire.msg_id import VERSION_1
 

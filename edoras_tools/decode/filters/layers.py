@@ -14,9 +14,9 @@ from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import ENCAPSULATION
 from edoras_tools.wire.envelope import DEFAULT
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

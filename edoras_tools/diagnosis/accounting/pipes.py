@@ -22,7 +22,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.units import SECOND
-from edoras_tools.wire.order import by_value, numbered
+from edoras_tools.wire.arrays.order import by_value, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

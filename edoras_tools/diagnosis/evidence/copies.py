@@ -23,9 +23,9 @@ import numpy as np
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.model import OTHER
 from edoras_tools.units import MILLISECOND
-from edoras_tools.wire.fingerprint import of_bytes
-from edoras_tools.wire.order import by_value
-from edoras_tools.wire.window import gather
+from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.wire.order import numbered
+from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

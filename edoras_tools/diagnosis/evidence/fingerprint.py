@@ -11,7 +11,7 @@ from zlib import crc32
 
 import numpy as np
 
-from edoras_tools.wire.fingerprint import MIX, WEIGHTS, finished, stirred
+from edoras_tools.wire.arrays.fingerprint import MIX, WEIGHTS, finished, stirred
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

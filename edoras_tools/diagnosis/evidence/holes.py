@@ -14,7 +14,7 @@ import numpy as np
 
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.order import by_value, numbered
+from edoras_tools.wire.arrays.order import by_value, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -25,7 +25,7 @@ from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import BOOT_APART_NS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.order import numbered
+from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence

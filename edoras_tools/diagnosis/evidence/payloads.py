@@ -13,9 +13,9 @@ from edoras_tools.errors import TruncatedError
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.fingerprint import of_bytes
-from edoras_tools.wire.order import numbered
-from edoras_tools.wire.window import gather
+from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -18,7 +18,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.order import numbered
+from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -13,8 +13,8 @@ from edoras_tools.links.robot import ROBOT
 from edoras_tools.structs.packets import UDP_KEY
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import robot
-from edoras_tools.wire.fingerprint import of_bytes
-from edoras_tools.wire.window import PADDING, gather
+from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire.arrays.window import PADDING, gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -16,10 +16,10 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.wire import cfe
-from edoras_tools.wire.fingerprint import of_bytes
+from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import VERSION_1
-from edoras_tools.wire.order import numbered
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -30,7 +30,7 @@ from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.fingerprint import matches
+from edoras_tools.wire.arrays.fingerprint import matches
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

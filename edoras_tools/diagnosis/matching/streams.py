@@ -17,8 +17,8 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.msg_id import VERSION_1
-from edoras_tools.wire.order import by_value, numbered
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

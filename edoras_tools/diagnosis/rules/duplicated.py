@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.wire.order import by_value
+from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,7 +10,7 @@ from edoras_tools.cfs.names import PRIVILEGED, command_name
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.model import Finding
-from edoras_tools.wire.order import numbered
+from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from edoras_tools.diagnosis.rules.privileged_commands import privilege, sound_commands
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.to import TO
-from edoras_tools.wire.order import numbered
+from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

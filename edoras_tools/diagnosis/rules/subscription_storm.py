@@ -9,7 +9,7 @@ import numpy as np
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.order import numbered
+from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

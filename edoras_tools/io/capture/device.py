@@ -23,7 +23,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.frame_batch import joined_frames
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import PacketBatch, SourceStatistics
-from edoras_tools.wire.window import PADDING
+from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -58,7 +58,7 @@ from edoras_tools.io.capture.interfaces import (
 )
 from edoras_tools.io.capture.permission import claim_raw_sockets, denied
 from edoras_tools.model import InterfaceOutage, SourceInfo
-from edoras_tools.wire.window import PADDING
+from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -21,7 +21,7 @@ from edoras_tools.io.capture.interfaces import find_interface, interfaces, missi
 from edoras_tools.io.capture.permission import denied
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import Finding, InterfaceOutage, SourceInfo
-from edoras_tools.wire.window import PADDING
+from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -24,7 +24,7 @@ from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.segments import cut
-from edoras_tools.wire.window import read_at
+from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

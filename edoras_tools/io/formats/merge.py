@@ -10,7 +10,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics, concatenate
-from edoras_tools.wire.window import PADDING
+from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

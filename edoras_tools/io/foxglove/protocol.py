@@ -18,7 +18,7 @@ from edoras_tools.errors import WireError
 from edoras_tools.io.foxglove.playback import PlaybackRequest
 from edoras_tools.io.foxglove.publishing import MESSAGE_ENCODINGS
 from edoras_tools.units import SECOND
-from edoras_tools.wire.window import copy_rows, put_rows
+from edoras_tools.wire.arrays.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

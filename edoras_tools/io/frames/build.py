@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW, FrameBatch
-from edoras_tools.wire.window import PADDING, copy_rows
+from edoras_tools.wire.arrays.window import PADDING, copy_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.wire.window import PADDING, copy_rows
+from edoras_tools.wire.arrays.window import PADDING, copy_rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

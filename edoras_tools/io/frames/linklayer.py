@@ -45,7 +45,7 @@ from edoras_tools.io.frames.network import (
 )
 from edoras_tools.links.table import framings
 from edoras_tools.model import Finding, PacketBatch, concatenate
-from edoras_tools.wire.window import PADDING, read_at
+from edoras_tools.wire.arrays.window import PADDING, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from edoras_tools.wire.window import read_at
+from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -19,7 +19,7 @@ from edoras_tools.io.frames.build import internet_checksum
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.linklayer import demux, network_headers
 from edoras_tools.model import Finding
-from edoras_tools.wire.window import PADDING
+from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

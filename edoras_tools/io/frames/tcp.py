@@ -34,8 +34,8 @@ from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.tcp_segments import SegmentBytes, rebuilt
 from edoras_tools.links.framing import NOT_A_MESSAGE
 from edoras_tools.model import Finding, PacketBatch
-from edoras_tools.wire.order import numbered
-from edoras_tools.wire.window import PADDING, copy_rows
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.window import PADDING, copy_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

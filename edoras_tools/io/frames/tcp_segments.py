@@ -9,8 +9,8 @@ import numpy as np
 
 from edoras_tools.io.frames.build import internet_checksum, payload_sums, put_words, words_of
 from edoras_tools.io.frames.network import TCP
-from edoras_tools.wire.order import by_value
-from edoras_tools.wire.window import PADDING, copy_rows, gather, read_at
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather, read_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -31,9 +31,9 @@ from edoras_tools.links.frames import frame_rows
 from edoras_tools.model import NO_MSG_ID, Columns, Finding
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.order import by_value, numbered
+from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 from edoras_tools.wire.transfer_frames.fields import FrameFields, FrameFormat, count_modulus, read_frames
-from edoras_tools.wire.window import PADDING, copy_rows, gather
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record
 from edoras_tools.links.table import among
 from edoras_tools.wire import cfe
-from edoras_tools.wire.window import copy_rows, put_rows, read_at
+from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.links import table
-from edoras_tools.wire.order import order_by
+from edoras_tools.wire.arrays.order import order_by
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -17,7 +17,7 @@ from edoras_tools.io.topics.rows import (
     fill_record,
 )
 from edoras_tools.model import Finding
-from edoras_tools.wire.order import by_value
+from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

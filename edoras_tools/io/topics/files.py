@@ -16,8 +16,8 @@ import numpy as np
 
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
 from edoras_tools.sessions.cfdp import Follower, Transaction
+from edoras_tools.wire.arrays.window import PADDING
 from edoras_tools.wire.envelope import detect
-from edoras_tools.wire.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,8 +10,8 @@ import numpy as np
 
 from edoras_tools.io.topics.rows import Messages, bodies_of
 from edoras_tools.structs.payloads import payloads
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.cdr import ENCAPSULATION
-from edoras_tools.wire.order import by_value
 
 if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch

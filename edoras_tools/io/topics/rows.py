@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.io.topics.names import RECORD_PREFIX_BYTES
-from edoras_tools.wire.window import copy_rows, put_rows
+from edoras_tools.wire.arrays.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -10,7 +10,7 @@ from edoras_tools.io.topics.cfe import stamp
 from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record
 from edoras_tools.links import table
 from edoras_tools.sessions.sequence import SequenceCounts
-from edoras_tools.wire.order import order_by
+from edoras_tools.wire.arrays.order import order_by
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

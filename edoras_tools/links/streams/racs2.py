@@ -8,8 +8,8 @@ import numpy as np
 
 from edoras_tools.links.streams.websocket import WebSocketFraming, WebSocketState
 from edoras_tools.wire import cfe, racs2
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.websocket import Opcode, masking_keys, read_headers
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, MessageContents
+from edoras_tools.wire.arrays.window import copy_rows
 from edoras_tools.wire.websocket import (
     LARGEST_HEADER,
     FrameHeaders,
@@ -22,7 +23,6 @@ from edoras_tools.wire.websocket import (
     read_headers,
     unmask,
 )
-from edoras_tools.wire.window import copy_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

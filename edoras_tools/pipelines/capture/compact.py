@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.wire.window import copy_rows
+from edoras_tools.wire.arrays.window import copy_rows
 
 if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch

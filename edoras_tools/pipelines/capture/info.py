@@ -12,7 +12,7 @@ from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import CaptureReport
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.structs.payloads import payloads
-from edoras_tools.wire.order import by_value
+from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
     from edoras_tools.decode.filters.rows import ColumnRows

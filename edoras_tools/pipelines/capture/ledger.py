@@ -15,7 +15,7 @@ from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.order import order_by
+from edoras_tools.wire.arrays.order import order_by
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -26,10 +26,10 @@ from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.ros.types.schema import PLACEHOLDER
 from edoras_tools.wire import ccsds, cfe, sbn
+from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import ENCAPSULATION
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
-from edoras_tools.wire.order import by_value, numbered
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -17,7 +17,7 @@ from edoras_tools.model import NO_MSG_ID, OTHER
 from edoras_tools.pipelines.doctor.compare import read_capture
 from edoras_tools.pipelines.doctor.scope import Chosen
 from edoras_tools.ros.types.schema import full_name
-from edoras_tools.wire.fingerprint import of_bytes
+from edoras_tools.wire.arrays.fingerprint import of_bytes
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:

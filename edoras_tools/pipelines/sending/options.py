@@ -14,8 +14,8 @@ from edoras_tools.pipelines.sending.safety import fits
 from edoras_tools.sessions.outgoing import ChecksumRule, SequenceRule
 from edoras_tools.sessions.pacing import Pacing
 from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.cfe import STANDARD, Headers
-from edoras_tools.wire.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

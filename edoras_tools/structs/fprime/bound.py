@@ -14,8 +14,8 @@ import numpy as np
 
 from edoras_tools.structs.bound import Bound, Encoded, headed
 from edoras_tools.structs.transcode import HEAD
+from edoras_tools.wire.arrays.window import copy_rows, gather, read_at
 from edoras_tools.wire.fprime import TIME_BYTES, PacketType
-from edoras_tools.wire.window import copy_rows, gather, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -9,9 +9,9 @@ import numpy as np
 from edoras_tools.structs.packets import FPRIME_KEY
 from edoras_tools.structs.payloads import StructPayloads
 from edoras_tools.wire import fprime
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.fprime import PacketType
-from edoras_tools.wire.order import by_value
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

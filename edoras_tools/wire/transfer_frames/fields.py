@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from edoras_tools.wire.crc import CRC16_BYTES, crc16_rows
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16_rows
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.transfer_frames import headers
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from edoras_tools.io.capture import tpacket
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, RAW
-from edoras_tools.wire.window import PADDING
+from edoras_tools.wire.arrays.window import PADDING
 
 ETHERNET_MAC, COOKED_MAC = 82, 96
 TIME_NS = 1_700_000_000_123_456_789

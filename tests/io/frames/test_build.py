@@ -13,7 +13,7 @@ from edoras_tools.io.frames.build import ENDS, FramePage, ends_of, frames_of
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
 from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.model import Endpoint
-from edoras_tools.wire.window import PADDING
+from edoras_tools.wire.arrays.window import PADDING
 
 
 def total(octets):

@@ -14,7 +14,7 @@ from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.io.frames.segments import cut
 from edoras_tools.model import Endpoint, Finding
-from edoras_tools.wire.window import PADDING
+from edoras_tools.wire.arrays.window import PADDING
 
 HOSTS = {4: ("10.0.0.1", "10.0.0.2"), 6: ("fd00::1", "fd00::2")}
 

@@ -14,7 +14,7 @@ from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.model import Columns, PacketBatch
-from edoras_tools.wire.window import copy_rows
+from edoras_tools.wire.arrays.window import copy_rows
 
 NOW = 1_795_000_000_250_000_000
 

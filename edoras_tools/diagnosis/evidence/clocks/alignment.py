@@ -36,8 +36,8 @@ from edoras_tools.diagnosis.evidence.clocks.lines import (
 from edoras_tools.diagnosis.evidence.instances import Instances
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.fingerprint import matches
-from edoras_tools.wire.order import by_value
+from edoras_tools.wire.arrays.fingerprint import matches
+from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

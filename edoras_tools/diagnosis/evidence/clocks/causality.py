@@ -21,9 +21,9 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.fingerprint import matches
+from edoras_tools.wire.arrays.fingerprint import matches
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.msg_id import VERSION_1
-from edoras_tools.wire.order import by_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

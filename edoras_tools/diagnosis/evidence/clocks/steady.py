@@ -15,7 +15,7 @@ import numpy as np
 from edoras_tools.diagnosis.evidence.instances import Instances
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.order import numbered
+from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -19,8 +19,8 @@ import numpy as np
 
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND
-from edoras_tools.wire.fingerprint import of_bytes
-from edoras_tools.wire.window import PADDING
+from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

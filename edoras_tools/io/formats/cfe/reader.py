@@ -19,8 +19,8 @@ from edoras_tools.links.stored import STORED
 from edoras_tools.model import Endpoint, SourceInfo
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cfe_file import FILE_HEADER, OF_PACKETS, SUBTYPES
-from edoras_tools.wire.window import gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

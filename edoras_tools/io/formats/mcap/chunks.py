@@ -26,7 +26,7 @@ import zstandard
 from edoras_tools.io.formats.mcap.file import pack_chunks
 from edoras_tools.io.formats.mcap.index import MessageIndex
 from edoras_tools.io.topics.rows import within_rows
-from edoras_tools.wire.window import copy_rows, put_rows, spill_rows
+from edoras_tools.wire.arrays.window import copy_rows, put_rows, spill_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -33,7 +33,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.heads import CHUNK_HEAD, CHUNK_INDEX_HEAD, RECORD_HEAD, ChunkHead
 from edoras_tools.io.outputs import OutputFile
 from edoras_tools.io.topics.names import MAGIC
-from edoras_tools.wire.crc import crc32
+from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -10,8 +10,8 @@ from mcap.opcode import Opcode
 
 from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, INDEX_PLACE
 from edoras_tools.io.topics.names import RECORD_PREFIX_BYTES
-from edoras_tools.wire.order import by_value
-from edoras_tools.wire.window import put_rows
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import put_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

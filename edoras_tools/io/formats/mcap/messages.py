@@ -12,7 +12,7 @@ from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_H
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
 from edoras_tools.io.topics.names import RECORD_PREFIX_BYTES
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES
-from edoras_tools.wire.window import read_at
+from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence

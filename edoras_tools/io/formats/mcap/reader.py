@@ -34,7 +34,7 @@ from edoras_tools.io.topics.names import DATAGRAMS_TOPIC, MAGIC, OUTAGE_METADATA
 from edoras_tools.io.topics.rows import CDR_LE_WORD
 from edoras_tools.model import InterfaceOutage, SourceInfo, SourceStatistics
 from edoras_tools.ros import TypeStore
-from edoras_tools.wire.window import read_at
+from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -10,7 +10,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from edoras_tools.io.formats.mcap.heads import MAX_CHUNK_BYTES
-from edoras_tools.wire.crc import crc32
+from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -12,7 +12,7 @@ from edoras_tools.io.formats.records import LARGEST_FRAME, RecordSource
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import SourceInfo
-from edoras_tools.wire.window import read_at
+from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,7 +9,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.capture_file import CaptureFileSink
-from edoras_tools.wire.window import copy_rows, put_rows
+from edoras_tools.wire.arrays.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -20,7 +20,7 @@ from mcap.records import (
 from edoras_tools.io.formats.mcap.heads import RECORD_HEAD
 from edoras_tools.io.formats.mcap.recovery.records import parse
 from edoras_tools.io.topics.names import MAGIC
-from edoras_tools.wire.crc import crc32
+from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:
     from edoras_tools.io.formats.mcap.recovery.records import FileBytes

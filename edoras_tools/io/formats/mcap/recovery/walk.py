@@ -12,7 +12,7 @@ from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, MESSAGE_HEAD, RECORD
 from edoras_tools.io.formats.mcap.index import MessageIndex
 from edoras_tools.io.formats.mcap.recovery.records import parse
 from edoras_tools.io.topics.rows import OPCODE_MESSAGE, RECORD
-from edoras_tools.wire.window import copy_rows, read_at
+from edoras_tools.wire.arrays.window import copy_rows, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

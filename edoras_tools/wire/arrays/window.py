@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.wire.order import by_value
+from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

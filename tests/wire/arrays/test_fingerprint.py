@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire import fingerprint
+from edoras_tools.wire.arrays import fingerprint
 
 
 @given(st.lists(st.binary(min_size=1, max_size=40), min_size=1, max_size=12))

@@ -9,7 +9,7 @@ from fastcrc import crc32 as peer32
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.crc import CRC16_BYTES, FileCrc, crc16, crc16_rows, crc32, crc32c
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, FileCrc, crc16, crc16_rows, crc32, crc32c
 
 
 def by_definition(octets):
@@ -43,7 +43,7 @@ def test_many_ranges(least, parts):
 
 
 def test_more_than_is_laid_out_at_once(monkeypatch):
-    monkeypatch.setattr("edoras_tools.wire.crc._BLOCK", 4096)
+    monkeypatch.setattr("edoras_tools.wire.arrays.crc._BLOCK", 4096)
     data = np.random.default_rng(5).integers(0, 256, 200 * 97, dtype=np.uint8)
     offset, length = np.arange(200, dtype=np.int64) * 97, np.full(200, 97, np.int32)
     expected = [crc16(data[at : at + 97].tobytes()) for at in offset]

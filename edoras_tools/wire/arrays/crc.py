@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.wire.window import copy_rows
+from edoras_tools.wire.arrays.window import copy_rows
 
 try:
     from isal.isal_zlib import crc32
