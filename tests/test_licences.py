@@ -23,28 +23,30 @@ LICENCES = {
         "polars-runtime-32 pytest pytest-xdist rich rich-click ruamel-yaml ruff setuptools "
         "textual typer six backrefs charset-normalizer mergedeep mkdocs-get-deps mkdocs-material "
         "tomli exceptiongroup pytz "  # on Python 3.10
-        "mkdocs-material-extensions paginate pymdown-extensions pyyaml pyyaml-env-tag urllib3"
+        "mkdocs-material-extensions paginate pymdown-extensions pyyaml pyyaml-env-tag urllib3 attrs cffi zipp"
     ),
     "MIT, in its file LICENSE": "resvg-py",
     "BSD": (
         "click colorama grimp import-linter lz4 numpy pandas pygments python-dateutil websockets zstandard "
-        "babel idna jinja2 markdown markupsafe mkdocs"
+        "babel idna jinja2 markdown markupsafe mkdocs cloudpickle dask distributed fsspec locket lxml partd "
+        "psutil pycparser space-packet-parser tblib toolz zict"
     ),
     "Apache-2.0": (
         "deprecation ghp-import junitparser pyarrow requests rosbags sortedcontainers spacepackets "
-        "types-pyyaml tzdata watchdog"
+        "types-pyyaml tzdata watchdog aiohttp aiosignal frozenlist importlib-metadata lazy-importer msgpack "
+        "multidict propcache tornado yarl"
     ),
-    "Apache-2.0 or BSD": "packaging",
+    "Apache-2.0 or BSD": "cryptography packaging",
     "EPL-2.0, or Apache-2.0, or BSD": "cyclonedds eclipse-zenoh",
     "MPL-2.0": "certifi hypothesis pathspec",
-    "PSF-2.0": "backports-zstd isal typing-extensions",
+    "PSF-2.0": "aiohappyeyeballs backports-zstd isal typing-extensions",
     "ISC": "shellingham",
     "any that OSI approves": "apsw",
     "public domain": "pyelftools",
     **{licence: name for name, licence in GPL.items()},
 }
 SAYS = {
-    "MIT": r"MIT( License)?",
+    "MIT": r"MIT(-0| License)?",
     "MIT, in its file LICENSE": r"",
     "BSD": r"(BSD|0BSD).*",
     "Apache-2.0": r"Apache.*",

@@ -276,13 +276,18 @@ class Context:
         for link, claimed in ports.items():
             if not link.transport.udp:
                 continue
-            claimed[list(link.transport.ports)] = True
             claimed[[port for other, port in self.options.ports if other == link]] = True
             if link.last_hop:
                 claimed[[port for port, _ in self.structs.ports]] = True
             for bridge in self.mission.links:
                 if bridge.kind == link.bridge:
                     claimed[[getattr(bridge, name) for name in link.bridge_ports]] = True
+        named = np.any(list(ports.values()), axis=0)
+        for link in self.links:
+            if link.transport.udp:
+                # A link that is told by its content leaves its usual ports to one that they were named for.
+                usual = [port for port in link.transport.ports if link.port_decides or not named[port]]
+                ports[link][usual] = True
         for framed in self.mission.frames:  # no other link's packets are in the frames
             for link, claimed in ports.items():
                 claimed[framed.port] = link == framed.link

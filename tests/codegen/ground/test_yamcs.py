@@ -70,7 +70,7 @@ def test_yamcs_reads_and_sends_what_we_do(tmp_path):
         (tmp_path / "etc/yamcs.edoras.yaml").write_text(INSTANCE.format(**ports))
         (tmp_path / "etc/processor.yaml").write_text(PROCESSOR)
         words = ("-cp", f"{jars}/*", "org.yamcs.YamcsServer", "--etc-dir", tmp_path / "etc")
-        with Program(YAMCS / "bin/java", *words) as server:
+        with Program(YAMCS / "bin/java", *words, cwd=tmp_path) as server:
             server.until(lambda: any("Yamcs started" in line for line in server.err.lines + server.out.lines))
             replay(telemetry)
 
