@@ -31,13 +31,15 @@ from rosbags.highlevel import AnyReader
 from streams import frames as stream_frames
 from streams import segments_of
 
-from edoras_tools.decode import ColumnDecoder, Context, Dissector
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.names import Names
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.links.fprime import FPRIME
+from edoras_tools.links.to import TO
+from edoras_tools.mission import Mission
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.workbench import Settings
@@ -436,3 +438,9 @@ def test_filters_know_the_names_of_the_dictionary(text):
     mask = where.mask(rows.batch, rows.columns)
     assert mask.tolist() == where.judge(packets).tolist()
     assert mask.sum() == FILTERS[text]
+
+
+def test_a_port_that_is_named_for_another_link_is_left_to_it():
+    context = Context(Mission(), None, Options(ports=((TO, 50001),)))
+    assert [bool(context.ports[FPRIME][port]) for port in (50000, 50001)] == [True, False]
+    assert context.ports[TO][50001]
