@@ -70,7 +70,7 @@ def tcp(folder: Path, packets: int) -> dict[str, object]:
 def doctor(folder: Path, packets: int) -> dict[str, object]:
     """Doctor and report beside info."""
     capture = captured(folder, packets)
-    report = [EDORAS, "report", "-q", "-r", capture, *TWO_ROVERS, "-o", folder / "report.html"]
+    report = [EDORAS, "report", "--force", "-q", "-r", capture, *TWO_ROVERS, "-o", folder / "report.html"]
     ways = {
         "doctor": [EDORAS, "doctor", "--json", "-r", capture, *TWO_ROVERS],
         "report": report,
