@@ -18,7 +18,6 @@ from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.model import OTHER
-from edoras_tools.pipelines.ahead import Ahead
 from edoras_tools.pipelines.interrupt import interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
@@ -132,7 +131,8 @@ class ReadLoop:
         left, began = limits.count, limits.clock()
         examined = shown = Period()
         inside = False
-        decode = self.source.decode if isinstance(self.source, Ahead) else bench.columns.decode
+        # A source that another process reads has decoded its batches already.
+        decode = getattr(self.source, "decode", bench.columns.decode)
         for whole in self._until_failure():
             if len(whole):
                 if self.begin_ns is None:

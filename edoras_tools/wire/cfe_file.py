@@ -10,7 +10,6 @@ from typing import Final
 
 from edoras_tools.wire.layout import Field, Layout
 
-CFE_MAGIC: Final = b"cFE1"
 RESET_LOG, SYSTEM_LOG, PERFORMANCE_LOG, TABLE_IMAGE, EVENT_LOG, STORED_PACKETS = 1, 2, 4, 8, 16, 10_000
 FILE_HEADER: Final = Layout(
     "cfe_file",
@@ -45,8 +44,7 @@ FILE_HEADER: Final = Layout(
     Field("subseconds", 32, "mission time: 1/2^32 s"),
     Field("description", 256, "what it says it is", kind="text"),
 )
-SUBTYPES: Final = FILE_HEADER.by_name["subtype"].field.names or {}
-"""What a file is, by its subtype."""
+_SUBTYPES: Final = FILE_HEADER.by_name["subtype"].field.names or {}
 STORAGE_HEADER: Final = Layout(
     "data_storage",
     "Data Storage File Header",
@@ -126,3 +124,8 @@ MARKER: Final = Layout(
 )
 EXIT: Final = 1 << 31
 """Bit of ``marker``: the code between entry and exit was left."""
+
+
+def kind_of(subtype: int) -> str:
+    """Return what a file is by its subtype, as ``table image``."""
+    return _SUBTYPES.get(subtype, f"file of subtype {subtype}")

@@ -12,6 +12,7 @@ from rewriting import datagrams
 from schema import check, published
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.cfe import CFE_MAGIC
 from edoras_tools.io.formats.cfe.contents import message_limits, read_cfe_file
 from edoras_tools.io.formats.open import is_cfe_file, open_file
 from edoras_tools.wire import cfe, cfe_file
@@ -20,7 +21,7 @@ FILES = ROOT / "samples/cfs_files"
 EVENTS, STORED, RUN = FILES / "events.log", FILES / "stored_events.dat", FILES / "run.pcap"
 MARKERS = FILES / "performance.dat"
 HEADER = {
-    "content_type": int.from_bytes(cfe_file.CFE_MAGIC, "big"),
+    "content_type": int.from_bytes(CFE_MAGIC, "big"),
     "header_length": 64,
     "spacecraft_id": 0x42,
     "processor_id": 1,

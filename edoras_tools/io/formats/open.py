@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import CaptureError, NoDatagramsError
+from edoras_tools.io.formats.cfe import CFE_MAGIC
 from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
 from edoras_tools.io.formats.stream import ByteStream, CompressedStream, FileStream, Window
 from edoras_tools.io.formats.table import CFE, MCAP, PCAPNG, READABLE, TOPIC_READERS
-from edoras_tools.wire.cfe_file import CFE_MAGIC
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source

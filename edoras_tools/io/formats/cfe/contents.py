@@ -10,6 +10,7 @@ import numpy as np
 from edoras_tools.cfs.executive_services import MARKERS
 from edoras_tools.cfs.time_services import EPOCH_S
 from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.cfe import CFE_MAGIC
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe_file
 from edoras_tools.wire.cfe_file import (
@@ -55,8 +56,7 @@ class CfeFile:
     @property
     def kind(self) -> str:
         """What it is, as ``table image``."""
-        subtype = self.header["subtype"]
-        return cfe_file.SUBTYPES.get(subtype, f"file of subtype {subtype}")
+        return cfe_file.kind_of(self.header["subtype"])
 
     @property
     def made_ns(self) -> int:
@@ -122,7 +122,7 @@ def read_cfe_file(path: Path) -> CfeFile | None:
     try:
         with path.open("rb") as file:
             data = file.read(at)
-            if not data.startswith(cfe_file.CFE_MAGIC):
+            if not data.startswith(CFE_MAGIC):
                 return None
             header = _parsed(path, FILE_HEADER, data, 0)
             if header["subtype"] in cfe_file.OF_PACKETS:

@@ -20,7 +20,7 @@ from edoras_tools.model import Endpoint, SourceInfo
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.cfe_file import FILE_HEADER, OF_PACKETS, SUBTYPES
+from edoras_tools.wire.cfe_file import FILE_HEADER, OF_PACKETS, kind_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -57,7 +57,7 @@ class CfePacketSource(RecordSource):
             )
         self.header = FILE_HEADER.parse(window.data[: FILE_HEADER.size].tobytes())
         subtype = self.header["subtype"]
-        what = SUBTYPES.get(subtype, f"file of subtype {subtype}")
+        what = kind_of(subtype)
         if subtype not in OF_PACKETS:
             raise CaptureError(
                 f"{name}: is a cFE {what}, which has no packets; 'edoras info {name}' shows what is in it"
