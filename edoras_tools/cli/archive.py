@@ -195,16 +195,7 @@ def list_(
 
     with open_index(index) as opened:
         rows = list_captures(opened, chosen.span())
-    if json:
-        print_json({"captures": rows})
-    elif csv:
-        print_csv(rows)
-    else:
-        from edoras_tools.render.archive.tables import captures_table
-        from edoras_tools.render.terminal.console import output_console
-
-        console = output_console()
-        console.print(captures_table(rows, console.width))
+    _print_rows("captures", rows, csv=csv, json=json)
 
 
 @archive.command(cls=Command)
@@ -240,18 +231,23 @@ def losses(
 
     with open_index(index) as opened:
         rows = list_losses(opened, chosen.span(), tuple(topic or ()), over=over or 0.0)
+    _print_rows("losses", rows, csv=csv, json=json)
+    if rows:
+        raise typer.Exit(LOST)
+
+
+def _print_rows(what: str, rows: list[dict[str, Any]], *, csv: bool, json: bool) -> None:
+    """Print captures, or losses, in one of their forms."""
     if json:
-        print_json({"losses": rows})
+        print_json({what: rows})
     elif csv:
         print_csv(rows)
     else:
-        from edoras_tools.render.archive.tables import losses_table
+        from edoras_tools.render.archive.tables import ROW_TABLES
         from edoras_tools.render.terminal.console import output_console
 
         console = output_console()
-        console.print(losses_table(rows, console.width))
-    if rows:
-        raise typer.Exit(LOST)
+        console.print(ROW_TABLES[what](rows, console.width))
 
 
 @archive.command(cls=Command)

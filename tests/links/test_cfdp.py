@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from effort import examples
+from field_filters import compared
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rewriting import Udp, write
@@ -42,7 +43,6 @@ from spacepackets.cfdp.pdu.prompt import ResponseRequired
 from spacepackets.util import ByteFieldGenerator
 from transfer_frames import batch_of
 
-from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.cfdp import CFDP
@@ -129,16 +129,8 @@ def test_each_kind_is_read_as_it_was_written(rows):
 
 def test_filters_find_the_fields_that_the_tree_has(rows):
     bench, found = rows
-    for layer in CFDP.layouts:
-        for name in layer.by_name:
-            wanted = [
-                index
-                for index in range(len(KINDS))
-                if (shown := bench.dissector.dissect(found.batch[index]).layer(layer.name))
-                and shown.values()[name] > 0
-            ]
-            chosen = Where(f"{layer.name}.{name} > 0", bench.columns.context).passing(found)
-            assert np.flatnonzero(chosen).tolist() == wanted, (layer.name, name)
+    assert len(found) == len(KINDS)
+    compared(bench, found, CFDP.layouts)
 
 
 SAME = {
@@ -256,16 +248,7 @@ def test_each_kind_in_space_packets(packets):
 
 def test_filters_find_the_fields_of_pdus_in_packets(packets):
     bench, found = packets
-    for layer in CFDP.layouts:
-        for name in layer.by_name:
-            wanted = [
-                index
-                for index in range(len(found))
-                if (shown := bench.dissector.dissect(found.batch[index]).layer(layer.name))
-                and shown.values()[name] > 0
-            ]
-            chosen = Where(f"{layer.name}.{name} > 0", bench.columns.context).passing(found)
-            assert np.flatnonzero(chosen).tolist() == wanted, (layer.name, name)
+    compared(bench, found, CFDP.layouts)
 
 
 @given(st.lists(st.binary(max_size=40), min_size=1, max_size=8), st.booleans())

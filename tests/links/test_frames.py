@@ -4,11 +4,11 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from field_filters import compared
 from places import CAPTURES, ROOT
 from rewriting import Udp, datagrams, write
 from transfer_frames import GROUND, Maker, space_packet
 
-from edoras_tools.decode.filters.filter import Where
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.frames import FRAMES
 from edoras_tools.links.to import TO
@@ -77,19 +77,7 @@ def test_filters_find_the_fields_that_the_tree_has(kind, tmp_path):
     maker = Maker(**vars(MAKERS[kind]))
     path, _ = captured(tmp_path, maker)
     bench, rows = rows_of(path, mission(tmp_path, maker))
-    found = 0
-    for layout in FRAMES.layouts:
-        for name in layout.by_name:
-            wanted = [
-                row
-                for row in range(len(rows))
-                if (shown := bench.dissector.dissect(rows.batch[row]).layer(layout.name))
-                and shown.values()[name] > 0
-            ]
-            chosen = Where(f"{layout.name}.{name} > 0", bench.columns.context).passing(rows)
-            assert np.flatnonzero(chosen).tolist() == wanted, (layout.name, name)
-            found += len(wanted)
-    assert found
+    assert compared(bench, rows, FRAMES.layouts)
 
 
 @pytest.fixture

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.codegen.ground.packets import PacketItem, header_items, identifier
+from edoras_tools.codegen.ground.packets import PacketItem, header_items, identifier, telemetry_items
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.cfe import EXTENDED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -22,11 +21,10 @@ _TYPES: Final = {"uint": "UINT", "int": "INT", "float": "FLOAT", "bytes": "BLOCK
 
 def cosmos_telemetry(target: str, packets: Iterable[GroundPacket], headers: Headers) -> Iterator[str]:
     """Yield the lines of ``tlm.txt``; a packet is told by its APID and its type."""
-    extended = header_items(EXTENDED) if headers.extended else ()
-    head = (*header_items(ccsds.PRIMARY), *extended, *header_items(headers.telemetry))
+    head = header_items(ccsds.PRIMARY) + telemetry_items(headers)
     for packet in packets:
         yield f'TELEMETRY {identifier(target).upper()} {packet.name.upper()} LITTLE_ENDIAN "{packet.doc}"'
-        fixed = {"apid": packet.msg_id & 0x7FF, "packet_type": ccsds.TELEMETRY_TYPE}
+        fixed = {"apid": packet.apid, "packet_type": ccsds.TELEMETRY_TYPE}
         yield from (_line(field, fixed.get(field.name)) for field in head)
         for number, item in enumerate(packet.items):
             if not isinstance(item, PacketItem):

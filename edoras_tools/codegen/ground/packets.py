@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from edoras_tools.ros.cdr.plan import PrimitiveRun, Repeat, Text
 from edoras_tools.structs.shapes import BasicKind
+from edoras_tools.wire import ccsds
+from edoras_tools.wire.cfe import EXTENDED
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 
 if TYPE_CHECKING:
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.cdr.plan import CdrPlan, PlanStep
     from edoras_tools.structs.shapes import Key, Member, StructLayout
+    from edoras_tools.wire.cfe import Headers
     from edoras_tools.wire.layout import Layout
 
 Encoding = Literal["uint", "int", "float", "bytes", "text"]
@@ -101,6 +104,11 @@ class GroundPacket:
     whole: bool = True
     function_code: int = 0
 
+    @property
+    def apid(self) -> int:
+        """The APID that tells it apart."""
+        return self.msg_id & ccsds.PRIMARY.by_name["apid"].mask
+
 
 def identifier(text: str) -> str:
     """Return a name of letters, digits and ``_``."""
@@ -117,6 +125,11 @@ def header_items(layout: Layout) -> tuple[PacketItem, ...]:
         )
         for slot in layout.slots
     )
+
+
+def telemetry_items(headers: Headers) -> tuple[PacketItem, ...]:
+    """Return the fields of cFE's headers of telemetry, which follow the primary header."""
+    return (header_items(EXTENDED) if headers.extended else ()) + header_items(headers.telemetry)
 
 
 def route_packet(route: Route, types: TypeStore, function_code: int) -> GroundPacket:

@@ -10,10 +10,17 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 from xml.etree import ElementTree as ET
 
-from edoras_tools.codegen.ground.packets import REMAINDERS, PacketItem, StringItem, header_items, identifier
+from edoras_tools.codegen.ground.packets import (
+    REMAINDERS,
+    PacketItem,
+    StringItem,
+    header_items,
+    identifier,
+    telemetry_items,
+)
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
-from edoras_tools.wire.cfe import EXTENDED, emit_command
+from edoras_tools.wire.cfe import emit_command
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -22,8 +29,6 @@ if TYPE_CHECKING:
     from edoras_tools.wire.cfe import Headers
 
 _NAMESPACE: Final = "http://www.omg.org/spec/XTCE/20180204"
-_APIDS: Final = 0x7FF
-"""Bits of a MsgId of version 1 that are the APID."""
 _ROOT: Final = "CCSDSPacket"
 _TELEMETRY: Final = "cFETelemetry"
 _HIGH, _LOW, _REST = "length_high", "length_low", "length_rest"
@@ -60,16 +65,12 @@ class _System:
 
     def document(self, telemetry: Iterable[GroundPacket], commands: Iterable[GroundPacket]) -> bytes:
         self._container(_ROOT, header_items(ccsds.PRIMARY), abstract=True)
-        items = header_items(self._headers.telemetry)
-        if self._headers.extended:
-            items = header_items(EXTENDED) + items
         conditions = {"packet_type": ccsds.TELEMETRY_TYPE, "secondary_header_flag": 1}
+        items = telemetry_items(self._headers)
         self._container(_TELEMETRY, items, base=_ROOT, conditions=conditions, abstract=True)
         for packet in telemetry:
-            apid = packet.msg_id & _APIDS
-            self._container(
-                packet.name, packet.items, f"{packet.name}_", _TELEMETRY, {"apid": apid}, doc=packet.doc
-            )
+            told = {"apid": packet.apid}
+            self._container(packet.name, packet.items, f"{packet.name}_", _TELEMETRY, told, doc=packet.doc)
         some = list(commands)
         if some:
             self._commands(some)
@@ -86,8 +87,8 @@ class _System:
         *,
         doc: str = "",
         abstract: bool = False,
-    ) -> None:
-        """Append a container, and those of what follows its string."""
+    ) -> ET.Element:
+        """Append a container, and those of what follows its string; return its entries."""
         made = ET.SubElement(self._containers, "SequenceContainer", {"name": name})
         if doc:
             made.set("shortDescription", doc)
@@ -102,6 +103,7 @@ class _System:
             ET.SubElement(inherited, "RestrictionCriteria").append(_conditions(conditions or {}))
         if items and isinstance(items[-1], StringItem):
             self._after(name, items[-1], prefix)
+        return entries
 
     def _after(self, base: str, string: StringItem, prefix: str) -> None:
         """Append a container for each remainder of a string's length: its characters, and what follows."""
@@ -114,9 +116,7 @@ class _System:
             entry = f"{text}_{remainder}"
             self._declare(entry, kind, string.name)
             end = PacketItem("", "bytes", 8, "NUL")
-            self._container(container, (end, *items), prefix, base, {low: remainder, rest: 0})
-            entries = self._containers.find(f"SequenceContainer[@name='{container}']/EntryList")
-            assert entries is not None
+            entries = self._container(container, (end, *items), prefix, base, {low: remainder, rest: 0})
             entries.insert(0, ET.Element("ParameterRefEntry", {"parameterRef": entry}))
 
     def _string(self, name: str, high: str, intercept_bits: int) -> None:

@@ -48,6 +48,7 @@ class Candidate:
         msg_id: of what.
         pipe: where it would be lost.
         stream: its traffic; None where that is not in the capture.
+        lost_from: the stream that lacks them; that traffic, or what was seen behind the pipe.
         sender: who sends it, as an event names it.
         said: the events that name it.
         spans: its traffic in time.
@@ -68,6 +69,7 @@ class Candidate:
     ) -> None:
         self.instance, self.kind, self.msg_id, self.pipe = instance, kind, msg_id, pipe
         self.stream, self.sender, self.said = stream, sender, said
+        self.lost_from = stream
         self.spans = known.spans(stream) if stream is not None else []
         self.times = known.captured(stream) if stream is not None else np.zeros(0, np.int64)
         self._burst_hz = known.profile.app_msg_limit * SECOND / known.profile.ci_wake_ns
@@ -189,7 +191,7 @@ class Leftover:
                     known, instance, kind, reported.msg_id, reported.pipe, stream, reported.sender, said
                 )
                 if stream is None and len(out) == 1:
-                    item.stream = out[0]
+                    item.lost_from = out[0]
                 found.append(item)
         if not found and kind == "limit":
             found = list(self._suspects(instance))
@@ -257,7 +259,7 @@ class Leftover:
                 instance=item.instance,
                 hop=item.pipe,
                 msg_id=item.msg_id,
-                stream=item.stream,
+                stream=item.lost_from,
                 span=cut,
                 lost=number,
                 of=cut.count if cut else None,

@@ -89,6 +89,10 @@ def losses_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableTyp
     return Group(build(columns, rows, width), Text(told)) if rows else Text("No loss.")
 
 
+ROW_TABLES: Final = {"captures": captures_table, "losses": losses_table}
+"""By the name of the rows in JSON."""
+
+
 def answer_table(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> RenderableType:
     """Return the answer to a query as a table; numbers are on the right."""
     some = iter(rows)

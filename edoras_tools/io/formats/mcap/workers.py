@@ -33,10 +33,6 @@ if TYPE_CHECKING:
 
 _SLOTS: Final = 2
 """Tasks of each process: the one that it works on, and the next."""
-_SLOT_BYTES: Final = SLOT_BYTES
-"""For the arrays of a task, and again for those of its result."""
-_ROOM_BYTES: Final = ROOM_BYTES
-"""One for each task, and one for the next batch."""
 _STANDARD_ERROR: Final = 2
 
 
@@ -57,8 +53,8 @@ class Workers:
         self._tasks = _SLOTS * count
         self._used = [0] * (self._tasks + 1)
         """The number of the last task that used each room, from 1."""
-        self._lent = len(self._used) * _ROOM_BYTES
-        size = self._lent + 2 * self._tasks * _SLOT_BYTES
+        self._lent = len(self._used) * ROOM_BYTES
+        size = self._lent + 2 * self._tasks * SLOT_BYTES
         self._memory: NDArray[np.uint8] = shared_memory(size)
         self._room = 0
         self._asked = self._answered = 0
@@ -82,11 +78,11 @@ class Workers:
         It belongs to the caller until this has been called as many times as there are rooms; the call waits
         until its former contents are no longer read.
         """
-        if size > _ROOM_BYTES:
+        if size > ROOM_BYTES:
             return np.empty(size, np.uint8)
         self._room = (self._room + 1) % len(self._used)
         self._await(self._used[self._room])
-        begin = self._room * _ROOM_BYTES
+        begin = self._room * ROOM_BYTES
         return self._memory[begin : begin + size]
 
     @property
@@ -120,11 +116,11 @@ class Workers:
             at = place(data, self._memory)
             if not 0 <= at < self._lent:
                 return None
-            rooms.add(at // _ROOM_BYTES)
+            rooms.add(at // ROOM_BYTES)
             return at
 
         slot = self._asked % self._tasks
-        request = pickled(values, self._memory, self._lent + 2 * slot * _SLOT_BYTES, lent, size=_SLOT_BYTES)
+        request = pickled(values, self._memory, self._lent + 2 * slot * SLOT_BYTES, lent, size=SLOT_BYTES)
         link = self._links[self._asked % len(self._links)]
         self._asked += 1
         with undisturbed():
@@ -193,7 +189,7 @@ def _serve(work: Callable[..., Any], memory: NDArray[np.uint8], lent: int, link:
         answer: Packed | None = None
         try:
             result = work(*unpickled(request, memory))
-            answer = pickled(result, memory, lent + (2 * slot + 1) * _SLOT_BYTES, size=_SLOT_BYTES)
+            answer = pickled(result, memory, lent + (2 * slot + 1) * SLOT_BYTES, size=SLOT_BYTES)
         except Exception as error:  # noqa: BLE001  the one who takes the result gets it
             failure = portable(error)
         send(link, (failure, answer))

@@ -68,7 +68,7 @@ def started():
 @pytest.mark.parametrize("count", [1, 2, 3])
 @pytest.mark.parametrize("slot", [1 << 20, 1 << 10])  # some arrays do not fit and go through the socket
 def test_results_come_in_order_and_nothing_is_written_over(started, monkeypatch, count, slot):
-    monkeypatch.setattr(module, "_SLOT_BYTES", slot)
+    monkeypatch.setattr(module, "SLOT_BYTES", slot)
     workers, left, taken, processes = started(count=count), list(range(12)), [], set()
     while left or workers.waiting:
         if left and not workers.full:
@@ -248,8 +248,8 @@ def test_recordings_are_the_same(tmp_path, types, monkeypatch, capture, room, sl
     monkeypatch.setattr(stream, "FIRST", 3 << 10)
     monkeypatch.setattr(stream, "SLICE", 16 << 10)
     monkeypatch.setattr(writer, "_LARGE", large)
-    monkeypatch.setattr(module, "_ROOM_BYTES", room)
-    monkeypatch.setattr(module, "_SLOT_BYTES", slot)
+    monkeypatch.setattr(module, "ROOM_BYTES", room)
+    monkeypatch.setattr(module, "SLOT_BYTES", slot)
     alone = recorded(tmp_path / "a.mcap", types, name, jobs=1)
     assert recorded(tmp_path / "b.mcap", types, name, jobs=3) == alone
 
