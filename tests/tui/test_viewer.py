@@ -454,7 +454,7 @@ def test_rates_are_those_of_the_packets_shown(drive):
         assert sum(line.read for line in lines) == 1544
         assert len(lines) == 6
         assert lines[-1].label.endswith(" others")
-        assert "packets of the list" in "\n".join(hands.lines(app.rates))
+        await hands.until(lambda: "packets of the list" in "\n".join(hands.lines(app.rates)), "its heading")
         await hands.filter("link == sbn and msg_id == 0x082a")
         await hands.settle()
         figure = lambda: app.rates._figure  # noqa: E731
@@ -465,7 +465,7 @@ def test_rates_are_those_of_the_packets_shown(drive):
         assert (line.label, line.read) == ("sbn /robot_1/cmd_vel", 57)
         await hands.filter("length == 1")
         await hands.until(lambda: app.rates._figure is None, "nothing is left")
-        assert "no packet" in hands.lines(app.rates)[0]
+        await hands.until(lambda: "no packet" in hands.lines(app.rates)[0], "the line that says so")
 
     drive(script)
 
