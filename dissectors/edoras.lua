@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "20c408ca88b47b13"
+local DIGEST = "933d643fc92fbd0d"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1221,7 +1221,7 @@ D.findings = {
 		label = "checksum_bad",
 		severity = "warning",
 		short = "checksum",
-		meaning = "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed; of a transfer frame, its CRC is wrong, and its receiver drops it.",
+		meaning = "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed; of a transfer frame or a CFDP PDU, its CRC is wrong, and its receiver drops it.",
 		unknowable = true,
 	},
 	{

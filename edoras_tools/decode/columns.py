@@ -15,7 +15,7 @@ from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_columns
 from edoras_tools.decode.variants import Variants
-from edoras_tools.links.cfdp import holds_pdu
+from edoras_tools.links.cfdp import PDU_FINDINGS, holds_pdu
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Columns, Finding, PacketBatch
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import ccsds, cfe
@@ -257,11 +257,13 @@ class _Pass:
         self.flag(Finding.COMMAND_LENGTH, rows, misfit)
 
     def _pdus(self) -> None:
-        """Judge whether the CFDP PDUs in packets are whole."""
+        """Judge the CFDP PDUs in packets."""
         rows = np.flatnonzero(holds_pdu(self.out.__getitem__, self.context.pdu_msg_ids))
         header = self.out["header_length"][rows]
         offset, length = self.out["packet_offset"][rows] + header, self.out["packet_length"][rows] - header
-        self.flag(Finding.TRUNCATED, rows, read_pdus(self.batch.data, offset, length).truncated)
+        pdus = read_pdus(self.batch.data, offset, length)
+        for name, finding in PDU_FINDINGS.items():
+            self.flag(finding, rows, getattr(pdus, name))
 
     def _structs(self) -> None:
         """Judge whether packets are as long as the C structs they should hold."""

@@ -65,6 +65,7 @@ class Capture:
         outages: when the interface was away.
         host: what the kernel of the recording host counted, oldest first.
         files: the CFDP transactions in it.
+        corrupt_pdus: CFDP PDUs with a wrong CRC.
         frames: the transfer frames in it, and what their counts say; None where the mission names none.
     """
 
@@ -75,6 +76,7 @@ class Capture:
     outages: tuple[InterfaceOutage, ...] = ()
     host: tuple[HostCounters, ...] = ()
     files: tuple[Transaction, ...] = ()
+    corrupt_pdus: int = 0
     frames: Unframer | None = None
 
     @property

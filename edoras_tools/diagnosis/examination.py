@@ -322,7 +322,9 @@ class Examination:
     def _chapter(self, capture: Capture, faults: Sequence[Fault], *, keep: bool) -> Diagnosis:
         followed = self._files.pdus - self._files.packets if keep else 0
         frames = sum(item.frames for item in capture.frames.channels) if capture.frames else 0
-        capture = replace(capture, files=tuple(self._files.transactions) if keep else ())
+        if keep:
+            files = self._files
+            capture = replace(capture, files=tuple(files.transactions), corrupt_pdus=files.corrupt)
         case = Case(self._recorder, self.profile, capture, proxied(faults))
         found = judge(case, self.progress)
         spans = [(item.first_ns, item.last_ns) for item in capture.files]

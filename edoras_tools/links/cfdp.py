@@ -9,6 +9,7 @@ import numpy as np
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen, Site
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds, cfdp
+from edoras_tools.wire.arrays.crc import CRC16_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,9 +65,9 @@ class FileDeliveryLink(LinkProtocol):
         """Judge whether PDUs are whole; see :meth:`LinkProtocol.locate`."""
         del site
         found = Located(len(rows))
-        found.flag(
-            Finding.TRUNCATED, cfdp.read_pdus(batch.data, batch.offset[rows], batch.length[rows]).truncated
-        )
+        pdus = cfdp.read_pdus(batch.data, batch.offset[rows], batch.length[rows])
+        for name, finding in PDU_FINDINGS.items():
+            found.flag(finding, getattr(pdus, name))
         return found
 
     def dissect(self, reading: Reading, site: Site) -> None:
@@ -100,6 +101,8 @@ class FileDeliveryLink(LinkProtocol):
 CFDP: Final = FileDeliveryLink()
 PDU_NAME: Final = "CFDP_PDU"
 """What a packet that holds a PDU is called."""
+PDU_FINDINGS: Final = {"truncated": Finding.TRUNCATED, "corrupt": Finding.CHECKSUM_BAD}
+"""Columns of ``Pdus`` that are findings."""
 _NO_PDU: Final = np.uint32(Finding.HEADER_ONLY)
 
 
@@ -140,6 +143,8 @@ def read_pdu(reading: Reading, at: int) -> None:
     data = reading.data
     head = reading.read(cfdp.PDU_HEADER, at)
     pdu = cfdp.read_pdus(np.frombuffer(data, np.uint8), np.array([at]), np.array([len(data) - at]))
+    if pdu.corrupt[0]:
+        reading.findings |= Finding.CHECKSUM_BAD
     code, start, behind, end = (int(item[0]) for item in (pdu.code, pdu.start, pdu.data, pdu.end))
     if code > len(data):
         reading.truncated(cfdp.PDU_HEADER.name, at, code - at)
@@ -162,6 +167,11 @@ def read_pdu(reading: Reading, at: int) -> None:
     for name, doc in cfdp.CONTENT_FIELDS.items():
         if name in values:
             reading.extend(LayerField(name, values[name], behind, end, str(values[name]), doc))
+    last = min(end + CRC16_BYTES, len(data))
+    if head["crc_flag"] and last - end == CRC16_BYTES:
+        number = int.from_bytes(data[end:last], "big")
+        text = f"0x{number:04x}" + (", which is wrong" if pdu.corrupt[0] else "")
+        reading.extend(LayerField("crc", number, end, last, text, "CRC-16 of the PDU"))
 
 
 def pdu_text(decoded: Decoded) -> str:

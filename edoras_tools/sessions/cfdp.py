@@ -8,7 +8,8 @@ The rules that this file keeps:
    again; one with new bytes in front of the last one that is known was lost before, or overtaken.
 3. Memory does not grow with files: bytes are handed on, not kept. Transactions, and the ranges that are known
    of a file, are limited in number; what is beyond is left out, and the file stays incomplete.
-4. PDUs in space packets travel there by one link and back by another: their endpoints are the addresses
+4. A PDU whose CRC is wrong is counted and not taken: its receiver drops it, and its IDs may be wrong, too.
+5. PDUs in space packets travel there by one link and back by another: their endpoints are the addresses
    without the ports.
 """
 
@@ -211,12 +212,13 @@ class Follower:
         transactions: in order of their first PDU.
         pdus: how many were taken.
         packets: how many of them were in space packets.
+        corrupt: how many of them had a wrong CRC.
         left_out: PDUs of transactions beyond the limit.
     """
 
     def __init__(self, keep: Keep | None = None, msg_ids: Collection[int] = ()) -> None:
         self.transactions: list[Transaction] = []
-        self.pdus = self.packets = self.left_out = 0
+        self.pdus = self.packets = self.corrupt = self.left_out = 0
         self._keep = keep
         self._msg_ids = np.array([*msg_ids], np.int32)
         self._open: dict[tuple[int, ...], Transaction] = {}
@@ -243,7 +245,7 @@ class Follower:
         Args:
             batch: the datagrams.
             rows: those that hold a PDU.
-            place: where each PDU begins, and the bytes that are there, in space packets (rule 4); None for
+            place: where each PDU begins, and the bytes that are there, in space packets (rule 5); None for
                 datagrams that are PDUs.
         """
         if not len(rows):
@@ -251,6 +253,7 @@ class Follower:
         self.pdus += len(rows)
         offset, length = place or (batch.offset[rows], batch.length[rows])
         pdus = read_pdus(batch.data, offset, length)
+        self.corrupt += int(np.count_nonzero(pdus.corrupt))
         source, destination = (
             getattr(batch, f"{end}_address")[rows].astype(np.uint64) << np.uint64(16)
             | (getattr(batch, f"{end}_port")[rows] if place is None else np.uint64(0))
@@ -263,7 +266,7 @@ class Follower:
         keys = pdus.source_entity_id, pdus.transaction_sequence_number, *ends
         _, which = numbered(*keys)
         for first, last in _runs(pdus, which):
-            if pdus.kind[first] == UNREAD:
+            if pdus.kind[first] == UNREAD or pdus.corrupt[first]:
                 continue
             key = tuple(int(item[first]) for item in keys)
             time_ns = batch.time_ns[rows[first:last]]
@@ -326,6 +329,7 @@ def _runs(pdus: Pdus, which: NDArray[np.integer[Any]]) -> Iterator[tuple[int, in
     """Yield directives one by one, and pieces of a file as long as they follow each other."""
     end = pdus.file_offset + (pdus.end - pdus.data).astype(np.uint64)
     follows = (pdus.kind[1:] == Directive.FILE_DATA) & (pdus.kind[:-1] == Directive.FILE_DATA)
+    follows &= ~(pdus.corrupt[1:] | pdus.corrupt[:-1])
     follows &= (which[1:] == which[:-1]) & (pdus.file_offset[1:] == end[:-1])
     begins = np.flatnonzero(np.concatenate([np.ones(min(len(which), 1), bool), ~follows])).tolist()
     return zip(begins, [*begins[1:], len(which)], strict=True)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16_rows
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.layout import Field, Layout
 
@@ -77,7 +78,7 @@ PDU_HEADER: Final = Layout(
     Field("pdu_type", 1, "what follows the header", names={0: "directive", 1: "file data"}),
     Field("direction", 1, "of travel", names={0: "toward receiver", 1: "toward sender"}),
     Field("transmission_mode", 1, "class 2 or 1", names={0: "acknowledged", 1: "unacknowledged"}),
-    Field("crc_flag", 1, "a CRC-16 of the PDU ends it"),
+    Field("crc_flag", 1, "a CRC-16 of the PDU ends it", clause="727.0-B 4.1"),
     Field("large_file_flag", 1, "offsets and sizes have 64 bits"),
     Field("pdu_data_field_length", 16, "bytes behind the header"),
     Field("segmentation_control", 1, "record boundaries are kept"),
@@ -166,7 +167,6 @@ CONTENT_FIELDS: Final = {
     "segment_requests": "parts that are missing: first byte, and one past the last",
 }
 """What lies behind the parameters of fixed size, as :func:`parameters` reads it."""
-_CRC_BYTES: Final = 2
 UNREAD: Final = -1
 """``Pdus.kind`` where the kind does not exist, or the PDU is cut."""
 
@@ -178,6 +178,7 @@ class Pdus:
     Attributes:
         kind: i16, a ``Directive``; ``UNREAD`` where there is none.
         truncated: bool, it needs more bytes than there are.
+        corrupt: bool, the CRC at its end is wrong: its receiver drops it.
         directive: bool, it has a directive code.
         toward_sender: bool, it travels from the receiver to the sender of the file.
         acknowledged: bool, of class 2.
@@ -194,6 +195,7 @@ class Pdus:
 
     kind: NDArray[np.int16]
     truncated: NDArray[np.bool_]
+    corrupt: NDArray[np.bool_]
     directive: NDArray[np.bool_]
     toward_sender: NDArray[np.bool_]
     acknowledged: NDArray[np.bool_]
@@ -222,8 +224,8 @@ def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArra
     code = offset + PDU_HEADER.size + 2 * ids + counts
     there = offset + length
     whole = (length >= PDU_HEADER.size) & (code <= there)
-    claimed = code - offset + head["pdu_data_field_length"]
-    end = np.minimum(offset + claimed, there) - _CRC_BYTES * head["crc_flag"]
+    claimed = code + head["pdu_data_field_length"]
+    end = np.minimum(claimed - CRC16_BYTES * head["crc_flag"], there)
     # Positions past the end of the data are not read: those of a cut PDU are those of its first byte.
     first = gather(data, np.where(whole, code, offset), 1)[:, 0]
     piece = head["pdu_type"] == 1
@@ -240,6 +242,7 @@ def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArra
     return Pdus(
         kind,
         cut,
+        _corrupt(data, offset, claimed, whole & (head["crc_flag"] == 1) & (code <= end) & (claimed <= there)),
         whole & ~piece & (start <= end),
         head["direction"] == 1,
         head["transmission_mode"] == 0,
@@ -253,6 +256,18 @@ def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArra
         end,
         _numbers(data, np.where(of_data, start, offset), 4 + 4 * large) * of_data,
     )
+
+
+def _corrupt(
+    data: NDArray[np.uint8], offset: NDArray[np.int64], end: NDArray[np.int64], ended: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Tell which PDUs have a wrong CRC, of those that are whole and ``ended`` by one."""
+    rows = np.flatnonzero(ended)
+    if len(rows):
+        size = (end[rows] - offset[rows]).astype(np.int32)
+        ended = ended.copy()
+        ended[rows] = crc16_rows(data, offset[rows], size) != 0
+    return ended
 
 
 def _numbers(

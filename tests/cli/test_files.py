@@ -9,7 +9,7 @@ import cfdp as peer
 import pytest
 from cfdp.filestore import NativeFileStore
 from cfdp.transport.udp import UdpTransport
-from pdus import eof, metadata, piece
+from pdus import eof, metadata, piece, with_crc
 from places import ROOT
 from rewriting import Udp, write
 from waiting import HOST, Program, free_ports, until
@@ -234,6 +234,18 @@ def test_what_is_missing_or_wrong_is_told_with_3(call, capture, tmp_path):
     (sparse,) = (tmp_path / "3").iterdir()
     assert sparse.stat().st_size == (1 << 31) + 2
     assert sparse.stat().st_blocks < 1000
+
+
+def test_a_pdu_with_a_wrong_crc_is_counted_and_not_taken(call, capture, tmp_path):
+    begin, middle, end = map(with_crc, transfer(b"a", b"content"))
+    wrong = middle.replace(b"content", b"c0ntent")
+    result = call("files", capture(begin, wrong, end), "-o", tmp_path / "lost")
+    assert (result.code, result.out.splitlines()[-1]) == (3, "1 PDU with a wrong CRC not taken")
+    report = call("files", capture(begin, wrong, middle, wrong, end), "-o", tmp_path / "out", "--json").json()
+    assert (report["corrupt"], report["transactions"][0]["segments"]) == (2, 1)
+    assert (tmp_path / "out/a").read_bytes() == b"content"
+    alone = call("files", capture(wrong)).out
+    assert alone == "no CFDP transaction\n1 PDU with a wrong CRC not taken\n"
 
 
 def test_a_folder_that_is_not_empty_is_left_alone(call, capture, tmp_path):

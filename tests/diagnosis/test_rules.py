@@ -7,7 +7,7 @@ import re
 from dataclasses import replace
 
 import pytest
-from pdus import eof, finished, metadata, nak, pdu, piece
+from pdus import eof, finished, metadata, nak, pdu, piece, with_crc
 from places import CAPTURES, ROOT
 from rewriting import Udp, datagrams, write
 from streams import ACK, CLIENT, SERVER, Segment, sbn_message, sbn_messages, segments_of, write_segments
@@ -601,6 +601,10 @@ def file_checksum(lab, tmp_path, msg_id):
     told = transfer(lab, *SENT, finished(5))
     assert [item.rule for item in told.verdicts] == ["file_checksum"]
     assert told.bad
+    sound, wrong = with_crc(SENT[1]), with_crc(SENT[1])[:-1] + bytes([with_crc(SENT[1])[-1] ^ 1])
+    assert not transfer(lab, SENT[0], sound, SENT[2], finished()).verdicts
+    (told,) = transfer(lab, SENT[0], wrong, sound, wrong, SENT[2], finished()).verdicts
+    assert (told.rule, told.reason) == ("file_checksum", "2 CFDP PDUs came with a wrong CRC")
     return transfer(lab, *SENT[:2], eof(CONTENT, checksum=1), finished())
 
 

@@ -127,6 +127,61 @@ def test_each_kind_is_read_as_it_was_written(rows):
         assert " of 1:77" in decoded.summary
 
 
+def with_crcs():
+    """Yield PDUs that end with a CRC by ``spacepackets``; each also with one wrong bit in each byte."""
+    one = configuration(crc=True)
+    told = MetadataParams(False, ChecksumType.MODULAR, 1000, "a", "b")
+    for pdu in (
+        MetadataPdu(one, told),
+        FileDataPdu(one, FileDataParams(b"hello", 7)),
+        EofPdu(one, bytes(4), 5),
+    ):
+        raw = bytes(pdu.pack())
+        yield raw, False
+        for at in range(cfdp.PDU_HEADER.size, len(raw)):
+            yield raw[:at] + bytes([raw[at] ^ 1 << at % 8]) + raw[at + 1 :], True
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_wrong_crc_is_a_finding_of_both_readers_and_of_wireshark(inside, tmp_path):
+    made, wrong = zip(*with_crcs(), strict=True)
+    bench = Settings().workbench()
+    payloads = made
+    if inside:
+        config = tmp_path / "cf.yaml"
+        config.write_text("cf: {ros__parameters: {cfdp: {msg_ids: [0x18C8]}}}")
+        bench = Settings([config]).workbench()
+        payloads = [cfe.emit_command(0x18C8, 0, item) for item in made]
+    batch = batch_of(payloads, destination=("127.0.0.1", 1234 if inside else 5222))
+    columns = bench.columns.decode(batch)
+    both = Finding.TRUNCATED | Finding.CHECKSUM_BAD
+    for row, expected in enumerate(wrong):
+        decoded = bench.dissector.dissect(batch[row])
+        assert int(decoded.findings) == columns.findings[row]
+        assert bool(decoded.findings & both) == expected, made[row].hex()
+    follower = Follower(msg_ids=(0x18C8,))
+    follower.add(batch, columns)
+    assert (
+        follower.corrupt == sum(Finding.CHECKSUM_BAD in Finding(int(item)) for item in columns.findings) > 40
+    )
+    (taken,) = follower.transactions
+    assert (taken.segments, taken.file_size, taken.destination_file_name) == (1, 5, "b")
+    if not inside:
+        at = ("127.0.0.1", 5111), ("127.0.0.1", 5222)
+        capture = write(tmp_path / "x.pcap", [Udp(number, *at, item) for number, item in enumerate(made)])
+        options = ["-d", "udp.port==5222,cfdp", "-r", capture, "-T", "fields", "-e", "cfdp.crc"]
+        run = subprocess.run(
+            ["tshark", "-n", *options], capture_output=True, check=True, timeout=60, text=True
+        )
+        # It shows the CRC where the rest can be read, and does not judge it.
+        sound = {raw[:-2] for raw, bad in with_crcs() if not bad}
+        told = [(row, line) for row, line in enumerate(run.stdout.splitlines()) if made[row][:-2] in sound]
+        assert len(told) == 3 * 3
+        for row, line in told:
+            ours = bench.dissector.dissect(batch[row]).layers[-1].values()["crc"]
+            assert ours == int(line, 16) == int.from_bytes(made[row][-2:], "big")
+
+
 def test_filters_find_the_fields_that_the_tree_has(rows):
     bench, found = rows
     assert len(found) == len(KINDS)

@@ -1,5 +1,7 @@
 """CFDP PDUs with IDs of one byte, from entity 1 to entity 2."""
 
+from binascii import crc_hqx
+
 from edoras_tools.wire import cfdp
 from edoras_tools.wire.cfdp import Directive
 
@@ -50,3 +52,10 @@ def finished(condition=0, number=7):
         "file_status": 0 if condition else 2,
     }
     return pdu(Directive.FINISHED, number=number, back=True, **values)
+
+
+def with_crc(made):
+    """Return a PDU with a CRC-16 at its end (727.0-B 4.1): the flag set, the length field 2 more."""
+    size = int.from_bytes(made[1:3], "big") + 2
+    flagged = bytes([made[0] | 2]) + size.to_bytes(2, "big") + made[3:]
+    return flagged + crc_hqx(flagged, 0xFFFF).to_bytes(2, "big")

@@ -153,6 +153,9 @@ def judge(case: Case) -> Iterator[Verdict]:
     # Over 768 bytes has a rule of its own, and what follows from the cut belongs to it.
     wrong = commands & rows.has(mask) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)
     found: dict[tuple[str, int], list[tuple[int, BadCommandKind]]] = {}
+    # A wrong CRC of a CFDP PDU has the same finding, and is not obeyed: ``file_checksum`` counts it.
+    others = mask & ~Finding.CHECKSUM_BAD
+    wrong &= rows.has(others) | ~np.isin(rows.msg_id, case.mission.pdu_msg_ids)
     wrong |= commands & (rows.claimed > 0) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)
     for _, misfits, _ in misread(case):
         wrong[misfits] = False  # the type is wrong, not each of its messages

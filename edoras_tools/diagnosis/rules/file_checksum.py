@@ -1,4 +1,4 @@
-"""A file that CFDP transferred has another checksum than its sender says."""
+"""A file that CFDP transferred, or a PDU, has another checksum than its sender says."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.cfdp import CFDP
 from edoras_tools.wire.cfdp import ConditionCode
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,7 +18,10 @@ ID = "file_checksum"
 
 
 def judge(case: Case) -> Iterator[Verdict]:
-    """Name each file whose receiver says so, or whose captured bytes have another checksum than EOF."""
+    """Name each file whose receiver says so, or whose captured bytes have another checksum than EOF.
+
+    Count PDUs whose own CRC is wrong.
+    """
     for item in case.capture.files:
         told = item.condition == ConditionCode.FILE_CHECKSUM_FAILURE
         if told or item.checksum_right is False:
@@ -33,3 +37,15 @@ def judge(case: Case) -> Iterator[Verdict]:
                 evidence=(who,),
                 remedy="send it again; if it happens again, both entities may use different checksum types",
             )
+    if count := case.capture.corrupt_pdus:
+        yield Verdict(
+            ID,
+            Severity.WARNING,
+            f"{plural(count, 'CFDP PDU')} came with a wrong CRC",
+            link=CFDP.label,
+            hop="between CFDP entities",
+            start_ns=case.start_ns,
+            end_ns=case.end_ns,
+            evidence=("calculated from the captured bytes; the receiver drops such a PDU",),
+            remedy="look for what changes bytes on the way; what is missing is sent again in class 2 only",
+        )

@@ -97,11 +97,13 @@ class FilesReport:
         source: the input.
         files: one for each transaction, in order of their first PDU.
         left_out: PDUs of transactions beyond the limit.
+        corrupt: PDUs with a wrong CRC, which are not taken.
     """
 
     source: Source
     files: list[TakenFile] = field(default_factory=list)
     left_out: int = 0
+    corrupt: int = 0
 
     def summary(self) -> dict[str, Any]:
         """Return the report in the form of ``files --json``."""
@@ -109,6 +111,7 @@ class FilesReport:
             "source": self.source.info.name,
             "transactions": [item.summary() for item in self.files],
             "left_out": self.left_out,
+            "corrupt": self.corrupt,
         }
 
 
@@ -140,7 +143,7 @@ def take_out(
         follower = Follower(spool.keep if spool else None, bench.mission.pdu_msg_ids)
         for rows in loop:
             follower.add(*rows.alone())
-        report.left_out = follower.left_out
+        report.left_out, report.corrupt = follower.left_out, follower.corrupt
         for item in follower.transactions:
             taken = TakenFile(item, item.checksum_right)
             if spool:

@@ -31,6 +31,7 @@ def files_lines(report: Mapping[str, Any]) -> Iterator[str]:
     rows = [_HEAD, *map(_row, report["transactions"])]
     if len(rows) == 1:
         yield "no CFDP transaction"
+        yield from _not_taken(report)
         return
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     left = {0, 1, 2, len(_HEAD) - 1}
@@ -44,6 +45,12 @@ def files_lines(report: Mapping[str, Any]) -> Iterator[str]:
         if item["refused"] and item["path"]:
             name = item["destination_file_name"] or item["source_file_name"]
             yield clean(f"the name {name!r} is refused: written to {item['path']}")
+    yield from _not_taken(report)
+
+
+def _not_taken(report: Mapping[str, Any]) -> Iterator[str]:
+    if report["corrupt"]:
+        yield f"{plural(report['corrupt'], 'PDU')} with a wrong CRC not taken"
     if report["left_out"]:
         yield f"{units.count(report['left_out'])} PDUs of further transactions are left out"
 
