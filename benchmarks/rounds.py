@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import statistics
 import subprocess
 import time
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
 ROUNDS = 10
 LEAST_ROUNDS = 3
@@ -64,3 +66,16 @@ def busy_ns(process: int) -> int:
         total += int((task / "schedstat").read_text().split()[0])
         total += sum(busy_ns(int(child)) for child in (task / "children").read_text().split())
     return total
+
+
+@contextmanager
+def running(arguments: list[object]) -> Iterator[subprocess.Popen[str]]:
+    """Start a program that captures, and end it."""
+    process = subprocess.Popen(
+        list(map(str, arguments)), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate()

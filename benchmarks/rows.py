@@ -8,13 +8,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,16 +21,15 @@ from typing import TYPE_CHECKING
 import proxy
 from paths import EDORAS, HERE, MISSION, TWO_ROVERS, captured
 from rosbags.typesys import Stores, get_typestore
-from rounds import ROUNDS, absent, alternated, busy_ns, command, summed_up
+from rounds import ROUNDS, absent, alternated, busy_ns, command, running, summed_up
 
 from edoras_tools.ros import TypeStore
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
 PORT = 47334
 RATES, MANY = (20, 100, 1000, 5000), (50_000,)
-LIMITS = (50_000, 100_000, 150_000, 200_000, 300_000)
 SETTLE_S = 2.0
 
 
@@ -196,19 +194,6 @@ def programs(folder: Path) -> dict[str, list[object]]:
     return {name: arguments for name, arguments in found.items() if shutil.which(str(arguments[0]))}
 
 
-@contextmanager
-def running(arguments: list[object]) -> Iterator[subprocess.Popen[str]]:
-    """Start a program that captures, and end it."""
-    process = subprocess.Popen(
-        list(map(str, arguments)), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.communicate()
-
-
 def shares(folder: Path) -> dict[str, object]:
     """Share of a core, in percent, that each program takes of the same datagrams, in windows of a second."""
     every = programs(folder)
@@ -237,41 +222,6 @@ def shares_of(every: dict[str, list[object]], rates: tuple[int, ...]) -> dict[st
     return found
 
 
-def limits(folder: Path) -> dict[str, object]:
-    """The highest rate of 200-byte datagrams of which a program loses none in a second, and what it cost."""
-    found: dict[str, object] = {}
-    for name, arguments in programs(folder).items():
-        if name in {"sniff -i", "tcpdump"}:
-            continue
-        rows = []
-        for rate in LIMITS:
-            with running(arguments) as process, ExitStack() as stack:
-                time.sleep(SETTLE_S)
-                if name != "record --listen":
-                    holder = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-                    holder.bind(("127.0.0.1", PORT))
-                before = busy_ns(process.pid)
-                sent = json.loads(proxy.role("stamped", PORT, rate, 1, rate // 1000).communicate()[0])
-                time.sleep(0.5)
-                busy_s = (busy_ns(process.pid) - before) / 1e9
-            written = arguments[arguments.index("-o" if "-o" in arguments else "-w") + 1]
-            told = subprocess.run([EDORAS, "info", "--json", written], capture_output=True, check=False)
-            kept = json.loads(told.stdout)
-            lost = sent["sent"] - kept["datagrams"]
-            rows.append(
-                {
-                    "asked_per_s": rate,
-                    "sent_per_s": round(sent["sent"] / sent["seconds"]),
-                    "lost": lost,
-                    "cpu_us_per_datagram": round(busy_s / max(kept["datagrams"], 1) * 1e6, 2),
-                }
-            )
-            if lost:
-                break
-        found[name] = rows
-    return found | absent("dumpcap")
-
-
 def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, object]]]:
     """Return the measurements by name; so many packets are examined by the doctor."""
     return {
@@ -283,7 +233,6 @@ def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, obje
         "inject": partial(inject, folder),
         "relays": partial(relays, folder),
         "shares": partial(shares, folder),
-        "limits": partial(limits, folder),
     }
 
 

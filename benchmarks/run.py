@@ -24,6 +24,7 @@ import codegen
 import export
 import filters
 import foxglove_live
+import limits
 import lua
 import pacing
 import proxy
@@ -220,8 +221,8 @@ def main() -> None:
     parser.add_argument(
         "--only",
         choices=[
-            *("record", "jobs", "memory", "live", "startup", "pacing"),
-            *("texts", "tcp", "doctor", "files", "messages", "inject", "relays", "shares", "limits"),
+            *("record", "jobs", "memory", "live", "limits", "startup", "pacing"),
+            *("texts", "tcp", "doctor", "files", "messages", "inject", "relays", "shares"),
             *("proxy", "bridge", "foxglove", "where", "lua", "codegen", "tui", "export"),
         ],
     )
@@ -242,6 +243,7 @@ def main() -> None:
             "jobs": lambda: one_and_two_processes(folder, 4 * options.packets),
             "memory": lambda: memory_of_a_large_file(folder, 4 * options.packets),
             "live": lambda: live(folder),
+            "limits": lambda: limits.measure(folder),
             "pacing": lambda: pacing.measure(folder),
             "proxy": lambda: proxy.measure(folder),
             "bridge": lambda: bridge.measure(folder),
