@@ -24,7 +24,7 @@ def xtce(
     *,
     output: Annotated[Path | None, options.output(help="Write it here; default: standard output.")] = None,
     form: Annotated[
-        GroundForm, typer.Option("--format", metavar="FORM", help="xtce, or cosmos: telemetry as tlm.txt.")
+        GroundForm, typer.Option("--format", metavar="FORM", help="xtce, or cosmos: a file for cmd_tlm/.")
     ] = GroundForm.XTCE,
     system: Annotated[
         str, typer.Option(metavar="NAME", help="Name of the space system, or the target.")
@@ -44,7 +44,7 @@ def xtce(
 
     if output is not None:
         check_new(output, force=force)
-    made = describe_packets(decoding.settings().workbench(), system, cosmos=form is GroundForm.COSMOS)
+    made = describe_packets(decoding.settings().workbench(), system, for_cosmos=form is GroundForm.COSMOS)
     if output is None:
         typer.echo(made.text.decode(), nl=False)
     else:

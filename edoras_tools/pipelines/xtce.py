@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import edoras_app
-from edoras_tools.codegen.ground.cosmos import cosmos_telemetry
+from edoras_tools.codegen.ground.cosmos import cosmos
 from edoras_tools.codegen.ground.packets import PacketItem, route_packet, struct_packet
 from edoras_tools.codegen.ground.xtce import xtce
 from edoras_tools.errors import ConfigError
@@ -36,13 +36,15 @@ class GroundDescription:
     notes: list[str] = field(default_factory=list)
 
 
-def describe_packets(bench: Workbench, name: str = "edoras", *, cosmos: bool = False) -> GroundDescription:
+def describe_packets(
+    bench: Workbench, name: str = "edoras", *, for_cosmos: bool = False
+) -> GroundDescription:
     """Describe the packets that CI and TO carry: those of the mission's routes, and of known C structs.
 
     Args:
         bench: the mission, its types and its structs.
         name: of the space system, or the target.
-        cosmos: telemetry for COSMOS instead of XTCE.
+        for_cosmos: for COSMOS, instead of XTCE.
 
     Raises:
         ConfigError: MsgIds are of version 2, or a mission names two topics alike.
@@ -67,10 +69,8 @@ def describe_packets(bench: Workbench, name: str = "edoras", *, cosmos: bool = F
             notes.append(f"{packet.doc}: no command is described: its size varies")
     routed = {packet.msg_id for packet in telemetry}
     telemetry += [packet for packet in _structs(bench) if packet.msg_id not in routed]
-    if cosmos:
-        lines = cosmos_telemetry(name, telemetry, headers)
-        return GroundDescription("".join(f"{line}\n" for line in lines).encode(), len(telemetry), 0, notes)
-    return GroundDescription(xtce(name, telemetry, commands, headers), len(telemetry), len(commands), notes)
+    text = (cosmos if for_cosmos else xtce)(name, telemetry, commands, headers)
+    return GroundDescription(text, len(telemetry), len(commands), notes)
 
 
 def _structs(bench: Workbench) -> Iterator[GroundPacket]:

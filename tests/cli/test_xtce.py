@@ -12,9 +12,10 @@ def test_it_writes_a_new_file(call, tmp_path):
     assert call("xtce", "-c", MISSIONS / "rover_ground.yaml", "-o", path).code == 2
 
 
-def test_telemetry_for_cosmos(call):
+def test_telemetry_and_commands_for_cosmos(call):
     text = call("xtce", "-c", MISSIONS / "rover_ground.yaml", "--format", "cosmos", "--system", "rover").out
-    assert "TELEMETRY ROVER TELEMETRY_POSE LITTLE_ENDIAN" in text
+    assert "TELEMETRY ROVER TELEMETRY_POSE_6 LITTLE_ENDIAN" in text
+    assert "COMMAND ROVER CMD_VEL LITTLE_ENDIAN" in text
 
 
 def test_what_varies_is_told(call, tmp_path):

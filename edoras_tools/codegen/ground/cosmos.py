@@ -1,42 +1,182 @@
-"""COSMOS: a target's ``cmd.txt`` or ``tlm.txt``, one item a line behind the one before it.
+"""COSMOS: telemetry and commands of a target, a file of its folder ``cmd_tlm``.
 
-A string has no fixed length, so a packet with one ends with the block of bytes that begins there.
+Rules:
+
+1. Items follow each other without a gap; no place is written but that of a remainder (rule 2).
+2. A packet is told by its packet type and its APID. One with a string that is followed by something is
+   described once for each remainder of the string's length by 8, which decides the padding behind it, and is
+   told by that remainder, too: its packets have names that end in 0 to 7.
+3. Behind a second string, or what varies otherwise, nothing has a place that COSMOS can be told: the packet
+   ends with the block of bytes that begins there.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.codegen.ground.packets import PacketItem, header_items, identifier, telemetry_items
+from edoras_tools.codegen.ground.packets import (
+    LENGTH_BYTES,
+    REMAINDERS,
+    PacketItem,
+    StringItem,
+    command_parts,
+    header_items,
+    identifier,
+    telemetry_items,
+)
 from edoras_tools.wire import ccsds
+from edoras_tools.wire.cfe import EXTENDED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
-    from edoras_tools.codegen.ground.packets import GroundPacket
+    from edoras_tools.codegen.ground.packets import GroundPacket, Items
     from edoras_tools.wire.cfe import Headers
 
 _TYPES: Final = {"uint": "UINT", "int": "INT", "float": "FLOAT", "bytes": "BLOCK", "text": "STRING"}
+_RESERVED: Final = {
+    *(f"{when}_TIME{how}" for when in ("PACKET", "RECEIVED") for how in ("", "SECONDS", "FORMATTED")),
+    "RECEIVED_COUNT",
+    "COSMOS_DATA_TAG",
+    "COSMOS_EXTRA",
+}
+"""Names that COSMOS gives items of its own."""
+_NUMBERS: Final = {"uint", "int", "float"}
 
 
-def cosmos_telemetry(target: str, packets: Iterable[GroundPacket], headers: Headers) -> Iterator[str]:
-    """Yield the lines of ``tlm.txt``; a packet is told by its APID and its type."""
-    head = header_items(ccsds.PRIMARY) + telemetry_items(headers)
-    for packet in packets:
-        yield f'TELEMETRY {identifier(target).upper()} {packet.name.upper()} LITTLE_ENDIAN "{packet.doc}"'
-        fixed = {"apid": packet.apid, "packet_type": ccsds.TELEMETRY_TYPE}
-        yield from (_line(field, fixed.get(field.name)) for field in head)
-        for number, item in enumerate(packet.items):
-            if not isinstance(item, PacketItem):
-                break
-            yield _line(item, number=number)
-        if not packet.whole or not all(isinstance(item, PacketItem) for item in packet.items):
-            yield '  APPEND_ITEM REST 0 BLOCK "all that follows"'
+def cosmos(
+    name: str, telemetry: Iterable[GroundPacket], commands: Iterable[GroundPacket], headers: Headers
+) -> bytes:
+    """Return the text of a target.
+
+    Args:
+        name: of the target.
+        telemetry: packets from cFS.
+        commands: packets to cFS; each must be of fixed size.
+        headers: those of the cFE.
+    """
+    target = _plain(name)
+    lines = [line for packet in telemetry for line in _telemetry(target, packet, headers)]
+    lines += [line for packet in commands for line in _command(target, packet, headers)]
+    return "".join(f"{line}\n" for line in lines).encode()
 
 
-def _line(item: PacketItem, fixed: int | None = None, number: int = 0) -> str:
-    name = identifier(item.name or f"padding_{number}").upper()
-    value = "" if fixed is None else f" {fixed}"
-    order = "" if item.little or item.bits <= 8 else " BIG_ENDIAN"
-    kind = "APPEND_ITEM" if fixed is None else "APPEND_ID_ITEM"
-    return f'  {kind} {name} {item.bits} {_TYPES[item.encoding]}{value} "{item.doc or item.name}"{order}'
+def _telemetry(target: str, packet: GroundPacket, headers: Headers) -> Iterator[str]:
+    """Yield the lines of a packet, or of the packets for each remainder of its first string's length."""
+    first = packet.items[-1] if packet.items else None
+    if isinstance(first, StringItem) and any(first.after):
+        for remainder in range(REMAINDERS):
+            yield f"TELEMETRY {target} {_plain(packet.name)}_{remainder} LITTLE_ENDIAN {_quoted(packet.doc)}"
+            yield from _Items().telemetry(packet, headers, remainder)
+    else:
+        yield f"TELEMETRY {target} {_plain(packet.name)} LITTLE_ENDIAN {_quoted(packet.doc)}"
+        yield from _Items().telemetry(packet, headers, None)
+
+
+class _Items:
+    """The items of one packet: no two have one name."""
+
+    def __init__(self) -> None:
+        self._used = set(_RESERVED)
+        self._bits = 0
+
+    def telemetry(self, packet: GroundPacket, headers: Headers, remainder: int | None) -> Iterator[str]:
+        head = header_items(ccsds.PRIMARY) + telemetry_items(headers)
+        told = {"apid": packet.apid, "packet_type": ccsds.TELEMETRY_TYPE}
+        yield from (self._item(item, told.get(item.name)) for item in head)
+        whole = packet.whole
+        items: Items = packet.items
+        while items:
+            yield from (self._item(item) for item in items if isinstance(item, PacketItem))
+            last, items = items[-1], ()
+            if isinstance(last, StringItem):
+                yield from self._string(last, remainder)
+                if remainder is None:
+                    whole = whole and not any(last.after)
+                else:
+                    items, remainder = last.after[remainder], None
+        if not whole:
+            yield self._line(PacketItem("rest", "bytes", 0, "all that follows"))
+
+    def _string(self, string: StringItem, remainder: int | None) -> Iterator[str]:
+        """Yield the lines of a string: its length, and its characters, with the NUL at their end."""
+        doc = "bytes of the string, a NUL at its end included"
+        length = PacketItem(f"{string.name}.length", "uint", 8 * LENGTH_BYTES, doc)
+        name, begin = self._name(length), self._bits
+        yield self._line(length, name=name)
+        if remainder is not None:  # of its first byte, the last bits
+            low = PacketItem(f"{length.name}_low", "uint", REMAINDERS.bit_length() - 1, "its low bits, again")
+            place = f"{self._name(low)} {begin + 8 - low.bits} {low.bits}"
+            yield f"  ID_ITEM {place} UINT {remainder} {_quoted(low.doc)}"
+            yield "    OVERLAP"
+        yield self._line(PacketItem(string.name, "text", 0))
+        yield f"    VARIABLE_BIT_SIZE {name}"
+
+    def _item(self, item: PacketItem, told_by: int | None = None) -> str:
+        return self._line(item) if told_by is None else self._line(item, "ID_ITEM", f" {told_by}")
+
+    def fixed(
+        self, items: Iterable[PacketItem], values: Mapping[str, object], ids: set[str]
+    ) -> Iterator[str]:
+        """Yield parameters that always have one value."""
+        for item in items:
+            value = values[item.name]
+            if isinstance(value, bytes):
+                yield self._line(item, "PARAMETER", f" 0x{value.hex()}")
+            else:
+                kind = "ID_PARAMETER" if item.name in ids else "PARAMETER"
+                yield self._line(item, kind, f" {value} {value} {value}")
+
+    def argument(self, item: PacketItem) -> str:
+        """Return a parameter that the operator chooses."""
+        zero = "0.0" if item.encoding == "float" else "0"
+        return self._line(item, "PARAMETER", f" MIN MAX {zero}" if item.encoding in _NUMBERS else ' ""')
+
+    def _name(self, item: PacketItem) -> str:
+        """Return a name that COSMOS takes: no ``_`` at its end, nor two in a row, and no other's."""
+        wanted = name = _plain(item.name or "padding")
+        number = 1
+        while name in self._used:
+            number += 1
+            name = f"{wanted}_{number}"
+        self._used.add(name)
+        return name
+
+    def _line(self, item: PacketItem, kind: str = "ITEM", values: str = "", name: str = "") -> str:
+        self._bits += item.bits
+        order = "" if item.little or item.bits <= 8 else " BIG_ENDIAN"
+        head = f"  APPEND_{kind} {name or self._name(item)} {item.bits} {_TYPES[item.encoding]}{values}"
+        return f"{head} {_quoted(item.doc or item.name or 'alignment')}{order}"
+
+
+def _plain(text: str) -> str:
+    return "_".join(part for part in identifier(text).upper().split("_") if part) or "UNNAMED"
+
+
+def _quoted(text: str) -> str:
+    plain = " ".join(text.split()).replace('"', "'")
+    return f'"{plain}"'
+
+
+def _command(target: str, packet: GroundPacket, headers: Headers) -> Iterator[str]:
+    head, *arguments = command_parts(packet, headers)
+    assert isinstance(head, bytes)
+    yield f"COMMAND {target} {_plain(packet.name)} LITTLE_ENDIAN {_quoted(packet.doc)}"
+    made = _Items()
+    at = 0
+    layouts = (ccsds.PRIMARY, *((EXTENDED,) if headers.extended else ()), headers.command)
+    for layout in layouts:
+        ids = {"apid", "packet_type"} if layout is ccsds.PRIMARY else set()
+        yield from made.fixed(header_items(layout), layout.parse(head, at), ids)
+        at += layout.size
+    for item in packet.items[:3]:  # the envelope, CDR's encapsulation
+        assert isinstance(item, PacketItem)
+        raw = head[at : at + item.bits // 8]
+        value = raw if item.encoding == "bytes" else int.from_bytes(raw, "little" if item.little else "big")
+        yield from made.fixed([item], {item.name: value}, set())
+        at += item.bits // 8
+    for part in arguments:
+        if isinstance(part, bytes):
+            yield from made.fixed([PacketItem("", "bytes", 8 * len(part))], {"": part}, set())
+        else:
+            yield made.argument(part)

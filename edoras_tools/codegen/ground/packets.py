@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Final, Literal
 from edoras_tools.ros.cdr.plan import PrimitiveRun, Repeat, Text
 from edoras_tools.structs.shapes import BasicKind
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.cfe import EXTENDED
+from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
+from edoras_tools.wire.cfe import EXTENDED, emit_command
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 
 if TYPE_CHECKING:
@@ -130,6 +131,31 @@ def header_items(layout: Layout) -> tuple[PacketItem, ...]:
 def telemetry_items(headers: Headers) -> tuple[PacketItem, ...]:
     """Return the fields of cFE's headers of telemetry, which follow the primary header."""
     return (header_items(EXTENDED) if headers.extended else ()) + header_items(headers.telemetry)
+
+
+def command_parts(packet: GroundPacket, headers: Headers) -> list[bytes | PacketItem]:
+    """Return the parts of a command of fixed size: bytes that are always the same, and arguments.
+
+    The first part is all in front of the message: cFE's headers, the envelope and CDR's encapsulation.
+    """
+    items = [item for item in packet.items if isinstance(item, PacketItem)]
+    lengths, values = items[:2], items[3:]  # the envelope, CDR's encapsulation, the message
+    size = sum(item.bits for item in items) // 8
+    cdr = size - sum(item.bits for item in lengths) // 8
+    whole = emit_command(
+        packet.msg_id,
+        packet.function_code,
+        bytes(size),
+        sequence_flags=0,
+        with_checksum=False,
+        headers=headers,
+    )
+    head = [cdr.to_bytes(item.bits // 8, "little" if item.little else "big") for item in lengths]
+    encapsulation = ENCAPSULATION.emit({"representation": CDR_LE, "options": 0})
+    return [
+        whole[: headers.command_bytes] + b"".join(head) + encapsulation,
+        *(item if item.name else bytes(item.bits // 8) for item in values),
+    ]
 
 
 def route_packet(route: Route, types: TypeStore, function_code: int) -> GroundPacket:

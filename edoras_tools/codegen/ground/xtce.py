@@ -14,13 +14,12 @@ from edoras_tools.codegen.ground.packets import (
     REMAINDERS,
     PacketItem,
     StringItem,
+    command_parts,
     header_items,
     identifier,
     telemetry_items,
 )
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
-from edoras_tools.wire.cfe import emit_command
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -164,7 +163,7 @@ class _System:
             arguments = ET.SubElement(command, "ArgumentList")
             container = ET.SubElement(command, "CommandContainer", {"name": f"{packet.name}_packet"})
             entries = ET.SubElement(container, "EntryList")
-            for part in _parts(packet, self._headers):
+            for part in command_parts(packet, self._headers):
                 if isinstance(part, bytes):
                     value = {"binaryValue": part.hex().upper(), "sizeInBits": str(8 * len(part))}
                     ET.SubElement(entries, "FixedValueEntry", value)
@@ -180,28 +179,6 @@ class _System:
 
 def _length_of(string: StringItem) -> list[PacketItem]:
     return [replace(part, name=f"{string.name}.{part.name}") for part in _LENGTH]
-
-
-def _parts(packet: GroundPacket, headers: Headers) -> list[bytes | PacketItem]:
-    """Return the parts of a command of fixed size: bytes that are always the same, and arguments."""
-    items = [item for item in packet.items if isinstance(item, PacketItem)]
-    lengths, values = items[:2], items[3:]  # the envelope, CDR's encapsulation, the message
-    size = sum(item.bits for item in items) // 8
-    cdr = size - sum(item.bits for item in lengths) // 8
-    whole = emit_command(
-        packet.msg_id,
-        packet.function_code,
-        bytes(size),
-        sequence_flags=0,
-        with_checksum=False,
-        headers=headers,
-    )
-    head = [cdr.to_bytes(item.bits // 8, "little" if item.little else "big") for item in lengths]
-    encapsulation = ENCAPSULATION.emit({"representation": CDR_LE, "options": 0})
-    return [
-        whole[: headers.command_bytes] + b"".join(head) + encapsulation,
-        *(item if item.name else bytes(item.bits // 8) for item in values),
-    ]
 
 
 def _data_type(types: ET.Element, role: str, name: str, item: PacketItem) -> None:

@@ -1,4 +1,4 @@
-"""XTCE and COSMOS: judged by ``space_packet_parser`` on real captures, and by what ``inject`` sends."""
+"""XTCE: judged by ``space_packet_parser`` on real captures, and by what ``inject`` sends."""
 
 import math
 import re
@@ -11,8 +11,7 @@ from places import CAPTURES, MISSIONS
 from rewriting import datagrams
 from space_packet_parser.xtce.definitions import XtcePacketDefinition
 
-from edoras_tools.codegen.ground.cosmos import cosmos_telemetry
-from edoras_tools.codegen.ground.packets import PacketItem, StringItem, identifier, route_packet
+from edoras_tools.codegen.ground.packets import StringItem, identifier, route_packet
 from edoras_tools.codegen.ground.xtce import xtce
 from edoras_tools.decode import Options
 from edoras_tools.errors import ConfigError
@@ -142,17 +141,6 @@ def test_a_command_is_the_packet_that_inject_sends():
     twist = {"linear": {"x": 1.5, "y": -0.25}, "angular": {"z": math.pi}}
     sent = Encoder.of(route, bench).packet(bench.types.encode(route.type, twist), 0)
     assert data == sent.packet
-
-
-def test_cosmos_items_follow_each_other():
-    route = Route("/pose", "geometry_msgs/msg/Pose", 0x0827, table.named("to"), "telemetry")
-    packet = route_packet(route, TypeStore(), 1)
-    lines = list(cosmos_telemetry("ROVER", [packet], cfe.STANDARD))
-    assert lines[0] == 'TELEMETRY ROVER POSE LITTLE_ENDIAN "/pose, geometry_msgs/msg/Pose"'
-    assert any(re.match(r"  APPEND_ID_ITEM APID 11 UINT 39 ", line) for line in lines)
-    bits = sum(int(line.split()[2]) for line in lines[1:])
-    assert bits == 8 * (16 + 16 + 4 + 7 * 8)
-    assert sum(item.bits for item in packet.items if isinstance(item, PacketItem)) == 8 * (16 + 4 + 56)
 
 
 def test_msg_ids_of_version_2_are_refused():
