@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.arrange import Wanted, arrange
-from edoras_tools.structs.fprime.dictionary import is_dictionary, read_dictionary
 from edoras_tools.structs.packets import UDP_KEY
 from edoras_tools.structs.shapes import (
     BASIC,
@@ -96,8 +95,11 @@ def parse_layout(data: bytes, name: str) -> StructLayout:
 
 def layout_of(raw: Any, name: str) -> StructLayout:
     """Read a layout from the plain values of a layout file, or a dictionary; see :func:`parse_layout`."""
-    if is_dictionary(raw):
-        return read_dictionary(raw, name)
+    if isinstance(raw, dict) and "typeDefinitions" in raw:
+        from edoras_tools.structs.fprime.dictionary import is_dictionary, read_dictionary
+
+        if is_dictionary(raw):
+            return read_dictionary(raw, name)
     return _Reader(name).layout(raw)
 
 

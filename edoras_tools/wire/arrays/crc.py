@@ -20,15 +20,11 @@ import numpy as np
 
 from edoras_tools.wire.arrays.window import copy_rows
 
-try:
-    from isal.isal_zlib import crc32
-except ImportError:
-    from zlib import crc32
-
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Callable
 
-__all__ = ["CRC16_BYTES", "FileCrc", "crc16", "crc16_rows", "crc32", "crc32c"]
+    from numpy.typing import NDArray
+    from typing_extensions import Buffer
 
 CRC16_BYTES: Final = 2
 _ONES: Final = 0xFFFF
@@ -44,6 +40,20 @@ _CRC32C: Final = 0x82F63B78
 _ONE: Final = 1 << 31
 _ROW: Final = 64
 """Bytes of a row of CRC-32C."""
+
+
+@cache
+def _fastest() -> Callable[[Buffer, int], int]:
+    try:
+        from isal.isal_zlib import crc32 as found
+    except ImportError:
+        from zlib import crc32 as found
+    return found
+
+
+def crc32(octets: Buffer, value: int = 0) -> int:
+    """Return the CRC-32 of some bytes, going on from that of the bytes in front of them."""
+    return _fastest()(octets, value)
 
 
 def crc16(octets: bytes | memoryview) -> int:
