@@ -200,13 +200,14 @@ def _samples(sources: Sources) -> dict[int, list[_Sample]]:
     row, counts = samples["row"], (samples["packets"] + samples["errors"]) % _MODULUS
     found: dict[int, dict[int, _Sample]] = {}
     own = (instances.of_row[row] != NOBODY) & among(rows.link[row], lambda link: link.only_from_cfs)
-    for at in np.flatnonzero(own).tolist():
-        instance, source = int(instances.of_row[row[at]]), int(rows.source[row[at]])
-        seen = int(samples["time_ns"][at])
+    row = row[own]
+    columns = instances.of_row[row], rows.source[row], samples["time_ns"][own], rows.mission_time_ns[row]
+    for instance, source, seen, mission_ns, count in zip(
+        *(column.tolist() for column in (*columns, counts[own])), strict=True
+    ):
         if instance != instances.owner(source, seen):
             continue
-        made = int(rows.mission_time_ns[row[at]]) + instances.items[instance].offset_ns
-        sample = _Sample(seen, made, int(counts[at]), instance, source)
+        sample = _Sample(seen, mission_ns + instances.items[instance].offset_ns, count, instance, source)
         found.setdefault(instances.systems[instance], {}).setdefault(seen, sample)
     return {system: [of[when] for when in sorted(of)] for system, of in found.items()}
 

@@ -229,8 +229,7 @@ class Network:
         changes: list[PeerChange] = []
         up, last = False, 0
         away = [*farewells, (np.iinfo(np.int64).max, 0)]
-        for row in heard.tolist():
-            now, kind = int(rows.time_ns[row]), int(rows.sbn_msg_type[row])
+        for now, kind in zip(rows.time_ns[heard].tolist(), rows.sbn_msg_type[heard].tolist(), strict=True):
             if now > away[0][0]:
                 if up:
                     changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
@@ -241,7 +240,7 @@ class Network:
             # What came before the observer was there, nobody heard.
             if now < alive_ns - 500 * MILLISECOND:
                 continue
-            if up and now - last >= timeout + self._away(last, now):
+            if up and now - last >= timeout and now - last >= timeout + self._away(last, now):
                 changes += self._silence(last, timeout)
                 up = False
             if kind == sbn.MsgType.DISCONNECT:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -159,11 +160,14 @@ def judge(case: Case) -> Iterator[Verdict]:
     wrong |= commands & (rows.claimed > 0) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)
     for _, misfits, _ in misread(case):
         wrong[misfits] = False  # the type is wrong, not each of its messages
-    for row in np.flatnonzero(wrong).tolist():
-        findings = Finding(int(rows.findings[row]))
-        findings |= Finding.ENVELOPE_OVERRUN if rows.claimed[row] else Finding(0)
-        kind = _kind(findings, int(rows.length[row]))
-        found.setdefault((kind.what, int(rows.msg_id[row])), []).append((row, kind))
+    bad = np.flatnonzero(wrong)
+    findings = rows.findings[bad] | np.where(rows.claimed[bad] != 0, np.uint32(Finding.ENVELOPE_OVERRUN), 0)
+    size = np.minimum(rows.length[bad], cfe.COMMAND_HEADER_BYTES)  # a longer one is of the same kind
+    for row, bits, length, msg_id in zip(
+        bad.tolist(), findings.tolist(), size.tolist(), rows.msg_id[bad].tolist(), strict=True
+    ):
+        kind = _kind(bits, length)
+        found.setdefault((kind.what, msg_id), []).append((row, kind))
     told = {row for members in found.values() for row, _ in members}
     for row, kind in _refused(case, told):
         found.setdefault((kind.what, int(rows.msg_id[row])), []).append((row, kind))
@@ -175,10 +179,11 @@ def judge(case: Case) -> Iterator[Verdict]:
             yield _verdict(case, [row for row, _ in members], members[0][1])
 
 
-def _kind(findings: Finding, length: int) -> BadCommandKind:
+@cache
+def _kind(findings: int, length: int) -> BadCommandKind:
     if not length:
         return _EMPTY
-    kind = next(item for item in _BAD_COMMANDS if item.finding in findings)
+    kind = next(item for item in _BAD_COMMANDS if item.finding in Finding(findings))
     # The header is there: it is the message that is cut.
     return _SHORT if kind.finding is Finding.TRUNCATED and length >= cfe.COMMAND_HEADER_BYTES else kind
 

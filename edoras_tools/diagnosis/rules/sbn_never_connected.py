@@ -10,6 +10,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.sbn import SBN
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
+from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,9 +26,11 @@ def judge(case: Case) -> Iterator[Verdict]:
     """Look for a direction of a link on which nothing ever came."""
     rows = case.rows
     network = (rows.link == SBN) & (rows.sbn_msg_type >= 0)
-    ways = np.unique(np.stack((rows.source[network], rows.destination[network])), axis=1).T.tolist()
-    for source, target in ways:
-        if [target, source] in ways:
+    sources, targets = rows.source[network], rows.destination[network]
+    first, _ = numbered(sources, targets)
+    ways = set(zip(sources[first].tolist(), targets[first].tolist(), strict=True))
+    for source, target in sorted(ways):
+        if (target, source) in ways:
             continue
         there = np.flatnonzero(network & (rows.source == source) & (rows.destination == target))
         first_ns, last_ns = int(rows.time_ns[there[0]]), int(rows.time_ns[there[-1]])

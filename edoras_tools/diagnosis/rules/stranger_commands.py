@@ -28,8 +28,9 @@ def judge(case: Case) -> Iterator[Verdict]:
     address = np.array([item.address for item in case.endpoints] or [""], object)
     down = rows.link == TO
     stations: dict[str, set[str]] = {}
-    ways = np.unique(np.stack([rows.source[down], rows.destination[down]]), axis=1)
-    for source, destination in ways.T.tolist():
+    sources, destinations = rows.source[down], rows.destination[down]
+    ways, _ = numbered(sources, destinations)
+    for source, destination in zip(sources[ways].tolist(), destinations[ways].tolist(), strict=True):
         stations.setdefault(address[source], set()).add(address[destination])
     sent = sound_commands(case)
     by_way: dict[tuple[str, str], list[NDArray[np.intp]]] = {}

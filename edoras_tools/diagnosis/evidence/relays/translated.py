@@ -62,6 +62,8 @@ def one_name(rows: Rows, endpoints: Sequence[Endpoint]) -> NDArray[np.int32]:
 
 def _forwarded(rows: Rows, endpoints: Sequence[Endpoint]) -> set[tuple[int, int]]:
     """Return the endpoints that are two names of one: the inner, then the outer."""
+    if not len(rows) or rows.life.min() == rows.life.max():  # nothing was forwarded
+        return set()
     pair = rows.source.astype(np.int64) << 32 | rows.destination
     key = rows.bytes_print ^ rows.identification.astype(np.uint64) * _MIX
     order = np.lexsort((rows.time_ns, key))
