@@ -31,8 +31,8 @@ PUT_OFF = {
     "io/formats/stream.py": ("zstandard", "only for captures inside zstd data"),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
     "io/topics/streams.py": (
-        "edoras_tools.io.topics.files",
-        "only where a mission's messages travel as files",
+        "edoras_tools.io.topics.carried",
+        "only where messages travel as files, or by RACS2",
     ),
     "io/foxglove/server.py": (
         "edoras_tools.io.foxglove.client",

@@ -59,6 +59,7 @@ ELSEWHERE = {
     "links/streams/*": "links/test_racs2.py",
     "io/shared.py": "pipelines/test_ahead.py",
     "io/topics/*": "io/formats/mcap/test_writer.py",
+    "io/topics/carried/fprime.py": "links/test_fprime.py",
     "links/*": "decode/test_agreement.py",
     "middleware/dds/*": "middleware/dds/test_graph.py",
     "middleware/names.py": "middleware/zenoh/test_names.py",

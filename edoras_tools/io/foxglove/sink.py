@@ -75,7 +75,12 @@ class FoxgloveSink:
                 for item in self._streams.structs.all
             },
         }
-        self.server = FoxgloveServer(f"edoras: {info.name}", topics, definitions.__getitem__, options)
+        self.server = FoxgloveServer(
+            f"edoras: {info.name}",
+            topics,
+            lambda name: definitions.get(name) or types.definition(name),
+            options,
+        )
         self.server.link_state = lambda: self._link.summary()  # noqa: PLW0108  there is a new one after a jump
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
@@ -121,13 +126,19 @@ class FoxgloveSink:
         """Return counts of the messages; see ``FoxgloveServer.summary``."""
         return self.server.summary()
 
+    def _offer(self, topic: Topic) -> int:
+        """Return the place of a topic; of one that only the content names, after it is offered to clients."""
+        if topic.name not in self._places:
+            self._places[topic.name] = self.server.add(topic)
+        return self._places[topic.name]
+
     def _begin(self) -> None:
         self._streams = Streams(
             self._mission,
             self._types,
             self._counted,
             structs=self._structs,
-            add=lambda topic: self._places[topic.name],
+            add=self._offer,
             transforms=True,
         )
         self._link = LinkState(self._types, self._counted)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.io.topics.carried.fprime import log_messages
 from edoras_tools.io.topics.cfe import event_messages, outage_messages, software_bus_messages
 from edoras_tools.io.topics.clock import MissionClock
 from edoras_tools.io.topics.datagrams import DatagramWriter, ros_messages, without_trailing
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, FAULTS_TYPE
-from edoras_tools.io.topics.fprime import log_messages
 from edoras_tools.io.topics.host import HOST_TOPIC, HOST_TYPE
 from edoras_tools.io.topics.latched import LatchedTopics
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
@@ -20,6 +20,7 @@ from edoras_tools.io.topics.statistics import LinkStatistics
 from edoras_tools.io.topics.structs import struct_messages
 from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
 from edoras_tools.links.cfdp import CFDP
+from edoras_tools.links.racs2 import RACS2
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.topics.files import FileMessages
+    from edoras_tools.io.topics.carried.files import FileMessages
+    from edoras_tools.io.topics.carried.racs2 import BridgeMessages
     from edoras_tools.io.topics.rows import Messages
     from edoras_tools.mission import Mission, StoredTopic
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
@@ -77,7 +79,8 @@ class PreparedBatch:
 
     Attributes:
         published: i64, publish time of each row, ns since 1970.
-        statistics: the seconds of link statistics that have ended, and files that were transferred.
+        statistics: the seconds of link statistics that have ended, files that were transferred, messages of
+            RACS2.
         added: channel ids of the topics that were added so far, by name.
     """
 
@@ -150,6 +153,7 @@ class Streams:
         self.definitions = {name: types.definition(name) for name in dict.fromkeys(names)}
         self.clock = MissionClock()
         self._latched = LatchedTopics(mission)
+        self._bridged: BridgeMessages | None = None
         self._files = _file_messages(mission, types) if mission.stored and add else None
         self._statistics = LinkStatistics(mission, statistics, sequences)
         self._own = len(own)
@@ -203,6 +207,9 @@ class Streams:
         told = [self._statistics.messages(batch, columns, self._statistics_id)] if statistics else []
         if self._files and self._add:
             told += self._files.messages(batch, columns, self._place_stored)
+        if self._add and (columns.link == RACS2).any():
+            self._bridged = self._bridged or self._bridge_messages()
+            told += self._bridged.messages(batch, columns)
         if self._latched.routes:
             rows = np.flatnonzero(np.isin(columns.route, self._latched.routes))
             taken, own = batch.take(rows), columns.take(rows)
@@ -279,6 +286,17 @@ class Streams:
                 return int(self._routes[index])
         return self._place(Topic(stored.topic, stored.type, {"link": CFDP.label, "file": stored.file_name}))
 
+    def _bridge_messages(self) -> BridgeMessages:
+        from edoras_tools.io.topics.carried.racs2 import BridgeMessages
+
+        taken = {item.name for item in (*self.topics, TRANSFORMS, FAULTS, HOST_COUNTERS)}
+        taken |= {item.topic for item in self._mission.stored} | {item.topic for item in self.structs.all}
+
+        def place(name: str, type_name: str) -> int:
+            return self._place(Topic(name, type_name, {"link": RACS2.label}))
+
+        return BridgeMessages(self._types, taken, place)
+
     def _place(self, topic: Topic) -> int:
         """Return the channel of a topic that is added at first use."""
         if topic.name not in self._added:
@@ -292,6 +310,6 @@ class Streams:
 
 
 def _file_messages(mission: Mission, types: TypeStore) -> FileMessages:
-    from edoras_tools.io.topics.files import FileMessages
+    from edoras_tools.io.topics.carried.files import FileMessages
 
     return FileMessages(mission, types)

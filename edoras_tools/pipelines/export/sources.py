@@ -33,7 +33,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.io import Source
@@ -95,6 +95,9 @@ class TopicSource(ABC):
             return TopicBlock(topic, none, columns)
         return TopicBlock(topic, none, columns, none, none.astype(np.uint32))
 
+    def look(self) -> None:  # noqa: B027  most name all of them
+        """Add topics that only the content names, if that needs reading it."""
+
     def definition(self, topic: str) -> str:
         """Return the definition of a topic's type; empty if it has none."""
         kind = self.topics[topic]
@@ -139,13 +142,20 @@ class CaptureTopics(TopicSource):
         bench: mission, types and decoders.
         scope: which datagrams.
         judge: makes the topics of ``JUDGED``; None if the source cannot be read again.
+        seek: reads the source again for the topics that only its content names; None if it cannot.
     """
 
     def __init__(
-        self, source: Source, bench: Workbench, scope: Scope | None = None, judge: Judge | None = None
+        self,
+        source: Source,
+        bench: Workbench,
+        scope: Scope | None = None,
+        judge: Judge | None = None,
+        seek: Callable[[], Mapping[str, str]] | None = None,
     ) -> None:
         super().__init__(source.info.name, scope)
         self.source, self._source, self._bench, self._judge = source, source, bench, judge
+        self._seek = seek
         self._structs = bench.columns.context.structs
         self._streams = Streams(
             bench.mission, bench.types, source.statistics, structs=self._structs, add=self._add
@@ -159,6 +169,12 @@ class CaptureTopics(TopicSource):
     def notes(self) -> list[str]:
         """Notes on the input for the user."""
         return [*self._bench.mission.warnings, *self._bench.columns.context.notes]
+
+    def look(self) -> None:
+        """Add the topics of RACS2 and of files that were transferred."""
+        if self._seek is not None:
+            self.topics = {**self._seek(), **self.topics}
+            self._seek = None
 
     def types(self, topic: str) -> TypeStore:
         """Return the types that include a topic's."""
@@ -328,9 +344,26 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
     def judge(wanted: Collection[str], progress: Progress | None) -> Iterator[TopicBlock]:
         return judged_blocks(wanted, paths, settings, scope or Scope(), progress)
 
+    def seek() -> dict[str, str]:
+        found: dict[str, str] = {}
+
+        def add(topic: Topic) -> int:
+            found[topic.name] = topic.type
+            return len(found)
+
+        again = open_files(paths)
+        bench = settings.workbench(again.info)
+        structs = bench.columns.context.structs
+        streams = Streams(bench.mission, bench.types, again.statistics, structs=structs, add=add)
+        with reading(again, bench, keeps_failure=True) as loop:
+            for rows in loop:
+                streams.prepare(*rows.alone(), statistics=False)
+        return found
+
     again = all(path.is_file() or path.is_dir() for path in paths)
     try:
-        return CaptureTopics(source, settings.workbench(source.info), scope, judge if again else None)
+        bench = settings.workbench(source.info)
+        return CaptureTopics(source, bench, scope, *((judge, seek) if again else ()))
     except EdorasError:
         source.close()
         raise

@@ -87,6 +87,8 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
     """
     if not patterns:
         return [topic for topic in source.topics if topic in usual]
+    if not all(any(fits_topic(topic, item) for topic in source.topics) for item in patterns):
+        source.look()
     for pattern in patterns:
         if not any(fits_topic(topic, pattern) for topic in source.topics):
             near = did_you_mean(f"/{pattern.removeprefix('/')}", source.topics)

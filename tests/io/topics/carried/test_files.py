@@ -6,7 +6,7 @@ from pdus import eof, finished, metadata, piece
 from rewriting import Udp, write
 
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.topics import files
+from edoras_tools.io.topics.carried import files
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
