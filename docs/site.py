@@ -44,6 +44,8 @@ def on_files(files: Any, config: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Lead links to where the site has their targets; files of the repository are named instead of linked."""
+    if page.file.src_uri == "changelog.md":
+        page.meta["search"] = {"boost": 0.2}  # it has every word; the page of the thing comes first
     markdown = re.sub(
         r"^```(\w+) [^\n]*$", r"```\1", markdown, flags=re.MULTILINE
     )  # words for docs/refresh.py

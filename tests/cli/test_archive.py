@@ -144,6 +144,9 @@ def test_chromium_shows_the_report(width, scheme, call, index, tmp_path):
         "<script>addEventListener('load',()=>{const b=document.body,r=[...document.querySelectorAll('svg')];"
         "document.title=JSON.stringify({over:b.scrollWidth>innerWidth,charts:r.length,"
         "empty:r.filter(s=>s.getBoundingClientRect().height<20||!s.childElementCount).length,"
+        "letter:Math.min(...[...document.querySelectorAll('svg text')].map(t=>"
+        "parseFloat(getComputedStyle(t).fontSize)*t.getScreenCTM().a)),"
+        "cut:(d=>d.scrollWidth>d.clientWidth)(document.querySelector('table.rules').parentElement),"
         "ground:getComputedStyle(b).backgroundColor})})</script>"
     )
     (tmp_path / "r.html").write_text(text.replace("</body>", probe + "</body>"))
@@ -161,6 +164,8 @@ def test_chromium_shows_the_report(width, scheme, call, index, tmp_path):
     )
     found = json.loads(re.search(r"<title>(\{.*?\})</title>", done.stdout)[1])
     assert (found["over"], found["empty"], found["charts"]) == (False, 0, text.count("<svg"))
+    assert found["letter"] >= 11, "px: the smallest letters of the charts"
+    assert not found["cut"], "rules: examples are folded, figures in sight"
     red = int(re.search(r"rgb\((\d+)", found["ground"])[1])
     assert (red < 60) == (scheme == "dark")
 

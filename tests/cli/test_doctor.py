@@ -278,7 +278,7 @@ def test_what_cannot_be_done_is_said_in_one_line(arguments, code, words, call):
 class Page(HTMLParser):
     """Reads a page: its text, and everything that would need a network."""
 
-    VOID = frozenset({"meta", "br", "img", "link", "input"})
+    VOID = frozenset({"meta", "br", "img", "link", "input", "wbr"})
 
     def __init__(self, text):
         super().__init__()
@@ -425,6 +425,8 @@ def test_chromium_shows_the_report(width, scheme, report, captures, missions, tm
         "<script>addEventListener('load',()=>{const b=document.body,r=[...document.querySelectorAll('svg')];"
         "document.title=JSON.stringify({over:b.scrollWidth>innerWidth,charts:r.length,"
         "empty:r.filter(s=>s.getBoundingClientRect().height<20||!s.childElementCount).length,"
+        "letter:Math.min(...[...document.querySelectorAll('svg text')].map(t=>"
+        "parseFloat(getComputedStyle(t).fontSize)*t.getScreenCTM().a)),"
         "ground:getComputedStyle(b).backgroundColor,cards:document.querySelectorAll('.verdict').length})})</script>"
     )
     probed = tmp_path / "probed.html"
@@ -452,6 +454,7 @@ def test_chromium_shows_the_report(width, scheme, report, captures, missions, tm
     assert found["charts"] >= 5
     assert found["empty"] == 0
     assert found["cards"] >= 10
+    assert found["letter"] >= 11, "px: the smallest letters of the charts"
     red, green, blue = (int(value) for value in re.findall(r"\d+", found["ground"])[:3])
     assert (red + green + blue < 200) == (scheme == "dark")
 

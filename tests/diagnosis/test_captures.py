@@ -1,5 +1,7 @@
 """What the doctor says of real captures, held to what was done when they were made."""
 
+import re
+
 import pytest
 
 FIRST = {"d3_cpu1_cpu2": 1795242236.191145, "f_sbn_disconnect": 1795241927.192459}
@@ -177,6 +179,15 @@ def test_f_names_each_malformed_datagram_and_the_silence(capture, missions):
     assert [state for state, _ in states] == [state for state, _ in truth]
     for (_, at), (_, done) in zip(states, truth, strict=True):
         assert at == pytest.approx(done, abs=1)
+
+
+def test_what_came_once_is_told_in_the_singular(capture):
+    diagnosis = capture("f_sbn_disconnect", "two_rovers_ground", "two_rovers_flight")
+    texts = [text for item in diagnosis.verdicts for text in (item.reason, *item.evidence)]
+    assert any(text.startswith("1 message on 0x18ee (SBN) carries an EDORAS envelope") for text in texts)
+    assert any(text.startswith("1 PROTO of 66:3 names another protocol version") for text in texts)
+    once = [text for text in texts if re.search(r"\b(?<![\d,.] )1 (messages|datagrams|commands)\b", text)]
+    assert [text for text in once if " of 1 " not in text] == []
 
 
 def test_f_gaps_while_nobody_subscribed_are_no_loss(capture):

@@ -1,5 +1,6 @@
 """The pages as a site: no link is dead, and a browser that reads it asks no other machine."""
 
+import json
 import os
 import re
 import subprocess
@@ -52,3 +53,10 @@ def test_it_can_be_searched(site):
     text = (site / "search/search_index.json").read_text(encoding="utf-8")
     assert "superseded" in text
     assert "tcpreplay" in text
+
+
+def test_a_page_is_found_before_the_changelog_that_names_it(site):
+    found = json.loads((site / "search/search_index.json").read_text(encoding="utf-8"))["docs"]
+    boosts = {item["location"].partition("#")[0]: item.get("boost", 1) for item in found}
+    assert boosts.pop("changelog.html") < 0.5
+    assert set(boosts.values()) == {1}

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,7 +27,8 @@ def judge(case: Case) -> Iterator[Verdict]:
         yield Verdict(
             ID,
             Severity.NOTE,
-            f"{len(own):,} datagrams from {sender} to {receiver} were doubled by the network",
+            f"{plural(len(own), 'datagram')} from {sender} to {receiver} "
+            f"{'was' if len(own) == 1 else 'were'} doubled by the network",
             hop="network",
             start_ns=int(rows.time_ns[own].min()),
             end_ns=int(rows.time_ns[own].max()),

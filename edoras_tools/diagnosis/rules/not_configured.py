@@ -10,6 +10,7 @@ from edoras_tools.diagnosis.rules.wrong_type import fitting
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links import table
 from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,7 +33,8 @@ def judge(case: Case) -> Iterator[Verdict]:
         yield Verdict(
             ID,
             Severity.NOTE,
-            f"{len(members):,} messages on 0x{msg_id:04x} ({link.label.upper()}) carry an EDORAS envelope, "
+            f"{plural(len(members), 'message')} on 0x{msg_id:04x} ({link.label.upper()}) "
+            f"{'carries' if len(members) == 1 else 'carry'} an EDORAS envelope, "
             "and no mission file names that MsgId: the bridges ignore it",
             msg_id=msg_id,
             link=link.label,

@@ -11,6 +11,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -50,7 +51,10 @@ def judge(case: Case) -> Iterator[Verdict]:
             start_ns=first_ns,
             end_ns=last_ns,
             evidence=(
-                f"{len(there):,} datagrams ({names}) in {(last_ns - first_ns) / SECOND:.0f} s, no answer",
+                (
+                    f"{plural(len(there), 'datagram')} ({names}) in {(last_ns - first_ns) / SECOND:.0f} s, "
+                    "no answer"
+                ),
                 (
                     "stock SBN announces only to a peer whose spacecraft and processor both differ: "
                     "between equal spacecraft numbers the first SUB or PROTO of either side has to come "

@@ -76,7 +76,7 @@ def _verdict(case: Case, connection: Connection, silent: PeerSilence) -> Verdict
     sent = connection.sent_in(silent)
     evidence = [
         f"last datagram of {connection.peer} at {case.at(silent.start_ns)}",
-        f"{connection.observer} sent it {len(sent):,} messages after that",
+        f"{connection.observer} sent it {plural(len(sent), 'message')} after that",
     ]
     if len(sent) and int(sent[-1]) > silent.start_ns:
         evidence.append(f"the last of them at {case.at(int(sent[-1]))}: then it had given the peer up")

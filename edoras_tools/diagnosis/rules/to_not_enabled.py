@@ -12,6 +12,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,7 +31,7 @@ def judge(case: Case) -> Iterator[Verdict]:
     if not wanted or (rows.link == TO).any() or case.end_ns - case.start_ns < _WAIT_NS:
         return
     enables = [item for item in case.payloads.output if item.function_code == telemetry_output.ENABLE]
-    evidence = [f"{len(commands):,} commands to CI, no datagram from Telemetry Output"]
+    evidence = [f"{plural(len(commands), 'command')} to CI, no datagram from Telemetry Output"]
     if enables:
         evidence += [
             f"enabled for {item.address!r} at {case.at(int(rows.time_ns[item.row]))}" for item in enables

@@ -9,6 +9,7 @@ import numpy as np
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -54,6 +55,9 @@ def judge(case: Case) -> Iterator[Verdict]:
             of=len(seen) or None,
             start_ns=int(rows.time_ns[seen[0]]) if len(seen) else case.start_ns,
             end_ns=int(rows.time_ns[seen[-1]]) if len(seen) else case.end_ns,
-            evidence=(f"{route.file}:{route.line}: {route.key}", f"{len(seen):,} datagrams of it seen"),
+            evidence=(
+                f"{route.file}:{route.line}: {route.key}",
+                f"{plural(len(seen), 'datagram')} of it seen",
+            ),
             remedy="list the key under command or telemetry as its MsgId says, or correct its mid",
         )

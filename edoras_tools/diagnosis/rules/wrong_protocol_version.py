@@ -32,7 +32,8 @@ def judge(case: Case) -> Iterator[Verdict]:
         yield Verdict(
             ID,
             Severity.ERROR,
-            f"{len(members):,} PROTO of {case.network.identity_of.get(source, 'a peer')} name another "
+            f"{len(members):,} PROTO of {case.network.identity_of.get(source, 'a peer')} "
+            f"{'names' if len(members) == 1 else 'name'} another "
             f"protocol version than {sbn.PROTOCOL_VERSION}: cFS reports an error and goes on",
             link="sbn",
             hop="SBN",

@@ -17,6 +17,7 @@ from edoras_tools.render.doctor.report.parts import (
     contents,
     document,
     footer,
+    heading,
     section,
 )
 from edoras_tools.words import plural
@@ -96,7 +97,7 @@ class _DateFrame(Frame):
         for number in range(_MARKS):
             share = number / (_MARKS - 1)
             when = _EPOCH + timedelta(seconds=self.begin + share * self.x_most)
-            text = f"{when:%Y-%m-%d}" if self.x_most > 2 * _DAY_S else f"{when:%d. %H:%M}"
+            text = f"{when:%Y-%m-%d}" if self.x_most > 2 * _DAY_S else f"{when:%m-%d %H:%M}"
             style = "first" if number == 0 else "end" if number == _MARKS - 1 else "mid"
             marks.append(
                 f'<text class="{style}" x="{self.x(share * self.x_most)}" y="{self.height - 8}">{text}</text>'
@@ -138,7 +139,7 @@ def _head(found: ArchiveTrends) -> str:
     )
     when = f"{units.utc(totals['start_ns'], digits=0)} to {units.utc(totals['end_ns'], digits=0)} UTC"
     return (
-        f"<header><h1>{escape(short(found.name))}</h1>"
+        f"<header>{heading(short(found.name))}"
         f'<p class="dim">{plural(totals["captures"], "run")}, {totals["datagrams"]:,} datagrams, '
         f"{units.duration(totals['seconds'])} in all, {when}</p>"
         f'<p class="end-note {style}">{told}</p></header>'
@@ -191,7 +192,7 @@ def _trends(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
 def _delays(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
     for row, delays in found.delays:
         frame = _DateFrame(calendar, row["p99_ms"], "ms", f"latency of {row['route']}")
-        frame.dots(_apart(frame, ((calendar.at(item["start_ns"]), item["p99_ms"]) for item in delays)), "dot")
+        frame.dots(_apart(frame, ((calendar.at(item["start_ns"]), item["p99_ms"]) for item in delays)), "run")
         note = (
             f"a dot is the 99th percentile of a run, the highest {units.milliseconds(row['p99_ms'])}; "
             f"{row['timed']:,} messages in {plural(row['captures'], 'run')}"
@@ -245,7 +246,7 @@ def _rules(found: ArchiveTrends) -> str:
         )
         for row in found.rules
     )
-    return _table(("rule", "severity", "for example", "runs", "verdicts", "lost"), rows)
+    return _table(("rule", "severity", "for example", "runs", "verdicts", "lost"), rows, "rules")
 
 
 def _errors(found: ArchiveTrends) -> Iterable[str]:
@@ -255,10 +256,10 @@ def _errors(found: ArchiveTrends) -> Iterable[str]:
         yield f"<ul>{lines}</ul>" + (f'<p class="dim">and {rest:,} more</p>' if rest > 0 else "")
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], style: str = "figures") -> str:
     head = "".join(f"<th>{item}</th>" for item in heads)
     body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    return f'<div class="scroll"><table><tr>{head}</tr>{body}</table></div>'
+    return f'<div class="scroll"><table class="{style}"><tr>{head}</tr>{body}</table></div>'
 
 
 def _percent(missing: int, sent: int) -> str:

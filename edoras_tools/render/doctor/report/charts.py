@@ -14,8 +14,11 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.plots import Plots
 
 CHART_WIDTH: Final = 720
-CHART_HEIGHT: Final = 190
-_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 12, 24, 26
+CHART_HEIGHT: Final = 202
+_LEFT, _RIGHT, _TOP, _BOTTOM = 66, 12, 30, 32
+_ROW: Final = 36
+_COUNTED: Final = ("messages", "runs")
+"""Units of which there are no halves. The margins hold the large letters that a phone is given."""
 
 
 class TimeSpan(Protocol):
@@ -91,7 +94,8 @@ class Frame:
 
     def seconds(self) -> list[str]:
         """Return the marks of the time axis."""
-        step = ticks(self.x_most, 7)[1]
+        letters = len(f"{self.begin + self.x_most:.0f} s")
+        step = ticks(self.x_most, max(3, min(7, 42 // letters)))[1]
         first, last = ceil(self.begin / step), floor((self.begin + self.x_most) / step)
         return [
             f'<text class="{"mid" if index * step > self.begin else "first"}" '
@@ -102,7 +106,9 @@ class Frame:
     def svg(self) -> str:
         """Return the chart."""
         axes = []
-        for value in ticks(self.y_most / 1.08, 5):
+        for value in ticks(self.y_most / 1.08, 6):
+            if self.unit in _COUNTED and value != int(value):
+                continue
             y = self.y(value)
             axes.append(f'<line class="grid" x1="{_LEFT}" x2="{CHART_WIDTH - _RIGHT}" y1="{y}" y2="{y}"/>')
             axes.append(f'<text class="end" x="{_LEFT - 6}" y="{y + 4}">{value:g}</text>')
@@ -153,29 +159,29 @@ def counters(row: Mapping[str, Any], drawn: Plots) -> str:
 def timeline(drawn: Plots) -> str:
     """Return connections as bars and events as ticks, over time."""
     peers, events = drawn.peers, drawn.events
-    height = 30 * (len(peers) + bool(events)) + _BOTTOM + _TOP
+    height = _ROW * (len(peers) + bool(events)) + _BOTTOM + _TOP
     frame = Frame(drawn, 1.0, "", "connections and events", height)
     parts = []
     for at, row in enumerate(peers):
-        top = _TOP + 30 * at
-        parts.append(f'<text x="{_LEFT}" y="{top + 9}">{escape(row["label"])}</text>')
+        top = _TOP + _ROW * at
+        parts.append(f'<text x="{_LEFT}" y="{top + 12}">{escape(row["label"])}</text>')
         for state in row["states"]:
             left, right = frame.x(state["from"]), frame.x(min(state["to"], drawn.seconds))
             label = escape(
                 f"{state['state'].replace('_', ' ')} at {drawn.begin + state['from']:.1f} s: {state['why']}"
             )
             parts.append(
-                f'<rect class="{state["state"]}" x="{left}" y="{top + 13}" height="11" '
+                f'<rect class="{state["state"]}" x="{left}" y="{top + 17}" height="11" '
                 f'width="{max(right - left, 1.5):.1f}"><title>{label}</title></rect>'
             )
     if events:
-        top = _TOP + 30 * len(peers)
-        parts.append(f'<text x="{_LEFT}" y="{top + 9}">events</text>')
+        top = _TOP + _ROW * len(peers)
+        parts.append(f'<text x="{_LEFT}" y="{top + 12}">events</text>')
         for item in events:
             x, grade = frame.x(item["time"]), "error" if item["type"] >= 3 else "info"
             label = escape(f"{drawn.begin + item['time']:.1f} s {item['text']}")
             parts.append(
-                f'<line class="event {grade}" x1="{x}" x2="{x}" y1="{top + 13}" y2="{top + 24}">'
+                f'<line class="event {grade}" x1="{x}" x2="{x}" y1="{top + 17}" y2="{top + 28}">'
                 f"<title>{label}</title></line>"
             )
     parts += frame.seconds()

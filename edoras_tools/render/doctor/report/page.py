@@ -19,6 +19,7 @@ from edoras_tools.render.doctor.report.parts import (
     contents,
     document,
     footer,
+    heading,
     section,
 )
 from edoras_tools.words import plural
@@ -68,7 +69,7 @@ def _head(found: Diagnosis, name: str) -> str:
         f'<p class="dim">{escape(text)}</p>'
         for text in (f"{plural(found.datagrams, 'datagram')}{when}", *limits(found))
     )
-    return f"<header><h1>{escape(name)}</h1>{line}{end}</header>"
+    return f"<header>{heading(name)}{line}{end}</header>"
 
 
 def _summary(found: Diagnosis) -> str:

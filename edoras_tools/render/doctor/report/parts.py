@@ -49,6 +49,11 @@ def contents(sections: Sequence[str]) -> str:
     return f'<nav class="dim">{links}</nav>' if len(found) > 1 else ""
 
 
+def heading(name: str) -> str:
+    """Return the page's heading; a path breaks between its parts, and then only where it must."""
+    return f"<h1>{escape(name).replace('/', '/<wbr>')}</h1>"
+
+
 def footer(made: Made) -> str:
     """Return how and when the page was made."""
     told = f"edoras-tools {__version__}, {units.utc(made.time_ns, digits=0)} UTC"
