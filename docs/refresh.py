@@ -1,6 +1,6 @@
 """Runs every command and program that the pages show, and writes what comes out under it.
 
-    python docs/refresh.py
+    python docs/refresh.py [PAGE ...]
 
 ``tests/docs`` does the same in memory and compares, so that no page says what is not so. In a page,
 
@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PAGES: Final = (
@@ -372,9 +372,22 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
 """The regions that are written from the code, by name."""
 
 
+def chosen(names: Sequence[str]) -> Sequence[Path]:
+    """Return the pages of these names, relative to here; all of them if there is no name.
+
+    Raises:
+        SystemExit: one is no page with output.
+    """
+    named = [Path(name).resolve() for name in names]
+    for name, page in zip(names, named, strict=True):
+        if page not in PAGES:
+            raise SystemExit(f"{name}: not a page with output; name e.g. docs/info.md, or nothing for all")
+    return named or PAGES
+
+
 def main() -> None:
-    """Rewrite the pages."""
-    for page in PAGES:
+    """Rewrite the pages that the command line names, or all."""
+    for page in chosen(sys.argv[1:]):
         with tempfile.TemporaryDirectory() as folder:
             text = refreshed(page, Path(folder))
         if text != page.read_text(encoding="utf-8"):

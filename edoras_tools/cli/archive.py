@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from edoras_tools.cli import options
+from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import INTERRUPTED, LOST, tell
 from edoras_tools.cli.main import Command, Group
 from edoras_tools.cli.output import print_csv, print_json
@@ -288,6 +288,7 @@ def report(
     *,
     index: Index = _INDEX,
     output: Annotated[Path, options.output(help="Output file.")] = Path("archive.html"),
+    force: recordings.Force = False,
     quiet: options.Quiet = False,
     chosen: SpanOptions,
 ) -> None:
@@ -295,12 +296,12 @@ def report(
     from edoras_tools.pipelines.archive import check_installed
 
     check_installed()
-    from edoras_tools.io.outputs import refuse_input
+    from edoras_tools.io.outputs import check_new
     from edoras_tools.pipelines.archive.index import open_index
     from edoras_tools.pipelines.archive.trends import write_archive_report
     from edoras_tools.render.doctor.report import Made
 
-    refuse_input(output, [index])
+    check_new(output, [index], force=force)
     with open_index(index) as opened:
         made = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
         size = write_archive_report(opened, chosen.span(), output, made)
@@ -314,7 +315,7 @@ def export(
     *,
     output: Annotated[Path, options.output(metavar="DIR", help="A new or empty folder.")],
     index: Index = _INDEX,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing folder.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier export.")] = False,
     printing: options.PrintOptions,
 ) -> None:
     """Write the index as Parquet: a folder for each table, partitioned by date, link and topic."""

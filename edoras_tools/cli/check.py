@@ -51,7 +51,7 @@ def check(
     Expectations are bounds of rates, counts, sizes, losses and latencies, what must hold of fields, and which
     events, findings and verdicts may appear. Exit code 3: one of them is not met.
     """
-    from edoras_tools.io.outputs import refuse_input
+    from edoras_tools.io.outputs import check_new
     from edoras_tools.pipelines.check.expectations import load_expectations
     from edoras_tools.pipelines.check.junit import write_junit
     from edoras_tools.pipelines.check.run import check as run
@@ -63,15 +63,17 @@ def check(
     if task.init:
         _draft(given, task, scope, printing, decoding)
         return
-    if task.output or task.force:
-        raise ConfigError("--output and --force are options of --init; --junit writes results to a file")
+    if task.output or (task.force and task.junit is None):
+        raise ConfigError(
+            "--output is an option of --init, --force of --init and --junit, which writes results to a file"
+        )
     given, path = _expectations(given)
     live = not given.paths
     if live and scope.period:
         raise ConfigError("--start and --end select part of a file; for live traffic use --duration")
     options.check_duration(duration, given.paths)
     if task.junit is not None:
-        refuse_input(task.junit, [*given.paths, path])
+        check_new(task.junit, [*given.paths, path], force=task.force)
     expected, (json, quiet) = load_expectations(path), printing
     with FileProgress(
         ", ".join(map(str, given.paths)), console=error_console(), quiet=quiet or json or live

@@ -11,6 +11,19 @@ import typer
 from edoras_tools.cli import options
 
 
+class FolderOptions(NamedTuple):
+    """Where the files go."""
+
+    output: Annotated[
+        Path | None,
+        options.output(metavar="DIR", help="Folder for the files; default: edoras_msgs, or edoras_gen."),
+    ] = None
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Overwrite what an earlier run generated, and remove the rest of it."),
+    ] = False
+
+
 class BoundOptions(NamedTuple):
     """The largest sizes of a message."""
 
@@ -61,10 +74,7 @@ def codegen(
             "Or generator: a cFS app that publishes on command, for edoras sweep.",
         ),
     ] = None,
-    output: Annotated[
-        Path | None,
-        options.output(metavar="DIR", help="Folder for the files; default: edoras_msgs, or edoras_gen."),
-    ] = None,
+    folder: FolderOptions,
     config: options.Config = None,
     bounds: BoundOptions,
     core: CoreOptions,
@@ -98,15 +108,15 @@ def codegen(
     from edoras_tools.wire.envelope import EnvelopeFormat
 
     if types == ["generator"] and not config:
-        output = output or Path("edoras_gen")
+        output = folder.output or Path("edoras_gen")
         made_app = generator_app(GENERATOR_MSG_ID if command_mid is None else command_mid)
-        removed = write_folder(output, made_app)
+        removed = write_folder(output, made_app, force=folder.force)
         if not quiet:
             sys.stdout.write("".join(f"{line}\n" for line in app_summary(made_app, output)))
         return
     if command_mid is not None:
         raise ConfigError("--command-mid is an option of 'edoras codegen generator'")
-    output = output or Path("edoras_msgs")
+    output = folder.output or Path("edoras_msgs")
     store = TypeStore(definitions.distro or options.DISTRO, definitions.msg_path or ())
     mission = load(config or (), check_type=store.check)
     rules = tuple(BoundRule.read(text) for text in bounds.bound or ())
@@ -119,6 +129,6 @@ def codegen(
         keep_values=core.keep_values,
     )
     made = generate(store, order)
-    removed = write_folder(output, made.files)
+    removed = write_folder(output, made.files, force=folder.force)
     if not quiet:
         sys.stdout.write("".join(f"{line}\n" for line in summary(made, output, removed)))

@@ -14,7 +14,7 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import LOST, tell
 from edoras_tools.cli.output import print_json
 from edoras_tools.cli.sim import Scenario
-from edoras_tools.errors import EdorasError
+from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.outputs import in_the_way, path_beside
 from edoras_tools.older import StrEnum
 
@@ -145,23 +145,29 @@ def demo(
     For example: edoras demo two-rovers --live
     """
     if scenario is None:
-        _tour(output, duration)
+        _tour(output, duration, force=force)
         return
     usual = Path(f"{scenario.value.replace('-', '_')}.mcap")
-    free = path_beside(usual) if in_the_way(usual) and not force else usual
+    layout = usual.with_name(f"{usual.stem}_layout.json")
+    taken = in_the_way(usual) or in_the_way(layout)
+    free = path_beside(usual) if taken and not force else usual
     plan = demos.plan(scenario.value, output or free, replace=force)
     _show(plan, duration or int(_DEMO_S * 1e9), printing)
 
 
-def _tour(output: Path | None, duration: int | None) -> None:
+def _tour(output: Path | None, duration: int | None, *, force: bool) -> None:
     from edoras_tools.pipelines.demo.tour import tour
     from edoras_tools.render.demo.tour import Guide
     from edoras_tools.render.terminal.terminal import look
 
     seconds = duration / 1e9 if duration else _TOUR_S
+    usual = Path("edoras_demo")
+    folder = output or (path_beside(usual) if usual.exists() and not force else usual)
+    if not force and folder.is_dir() and any(folder.iterdir()):
+        raise ConfigError(f"{folder}: not an empty folder; name a new one, or --force replaces a tour in it")
     guide = Guide(sys.stdout, look(sys.stdout))
     guide.begin(seconds)
-    result = tour(output or Path("edoras_demo"), seconds, show=guide.packet, notice=guide.notice)
+    result = tour(folder, seconds, show=guide.packet, notice=guide.notice, replace=force)
     guide.end(result.live.summary(), result.real.summary(), result.folder)
 
 

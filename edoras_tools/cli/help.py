@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from edoras_tools.cli import recordings
 from edoras_tools.cli.usage import command_help
 from edoras_tools.errors import ConfigError
 from edoras_tools.words import did_you_mean
@@ -43,14 +44,18 @@ def help_(
         Path | None,
         typer.Option("--man", metavar="DIR", help="Write all manual pages to a folder, e.g. man1."),
     ] = None,
+    force: recordings.Force = False,
 ) -> None:
     """Explain all options of a command, or write manual pages."""
     from edoras_tools.cli.main import program
 
+    if force and man is None:
+        raise ConfigError("--force can only be used with --man DIR")
+
     root = typer.main.get_command(program())
     context = root.make_context("edoras", [], resilient_parsing=True)
     if man is not None:
-        _write_pages(root, context, man)
+        _write_pages(root, context, man, force=force)
         return
     command: Any = root
     for name in names or ():
@@ -70,17 +75,17 @@ def help_(
         typer.echo(text, nl=False, color=True)
 
 
-def _write_pages(root: Any, context: Any, folder: Path) -> None:
+def _write_pages(root: Any, context: Any, folder: Path, *, force: bool) -> None:
     from edoras_tools.cli.man import page
-    from edoras_tools.io.outputs import write_bytes
+    from edoras_tools.io.outputs import write_files
     from edoras_tools.words import plural
 
-    written = 0
-    for command, ctx in _tree(root, context):
-        name = f"{ctx.command_path.replace(' ', '-')}.1"
-        write_bytes(folder / name, page(command, ctx).encode(), folders=True)
-        written += 1
-    typer.echo(f"{folder}: {plural(written, 'manual page')}; man -l {folder / 'edoras.1'} shows the first")
+    pages = {
+        folder / f"{ctx.command_path.replace(' ', '-')}.1": page(command, ctx).encode()
+        for command, ctx in _tree(root, context)
+    }
+    write_files(pages, force=force)
+    typer.echo(f"{folder}: {plural(len(pages), 'manual page')}; man -l {folder / 'edoras.1'} shows the first")
 
 
 def _tree(command: Any, ctx: Any) -> Iterator[tuple[Any, Any]]:

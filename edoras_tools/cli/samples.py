@@ -17,7 +17,11 @@ def samples(
 ) -> None:
     """Copy the samples to a folder: captures, missions, scenarios."""
     from importlib.resources import as_file, files
-    from shutil import copy2, rmtree
+    from shutil import rmtree
+
+    from edoras_tools.io.outputs import write_files
+
+    copies: dict[Path, bytes] = {}
 
     full = folder.is_dir() and any(folder.iterdir())
     if full and not force:
@@ -28,13 +32,12 @@ def samples(
         with as_file(files("edoras_tools.samples")) as source:
             for path in sorted(source.rglob("*")):
                 if path.is_file() and path.name != "__init__.py" and "__pycache__" not in path.parts:
-                    target = folder / path.relative_to(source)
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    copy2(path, target)
-    except OSError as error:
+                    copies[folder / path.relative_to(source)] = path.read_bytes()
+        write_files(copies, force=force)
+    except CaptureError:
         if not full:
             rmtree(folder, ignore_errors=True)
-        raise CaptureError(f"{folder}: cannot be written: {error.strerror or error}") from None
+        raise
     count = sum(path.is_file() for path in folder.rglob("*"))
     command = f"edoras info {folder}/captures/a_rover.pcap -c {folder}/missions/rover_ground.yaml"
     typer.echo(f"{folder}: {count} files; start with: {command}")

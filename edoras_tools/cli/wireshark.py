@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from edoras_tools.cli import options
+from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import tell
 from edoras_tools.cli.main import Command, Group
 from edoras_tools.io.formats.table import READ
@@ -43,11 +43,11 @@ def _dissector(decoding: options.DecodingOptions) -> str:
 
 @wireshark.command(cls=Command)
 @options.grouped
-def install(*, to: To = None, decoding: options.DecodingOptions) -> None:
+def install(*, to: To = None, force: recordings.Force = False, decoding: options.DecodingOptions) -> None:
     """Copy the dissector to the personal plugin folder, with the missions of -c or the demos' routes."""
     from edoras_tools.pipelines.wireshark import program as wireshark_program
 
-    sys.stdout.write(f"{wireshark_program.install(_dissector(decoding), to)}\n")
+    sys.stdout.write(f"{wireshark_program.install(_dissector(decoding), to, force=force)}\n")
 
 
 @wireshark.command("print", cls=Command)
@@ -91,8 +91,8 @@ def run(
 
 
 @extcap.command("install")
-def install_extcap(to: To = None) -> None:
+def install_extcap(to: To = None, force: recordings.Force = False) -> None:
     """Copy the launcher of EDORAS CI, TO and SBN to Wireshark's extcap folder."""
     from edoras_tools.pipelines.wireshark import program as wireshark_program
 
-    sys.stdout.write(f"{wireshark_program.install_extcap(to)}\n")
+    sys.stdout.write(f"{wireshark_program.install_extcap(to, force=force)}\n")

@@ -1,8 +1,8 @@
-"""Output files: locked and watched; in a shared folder another user's symbolic link is not followed.
+"""Output files: locked, watched, complete before they replace another; no other user's link is followed.
 
-The rule is that of Linux's ``fs.protected_symlinks``, which is not enabled on every system: in a sticky
-folder that others may write to, a link is followed only if it belongs to the user who follows it or to the
-folder's owner.
+The rule on links is that of Linux's ``fs.protected_symlinks``, which is not enabled on every system: in a
+sticky folder that others may write to, a link is followed only if it belongs to the user who follows it or to
+the folder's owner.
 """
 
 from __future__ import annotations
@@ -14,15 +14,18 @@ from contextlib import suppress
 from glob import escape
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Final
 
 from edoras_tools.errors import CaptureError, ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
 _PIECES: Final = 1024
 """Most buffers in one write, Linux's IOV_MAX."""
+_WRITE: Final = os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
+_LONGEST: Final = 200
+"""Bytes of a name that are in the name of the file beside it; file systems allow 255 bytes."""
 _REFUSED: Final = "is another user's link in a shared folder; name another output"
 
 
@@ -59,11 +62,69 @@ def check_links(path: Path) -> None:
                 raise OSError(errno.ELOOP, _REFUSED if place == path else f"{place} {_REFUSED}")
 
 
-def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
-    """Write a whole file, or none: one that could be written in part only is removed.
+class NewFile:
+    """A file that gets its name when it is complete; what has that name stays as it is until then.
+
+    It is written beside, as ``.NAME.PID.part``, and renamed at the end. A pipe or device is written directly.
+    As a context manager it is completed at the end of the block, and removed after an exception.
 
     Args:
-        path: the file; an existing one is replaced.
+        path: the file.
+
+    Attributes:
+        file: to write to.
+
+    Raises:
+        OSError: from every method: it cannot be written, or another user's link would be followed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        check_links(path)
+        self._path = path.resolve() if path.is_symlink() else path
+        there = self._path.stat() if self._path.exists() else None
+        name = os.fsdecode(os.fsencode(self._path.name)[:_LONGEST])
+        part = self._path.with_name(f".{name}.{os.getpid()}.part")
+        self._part = None if there and not stat.S_ISREG(there.st_mode) else part
+        if self._part:
+            self._part.unlink(missing_ok=True)  # of a process that was killed and had the same number
+        mode = "xb" if self._part else "wb"
+        self.file: IO[bytes] = open(self._part or path, mode, opener=opener)  # noqa: SIM115  closed below
+        if there and self._part:
+            _take_after(self.file.fileno(), there)
+
+    def __enter__(self) -> IO[bytes]:
+        return self.file
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self.keep()
+        else:
+            self.remove()
+
+    def keep(self) -> None:
+        """Complete the file, and give it its name; if that fails, it is removed."""
+        try:
+            self.file.close()
+            if self._part:
+                self._part.replace(self._path)
+        except BaseException:
+            self.remove()
+            raise
+
+    def remove(self) -> None:
+        """Close and remove what was written; a file that is complete stays."""
+        with suppress(OSError):
+            self.file.close()
+        if self._part:
+            with suppress(OSError):
+                self._part.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
+    """Write a whole file, or leave what is there as it is.
+
+    Args:
+        path: the file; an existing one is replaced when the new one is complete.
         data: its contents.
         folders: create missing folders on its path.
 
@@ -74,16 +135,44 @@ def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
         if folders:
             check_links(path)
             path.parent.mkdir(parents=True, exist_ok=True)
-        with open(path, "wb", opener=opener) as file:
-            try:
-                file.write(data)
-                file.flush()
-            except OSError:
-                if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                    path.resolve().unlink(missing_ok=True)
-                raise
+        with NewFile(path) as file:
+            file.write(data)
     except OSError as error:
         raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def to_write(files: Mapping[Path, bytes], *, force: bool) -> list[Path]:
+    """Return which files have to be written: all but those that are there with the same contents.
+
+    Args:
+        files: their contents.
+        force: what is there may be replaced.
+
+    Raises:
+        ConfigError: a file is there with other contents.
+        CaptureError: one cannot be read.
+    """
+    try:
+        others = [path for path, data in files.items() if not (path.is_file() and path.read_bytes() == data)]
+        there = [path for path in others if path.exists()]
+    except OSError as error:
+        raise CaptureError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
+    if there and not force:
+        raise ConfigError(
+            f"{there[0]}: exists and differs, the first of {len(there)}; overwrite with --force"
+        )
+    return others
+
+
+def write_files(files: Mapping[Path, bytes], *, force: bool) -> None:
+    """Write files, or none where one is there with other contents; see ``to_write``. Folders are made.
+
+    Raises:
+        ConfigError: a file is there with other contents.
+        CaptureError: one cannot be read or written.
+    """
+    for path in to_write(files, force=force):
+        write_bytes(path, files[path], folders=True)
 
 
 def in_the_way(path: Path, *, split: bool = False) -> Path | None:
@@ -159,14 +248,17 @@ def _is_for_all(folder: Path) -> bool:
 class OutputFile:
     """A file that is written from its beginning, by one program at a time.
 
-    It is locked (``flock``) before it is truncated, so that a second writer is refused and nothing is lost.
-    A pipe or device (``/dev/null``) is only written.
+    It is locked (``flock``), so that a second writer is refused and nothing is lost. Where a file with
+    contents has the name, that one is locked too and stays as it is until ``finish``: until then the new one
+    has a free name beside it (``path_beside``). A pipe or device (``/dev/null``) is only written.
 
     Args:
-        path: the file; an existing one is replaced.
+        path: the file; an existing one is replaced by ``finish``.
 
     Attributes:
-        path: as given.
+        path: where it is written; from ``finish`` on as given.
+        older: the file that will be replaced; None if there is none.
+        spares: ``finish`` leaves the older file, and this one beside it.
         size: bytes written so far.
 
     Raises:
@@ -176,23 +268,31 @@ class OutputFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.older: Path | None = None
+        self.spares = False
         self.size = 0
+        self._held = -1
         self._truncated = False
-        self._fileno = opener(str(path), os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0))
+        self._fileno = opener(str(path), _WRITE)
         status = os.fstat(self._fileno)
         self._regular = stat.S_ISREG(status.st_mode)
         self._own = False
-        self._inode = status.st_dev, status.st_ino
-        if self._regular:
-            try:
+        try:
+            if self._regular:
                 _lock(self._fileno)
-                # Even an empty file that was truncated is written to the disk by ext4 when it is closed.
                 if status.st_size:
-                    os.ftruncate(self._fileno, 0)
+                    self.older, self._held = path, self._fileno
+                    self.path = path_beside(path.resolve() if path.is_symlink() else path)
+                    self._fileno = -1
+                    self._fileno = opener(str(self.path), _WRITE | os.O_EXCL)
+                    _take_after(self._fileno, status)
+                    _lock(self._fileno)
                 self._own = True
-            except OSError:
-                self.close()
-                raise
+        except OSError:
+            self.close()
+            raise
+        status = os.fstat(self._fileno)
+        self._inode = status.st_dev, status.st_ino
 
     def write(self, *pieces: bytes | memoryview) -> None:
         """Write bytes; they have left the process on return. A file that was truncated gets no more."""
@@ -255,12 +355,23 @@ class OutputFile:
         """Return the file descriptor."""
         return self._fileno
 
+    def finish(self) -> None:
+        """Close the file, which is complete: it replaces the older one, unless that is spared."""
+        older, self.older = self.older, self.older if self.spares else None
+        if older and not self.spares and not self.fate():
+            self.path.replace(older.resolve() if older.is_symlink() else older)
+            self.path = older
+        self.close()
+
     def close(self) -> None:
         """Close the file, and unlock it; closing twice does nothing. A file that is empty still is removed.
 
         A service that is started again and again while the disk is full would leave one each time.
         """
         fileno, self._fileno = self._fileno, -1
+        held, self._held = self._held, -1
+        if held >= 0:
+            os.close(held)
         if fileno < 0:
             return
         if self._own and not self.size:
@@ -278,6 +389,13 @@ def path_beside(path: Path) -> Path:
         if not any(path.with_name(name).exists() for name in (stem + path.suffix, f"{stem}_0{path.suffix}")):
             return path.with_name(stem + path.suffix)
     raise AssertionError("counting does not end")
+
+
+def _take_after(fileno: int, older: os.stat_result) -> None:
+    """Give a new file the permissions of the one that it replaces, and its owner where that is allowed."""
+    with suppress(OSError):
+        os.fchmod(fileno, stat.S_IMODE(older.st_mode))
+        os.fchown(fileno, older.st_uid, older.st_gid)
 
 
 def _lock(fileno: int) -> None:

@@ -1,4 +1,4 @@
-"""Writes generated files; they overwrite only generated files."""
+"""Writes generated files; they overwrite only generated files, and only with permission."""
 
 from __future__ import annotations
 
@@ -6,25 +6,27 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.codegen.layout import MARK
 from edoras_tools.errors import ConfigError, EdorasError
-from edoras_tools.io.outputs import write_bytes
+from edoras_tools.io.outputs import write_files
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
 
-def write_folder(folder: Path, files: Mapping[str, str]) -> list[str]:
+def write_folder(folder: Path, files: Mapping[str, str], *, force: bool = False) -> list[str]:
     """Write files, and remove those that were generated before and are not among them.
 
     Args:
         folder: created if missing.
         files: texts by name, which may lie in folders.
+        force: generated files that are there may be changed and removed.
 
     Returns:
         the names of the files that were removed.
 
     Raises:
-        ConfigError: one of the files is there and was not generated; nothing is written then.
+        ConfigError: one of the files is there and was not generated, or would be changed without permission;
+            nothing is written then.
         EdorasError: a file cannot be written.
     """
     try:
@@ -42,8 +44,9 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> list[str]:
             for path in sorted(place.iterdir())
             if path.is_file() and path.relative_to(folder).as_posix() not in files and _ours(path)
         ]
-        for name, text in files.items():
-            write_bytes(folder / name, text.encode(), folders=True)
+        if old and not force:
+            raise ConfigError(f"{old[0]}: is of an earlier run and would be removed; allow it with --force")
+        write_files({folder / name: text.encode() for name, text in files.items()}, force=force)
         for path in old:
             path.unlink()
     except OSError as error:

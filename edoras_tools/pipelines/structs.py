@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.io.outputs import write_bytes
+from edoras_tools.io.outputs import write_files
 from edoras_tools.structs import cfe
 from edoras_tools.structs.bindings import Bindings
 from edoras_tools.structs.debug_info.compiler import SOURCE_SUFFIXES, compiled
@@ -185,22 +185,8 @@ def write_definitions(taken: Taken, folder: Path, *, force: bool = False) -> lis
     contents = {folder / f"{name}.msg": text for name, text in taken.messages.texts.items()}
     if not taken.layout.entries:
         contents[folder / LAYOUT_FILE] = dumps(taken.layout)
-    others = [path for path, text in contents.items() if not _same(path, text)]
-    there = [path for path in others if path.exists()]
-    if there and not force:
-        raise ConfigError(
-            f"{there[0]}: exists and differs, the first of {len(there)}; overwrite with --force"
-        )
-    for path in others:
-        try:
-            write_bytes(path, contents[path].encode(), folders=True)
-        except CaptureError as error:
-            raise ConfigError(f"{error}; name another folder") from error
-    return sorted(contents)
-
-
-def _same(path: Path, text: str) -> bool:
     try:
-        return path.read_text(encoding="utf-8") == text
-    except (OSError, UnicodeDecodeError):
-        return False
+        write_files({path: text.encode() for path, text in contents.items()}, force=force)
+    except CaptureError as error:
+        raise ConfigError(f"{error}; name another folder") from error
+    return sorted(contents)

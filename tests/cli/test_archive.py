@@ -130,9 +130,9 @@ def test_report(call, index, tmp_path):
     assert escape(str(index / "text.pcap")) in re.search(r'id="not-whole".*?</section>', text, re.DOTALL)[0]
     assert text.count("<svg") == len(re.findall(r"<figure", text)) > 2
     (index / "<b>.duckdb").write_bytes((index / "x.duckdb").read_bytes())
-    assert call("archive", "report", "-o", path, "--index", index / "<b>.duckdb").code == 0
+    assert call("archive", "report", "-o", path, "--force", "--index", index / "<b>.duckdb").code == 0
     assert "<b>" not in path.read_text()
-    assert call("archive", "report", "-o", path, "--since", "2030-01-01").code == 1
+    assert call("archive", "report", "-o", path, "--force", "--since", "2030-01-01").code == 1
     assert call("archive", "report", "-o", index / "x.duckdb").code == 2
 
 

@@ -91,7 +91,11 @@ def test_live_traffic_is_judged_at_the_end(edoras, expect):
         (["check", "expect.yaml"], "name both, the recording and the expectations"),
         (["check", "a.pcap", "none.yaml"], "none.yaml: cannot be read"),
         (["check", "a.pcap", "bad.yaml"], "did you mean /cmd_vel?"),
-        (["check", "a.pcap", "expect.yaml", "-o", "x"], "--output and --force are options of --init"),
+        (
+            ["check", "a.pcap", "expect.yaml", "-o", "x"],
+            "--output is an option of --init, --force of --init and --junit",
+        ),
+        (["check", "a.pcap", "expect.yaml", "--force"], "--force of --init and --junit"),
         (["check", "a.pcap", "expect.yaml", "--duration", "1"], "--duration ends live traffic"),
         (
             ["check", "--listen", "0", "expect.yaml", "--start", "1"],

@@ -56,6 +56,10 @@ def program():
 
 def test_every_page_that_runs_is_refreshed(refresh):
     assert sorted(refresh.PAGES, key=str) == REFRESHED
+    assert refresh.chosen([]) == refresh.PAGES
+    assert refresh.chosen([str(ROOT / "docs/info.md")]) == [ROOT / "docs/info.md"]
+    with pytest.raises(SystemExit, match="not a page with output"):
+        refresh.chosen(["none.md"])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=identity)

@@ -13,7 +13,7 @@ from places import ROOT
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.file import McapFile
 from edoras_tools.io.formats.pcap.writer import PcapSink
-from edoras_tools.io.outputs import OutputFile, check_links, opener, path_beside, write_bytes
+from edoras_tools.io.outputs import NewFile, OutputFile, check_links, opener, path_beside, write_bytes
 
 PACKAGE = ROOT / "edoras_tools"
 NOBODY = 65534
@@ -132,9 +132,6 @@ class TestOutputFile:
             OutputFile(file.path)
         assert file.path.read_bytes() == b"onetwo"
         file.close()
-        other = OutputFile(file.path)
-        assert file.path.read_bytes() == b""
-        other.close()
 
     def test_nothing_is_left_of_what_got_no_byte(self, file, tmp_path):
         empty = OutputFile(tmp_path / "empty")
@@ -186,9 +183,100 @@ class TestOutputFile:
         first.write(b"x" * 100)
         assert (first.fate(), second.fate()) == ("", "")
 
+    def test_a_file_is_replaced_when_the_new_one_is_complete(self, file, tmp_path):
+        file.close()
+        file.path.chmod(0o640)
+        new = OutputFile(file.path)
+        with pytest.raises(BlockingIOError):
+            OutputFile(file.path)
+        new.write(b"new")
+        assert (new.older, new.path) == (file.path, tmp_path / "x_1.mcap")
+        assert (file.path.read_bytes(), new.path.read_bytes(), new.fate()) == (b"onetwo", b"new", "")
+        new.finish()
+        assert (new.older, new.path, new.fate()) == (None, file.path, "")
+        assert [(item.name, item.read_bytes()) for item in tmp_path.iterdir()] == [("x.mcap", b"new")]
+        assert file.path.stat().st_mode & 0o777 == 0o640
+
+    @pytest.mark.parametrize("how", ["closed", "spared", "moved", "empty"])
+    def test_an_older_file_stays(self, file, tmp_path, how):
+        """Where the new one is not complete, is not to replace it, or is gone."""
+        file.close()
+        new = OutputFile(file.path)
+        new.write(b"new" if how != "empty" else b"")
+        if how == "moved":
+            new.path.rename(tmp_path / "y.mcap")
+        new.spares = how == "spared"
+        if how in {"spared", "moved"}:
+            new.finish()
+        new.close()
+        found = {item.name: item.read_bytes() for item in tmp_path.iterdir()}
+        beside = {"closed": "x_1.mcap", "spared": "x_1.mcap", "moved": "y.mcap"}
+        assert found == {"x.mcap": b"onetwo", **({beside[how]: b"new"} if how in beside else {})}
+        OutputFile(file.path).close()  # no lock is left
+
+    def test_what_a_link_of_one_s_own_names_is_replaced(self, file, tmp_path):
+        file.close()
+        place = link(tmp_path / "link.mcap", file.path)
+        new = OutputFile(place)
+        new.write(b"new")
+        new.finish()
+        assert (place.readlink(), file.path.read_bytes()) == (file.path, b"new")
+
     def test_many_pieces(self, file):
         file.write(*[b"%d" % (number % 10) for number in range(3000)])
         assert file.path.stat().st_size == file.size == 3006
+
+
+class TestNewFile:
+    """A file that gets its name when it is complete."""
+
+    def test_it_replaces_at_the_end(self, tmp_path):
+        path = tmp_path / "x"
+        path.write_bytes(b"old")
+        path.chmod(0o600)
+        with NewFile(path) as file:
+            file.write(b"new")
+            file.flush()
+            assert path.read_bytes() == b"old"
+        assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"new", 0o600)
+        assert list(tmp_path.iterdir()) == [path]
+
+    @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+    def test_after_an_exception_nothing_of_it_is_left(self, tmp_path, error):
+        path = tmp_path / "x"
+        path.write_bytes(b"old")
+
+        def write():
+            with NewFile(path) as file:
+                file.write(b"new")
+                raise error
+
+        with pytest.raises(type(error)):
+            write()
+        assert [(item.name, item.read_bytes()) for item in tmp_path.iterdir()] == [("x", b"old")]
+
+    def test_a_disk_that_is_full_at_the_last_byte(self, tmp_path):
+        """What is buffered is written when the file is closed."""
+        path = tmp_path / "x"
+        path.write_bytes(b"old")
+        file = NewFile(path)
+        file.file.write(b"new")
+        os.dup2(full := os.open("/dev/full", os.O_WRONLY), file.file.fileno())
+        os.close(full)
+        with pytest.raises(OSError, match="No space left"):
+            file.keep()
+        assert [(item.name, item.read_bytes()) for item in tmp_path.iterdir()] == [("x", b"old")]
+
+    def test_a_part_of_a_process_that_was_killed_is_in_nobody_s_way(self, tmp_path):
+        part = tmp_path / f".x.{os.getpid()}.part"
+        part.write_bytes(b"left")
+        with NewFile(tmp_path / "x") as file:
+            file.write(b"new")
+        assert [(item.name, item.read_bytes()) for item in tmp_path.iterdir()] == [("x", b"new")]
+
+    def test_long_names(self, tmp_path):
+        write_bytes(tmp_path / ("x" * 255), b"new")
+        assert [item.name for item in tmp_path.iterdir()] == ["x" * 255]
 
 
 def test_beside(tmp_path):

@@ -31,7 +31,14 @@ def test_files_of_an_earlier_library_go(tmp_path):
     write_folder(tmp_path, files("sensor_msgs/JointState", "geometry_msgs/Twist"))
     (tmp_path / "edoras_mine.c").write_text("/* mine */\n")
     made = files("sensor_msgs/JointState")
-    assert write_folder(tmp_path, made) == ["edoras_msgs_geometry_msgs.c", "edoras_msgs/geometry_msgs.h"]
+    before = contents(tmp_path)
+    with pytest.raises(ConfigError, match=r"edoras_msgs_geometry_msgs\.c: is of an earlier run and would be"):
+        write_folder(tmp_path, made)
+    assert contents(tmp_path) == before
+    assert write_folder(tmp_path, made, force=True) == [
+        "edoras_msgs_geometry_msgs.c",
+        "edoras_msgs/geometry_msgs.h",
+    ]
     assert contents(tmp_path) == made | {"edoras_mine.c": "/* mine */\n"}
 
 

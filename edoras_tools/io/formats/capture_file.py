@@ -106,7 +106,12 @@ class CaptureFileSink:
         if not self._closed:
             self._closed = True
             self._finish()
-            self.abandon()
+            self.flush()
+            try:
+                if self.output:
+                    self.output.finish()
+            except OSError as error:
+                raise self._error("cannot be written", error) from error
 
     def _lay_out(self, batch: PacketBatch) -> NDArray[np.uint8]:
         """Return the bytes of a batch of at least one frame: u8."""
@@ -123,6 +128,7 @@ class CaptureFileSink:
             elif self._lent:
                 self._lent.write(piece)
         except (OSError, ValueError) as error:
+            self._closed = True
             if self.output:
                 self.output.close()
             raise self._error("cannot be written", error) from error

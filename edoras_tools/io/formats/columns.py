@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.outputs import opener
+from edoras_tools.io.outputs import NewFile
 from edoras_tools.ros.cdr.columns import Ragged
 
 if TYPE_CHECKING:
@@ -88,8 +88,8 @@ class TableWriter(Protocol):
 class TableFile:
     """A table in a file that appears under its name when it is complete.
 
-    Until then it is written to ``.NAME.part`` in the same folder. If the table cannot be finished, this file
-    is removed, and an existing file stays unchanged. A pipe or device is written directly.
+    If the table cannot be finished, what was written is removed, and an existing file stays unchanged
+    (``outputs.NewFile``). A pipe or device is written directly.
 
     Args:
         path: the file.
@@ -118,13 +118,12 @@ class TableFile:
         self.path, self.head, self.rows = path, head, 0
         self._pool = pool
         self._pending: Future[None] | None = None
-        self._part = path if path.exists() and not path.is_file() else path.with_name(f".{path.name}.part")
         try:
-            self._file = open(self._part, "wb", opener=opener)  # noqa: SIM115  closed by close() or remove()
+            self._new = NewFile(path)
         except OSError as error:
             raise self._failure(error) from error
         with self._removed_on_failure():
-            self._writer = make(self._file, head, columns)
+            self._writer = make(self._new.file, head, columns)
 
     def write(self, columns: Sequence[TableColumn]) -> None:
         """Write some rows; a failure may be raised by a later call."""
@@ -138,19 +137,13 @@ class TableFile:
         with self._removed_on_failure():
             self._wait()
             self._writer.close()
-            self._file.close()
-            if self._part != self.path:
-                self._part.replace(self.path)
+            self._new.keep()
 
     def remove(self) -> None:
         """Close the file, and remove it if it is incomplete."""
         with suppress(Exception):
             self._wait()
-        with suppress(OSError):
-            self._file.close()
-        if self._part != self.path:
-            with suppress(OSError):
-                self._part.unlink(missing_ok=True)
+        self._new.remove()
 
     def _wait(self) -> None:
         pending, self._pending = self._pending, None

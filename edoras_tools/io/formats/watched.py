@@ -8,7 +8,9 @@ Rules that it keeps:
    in its present state: its datagrams are lost, and counted.
 3. Another output of the same kind is started at a free name beside the first (``outputs.path_beside``).
 4. Complete files, e.g. those of a split recording, are checked once more at the end.
-5. To survive power cuts, everything is flushed, and file and folder are synced, at an interval and at the
+5. With a file that is replaced, the new one is beside it until it is complete (``outputs.OutputFile``); after
+   ``spare_older`` both stay.
+6. To survive power cuts, everything is flushed, and file and folder are synced, at an interval and at the
    end. A complete file is synced once more, and then not again. A thread waits for the disk, so that a slow
    disk does not delay writing; while it waits, no other sync is started.
 """
@@ -162,6 +164,11 @@ class WatchedSink:
         """The files written, or their directories, without lost ones."""
         return [*self._over, *(self._sink.paths if self._sink else ())]
 
+    @property
+    def replaces(self) -> bool:
+        """Whether the file being written will replace another one."""
+        return bool(self._sink and self._sink.output and self._sink.output.older)
+
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Write a batch and its columns."""
         self._look()
@@ -197,6 +204,8 @@ class WatchedSink:
             self._check_complete(None)
             return
         sink.close(statistics)
+        if sink.output and sink.output.spares and sink.output.older:
+            self._told(f"{sink.output.older} is as it was; the new recording is {sink.output.path}")
         self._check_complete(sink)
         if self._sync_s:
             if self._disk:
@@ -204,6 +213,11 @@ class WatchedSink:
             if self._syncing:
                 self._syncing.result()
             self._to_disk(self._files(), None)
+
+    def spare_older(self) -> None:
+        """Leave the file that would be replaced as it is: the input did not come to its end."""
+        if self._sink and self._sink.output:
+            self._sink.output.spares = True
 
     def abandon(self) -> None:
         """Close the file in its present state; nothing more is written."""

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import shutil
+import tempfile
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.pipelines.archive.tables import TABLES
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from edoras_tools.pipelines.archive.index import Index
 
 _DATE: Final = "coalesce(strftime(c.began, '%Y-%m-%d'), 'unknown')"
-_MADE: Final = "{}.partly"
 
 
 def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]:
@@ -23,7 +22,7 @@ def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]
     Args:
         index: open.
         folder: where; new, or empty.
-        force: replace what is there.
+        force: replace an earlier export.
 
     Returns:
         Rows by table.
@@ -32,20 +31,31 @@ def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]
         ConfigError: something is there.
         CaptureError: it cannot be written.
     """
-    if folder.exists() and not (folder.is_dir() and (force or not any(folder.iterdir()))):
-        raise ConfigError(f"{folder} exists; name another folder, or replace it with --force")
-    partly = folder.with_name(_MADE.format(folder.name))
+    if folder.exists():
+        there = {item.name for item in folder.iterdir()} if folder.is_dir() else {""}
+        if there and not force:
+            raise ConfigError(f"{folder} exists; name another folder, or replace it with --force")
+        if foreign := sorted(there - {*TABLES}):
+            what = f"{foreign[0]} in it is" if foreign[0] else "it is"
+            raise ConfigError(f"{folder}: {what} of no earlier export; name another folder")
     try:
-        shutil.rmtree(partly, ignore_errors=True)
-        partly.mkdir(parents=True)
-        written = {name: _write(index, name, partly / name) for name in TABLES}
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
+    except OSError as error:
+        raise CaptureError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    new, old = beside / "new", beside / "old"
+    try:
+        new.mkdir()
+        written = {name: _write(index, name, new / name) for name in TABLES}
         if folder.exists():
-            shutil.rmtree(folder)
-        partly.rename(folder)
+            folder.rename(old)
+        new.rename(folder)
     except OSError as error:
         raise CaptureError(f"{folder}: cannot be written: {error.strerror or error}") from error
     finally:
-        shutil.rmtree(partly, ignore_errors=True)
+        if old.exists() and not folder.exists():
+            old.rename(folder)
+        shutil.rmtree(beside, ignore_errors=True)
     return written
 
 

@@ -229,7 +229,10 @@ def open_sink(
         return messages
 
     sync_s, keep = target.sync_ns / 1e9, Keep(target.keep_files, target.keep_bytes)
-    return WatchedSink(target.path, begin, target.told, source.statistics, sync_s=sync_s, keep=keep)
+    sink = WatchedSink(target.path, begin, target.told, source.statistics, sync_s=sync_s, keep=keep)
+    if isinstance(source, DeviceSource) and sink.replaces:
+        target.told(f"{target.path} is replaced at the end; until then the recording is {sink.paths[-1]}")
+    return sink
 
 
 def record(
@@ -303,6 +306,7 @@ def pour(
 
         host = HostWatch(set(bench.columns.context.capture_ports()))
     note: Callable[[HostCounters], None] | None = getattr(sink, "write_host", None)
+    ended = False
     try:
         if host and note:
             note(host.now())
@@ -328,7 +332,10 @@ def pour(
             note(host.now())
         report.interrupted, report.failure = loop.interrupted, loop.failure
         report.notes = [*report.notes, *loop.conversations.recorded()]
+        ended = not report.failure and (live or not report.interrupted)
     finally:
         source.close()
+        if not ended and isinstance(sink, WatchedSink):
+            sink.spare_older()
         sink.close(source.statistics)
     return report

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 import time
 from collections import Counter, deque
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from importlib.resources import as_file, files
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,6 +15,7 @@ from edoras_tools.cfs.edoras_app import PIPE
 from edoras_tools.emulator import BOOT_NS, Served, Simulation
 from edoras_tools.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
 from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.io.outputs import to_write, write_files
 from edoras_tools.middleware import open_graph
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
@@ -129,7 +129,11 @@ class Demo:
         self.foxglove: FoxgloveSink | None = None
         self.events: deque[str] = deque(maxlen=_LAST_EVENTS)
         self.event_counts: Counter[str] = Counter()
-        self.layout = _layout_beside(plan)
+        self.layout = plan.output.with_name(f"{plan.output.stem}_layout.json")
+        layout = {
+            self.layout: (files("edoras_tools.samples") / f"{LAYOUTS[plan.scenario]}.json").read_bytes()
+        }
+        to_write(layout, force=plan.replace)
         self._say = say
         self._elapsed_ns = self._began_ns = 0
         self._begun = False
@@ -148,7 +152,7 @@ class Demo:
                     else:
                         stack.push(parts.pop_all())
                         break
-            _copy_layout(plan, self.layout)
+            write_files(layout, force=plan.replace)
             self._stack = stack.pop_all()
 
     @property
@@ -380,15 +384,3 @@ class _DemoWatcher:
 
     def update(self, _bridges: Bridges, /) -> None:
         self._watcher.update(self._demo)
-
-
-def _layout_beside(plan: DemoPlan) -> Path:
-    return plan.output.with_name(f"{plan.output.stem}_layout.json")
-
-
-def _copy_layout(plan: DemoPlan, path: Path) -> None:
-    try:
-        with as_file(files("edoras_tools.samples")) as samples:
-            shutil.copy(samples / f"{LAYOUTS[plan.scenario]}.json", path)
-    except OSError as error:
-        raise CaptureError(f"{path}: {error.strerror or error}; name another output with -o") from None

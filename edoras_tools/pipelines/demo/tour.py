@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.resources import as_file, files
@@ -14,7 +13,8 @@ from edoras_tools.emulator import BOOT_NS, Served, Simulation
 from edoras_tools.emulator.source import SimulatedSource
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture.live import open_live
-from edoras_tools.pipelines.capture.record import CaptureReport, Target, record
+from edoras_tools.io.outputs import write_files
+from edoras_tools.pipelines.capture.record import CaptureReport, Target, check_output, record
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.workbench import Settings, open_files
 
@@ -46,23 +46,29 @@ class Tour:
     captured: bool
 
 
-def unpack(folder: Path) -> tuple[Path, Path]:
+def unpack(folder: Path, *, replace: bool = False) -> tuple[Path, Path]:
     """Copy the sample missions, the capture and the Foxglove layout into the user's folder.
+
+    Args:
+        folder: where to; it is made.
+        replace: overwrite files of these names.
 
     Returns:
         The folder of missions, and the capture.
 
     Raises:
+        ConfigError: such a file is there, and differs.
         CaptureError: a file cannot be written.
     """
+    with as_file(SAMPLES) as samples:
+        missions = [path for path in (samples / "missions").rglob("*") if path.is_file()]
+        copies = {folder / path.relative_to(samples): path.read_bytes() for path in missions}
+        for name in ("captures/a_rover.pcap", "foxglove_layout.json"):
+            copies[folder / Path(name).name] = (samples / name).read_bytes()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with as_file(SAMPLES) as samples:
-            shutil.copytree(samples / "missions", folder / "missions", dirs_exist_ok=True)
-            for name in ("captures/a_rover.pcap", "foxglove_layout.json"):
-                shutil.copy(samples / name, folder / Path(name).name)
-    except OSError as error:
-        raise CaptureError(f"{folder}: {error.strerror or error}; name another folder with -o") from None
+        write_files(copies, force=replace)
+    except CaptureError as error:
+        raise CaptureError(f"{error}; name another folder with -o") from None
     return folder / "missions", folder / "a_rover.pcap"
 
 
@@ -72,6 +78,7 @@ def tour(
     *,
     show: Callable[[Decoded], None],
     notice: Callable[[str], None],
+    replace: bool = False,
 ) -> Tour:
     """Run the tour.
 
@@ -80,11 +87,17 @@ def tour(
         seconds: how long to capture.
         show: called with every packet of the live link.
         notice: called with a line on what happens.
+        replace: overwrite the files of another tour in that folder.
 
     Raises:
+        ConfigError: files of these names are there.
         CaptureError: a port is in use, or the folder cannot be written.
     """
-    missions, capture = unpack(folder)
+    live = Target(folder / "two_rovers.mcap", transforms=True, replace=replace)
+    stored = Target(folder / "a_rover.mcap", transforms=True, replace=replace)
+    for target in (live, stored):
+        check_output(target, ())
+    missions, capture = unpack(folder, replace=replace)
     settings = Settings((missions / "two_rovers_ground.yaml", missions / "two_rovers_flight.yaml"))
     bench = settings.workbench()
     simulation = Simulation(
@@ -100,12 +113,11 @@ def tour(
         for row in range(len(batch)):
             show(bench.dissector.dissect(batch[row]))
 
-    live = folder / "two_rovers.mcap"
     with Served(simulation) if captured else nullcontext():
         limits = Limits(duration_ns=duration_ns)
-        report = record(source, bench, Target(live, transforms=True), limits=limits, tap=tap)
+        report = record(source, bench, live, limits=limits, tap=tap)
     rover = Settings((missions / "rover_ground.yaml",)).workbench()
-    real = record(open_files([capture]), rover, Target(folder / "a_rover.mcap", transforms=True))
+    real = record(open_files([capture]), rover, stored)
     return Tour(report, real, folder, captured)
 
 

@@ -17,7 +17,7 @@ from edoras_tools.dissectors.lua import GUARD, own_digest
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcapng.writer import PcapngSink
-from edoras_tools.io.outputs import write_bytes
+from edoras_tools.io.outputs import write_files
 from edoras_tools.pipelines.interrupt import on_interrupt
 
 if TYPE_CHECKING:
@@ -69,32 +69,36 @@ def folders() -> dict[str, Path]:
     return {name.strip(): Path(path.strip()) for name, colon, path in pairs if colon and path.strip()}
 
 
-def install(text: str, folder: Path | None = None) -> Path:
+def install(text: str, folder: Path | None = None, *, force: bool = False) -> Path:
     """Write the dissector to the folder from which Wireshark and tshark load it; return its path.
 
     Args:
         text: the Lua code.
         folder: instead of the personal plugin folder.
+        force: replace another one that is there.
 
     Raises:
         CaptureError: Wireshark is not installed, or the file cannot be written.
+        ConfigError: another one is there.
     """
     if folder is None:
         known = folders()
         folder = known.get("Personal Lua Plugins") or known.get("Personal Plugins")
     if folder is None:
         raise CaptureError("this Wireshark has no folder for plugins; name one with --to")
-    return _write(folder / SCRIPT, text)
+    return _write(folder / SCRIPT, text, force=force)
 
 
-def install_extcap(folder: Path | None = None) -> Path:
+def install_extcap(folder: Path | None = None, *, force: bool = False) -> Path:
     """Write the launcher of the capture interfaces to Wireshark's extcap folder; return its path.
 
     Args:
         folder: instead of Wireshark's own.
+        force: replace another one that is there.
 
     Raises:
         CaptureError: Wireshark is not installed, or the file cannot be written.
+        ConfigError: another one is there.
     """
     if folder is None:
         known = folders()
@@ -103,7 +107,7 @@ def install_extcap(folder: Path | None = None) -> Path:
         raise CaptureError("this Wireshark has no folder for extcap programs; name one with --to")
     text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m edoras_tools.cli.extcap "$@"\n'
     try:
-        path = _write(folder / LAUNCHER, text)
+        path = _write(folder / LAUNCHER, text, force=force)
         path.chmod(0o755)
     except CaptureError as error:
         raise CaptureError(f"{error}; be root, or use --to DIR and WIRESHARK_EXTCAP_DIR=DIR") from error
@@ -125,7 +129,7 @@ def run_program(text: str, file: Path | None, arguments: Sequence[str], *, graph
     path = find_program("wireshark" if graphical else "tshark")
     with tempfile.TemporaryDirectory(prefix="edoras-") as name:
         folder = Path(name)
-        script = _write(folder / SCRIPT, text)
+        script = _write(folder / SCRIPT, text, force=False)
         command = [path, "-X", f"lua_script:{script}"]
         with _readable(file, folder) as capture:
             command += ["-r", str(capture)] if capture else []
@@ -162,6 +166,6 @@ def _ask(path: str, *arguments: str) -> str:
         raise CaptureError(f"{path}: cannot be run: {error}") from error
 
 
-def _write(path: Path, text: str) -> Path:
-    write_bytes(path, text.encode(), folders=True)
+def _write(path: Path, text: str, *, force: bool) -> Path:
+    write_files({path: text.encode()}, force=force)
     return path

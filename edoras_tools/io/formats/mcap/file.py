@@ -219,7 +219,7 @@ class McapFile:
     """An MCAP file that is written from start to end; its methods must not run concurrently.
 
     Args:
-        path: the file; an existing one is replaced.
+        path: the file; an existing one is replaced when this one is complete.
         header: what it starts with; magic and a header record of the ``ros2`` profile by default.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty where it is not known.
 
@@ -231,7 +231,6 @@ class McapFile:
     """
 
     def __init__(self, path: Path, header: bytes | None = None, offered: str = "") -> None:
-        self.path = path
         self._offered = offered
         self.summary = Summary()
         self._checksum = 0
@@ -244,6 +243,11 @@ class McapFile:
         except CaptureError:
             self.abandon()
             raise
+
+    @property
+    def path(self) -> Path:
+        """Where it is; see ``OutputFile``."""
+        return self.output.path
 
     @property
     def size(self) -> int:
@@ -302,9 +306,12 @@ class McapFile:
             self.summary.add_messages(chunks.counts, chunks.start_ns, chunks.end_ns)
 
     def finish(self) -> None:
-        """Write the summary and close the file."""
+        """Write the summary and close the file; it replaces an older one."""
         self.add_bytes(self.summary.tail(self.size, self._checksum))
-        self.abandon()
+        try:
+            self.output.finish()
+        except OSError as error:
+            raise self._failure(error) from error
 
     def abandon(self) -> None:
         """Close the file in its present state."""

@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.recording import RecordingOptions
-from edoras_tools.io.outputs import check_links, opener
+from edoras_tools.io.outputs import check_links, write_bytes
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.type_hash import type_hash
 from edoras_tools.ros.types.standard import distros
@@ -143,11 +143,9 @@ class Rosbag2Sink:
         self._sink.close(statistics)
 
         target = (place.parent if place else self._path) / "metadata.yaml"
-        try:
-            with open(target, "w", encoding="utf-8", opener=opener) as file:
-                _yaml(_metadata(self._sink.files, self._types), file)
-        except OSError as error:
-            raise CaptureError(f"{target}: cannot be written: {error.strerror or error}") from error
+        text = StringIO()
+        _yaml(_metadata(self._sink.files, self._types), text)
+        write_bytes(target, text.getvalue().encode())
 
 
 def _yaml(content: Any, file: IO[str]) -> None:
