@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import HostCounters, InterfaceOutage
     from edoras_tools.sessions.cfdp import Transaction
+    from edoras_tools.sessions.ground_counts import GroundStream
 
 _MOST: Final = 0.5
 
@@ -66,6 +67,8 @@ class Capture:
         host: what the kernel of the recording host counted, oldest first.
         files: the CFDP transactions in it.
         corrupt_pdus: CFDP PDUs with a wrong CRC.
+        corrupt_ns: time of the first and of the last of these.
+        ground: what the counts of F Prime's space packets say.
         frames: the transfer frames in it, and what their counts say; None where the mission names none.
     """
 
@@ -77,6 +80,8 @@ class Capture:
     host: tuple[HostCounters, ...] = ()
     files: tuple[Transaction, ...] = ()
     corrupt_pdus: int = 0
+    corrupt_ns: tuple[int, int] = 0, 0
+    ground: tuple[GroundStream, ...] = ()
     frames: Unframer | None = None
 
     @property

@@ -21,6 +21,7 @@ from edoras_tools.diagnosis.rules import (
     OF_FILES,
     RULES,
     SINGLE,
+    fprime_packets_lost,
     frames_lost,
     not_cfs,
     not_examined,
@@ -31,6 +32,7 @@ from edoras_tools.diagnosis.rules import (
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, Severity, Verdict
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.sessions.cfdp import Follower
+from edoras_tools.sessions.ground_counts import GroundCounts
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -221,7 +223,7 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
     if not len(case.rows):
         return [
             verdict
-            for rule in (not_examined, not_cfs, frames_lost, *OF_FILES)
+            for rule in (not_examined, not_cfs, frames_lost, fprime_packets_lost, *OF_FILES)
             for verdict in rule.judge(case)
         ]
     found: dict[str, list[Verdict]] = {}
@@ -276,6 +278,7 @@ class Examination:
         self.profile = profile or SimProfile()
         self._recorder = Recorder(context)
         self._files = Follower(msg_ids=context.mission.pdu_msg_ids)
+        self._ground = GroundCounts()
         self._before: list[Callable[[], Diagnosis]] = []
         self._scattered = False
 
@@ -285,6 +288,7 @@ class Examination:
             self.separate()
         self._recorder.add(batch, columns)
         self._files.add(batch, columns)
+        self._ground.add(batch, columns)
 
     def _goes_on(self) -> bool:
         """Tell whether a chapter that is full has to take more: what belongs together is not in it yet."""
@@ -320,14 +324,21 @@ class Examination:
         return self._before[0]().zero_ns if self._before else self.zero_ns
 
     def _chapter(self, capture: Capture, faults: Sequence[Fault], *, keep: bool) -> Diagnosis:
-        followed = self._files.pdus - self._files.packets if keep else 0
+        followed = self._files.pdus - self._files.packets + self._ground.datagrams if keep else 0
         frames = sum(item.frames for item in capture.frames.channels) if capture.frames else 0
         if keep:
             files = self._files
-            capture = replace(capture, files=tuple(files.transactions), corrupt_pdus=files.corrupt)
+            capture = replace(
+                capture,
+                files=tuple(files.transactions),
+                corrupt_pdus=files.corrupt,
+                corrupt_ns=files.corrupt_ns,
+                ground=tuple(self._ground.streams),
+            )
         case = Case(self._recorder, self.profile, capture, proxied(faults))
         found = judge(case, self.progress)
         spans = [(item.first_ns, item.last_ns) for item in capture.files]
+        spans += [(item.first_ns, item.last_ns) for item in capture.ground]
         spans += [(case.start_ns, case.end_ns)] if len(case.rows) else []
         return Diagnosis(
             verdicts=_sorted(item for item in found if item.severity is not Severity.HABIT),

@@ -213,12 +213,14 @@ class Follower:
         pdus: how many were taken.
         packets: how many of them were in space packets.
         corrupt: how many of them had a wrong CRC.
+        corrupt_ns: time of the first and of the last of these.
         left_out: PDUs of transactions beyond the limit.
     """
 
     def __init__(self, keep: Keep | None = None, msg_ids: Collection[int] = ()) -> None:
         self.transactions: list[Transaction] = []
         self.pdus = self.packets = self.corrupt = self.left_out = 0
+        self.corrupt_ns = 0, 0
         self._keep = keep
         self._msg_ids = np.array([*msg_ids], np.int32)
         self._open: dict[tuple[int, ...], Transaction] = {}
@@ -253,7 +255,11 @@ class Follower:
         self.pdus += len(rows)
         offset, length = place or (batch.offset[rows], batch.length[rows])
         pdus = read_pdus(batch.data, offset, length)
-        self.corrupt += int(np.count_nonzero(pdus.corrupt))
+        if pdus.corrupt.any():
+            times = batch.time_ns[rows[pdus.corrupt]]
+            first_ns = self.corrupt_ns[0] if self.corrupt else int(times[0])
+            self.corrupt += len(times)
+            self.corrupt_ns = first_ns, int(times[-1])
         source, destination = (
             getattr(batch, f"{end}_address")[rows].astype(np.uint64) << np.uint64(16)
             | (getattr(batch, f"{end}_port")[rows] if place is None else np.uint64(0))

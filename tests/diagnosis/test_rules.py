@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import random
 import re
+import struct
 from dataclasses import replace
 
 import pytest
+from fprime_session import space
 from pdus import eof, finished, metadata, nak, pdu, piece, with_crc
 from places import CAPTURES, ROOT
 from rewriting import Udp, datagrams, write
@@ -644,6 +646,18 @@ def frames_lost(lab, tmp_path, msg_id):
     ).diagnosis
     assert [item.rule for item in sound.verdicts if item.rule == "frames_lost"] == []
     return examine(open_file(path), framed(config)).diagnosis
+
+
+@case
+def fprime_packets_lost(lab, tmp_path, msg_id):
+    event = struct.pack(">HIHBII", 2, 0x2000001, 2, 0, 7, 8)
+    ends = Endpoint("127.0.0.1", 40000), Endpoint("127.0.0.1", 50001)
+    every = [lab.at(number, *ends, space(event, number)) for number in range(20)]
+    assert not lab.examine(every).verdicts
+    found = lab.examine([item for number, item in enumerate(every) if number not in {5, 6, 12}])
+    (told,) = found.verdicts
+    assert told.reason == "F Prime APID 2 from F Prime: 3 packets lost of 20"
+    return found
 
 
 FRAMED = ("10.0.0.2", 40000), ("10.0.0.1", 5111)

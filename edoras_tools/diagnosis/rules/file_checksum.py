@@ -44,8 +44,8 @@ def judge(case: Case) -> Iterator[Verdict]:
             f"{plural(count, 'CFDP PDU')} came with a wrong CRC",
             link=CFDP.label,
             hop="between CFDP entities",
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
+            start_ns=case.capture.corrupt_ns[0],
+            end_ns=case.capture.corrupt_ns[1],
             evidence=("calculated from the captured bytes; the receiver drops such a PDU",),
             remedy="look for what changes bytes on the way; what is missing is sent again in class 2 only",
         )

@@ -12,7 +12,9 @@ import numpy as np
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.links import table
+from edoras_tools.links.fprime import FPRIME
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding
+from edoras_tools.sessions.ground_counts import GroundCounts
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import order_by
@@ -108,6 +110,7 @@ class Ledger:
         self.mission = mission
         self.accounts: dict[tuple[int, int, int, int], Account] = {}
         self._sequences = sequences or SequenceCounts()
+        self._ground = GroundCounts()
         self._known = 0
         """How many of its streams belong to accounts."""
         self.datagrams = 0
@@ -157,6 +160,16 @@ class Ledger:
                     account = self._account(columns, int(own[row]), row)
                     account.sequences.append(self._sequences.streams[index])
             self._known = len(self._sequences.streams)
+        self._add_ground(batch, columns)
+
+    def _add_ground(self, batch: PacketBatch, columns: Columns) -> None:
+        """Follow the counts of F Prime's space packets; the account of its frames has them."""
+        known = len(self._ground.streams)
+        self._ground.add(batch, columns)
+        new = [item.counts for item in self._ground.streams[known:]]
+        if new:
+            row = int(np.flatnonzero(columns.link == FPRIME)[0])
+            self._account(columns, -1, row).sequences += new
 
     @property
     def notes(self) -> list[str]:
