@@ -346,7 +346,7 @@ Jobs = Annotated[
     typer.Option(
         metavar="N",
         parser=counted,
-        help="Processes that share the work on a large file; as many as processor cores, at most 3.",
+        help="Processes that share the work on a large file; by default one a free core, at most 3.",
     ),
 ]
 EveryPort = Annotated[bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")]

@@ -23,6 +23,7 @@ class RecordingOptions:
         structs: C structs in packets; None: only cFE's own.
         transforms: whether to write ``/tf``, made of the poses.
         jobs: how many processes may share the work; more than one only for MCAP, and if not split by size.
+        yields: share it only while a processor is free, so that others that record have theirs.
         sequences: shared with others that see the same batches; None: the recording follows its own.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
     """
@@ -36,6 +37,7 @@ class RecordingOptions:
     offered: str = ""
     transforms: bool = False
     jobs: int = 1
+    yields: bool = False
     sequences: SequenceCounts | None = None
 
     @property

@@ -52,7 +52,8 @@ class Target:
         keep_bytes: delete the oldest files where all are larger than this; 0: keep all.
         replace: overwrite an existing output.
         sync_ns: flush to the disk at this interval, to survive a power cut; 0: never.
-        jobs: how many processes share the work on a large file; 0: as many as there are processor cores.
+        jobs: how many processes share the work on a large file; 0: as many as there are processor cores,
+            while these are free.
         transforms: also write ``/tf``, made of the poses, for 3D views.
         told: called with a line if the file is removed while it is written.
     """
@@ -203,7 +204,8 @@ def open_sink(
         target.split_count,
         structs=bench.columns.context.structs,
         transforms=target.transforms,
-        jobs=jobs_for(source, target.jobs),
+        jobs=jobs_for(source, target.jobs, fixed=False),
+        yields=not target.jobs,
         sequences=sequences,
     )
 

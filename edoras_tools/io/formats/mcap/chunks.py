@@ -156,12 +156,15 @@ class ChunkWriter:
     def append_batch(self, *batch: object, last: bool = False) -> None:
         """Append chunks of their own that ``work(*batch)`` returns.
 
-        They are made here if all workers are busy, or if nothing else is to be done after the last batch.
+        They are made here if all workers are busy, if no processor is free for them, or if nothing else is to
+        be done after the last batch.
         """
         if self._press.used:
             self.flush()
         self._put_made()
-        workers = None if last else self._workers
+        workers = self._workers
+        if workers is not None and (last or workers.crowded):
+            workers = None
         if workers is not None:
             workers.start()
         if workers is None or workers.full:

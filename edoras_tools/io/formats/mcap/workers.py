@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.io.forked import await_end, fork, killed, portable, receive, send, undisturbed
+from edoras_tools.io.processors import spare_processors
 from edoras_tools.io.shared import ROOM_BYTES, SLOT_BYTES, pickled, place, shared_memory, unpickled
 
 if TYPE_CHECKING:
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.shared import Packed
 
-_SLOTS: Final = 2
-"""Tasks of each process: the one that it works on, and the next."""
+_SLOTS: Final = 3
+"""Tasks of each process: the one that it works on, and others, so that it never waits for whoever submits."""
 _STANDARD_ERROR: Final = 2
 
 
@@ -43,13 +44,14 @@ class Workers:
         count: how many, at least 1.
         work: what they run, as it is at ``start``; its arguments and its result are pickled.
         path: the file that the results are for, for errors.
+        yields: see ``crowded``.
 
     Raises:
         OSError: no memory.
     """
 
-    def __init__(self, count: int, work: Callable[..., Any], path: Path) -> None:
-        self._path = path
+    def __init__(self, count: int, work: Callable[..., Any], path: Path, *, yields: bool = False) -> None:
+        self._path, self._yields = path, yields
         self._tasks = _SLOTS * count
         self._used = [0] * (self._tasks + 1)
         """The number of the last task that used each room, from 1."""
@@ -96,6 +98,14 @@ class Workers:
         if not self._results and self._answered < self._asked:
             return bool(select.select([self._next], [], [], 0)[0])
         return bool(self._results)
+
+    @property
+    def crowded(self) -> bool:
+        """Whether the processes yield, and others run on all processors: a task is done no sooner here."""
+        if not self._yields:
+            return False
+        works = self._answered < self._asked and not select.select([self._next], [], [], 0)[0]
+        return spare_processors() < (0 if works else 1)
 
     @property
     def _next(self) -> socket.socket:

@@ -120,7 +120,7 @@ class McapSink:
         # To split files by size, the size of what was appended has to be known.
         if options.jobs > 1 and not options.split_bytes:
             with suppress(OSError):  # without them it takes longer
-                self._workers = Workers(options.jobs - 1, self._packed, self._path)
+                self._workers = Workers(options.jobs - 1, self._packed, self._path, yields=options.yields)
                 self._chunks = self._chunk_writer()
 
     @property

@@ -312,3 +312,48 @@ def test_a_recording_whose_worker_was_killed_says_how_to_repair_it(
         go_on()
     sink.close(SourceStatistics())
     assert path.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("yields", "works", "spare", "crowded"),
+    [
+        (False, False, -5, False),
+        (False, True, -5, False),
+        (True, False, 1, False),
+        (True, False, 0, True),  # it would be one more than there are processors
+        (True, True, 0, False),  # it runs already
+        (True, True, -1, True),
+    ],
+)
+def test_processors_are_left_to_others(monkeypatch, yields, works, spare, crowded):
+    monkeypatch.setattr(module, "spare_processors", lambda: spare)
+    with closing(Workers(1, twice, PATH, yields=yields)) as workers:
+        workers.start()
+        (process,) = workers._processes
+        os.kill(process, signal.SIGSTOP)  # so that it is not done too soon
+        if works:
+            workers.submit(1)
+        assert workers.crowded is crowded
+        os.kill(process, signal.SIGCONT)
+
+
+@pytest.mark.parametrize("spare", [-1, 1])
+def test_a_recording_is_the_same_whether_it_yields(tmp_path, monkeypatch, spare):
+    monkeypatch.setattr(module, "spare_processors", lambda: spare)
+    monkeypatch.setattr(writer, "_LARGE", 1)
+    made, forks = [], []
+    fork = module.fork
+    monkeypatch.setattr(module, "fork", lambda serve: forks.append(serve) or fork(serve))
+    bench = Settings().workbench()
+    for jobs in (1, 2):
+        path = tmp_path / f"{jobs}.mcap"
+        source = open_file(CAPTURES / "a_rover.pcap")
+        options = RecordingOptions(jobs=jobs, yields=True)
+        with closing(source):
+            sink = McapSink(path, bench.mission, bench.types, source.info, options)
+            for batch in source.batches():
+                sink.write(batch, bench.columns.decode(batch))
+            sink.close(SourceStatistics())
+        made.append(path.read_bytes())
+    assert made[0] == made[1]
+    assert len(forks) == (spare > 0)
