@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "933d643fc92fbd0d"
+local DIGEST = "2a9903128b2921d1"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -315,6 +315,146 @@ D.layouts = {
 			},
 		},
 		place = {stamp_seconds = 1, stamp_nanoseconds = 2},
+	},
+	cfe_reset = {
+		name = "cfe_reset",
+		protocol = "reset",
+		title = "cFE Exception or Reset",
+		size = 392,
+		little = true,
+		fields = {
+			{
+				abbreviation = "cfe.reset.entry_type",
+				name = "entry_type",
+				start = 0,
+				size = 4,
+				kind = "uint32",
+				names = {[1] = "core", [2] = "application"},
+				doc = "who made it",
+			},
+			{
+				abbreviation = "cfe.reset.reset_type",
+				name = "reset_type",
+				start = 4,
+				size = 4,
+				kind = "uint32",
+				names = {[1] = "processor", [2] = "power on"},
+				doc = "kind of reset",
+			},
+			{
+				abbreviation = "cfe.reset.reset_subtype",
+				name = "reset_subtype",
+				start = 8,
+				size = 4,
+				kind = "uint32",
+				names = {
+					[1] = "power cycle",
+					[2] = "push button",
+					[3] = "hardware special command",
+					[4] = "watchdog",
+					[5] = "reset command",
+					[6] = "exception",
+					[7] = "undefined",
+					[8] = "hardware debugging",
+					[9] = "bank switch",
+				},
+				doc = "what caused it",
+			},
+			{
+				abbreviation = "cfe.reset.boot_source",
+				name = "boot_source",
+				start = 12,
+				size = 4,
+				kind = "uint32",
+				doc = "where it booted from",
+			},
+			{
+				abbreviation = "cfe.reset.processor_resets",
+				name = "processor_resets",
+				start = 16,
+				size = 4,
+				kind = "uint32",
+				doc = "since the last power-on",
+			},
+			{
+				abbreviation = "cfe.reset.max_processor_resets",
+				name = "max_processor_resets",
+				start = 20,
+				size = 4,
+				kind = "uint32",
+				doc = "before a power-on reset is made",
+			},
+			{
+				abbreviation = "cfe.reset.debug",
+				name = "debug",
+				start = 24,
+				size = 16,
+				kind = "bytes",
+				doc = "debug variables of Executive Services",
+			},
+			{
+				abbreviation = "cfe.reset.seconds",
+				name = "seconds",
+				start = 40,
+				size = 4,
+				kind = "uint32",
+				doc = "mission time: whole seconds",
+			},
+			{
+				abbreviation = "cfe.reset.subseconds",
+				name = "subseconds",
+				start = 44,
+				size = 4,
+				kind = "uint32",
+				doc = "mission time: 1/2^32 s",
+			},
+			{
+				abbreviation = "cfe.reset.description",
+				name = "description",
+				start = 48,
+				size = 80,
+				kind = "string",
+				doc = "what happened",
+			},
+			{
+				abbreviation = "cfe.reset.context_bytes",
+				name = "context_bytes",
+				start = 128,
+				size = 4,
+				kind = "uint32",
+				doc = "bytes of the context that are valid",
+			},
+			{
+				abbreviation = "cfe.reset.application_id",
+				name = "application_id",
+				start = 132,
+				size = 4,
+				kind = "uint32",
+				hex = true,
+				doc = "0 for none",
+			},
+			{
+				abbreviation = "cfe.reset.context",
+				name = "context",
+				start = 136,
+				size = 256,
+				kind = "bytes",
+				doc = "of the processor",
+			},
+		},
+		place = {
+			entry_type = 1,
+			reset_type = 2,
+			reset_subtype = 3,
+			boot_source = 4,
+			processor_resets = 5,
+			max_processor_resets = 6,
+			seconds = 7,
+			subseconds = 8,
+			context_bytes = 9,
+			application_id = 10,
+			description = 11,
+		},
 	},
 	racs2_topic = {
 		name = "racs2_topic",
@@ -1491,6 +1631,21 @@ D.links = {
 		sender_port = false,
 	},
 	{
+		label = "reset",
+		code = 11,
+		name = "RESET",
+		doc = "entries of an exception and reset log that cFS wrote to a file",
+		title = "RESET link",
+		to_cfs = false,
+		from_cfs = true,
+		packets = false,
+		headers = {"cfe_reset"},
+		header_bytes = 0,
+		forms = {[392] = {headers = {"cfe_reset"}}},
+		sure = 1,
+		sender_port = false,
+	},
+	{
 		label = "racs2",
 		code = 10,
 		name = "RACS2",
@@ -1514,6 +1669,7 @@ D.ports = {
 	sbn = {2234, 2235, 2236},
 	robot = {8080, 8585},
 	file = {0},
+	reset = {0},
 	racs2 = {},
 }
 D.stream_ports = {sbn = {2234, 2235, 2236}, racs2 = {8765}}
@@ -1734,6 +1890,24 @@ function D.read.robot_state(s, p)
 	if stamp_seconds >= 2147483648 then stamp_seconds = stamp_seconds - 4294967296 end
 	local stamp_nanoseconds = ((b63 * 256 + b62) * 256 + b61) * 256 + b60
 	return stamp_seconds, stamp_nanoseconds
+end
+
+function D.read.cfe_reset(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14, b15, b16, b17, b18, b19, b20, b21, b22, b23 = byte(s, p + 0, p + 23)
+	local b40, b41, b42, b43, b44, b45, b46, b47 = byte(s, p + 40, p + 47)
+	local b128, b129, b130, b131, b132, b133, b134, b135 = byte(s, p + 128, p + 135)
+	local entry_type = ((b3 * 256 + b2) * 256 + b1) * 256 + b0
+	local reset_type = ((b7 * 256 + b6) * 256 + b5) * 256 + b4
+	local reset_subtype = ((b11 * 256 + b10) * 256 + b9) * 256 + b8
+	local boot_source = ((b15 * 256 + b14) * 256 + b13) * 256 + b12
+	local processor_resets = ((b19 * 256 + b18) * 256 + b17) * 256 + b16
+	local max_processor_resets = ((b23 * 256 + b22) * 256 + b21) * 256 + b20
+	local seconds = ((b43 * 256 + b42) * 256 + b41) * 256 + b40
+	local subseconds = ((b47 * 256 + b46) * 256 + b45) * 256 + b44
+	local context_bytes = ((b131 * 256 + b130) * 256 + b129) * 256 + b128
+	local application_id = ((b135 * 256 + b134) * 256 + b133) * 256 + b132
+	local description = D.text(s, p + 48, p + 127)
+	return entry_type, reset_type, reset_subtype, boot_source, processor_resets, max_processor_resets, seconds, subseconds, context_bytes, application_id, description
 end
 
 function D.read.racs2_topic(s, p)

@@ -17,6 +17,7 @@ ROWS: Final = {
     "frames": "edoras_tools.links.frames:FRAMES",
     "fprime": "edoras_tools.links.fprime:FPRIME",
     "file": "edoras_tools.links.stored:STORED",
+    "reset": "edoras_tools.links.resets:RESETS",
     "racs2": "edoras_tools.links.racs2:RACS2",
 }
 """The built-in links and where each object is; other packages add theirs by entry points."""

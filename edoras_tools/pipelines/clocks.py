@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.evidence.clocks.alignment import align
+from edoras_tools.cfs.time_services import EPOCH_S, START_S
+from edoras_tools.diagnosis.evidence.clocks.alignment import align, boot_offsets
+from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import follow_streams, merge_sources, recorded_faults
-from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.formats.open import is_cfe_file, open_file
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -20,7 +23,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
     from edoras_tools.io import Source
     from edoras_tools.links.framing import Framing
     from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
@@ -147,6 +149,7 @@ def open_aligned(
         CaptureError: one cannot be read.
         ConfigError: a mission file has mistakes.
     """
+    paths = sorted(paths, key=lambda path: is_cfe_file(path) + _holds_resets(path))  # to captures' clocks
     tables = [_recorded(path, settings, progress) for path in paths]
     sources: list[Source] = [open_file(paths[0])]
     alone: list[Source] = []
@@ -155,6 +158,11 @@ def open_aligned(
     for at, (path, table) in enumerate(zip(paths[1:], tables[1:], strict=True), 1):
         if progress is not None:
             progress.step("aligning clocks", at, len(paths))
+        if _holds_resets(path):
+            source, note = _placed(path, paths, tables, set_back)
+            sources.append(source)
+            notes.append(note)
+            continue
         to, found = next(
             ((other, told) for other in set_back if (told := align(tables[other], table)) is not None),
             (0, None),
@@ -174,6 +182,44 @@ def open_aligned(
         some = f"; {len(found.shared):,} datagrams are in both, counted once" if len(found.shared) else ""
         notes.append(f"{path}: its clock is ahead of that of {paths[to]} by {found}{some}")
     return OneByOne([merge_sources(sources), *alone]) if alone else merge_sources(sources), notes
+
+
+def _holds_resets(path: Path) -> bool:
+    if not is_cfe_file(path):
+        return False
+    source = open_file(path)
+    source.close()
+    return getattr(source, "holds_resets", False)
+
+
+def _placed(
+    path: Path, paths: Sequence[Path], tables: Sequence[Recorder], set_back: dict[int, list[ClockLine]]
+) -> tuple[Source, str]:
+    """Put a reset log on the clock of the first capture that has one boot of its cFS; say how."""
+    source = open_file(path)
+    header = source.header  # type: ignore[attr-defined]  # of a file of cFE
+    name = f"{header['spacecraft_id']}:{header['processor_id']}"
+    most = 0
+    for to, lines in set_back.items():
+        offsets = boot_offsets(tables[to], name)
+        most = max(most, len(offsets))
+        if len(offsets) == 1:
+            line = ClockLine(0, EPOCH_S * SECOND - offsets[0])
+            by = f"the mission time of cFS {name}, to within half a second"
+            note = (
+                f"{path}: its entries are put on the clock of {paths[to]} by {by}; those made while cFE "
+                f"started, before that time began, at {START_S} s of it"
+            )
+            return Aligned(source, [line, *lines], np.zeros(0, np.int64)), note
+    why = (
+        f"its cFS {name} was started {most} times there, and mission time begins anew each time"
+        if most
+        else f"no packet of its cFS {name} with a time is there"
+    )
+    return (
+        source,
+        f"{path}: its entries keep their mission times: {why}; 'edoras info {path}' shows them alone",
+    )
 
 
 def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Recorder:

@@ -11,6 +11,8 @@ from typing import Final
 from edoras_tools.wire.layout import Field, Layout
 
 RESET_LOG, SYSTEM_LOG, PERFORMANCE_LOG, TABLE_IMAGE, EVENT_LOG, STORED_PACKETS = 1, 2, 4, 8, 16, 10_000
+RESET_COMMAND, EXCEPTION = 5, 6
+"""Reset subtypes of entries that are made while cFE runs; the others are made when it starts."""
 FILE_HEADER: Final = Layout(
     "cfe_file",
     "cFE File Header",
@@ -58,6 +60,8 @@ STORAGE_HEADER: Final = Layout(
 """Behind the header of a file of stored packets."""
 OF_PACKETS: Final = {EVENT_LOG: FILE_HEADER.size, STORED_PACKETS: FILE_HEADER.size + STORAGE_HEADER.size}
 """Subtypes of files of packets, and where the first packet is."""
+ON_TIME_LINE: Final = frozenset({*OF_PACKETS, RESET_LOG})
+"""Subtypes of files whose packets or entries have times."""
 TABLE_HEADER: Final = Layout(
     "cfe_table",
     "cFE Table Header",
@@ -82,7 +86,22 @@ RESET_ENTRY: Final = Layout(
     "cFE Exception or Reset",
     Field("entry_type", 32, "who made it", names={1: "core", 2: "application"}),
     Field("reset_type", 32, "kind of reset", names={1: "processor", 2: "power on"}),
-    Field("reset_subtype", 32, "what caused it"),
+    Field(
+        "reset_subtype",
+        32,
+        "what caused it",
+        names={
+            1: "power cycle",
+            2: "push button",
+            3: "hardware special command",
+            4: "watchdog",
+            RESET_COMMAND: "reset command",
+            EXCEPTION: "exception",
+            7: "undefined",
+            8: "hardware debugging",
+            9: "bank switch",
+        },
+    ),
     Field("boot_source", 32, "where it booted from"),
     Field("processor_resets", 32, "since the last power-on"),
     Field("max_processor_resets", 32, "before a power-on reset is made"),

@@ -19,6 +19,7 @@ from edoras_tools.wire import cfe, cfe_file
 
 FILES = ROOT / "samples/cfs_files"
 EVENTS, STORED, RUN = FILES / "events.log", FILES / "stored_events.dat", FILES / "run.pcap"
+RESETS = FILES / "resets.log"
 MARKERS = FILES / "performance.dat"
 HEADER = {
     "content_type": int.from_bytes(CFE_MAGIC, "big"),
@@ -102,9 +103,50 @@ def test_events_of_a_log_are_exported(call, tmp_path):
     assert rows[-1]["msg"] == "TO telemetry output enabled for IP 127.0.0.1"
 
 
+def test_resets_are_on_the_time_line_of_a_capture_and_of_an_event_log(call):
+    """The entry was made while cFE started: no event of that boot is older, and the first is soon after."""
+    for beside in ([RUN, EVENTS], [EVENTS]):
+        done = call("sniff", RESETS, *beside, "--json", "-n", "2")
+        first, second = map(json.loads, done.out.splitlines())
+        assert (first["link"], second["link"]) == ("reset", "file")
+        assert first["layers"]["cfe_reset"]["description"].startswith("POWER ON RESET due to Power Cycle")
+        assert second["layers"]["cfe_event"]["message"].startswith("cFE ES Initialized")
+        assert 0 <= second["time_ns"] - first["time_ns"] < 600_000_000
+        assert "its entries are put on the clock of" in done.err[-1]
+
+
+def test_resets_of_another_cfs_or_of_one_that_was_started_twice_are_put_on_no_clock(call, tmp_path):
+    other = tmp_path / "resets.log"
+    data = bytearray(RESETS.read_bytes())
+    data[19] = 9  # the processor
+    other.write_bytes(data)
+    done = call("sniff", RUN, other, "--link", "reset", "--time", "utc")
+    assert "no packet of its cFS 66:9 with a time is there" in done.err[0]
+    assert "1980-01-12" in done.out
+    data[19] = 2
+    other.write_bytes(data)
+    done = call("sniff", ROOT / "samples/captures/d3_cpu1_cpu2.pcap.gz", other, "--link", "reset")
+    assert "its cFS 66:2 was started 2 times there" in done.err[0]
+
+
+def test_resets_are_exported_and_recorded_as_events(call, tmp_path):
+    path, recording = tmp_path / "events.jsonl", tmp_path / "run.mcap"
+    assert call("export", RESETS, EVENTS, RUN, "--topic", "/edoras/events", "-o", path).code == 0
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    assert (rows[0]["name"], rows[0]["level"]) == ("CFE_ES", 30)
+    assert rows[0]["msg"] == "POWER ON RESET due to Power Cycle (Power Cycle)"
+    assert [row["time"] for row in rows] == sorted(row["time"] for row in rows)
+    assert rows[0]["time"] < rows[1]["time"] < rows[-1]["time"]
+    assert rows[0]["time"][:10] == rows[-1]["time"][:10] == "2026-11-23"
+    assert call("record", RUN, RESETS, "-o", recording).code == 0
+    again = call("sniff", recording, "--json", "-n", "1").out
+    assert json.loads(again)["layers"]["cfe_reset"]["seconds"] == 1149
+
+
 @pytest.mark.parametrize(
     ("data", "what"),
     [
+        (header(cfe_file.RESET_LOG) + bytes(391), "ends inside entry 1 at byte 64"),
         (b"cFE1", "ends inside the cFE file header, at byte 4 of 64"),
         (header(cfe_file.EVENT_LOG)[:63], "ends inside the cFE file header, at byte 63 of 64"),
         (header(cfe_file.STORED_PACKETS) + bytes(75), "inside Data Storage's header, at byte 139 of 140"),

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from edoras_tools.cfs.executive_services import NAME
 from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record
+from edoras_tools.links.resets import RESETS
 from edoras_tools.links.table import among
-from edoras_tools.wire import cfe
+from edoras_tools.wire import cfe, cfe_file
 from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at
 
 if TYPE_CHECKING:
@@ -37,6 +39,8 @@ def _payload(layout: Layout, **cut: int) -> np.dtype[np.void]:
 
 _EVENT = _payload(cfe.EVENT, message=120)
 """An event, without the last 2 of 122 bytes of text, which some builds do not have."""
+_RESET = _payload(cfe_file.RESET_ENTRY, description=80)
+"""An entry of a reset log, up to its text."""
 _HOUSEKEEPING = _payload(cfe.SOFTWARE_BUS_HOUSEKEEPING)
 _COUNTERS = [
     slot.field.name
@@ -122,6 +126,33 @@ def event_messages(
     stamp(heads, published[rows])
     kinds = payload["event_type"]
     heads["level"] = _LEVELS[np.where(kinds < len(_LEVELS), kinds, 0)]
+    return Messages(rows, channel_id, log_time, heads.itemsize, heads.__getitem__, data, offset, length)
+
+
+def reset_messages(batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
+    """Return one ``rcl_interfaces/msg/Log`` for every entry of an exception and reset log.
+
+    ``name`` is ``CFE_ES``, ``msg`` the description, ``function`` ``0/0`` and ``line`` 0: an entry names no
+    sender and no event. How bad it is it does not say either, so the level is WARN.
+
+    Args:
+        batch: the datagrams.
+        columns: of the same rows.
+        channel_id: MCAP channel.
+    """
+    rows = np.flatnonzero(columns.link == RESETS)
+    entries = read_at(batch.data, batch.offset[rows], _RESET)
+    payload = np.zeros(len(rows), dtype=_EVENT)
+    payload["app_name"][:, : len(NAME)] = np.frombuffer(NAME.encode(), np.uint8)
+    width = min(payload["message"].shape[1], entries["description"].shape[1])
+    payload["message"][:, :width] = entries["description"][:, :width]
+    heads = np.zeros(len(rows), dtype=_LOG)
+    data, offset, length = _log_strings(payload, heads.itemsize)
+    log_time = batch.time_ns[rows]
+    fill_record(heads, channel_id, length, 0, log_time, log_time)
+    heads["encapsulation"] = CDR_LE_WORD
+    stamp(heads, log_time)
+    heads["level"] = _LEVELS[0]
     return Messages(rows, channel_id, log_time, heads.itemsize, heads.__getitem__, data, offset, length)
 
 

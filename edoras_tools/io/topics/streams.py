@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.io.topics.carried.fprime import log_messages
-from edoras_tools.io.topics.cfe import event_messages, outage_messages, software_bus_messages
+from edoras_tools.io.topics.cfe import (
+    event_messages,
+    outage_messages,
+    reset_messages,
+    software_bus_messages,
+)
 from edoras_tools.io.topics.clock import MissionClock
 from edoras_tools.io.topics.datagrams import DatagramWriter, ros_messages, without_trailing
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, FAULTS_TYPE
@@ -21,6 +26,7 @@ from edoras_tools.io.topics.structs import struct_messages
 from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
 from edoras_tools.links.cfdp import CFDP
 from edoras_tools.links.racs2 import RACS2
+from edoras_tools.links.resets import RESETS
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
@@ -250,6 +256,8 @@ class Streams:
             event_messages(batch, columns, self._events, published),
             software_bus_messages(batch, columns, self._software_bus, published),
         ]
+        if (columns.link == RESETS).any():
+            streams.append(reset_messages(batch, columns, self._events))
         if self.structs.dictionary is not None:
             streams.append(log_messages(batch, columns, self.structs, self._types, self._events))
         if self._add:

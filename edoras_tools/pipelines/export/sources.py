@@ -15,13 +15,14 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError, EdorasError, NoDatagramsError
 from edoras_tools.io.formats.merge import recorded_faults
-from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.formats.open import is_cfe_file, open_file
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.rows import RECORD_BYTES, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, Streams
 from edoras_tools.pipelines.ahead import read_ahead
+from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.block import TopicBlock
 from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_blocks
@@ -339,7 +340,11 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
             f"{paths[bags.index(True)]} contains topics and {paths[bags.index(False)]} datagrams; "
             "read them separately"
         )
-    source = open_files(paths)
+    notes: list[str] = []
+    if len(paths) > 1 and any(map(is_cfe_file, paths)) and "-" not in map(str, paths):
+        source, notes = open_aligned(paths, settings)
+    else:
+        source = open_files(paths)
 
     def judge(wanted: Collection[str], progress: Progress | None) -> Iterator[TopicBlock]:
         return judged_blocks(wanted, paths, settings, scope or Scope(), progress)
@@ -363,6 +368,7 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
     again = all(path.is_file() or path.is_dir() for path in paths)
     try:
         bench = settings.workbench(source.info)
+        bench.columns.context.notes += notes
         return CaptureTopics(source, bench, scope, *((judge, seek) if again else ()))
     except EdorasError:
         source.close()

@@ -157,6 +157,16 @@ def align(first: Recorder, second: Recorder) -> Alignment | None:
     return told.since(int(second.rows().time_ns.min())) if told else None
 
 
+def boot_offsets(recorder: Recorder, name: str) -> list[int]:
+    """Return capture time minus mission time, in ns, of each boot of a cFS in a capture.
+
+    Args:
+        recorder: the capture.
+        name: of the cFS, as ``66:1``; a boot whose name nothing says may be its own.
+    """
+    return [item.offset_ns for item in _side(recorder).instances.items if item.name in {name, ""}]
+
+
 def align_ways(
     first_ns: NDArray[np.int64], second_ns: NDArray[np.int64], back: NDArray[np.bool_]
 ) -> Alignment | None:

@@ -1,7 +1,11 @@
-"""Packets in files of cFE: its event log, and those that Data Storage wrote.
+"""What has a time in files of cFE: packets of its event log and of Data Storage, entries of its reset log.
 
-Each becomes a datagram without addresses; its time is the packet's
-mission time, a command's that of the packet before it. Read with a capture, they are aligned to its clock.
+Each becomes a datagram without addresses; its time is its mission time, a command's that of the packet before
+it. Read with a capture, they are aligned to its clock.
+
+An entry that cFE makes while it starts has no mission time, because that has not begun: its stamp is the
+processor's own clock. The first such entry of a power-on gets the time at which mission time begins, others
+that of the entry before them.
 """
 
 from __future__ import annotations
@@ -10,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs.time_services import EPOCH_S
+from edoras_tools.cfs.time_services import EPOCH_S, START_S
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.frames.build import FramePage, ends_of
@@ -18,9 +22,9 @@ from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.links.stored import STORED
 from edoras_tools.model import Endpoint, SourceInfo
 from edoras_tools.units import SECOND
-from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire import ccsds, cfe, cfe_file
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.cfe_file import FILE_HEADER, OF_PACKETS, kind_of
+from edoras_tools.wire.cfe_file import FILE_HEADER, ON_TIME_LINE, RESET_ENTRY, kind_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,7 +38,12 @@ _ENDS: Final = ends_of(Endpoint("0.0.0.0", 0), Endpoint("0.0.0.0", STORED.transp
 
 
 class CfePacketSource(RecordSource):
-    """The packets of an event log, or of a file of Data Storage."""
+    """The packets of an event log, or of a file of Data Storage; the entries of a reset log.
+
+    Attributes:
+        header: the fields of ``FILE_HEADER``.
+        holds_resets: whether it is a reset log.
+    """
 
     unit = "packet"
 
@@ -58,11 +67,14 @@ class CfePacketSource(RecordSource):
         self.header = FILE_HEADER.parse(window.data[: FILE_HEADER.size].tobytes())
         subtype = self.header["subtype"]
         what = kind_of(subtype)
-        if subtype not in OF_PACKETS:
+        if subtype not in ON_TIME_LINE:
             raise CaptureError(
                 f"{name}: is a cFE {what}, which has no packets; 'edoras info {name}' shows what is in it"
             )
-        self._at = OF_PACKETS[subtype]
+        self.holds_resets = subtype == cfe_file.RESET_LOG
+        if self.holds_resets:
+            self.unit = "entry"
+        self._at = cfe_file.OF_PACKETS.get(subtype, FILE_HEADER.size)
         self._info = SourceInfo(name, f"cFE {what}")
         self._time_ns = self._made_ns = (EPOCH_S + self.header["seconds"]) * SECOND
         self._clock_at = 0
@@ -81,6 +93,9 @@ class CfePacketSource(RecordSource):
     def _frames(self) -> Iterator[FrameBatch]:
         window = self._window
         data, start, end = window.data, self._at, window.end
+        if self.holds_resets:
+            yield from self._entries(data, start, end)
+            return
 
         def successor(positions: NDArray[np.int64]) -> NDArray[np.int64]:
             header = gather(data, positions, ccsds.PRIMARY.size)
@@ -97,6 +112,20 @@ class CfePacketSource(RecordSource):
             length = np.diff(np.append(positions, self._at))
             page.add(data, positions, length, self._times(data, positions), _ENDS)
             yield page.frames(self.statistics.frames + 1)
+
+    def _entries(self, data: NDArray[np.uint8], start: int, end: int) -> Iterator[FrameBatch]:
+        """Yield the used entries of a reset log, oldest first."""
+        positions = np.arange(start, end - RESET_ENTRY.size + 1, RESET_ENTRY.size)
+        self._at = start + len(positions) * RESET_ENTRY.size
+        rows = gather(data, positions, RESET_ENTRY.size)
+        used = np.flatnonzero(RESET_ENTRY.column("entry_type", rows) > 0)
+        if not len(used):
+            return
+        time_ns, order = reset_times(rows[used])
+        positions, length = positions[used][order], np.full(len(used), RESET_ENTRY.size)
+        page = FramePage(len(used), end - start)
+        page.add(data, positions, length, time_ns[order], _ENDS)
+        yield page.frames(self.statistics.frames + 1)
 
     def _times(self, data: NDArray[np.uint8], positions: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the mission time of each packet as ns since 1970: i64 (n,)."""
@@ -123,3 +152,31 @@ class CfePacketSource(RecordSource):
         ]
         away = [np.abs(item - self.header["seconds"]).min() for item in seconds]
         return usual if away[0] <= away[1] else usual + cfe.EXTENDED.size
+
+
+def reset_times(rows: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """Return when each entry of a reset log was made, and the order in which they were.
+
+    The log is a ring: where the mission times of its entries fall, its oldest entry follows.
+
+    Args:
+        rows: (n, ``RESET_ENTRY.size``), in the file's order.
+
+    Returns:
+        Mission time as ns since 1970, i64 (n,); places of the entries, the oldest first.
+    """
+    core, power_on, subtype, seconds, subseconds = (
+        RESET_ENTRY.column(name, rows).astype(np.int64)
+        for name in ("entry_type", "reset_type", "reset_subtype", "seconds", "subseconds")
+    )
+    stamped = (core != 1) | np.isin(subtype, (cfe_file.RESET_COMMAND, cfe_file.EXCEPTION))
+    begin = START_S * SECOND
+    made = seconds * SECOND + (subseconds * SECOND >> 32)
+    made = np.where(stamped, made, np.where(power_on == 2, begin, -1))
+    known = np.flatnonzero(made >= 0)
+    falls = known[1:][np.diff(made[known]) < 0]
+    order = np.roll(np.arange(len(rows)), -int(falls[0]) if len(falls) else 0)
+    latest = np.maximum.accumulate(made[order])
+    time_ns = np.empty(len(rows), np.int64)
+    time_ns[order] = EPOCH_S * SECOND + np.where(latest < 0, begin, latest)
+    return time_ns, order
