@@ -131,6 +131,7 @@ function overlay(svg, width, height) {
 }
 
 function draw() {
+  if (axis.clientWidth <= LEFT + RIGHT) return; // not laid out yet; the observer calls again
   panels.forEach(drawPanel);
   for (const { svg, marks } of strips) {
     const width = svg.clientWidth, height = svg.clientHeight;
@@ -198,6 +199,7 @@ for (const svg of all) {
     const box = svg.getBoundingClientRect(), share = (event.clientX - box.left - LEFT) / across(box.width);
     return view[0] + Math.max(0, Math.min(1, share)) * (view[1] - view[0]);
   };
+  svg.onmousedown = (event) => event.preventDefault(); // no text is selected: the browser would drag it away next time
   svg.onpointermove = (event) => { at = time(event); point(); };
   svg.onpointerleave = () => { if (dragged === null) { at = null; point(); } };
   svg.onpointerdown = (event) => { dragged = at = time(event); svg.setPointerCapture(event.pointerId); };
