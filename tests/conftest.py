@@ -20,7 +20,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "edoras"))
 gc.set_threshold(200_000)
 
 # What whoever runs the tests has set for their own terminal is not what the tests speak of.
-for name in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "ROS_DISTRO"):
+for name in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "COLORFGBG", "ROS_DISTRO"):
     os.environ.pop(name, None)
 
 LIMIT_S = 600

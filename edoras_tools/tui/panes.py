@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final
@@ -164,11 +165,11 @@ class Panes(App[None]):
         yield Footer(show_command_palette=False, compact=True)
 
     def on_mount(self) -> None:
-        """Register both themes and choose the dark one."""
+        """Register both themes and choose that of the terminal, as far as it tells; else the dark one."""
         for theme in (themes.DARK, themes.LIGHT):
             self.register_theme(theme)
         self.ansi_theme_dark, self.ansi_theme_light = themes.DARK_SIXTEEN, themes.LIGHT_SIXTEEN
-        self.theme = themes.DARK.name
+        self.theme = themes.of_terminal(os.environ.get("COLORFGBG", "")).name
         self.packets.focus()
         self.set_interval(_EVERY_S, self._refresh_figures)
 

@@ -277,7 +277,7 @@ class _Line(Input):
     """
 
     BINDINGS: ClassVar[list[Any]] = [
-        Binding("enter", "submit", "Apply"),
+        Binding("enter", "submit", "OK"),
         Binding("tab", "complete", "Complete"),
         Binding("down", "choose(1)", "Next", show=False),
         Binding("up", "choose(-1)", "Previous", show=False),

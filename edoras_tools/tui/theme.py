@@ -45,6 +45,19 @@ LIGHT: Final = Theme(
     panel="#e6e8ea",
     dark=False,
 )
+
+
+def of_terminal(colours: str) -> Theme:
+    """Return the theme that goes with a terminal.
+
+    Args:
+        colours: of its text and its ground, the numbers of two of the sixteen, as in ``COLORFGBG``, which
+            rxvt, Konsole and others set: ``0;15``, ``15;default;0``.
+    """
+    return LIGHT if colours.rpartition(";")[2] in _LIGHT_GROUNDS else DARK
+
+
+_LIGHT_GROUNDS: Final = ("7", *map(str, range(9, 16)))
 DARK_SIXTEEN: Final = _sixteen(
     *("10141a", "d5dbe3"),
     *("1d242e", "e0616b", "7fc38a", "d9b25f", "6aa5e8", "c792d9", "5fc3cf", "c3cbd5"),

@@ -596,6 +596,27 @@ def test_panes_grow_and_shrink(drive):
     drive(script)
 
 
+@pytest.mark.parametrize(
+    ("colours", "theme"),
+    [
+        ("", "dark"),
+        ("15;0", "dark"),
+        ("0;15", "light"),
+        ("0;default;7", "light"),
+        ("7;8", "dark"),
+        ("x", "dark"),
+    ],
+)
+def test_the_theme_is_that_of_the_terminal(drive, monkeypatch, colours, theme):
+    monkeypatch.setenv("COLORFGBG", colours)
+
+    async def script(hands):
+        await hands.settle()
+        assert hands.app.theme == f"edoras-{theme}"
+
+    drive(script)
+
+
 def test_help_comes_and_goes(drive):
     async def script(hands):
         await hands.press("question_mark")

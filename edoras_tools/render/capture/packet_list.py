@@ -146,7 +146,7 @@ class PacketList:
     def _cell(self, text: str, place: int) -> str:
         """Return the text of an added column."""
         _, right, cells = self._added[place]
-        return fit_right(text, cells) if right else fit(text, cells)
+        return fit_right(_rounded(text, cells), cells) if right else fit(text, cells)
 
     def line(self, packet: PacketLine, previous_ns: int | None = None, values: Sequence[str] = ()) -> str:
         """Return a packet's line, without a line end.
@@ -276,3 +276,15 @@ def _endpoints(source: Endpoint, destination: Endpoint, width: int) -> str:
     half = (width - 1) // 2
     left, right = clip_left(clean(str(source)), half), clip_left(clean(str(destination)), half)
     return fit(f"{left}→{right}", width)
+
+
+def _rounded(text: str, room: int) -> str:
+    """Return a number with as many digits as there is room for; any other text as it is."""
+    if len(text) <= room:
+        return text
+    try:
+        value = float(text)
+    except ValueError:
+        return text
+    rounded = (f"{value:.{digits}g}" for digits in range(room, 0, -1))
+    return next((item for item in rounded if len(item) <= room), text)

@@ -50,6 +50,23 @@ def test_columns_are_left_out_and_added(packets, width, shown):
             assert line[header.index("name")] == "x"
 
 
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        ("0.5049979167", "0.504998"),
+        ("-0.0123456789", "-0.01235"),
+        ("1795241927192459", "1.8e+15"),
+        ("12345678", "12345678"),
+        ("0x0827 0x0828", "0x0827…"),
+        ("-1.23456e-300", "-1e-300"),
+    ],
+)
+def test_a_number_is_rounded_where_a_text_is_cut(packets, value, shown):
+    view = PacketList(120, colour=False, shown=(), added=[("speed", True)])
+    line = view.line(line_of(next(iter(packets.values()))), values=[value])
+    assert line.split()[1] == shown
+
+
 def test_columns_stand_under_their_names(packets):
     header, *lines = listing(packets, 120)
     assert {line[header.index("Packet")] for line in lines[:-1]} <= set("CTSU")
