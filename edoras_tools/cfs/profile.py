@@ -91,6 +91,7 @@ class SimProfile:
         app_msg_limit: messages of one MsgId that may wait in it.
         sbn_port: UDP port of the Software Bus Network.
         sbn_peers: who it may talk to.
+        sbn_table: what an image of SBN's table names, this cFS too; nothing where none was given.
         sbn_heartbeat_s: whole seconds without sending, after which it sends a heartbeat.
         sbn_timeout_s: whole seconds of silence, after which a peer is disconnected.
         sbn_announce_s: whole seconds between announcements to a peer that is not connected.
@@ -156,6 +157,7 @@ class SimProfile:
         SbnPeerConfig(Peer(0x42, 2), 2235),
         SbnPeerConfig(FLIGHT_BRIDGE, 2236),
     )
+    sbn_table: tuple[SbnPeerConfig, ...] = ()
     sbn_heartbeat_s: int = sbn.HEARTBEAT_S
     sbn_timeout_s: int = sbn.TIMEOUT_S
     sbn_announce_s: int = sbn.ANNOUNCE_S

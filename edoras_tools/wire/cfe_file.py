@@ -81,6 +81,55 @@ TO_SUBSCRIPTION: Final = Layout(
     byte_order="little",
 )
 """An entry of Telemetry Output's table."""
+SBN_MODULES, SBN_PEERS = 8, 16
+"""Entries of SBN's table, used or not, as SBN is configured unless a mission says otherwise."""
+SBN_FILTERS: Final = 8
+"""Names of filters of a peer."""
+SBN_NAME_BYTES: Final = 16
+SBN_MODULE: Final = Layout(
+    "sbn_module",
+    "SBN Module",
+    Field("name", 8 * SBN_NAME_BYTES, "that peers name", kind="text"),
+    Field("library", 512, "the file it is loaded from", kind="text"),
+    Field("symbol", 160, "where it begins", kind="text"),
+    Field("base_event_id", 16, "of its events"),
+    byte_order="little",
+)
+"""A protocol or a filter in SBN's table."""
+SBN_PEER: Final = Layout(
+    "sbn_peer",
+    "SBN Peer",
+    Field("processor_id", 32, "ProcessorID of the peer"),
+    Field("spacecraft_id", 32, "SpacecraftID of the peer"),
+    Field("net", 8, "peers of one net have one protocol"),
+    Field("protocol", 8 * SBN_NAME_BYTES, "name of a module", kind="text"),
+    *(
+        Field(f"filter_{place}", 8 * SBN_NAME_BYTES, "name of a module", kind="text")
+        for place in range(SBN_FILTERS)
+    ),
+    Field("address", 384, "as the module understands it: HOST:PORT", kind="text"),
+    Field("spare", 24, "alignment", kind="bytes"),
+    Field(
+        "task_flags",
+        32,
+        "tasks of its own",
+        names={0: "none", 1: "to send", 2: "to receive", 3: "to send and receive"},
+    ),
+    byte_order="little",
+)
+"""A peer in SBN's table; the cFS itself is one of them."""
+SBN_COUNT: Final = Layout(
+    "sbn_count", "SBN Count", Field("modules", 8, "in use"), Field("spare", 8, "alignment")
+)
+"""Behind the protocols, and behind the filters."""
+SBN_PEER_COUNT: Final = Layout(
+    "sbn_peer_count",
+    "SBN Peer Count",
+    Field("peers", 16, "in use"),
+    Field("spare", 16, "alignment"),
+    byte_order="little",
+)
+"""Behind the peers."""
 RESET_ENTRY: Final = Layout(
     "cfe_reset",
     "cFE Exception or Reset",

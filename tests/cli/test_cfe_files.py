@@ -1,7 +1,10 @@
 """Files of a real cFS, beside the capture of its run: event log, stored packets, resets, markers, a table."""
 
 import json
+import re
+import shutil
 import struct
+import subprocess
 
 import pytest
 from captures import read
@@ -11,10 +14,12 @@ from places import MISSIONS, ROOT
 from rewriting import datagrams
 from schema import check, published
 
+from edoras_tools.cfs.profile import SbnPeerConfig
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.cfe import CFE_MAGIC
-from edoras_tools.io.formats.cfe.contents import message_limits, read_cfe_file
+from edoras_tools.io.formats.cfe.contents import message_limits, network_peers, read_cfe_file
 from edoras_tools.io.formats.open import is_cfe_file, open_file
+from edoras_tools.model import Peer
 from edoras_tools.wire import cfe, cfe_file
 
 FILES = ROOT / "samples/cfs_files"
@@ -264,6 +269,118 @@ def test_a_table_sets_the_limits_of_a_prediction(call, tmp_path):
         assert str(wrong) in done.err[0]
 
 
+NETWORK = """
+#include <stdint.h>
+#include <stdio.h>
+typedef enum { POLL = 0, SEND = 1, RECEIVE = 2, BOTH = 3 } tasks;
+typedef struct { char name[16], file[64], symbol[20]; uint16_t base; } module;
+typedef struct {
+    uint32_t processor, spacecraft; uint8_t net; char protocol[16], filters[8][16]; uint8_t address[48];
+    tasks own;
+} peer;
+typedef struct {
+    module protocols[8]; uint8_t protocol_count; module filters[8]; uint8_t filter_count;
+    peer peers[16]; uint16_t peer_count;
+} table;
+static const table made = {
+    {{"UDP", "/cf/sbn_udp.so", "SBN_UDP_Ops", 256}}, 1,
+    {{"Remap", "/cf/sbn_f_remap.so", "SBN_F_Remap", 4096}}, 1,
+    {{1, 0x42, 0, "UDP", {"Remap"}, "127.0.0.1:2234", BOTH},
+     {2, 0x42, 0, "UDP", {"Remap", "Swap"}, "127.0.0.1:2235"},
+     {3, 0x42, 1, "UDP", {""}, "127.0.0.1:2236", SEND}}, 3};
+int main(void) { return fwrite(&made, sizeof made, 1, stdout) != 1; }
+"""
+"""SBN's table as its header declares it, for the compiler to lay out."""
+
+
+def network_table(image):
+    told = {"reserved": 0, "load_offset": 0, "load_bytes": len(image), "table_name": "SBN.SBN_ConfTbl"}
+    return cfe_file.TABLE_HEADER.emit(told) + image
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory):
+    """An image of SBN's table that a compiler laid out, as a file."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        pytest.skip("no C compiler: apt install gcc")
+    folder = tmp_path_factory.mktemp("network")
+    (folder / "table.c").write_text(NETWORK)
+    subprocess.run([compiler, "-o", folder / "table", folder / "table.c"], check=True)
+    image = subprocess.run([folder / "table"], capture_output=True, check=True).stdout
+    return file_of(folder / "sbn_conf_tbl.tbl", cfe_file.TABLE_IMAGE, network_table(image))
+
+
+def test_the_table_of_sbn_is_as_the_compiler_lays_it_out(call, network):
+    value, text = told(call, network)
+    assert (value["protocols"], value["filters"]) == ("UDP", "Remap")
+    assert [(item["spacecraft_id"], item["processor_id"], item["address"]) for item in value["entries"]] == [
+        (0x42, 1, "127.0.0.1:2234"),
+        (0x42, 2, "127.0.0.1:2235"),
+        (0x42, 3, "127.0.0.1:2236"),
+    ]
+    assert [item["net"] for item in value["entries"]] == [0, 0, 1]
+    assert [item["filters"] for item in value["entries"]] == ["Remap", "Remap, Swap", ""]
+    assert [item["tasks"] for item in value["entries"]] == [
+        "to send and receive (3)",
+        "none (0)",
+        "to send (1)",
+    ]
+    assert "127.0.0.1:2236" in text
+    assert network_peers(network)[2] == SbnPeerConfig(Peer(0x42, 3), 2236)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "trap"),
+    [
+        ("", "", ""),
+        (
+            "processor_id: 3",
+            "processor_id: 4",
+            "SBN's table has no peer 66:4: cFS refuses what the bridge sends",
+        ),
+        ("receive_port: 2236", "receive_port: 2237", "has 66:3 at 127.0.0.1:2236, and the bridge listens at"),
+    ],
+)
+def test_a_prediction_compares_a_flight_bridge_with_the_table_of_sbn(call, network, tmp_path, old, new, trap):
+    text = (MISSIONS / "two_rovers_flight.yaml").read_text()
+    assert old in text
+    (tmp_path / "flight.yaml").write_text(re.sub(f"(?<!peer_){old}", new, text) if old else text)
+    missions = ("-c", tmp_path / "flight.yaml", "-c", MISSIONS / "two_rovers_ground.yaml")
+    done = call("doctor", "--predict", "--set", f"sbn_table={network}", *missions, "--json")
+    for route in done.json()["routes"]:
+        told = [item for item in route["traps"] if "SBN's table" in item]
+        assert bool(told) == bool(trap and route["link"] == "sbn")
+        assert all(trap in item for item in told)
+
+
+def test_the_doctor_compares_who_speaks_with_the_table_of_sbn(call, network):
+    """In this capture are 66:1 and 66:2, nobody else."""
+    capture = ROOT / "samples/captures/d3_cpu1_cpu2.pcap.gz"
+    found = call("doctor", capture, "--set", f"sbn_table={network}", "--json").json()["verdicts"]
+    (verdict,) = (item for item in found if item["rule"] == "sbn_table")
+    assert verdict["severity"] == "note"
+    assert verdict["reason"].startswith(
+        "66:3, which the table that was given names at 127.0.0.1:2236, sends nothing"
+    )
+    plain = call("doctor", capture, "--json").json()["verdicts"]
+    assert [item for item in found if item is not verdict] == plain
+
+
+@pytest.mark.parametrize(
+    ("image", "what"),
+    [
+        (bytes(4964) + b"\x00\x03\0\0", "names 768 peers, and the table has room for 16"),
+        (bytes(100), "is not an image of SBN's table, of 4968 bytes"),
+    ],
+)
+def test_what_is_no_table_of_sbn_is_refused(call, tmp_path, image, what):
+    path = file_of(tmp_path / "x.tbl", cfe_file.TABLE_IMAGE, network_table(image))
+    done = call("doctor", RUN, "--set", f"sbn_table={path}")
+    assert (done.code, len(done.err)) == (1, 1)
+    assert what in done.err[0]
+
+
 def test_a_system_log_is_lines(call, tmp_path):
     path = file_of(tmp_path / "log", cfe_file.SYSTEM_LOG, b"one\ntwo \x1b[31m\n\0\0")
     value, text = told(call, path)
@@ -303,6 +420,17 @@ def test_any_other_bytes_are_read_or_refused(tmp_path_factory, subtype, rest):
     except CaptureError as caught:
         error = str(caught)
     assert not error or error.startswith(str(path))
+
+
+@given(st.randoms(use_true_random=False), st.integers(0, 17))
+def test_any_table_of_sbn_is_read_or_refused(tmp_path_factory, chance, count):
+    image = chance.randbytes(4964) + struct.pack("<HH", count, 0)
+    path = file_of(tmp_path_factory.mktemp("files") / "file", cfe_file.TABLE_IMAGE, network_table(image))
+    if count > 16:
+        with pytest.raises(CaptureError, match="names 17 peers"):
+            read_cfe_file(path)
+    else:
+        assert len(read_cfe_file(path).summary()["entries"]) == len(network_peers(path)) == count
 
 
 def test_a_trace_has_every_span_once(call, tmp_path):

@@ -15,6 +15,7 @@ from rewriting import Udp, datagrams, write
 from streams import ACK, CLIENT, SERVER, Segment, sbn_message, sbn_messages, segments_of, write_segments
 from transfer_frames import Maker, space_packet
 
+from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
 from edoras_tools.diagnosis.rules import RULES
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.emulator import messages
@@ -395,6 +396,12 @@ def unknown_peer(lab, tmp_path, msg_id):
 
 
 @case
+def sbn_table(lab, tmp_path, msg_id):
+    named = tuple(SbnPeerConfig(Peer(0x42, number), 2233 + number) for number in (1, 2, 3))
+    return lab.examine(lab.simulate("two-rovers")[0], profile=SimProfile(sbn_table=named))
+
+
+@case
 def to_not_enabled(lab, tmp_path, msg_id):
     return lab.examine(only(lab.simulate()[0], 1234))
 
@@ -552,6 +559,20 @@ def identity_from_two_addresses(lab, tmp_path, msg_id):
             [lab.at(second, Endpoint(host, 2236), Endpoint(FLIGHT, 2234), proto) for host, second in hosts]
         )
     )
+
+
+def test_whoever_speaks_and_is_not_in_the_table_of_sbn_is_named(lab):
+    sent = lab.simulate("two-rovers")[0]
+    whole = tuple(SbnPeerConfig(Peer(0x42, number), 2233 + number) for number in (1, 3))
+
+    def told(table):
+        found = lab.examine(sent, profile=SimProfile(sbn_table=table)).verdicts
+        return [(item.severity, item.reason.split()[0]) for item in found if item.rule == "sbn_table"]
+
+    assert told(()) == told(whole) == []
+    assert told(whole[:1]) == [(Severity.WARNING, "66:3")]
+    other = SbnPeerConfig(Peer(0x43, 3), 2240)
+    assert told((*whole, other)) == [(Severity.NOTE, "67:3,")]
 
 
 def test_a_station_that_repeats_itself_is_no_stranger(lab):

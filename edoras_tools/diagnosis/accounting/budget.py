@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS
+from edoras_tools.mission.model import FlightLink
+from edoras_tools.model import Peer
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 _HOUSEKEEPING_HZ: Final = 10
 """Housekeeping that shares Telemetry Output's pipe."""
+_ANY: Final = "0.0.0.0"  # noqa: S104  an address in a mission file
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +64,28 @@ def predict(
     mission: Mission, types: TypeStore, profile: SimProfile, headers: cfe.Headers = cfe.STANDARD
 ) -> list[Budget]:
     """Return the budget of every route of a mission, for a cFE with some headers."""
-    return [_budget(route, types, profile, headers) for route in mission.routes]
+    unlisted = {
+        route: _unlisted(bridge.link, profile)
+        for bridge in mission.bridges
+        if isinstance(bridge.link, FlightLink) and profile.sbn_table
+        for route in bridge.routes
+    }
+    budgets = [_budget(route, types, profile, headers) for route in mission.routes]
+    return [replace(item, traps=(*item.traps, *unlisted.get(item.route, ()))) for item in budgets]
+
+
+def _unlisted(link: FlightLink, profile: SimProfile) -> tuple[str, ...]:
+    """Return what SBN's table has not, or otherwise, of what a flight bridge says of itself."""
+    table = {item.peer: item for item in profile.sbn_table}
+    bridge = Peer(link.spacecraft_id, link.processor_id)
+    if bridge not in table:
+        return (f"SBN's table has no peer {bridge}: cFS refuses what the bridge sends",)
+    place = table[bridge]
+    told = (link.udp_receive_ip, link.udp_receive_port)
+    if place.port != told[1] or (told[0] != _ANY and place.address != told[0]):
+        where = f"{place.address}:{place.port}"
+        return (f"SBN's table has {bridge} at {where}, and the bridge listens at {told[0]}:{told[1]}",)
+    return ()
 
 
 def limit(link: Link, msg_id: int, profile: SimProfile, *, to_cfs: bool) -> tuple[float, str, str]:

@@ -12,7 +12,7 @@ from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.forked import Later
-from edoras_tools.io.formats.cfe.contents import message_limits
+from edoras_tools.io.formats.cfe.contents import message_limits, network_peers
 from edoras_tools.io.formats.merge import recorded_faults, recorded_host
 from edoras_tools.pipelines.clocks import OneByOne
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress, Watcher
 
-_TABLE: Final = "to_limits"
-"""The constant that is read from a file."""
+_TABLES: Final = {"to_limits": message_limits, "sbn_table": network_peers}
+"""The constants that are read from a file: an image of a table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +201,8 @@ def profile_with(constants: Sequence[str]) -> SimProfile:
     """Return the default constants of cFS with some of them replaced.
 
     Args:
-        constants: ``NAME=VALUE`` each, whole numbers; ``to_limits=FILE``: Telemetry Output's table image.
+        constants: ``NAME=VALUE`` each, whole numbers; ``to_limits=FILE`` and ``sbn_table=FILE``: images of
+            the tables of Telemetry Output and of SBN.
 
     Raises:
         ConfigError: there is no such constant, or it cannot have that value.
@@ -212,11 +213,13 @@ def profile_with(constants: Sequence[str]) -> SimProfile:
     changes: dict[str, Any] = {}
     for text in constants:
         name, _, value = text.partition("=")
-        if name == _TABLE:
-            changes[name] = message_limits(Path(value))
+        if name in _TABLES:
+            changes[name] = _TABLES[name](Path(value))
             continue
         if name not in known:
-            hint = did_you_mean(name, sorted({*known, _TABLE}), 1) or f"there are {', '.join(sorted(known))}"
+            hint = (
+                did_you_mean(name, sorted({*known, *_TABLES}), 1) or f"there are {', '.join(sorted(known))}"
+            )
             raise ConfigError(f"constant {name!r} is not known; {hint}")
         try:
             changes[name] = int(value, 0)

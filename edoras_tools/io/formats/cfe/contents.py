@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.cfs import sbn
 from edoras_tools.cfs.executive_services import MARKERS
+from edoras_tools.cfs.profile import SbnPeerConfig
 from edoras_tools.cfs.time_services import EPOCH_S
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.cfe import CFE_MAGIC
+from edoras_tools.model import Peer
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe_file
 from edoras_tools.wire.cfe_file import (
@@ -18,6 +21,13 @@ from edoras_tools.wire.cfe_file import (
     MARKER,
     PERFORMANCE,
     RESET_ENTRY,
+    SBN_COUNT,
+    SBN_FILTERS,
+    SBN_MODULE,
+    SBN_MODULES,
+    SBN_PEER,
+    SBN_PEER_COUNT,
+    SBN_PEERS,
     TABLE_HEADER,
     TO_SUBSCRIPTION,
 )
@@ -32,6 +42,9 @@ if TYPE_CHECKING:
 
 _SUBSCRIPTIONS: Final = ("TO_LAB.TO_LAB_Subs", "TO_LAB_APP.TO_LAB_Subs")
 """Names of Telemetry Output's table."""
+_SBN_BYTES: Final = (
+    2 * (SBN_MODULES * SBN_MODULE.size + SBN_COUNT.size) + SBN_PEERS * SBN_PEER.size + SBN_PEER_COUNT.size
+)
 _LARGEST: Final = 64 << 20
 
 
@@ -144,8 +157,11 @@ def read_cfe_file(path: Path) -> CfeFile | None:
         image = data[at + TABLE_HEADER.size :]
         if len(image) < head["load_bytes"]:
             raise CaptureError(f"{path}: ends after {len(image)} of the table's {head['load_bytes']} bytes")
-        known = head["table_name"] in _SUBSCRIPTIONS and not head["load_offset"]
-        return CfeFile(path, header, head, _subscriptions(image) if known else [])
+        if not head["load_offset"] and head["table_name"] in _SUBSCRIPTIONS:
+            return CfeFile(path, header, head, _subscriptions(image))
+        if (head["load_offset"], head["table_name"], head["load_bytes"]) == (0, sbn.TABLE, _SBN_BYTES):
+            return CfeFile(path, header, *_network(path, head, image))
+        return CfeFile(path, header, head)
     return CfeFile(path, header)
 
 
@@ -160,6 +176,29 @@ def message_limits(path: Path) -> dict[int, int]:
         what = "is not an image of Telemetry Output's table" if path.exists() else "there is no such file"
         raise CaptureError(f"{path}: {what}; name one of {_SUBSCRIPTIONS[0]}")
     return {int(item["msg_id"], 16): item["message_limit"] for item in table.entries}
+
+
+def network_peers(path: Path) -> tuple[SbnPeerConfig, ...]:
+    """Return the peers that an image of SBN's table names, cFS itself among them.
+
+    Raises:
+        CaptureError: it cannot be read, or is no image of that table in the usual size.
+    """
+    table = read_cfe_file(path) if path.exists() else None
+    if table is None or table.head.get("table_name") != sbn.TABLE or "protocols" not in table.head:
+        what = (
+            f"is not an image of SBN's table, of {_SBN_BYTES} bytes"
+            if path.exists()
+            else "there is no such file"
+        )
+        raise CaptureError(f"{path}: {what}; name one of {sbn.TABLE}")
+    found = []
+    for item in table.entries:
+        host, _, port = item["address"].rpartition(":")
+        known = port.isdecimal() and int(port) < 1 << 16
+        peer = Peer(item["spacecraft_id"], item["processor_id"])
+        found.append(SbnPeerConfig(peer, int(port) if known else 0, host if known else item["address"]))
+    return tuple(found)
 
 
 def _parsed(path: Path, layout: Layout, data: bytes, at: int) -> dict[str, Any]:
@@ -219,3 +258,37 @@ def _subscriptions(image: bytes) -> list[dict[str, Any]]:
     ]
     used = next((at for at, item in enumerate(entries) if not item["msg_id"]), len(entries))
     return [{**item, "msg_id": f"0x{item['msg_id']:04x}"} for item in entries[:used]]
+
+
+def _network(path: Path, head: dict[str, Any], image: bytes) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return the head of SBN's table with its modules, and its peers."""
+    at = 0
+    modules = []
+    for _ in range(2):
+        count = SBN_COUNT.parse(image, at + SBN_MODULES * SBN_MODULE.size)["modules"]
+        used = [
+            SBN_MODULE.parse(image, at + place * SBN_MODULE.size) for place in range(min(count, SBN_MODULES))
+        ]
+        modules.append([item["name"] for item in used])
+        at += SBN_MODULES * SBN_MODULE.size + SBN_COUNT.size
+    count = SBN_PEER_COUNT.parse(image, at + SBN_PEERS * SBN_PEER.size)["peers"]
+    if count > SBN_PEERS:
+        raise CaptureError(
+            f"{path}: names {count} peers, and the table has room for {SBN_PEERS}: "
+            "it is big-endian, or damaged"
+        )
+    peers = []
+    for place in range(count):
+        item = SBN_PEER.parse(image, at + place * SBN_PEER.size)
+        filters = (item[f"filter_{number}"] for number in range(SBN_FILTERS))
+        peers.append(
+            {
+                **{
+                    name: item[name]
+                    for name in ("spacecraft_id", "processor_id", "address", "protocol", "net")
+                },
+                "filters": ", ".join(filter(None, filters)),
+                "tasks": SBN_PEER.by_name["task_flags"].field.text(item["task_flags"]),
+            }
+        )
+    return {**head, "protocols": ", ".join(modules[0]), "filters": ", ".join(modules[1])}, peers
