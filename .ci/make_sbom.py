@@ -11,7 +11,7 @@ import os
 import re
 import sys
 import uuid
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
@@ -96,14 +96,14 @@ def bill() -> dict[str, Any]:
     own = {**parts.pop(PACKAGE), "type": "application"}
     references = {name: part["bom-ref"] for name, part in {**parts, PACKAGE: own}.items()}
     number = uuid.uuid5(uuid.NAMESPACE_URL, json.dumps([own, parts], sort_keys=True))
-    seconds = int(os.environ.get("SOURCE_DATE_EPOCH", datetime.now(UTC).timestamp()))
+    seconds = int(os.environ.get("SOURCE_DATE_EPOCH", datetime.now(timezone.utc).timestamp()))
     return {
         "bomFormat": "CycloneDX",
         "specVersion": "1.6",
         "serialNumber": number.urn,
         "version": 1,
         "metadata": {
-            "timestamp": datetime.fromtimestamp(seconds, UTC).isoformat().replace("+00:00", "Z"),
+            "timestamp": datetime.fromtimestamp(seconds, timezone.utc).isoformat().replace("+00:00", "Z"),
             "component": own,
         },
         "components": list(parts.values()),

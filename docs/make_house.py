@@ -9,11 +9,11 @@ import that a way over other arrows stands for is left out.
 from __future__ import annotations
 
 import ast
+import importlib
+import sys
 from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import escape
-
-import tomllib
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PACKAGE: Final = "edoras_tools"
@@ -38,7 +38,8 @@ path{fill:none;stroke:#4a6580;marker-end:url(#a)}
 
 def order() -> list[str]:
     """Return the folders, importers first, as the import contract lists them."""
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    toml = importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
+    settings = toml.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = settings["tool"]["importlinter"]["contracts"]
     rows = next(item["layers"] for item in contracts if item["type"] == "layers")
     return [name.strip().removeprefix(f"{PACKAGE}.") for row in rows for name in row.split("|")]

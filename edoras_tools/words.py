@@ -14,6 +14,19 @@ def plural(number: int, noun: str) -> str:
     return f"{number:,} {noun}" + ("" if number == 1 else "s")
 
 
+def seconds(value: float, digits: int = 1) -> str:
+    """Return a span of time, a long one in a larger unit too: ``5.0 s``, ``1478876100.4 s (46.9 years)``."""
+    units = (
+        (120, 60, "minutes"),
+        (7200, 3600, "hours"),
+        (172_800, 86_400, "days"),
+        (6.4e7, 3.15576e7, "years"),
+    )
+    text = f"{value:.{digits}f} s"
+    larger = [f"{value / size:.1f} {name}" for least, size, name in units if abs(value) >= least]
+    return f"{text} ({larger[-1]})" if larger else text
+
+
 def listed(items: list[str], most: int = 8) -> str:
     """Return the first of some items, and that there are more."""
     return ", ".join(items[:most]) + (", ..." if len(items) > most else "")

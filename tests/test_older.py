@@ -11,7 +11,7 @@ NEWER = {("enum", "StrEnum"), ("datetime", "UTC"), ("typing", "Self"), ("typing"
 """Names of Python 3.11. ``Self`` comes from ``typing_extensions``, where only types are checked."""
 FILES = sorted(
     path
-    for folder in ("edoras_tools", "dissectors", "samples")
+    for folder in ("edoras_tools", "dissectors", "samples", "tests", "docs", ".ci")
     for path in (ROOT / folder).rglob("*.py")
     if path.name != "older.py"
 )
@@ -23,6 +23,8 @@ def test_a_file_can_be_read_by_python_3_10(path):
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             assert not {(node.module, item.name) for item in node.names} & NEWER, node.lineno
+        if isinstance(node, ast.Import) and node in tree.body:
+            assert "tomllib" not in {item.name for item in node.names}, node.lineno
         if isinstance(node, ast.Attribute):
             assert ast.unparse(node) not in {"enum.StrEnum", "datetime.UTC", "typing.Self"}, node.lineno
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "int.from_bytes":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from edoras_tools.words import did_you_mean, listed, plural
+from edoras_tools.words import did_you_mean, listed, plural, seconds
 
 
 def test_plural():
@@ -11,6 +11,18 @@ def test_plural():
         "1 packet",
         "1,827 packets",
     ]
+
+
+def test_seconds():
+    assert [seconds(value) for value in (-0.06, 119.9, 120, 7200, 172_800, 1478876100.426)] == [
+        "-0.1 s",
+        "119.9 s",
+        "120.0 s (2.0 minutes)",
+        "7200.0 s (2.0 hours)",
+        "172800.0 s (2.0 days)",
+        "1478876100.4 s (46.9 years)",
+    ]
+    assert seconds(1478876100.426, 3) == "1478876100.426 s (46.9 years)"
 
 
 def test_listed():

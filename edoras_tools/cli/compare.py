@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import options
-from edoras_tools.cli.endings import LOST
+from edoras_tools.cli.endings import LOST, tell
 from edoras_tools.cli.output import print_json
 
 
@@ -51,5 +51,8 @@ def compare(
         from edoras_tools.render.terminal.console import output_console
 
         output_console().print(runs_view(found.good, found.bad, found.changes))
+    for run in (found.good, found.bad):
+        for warning in run.info["warnings"]:
+            tell(f"{run.info['source']}: {warning}")
     if found.worse:
         raise typer.Exit(LOST)

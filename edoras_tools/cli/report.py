@@ -62,6 +62,8 @@ def report(
             told = "nothing was examined"
         verdicts = plural(len(group_verdicts(findings.diagnosis.verdicts)), "verdict")
         sys.stderr.write(f"{path}: {told}, {verdicts}, {size / 1024:.0f} KiB\n")
+    for warning in findings.diagnosis.capture.warnings:
+        tell(warning)
     for item in findings.diagnosis.unnamed:
         tell(str(item))
     if findings.failure is not None:

@@ -363,6 +363,13 @@ class OutputFile:
             self.path = older
         self.close()
 
+    def remove(self) -> None:
+        """Close the file, and delete it, unless another one has its name now."""
+        if self._own and not self.fate():
+            with suppress(OSError):
+                self.path.unlink()
+        self.close()
+
     def close(self) -> None:
         """Close the file, and unlock it; closing twice does nothing. A file that is empty still is removed.
 

@@ -180,7 +180,7 @@ def open_aligned(
         set_back[at] = [found.line, *set_back[to]]
         sources.append(Aligned(open_file(path), set_back[at], found.shared))
         some = f"; {len(found.shared):,} datagrams are in both, counted once" if len(found.shared) else ""
-        notes.append(f"{path}: its clock is ahead of that of {paths[to]} by {found}{some}")
+        notes.append(f"{path}: its clock is {found.told(str(paths[to]))}{some}")
     return OneByOne([merge_sources(sources), *alone]) if alone else merge_sources(sources), notes
 
 

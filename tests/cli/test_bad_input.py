@@ -3,8 +3,10 @@
 import json
 import socket
 import struct
+from pathlib import Path
 
 import pytest
+from places import ROOT
 
 BRIDGE = """\
 bridge:
@@ -294,3 +296,29 @@ def test_the_shell_sees_the_same(edoras, place):
         done = edoras(*line.split(), cwd=place)
         assert (done.returncode, done.stdout) == (code, b"")
         assert all(item.startswith(b"edoras: ") for item in done.stderr.splitlines())
+
+
+MIXED = ("report", "doctor", "info", "record", "export", "plot", "check", "check --init", "compare")
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_mixed_clocks_are_told(name, call, tmp_path, monkeypatch, captures, missions, frames, write_pcap):
+    """A third of the capture has times since power-up: one line, by every command that looks at its times."""
+    monkeypatch.chdir(tmp_path)
+    there = frames(captures("a_rover"))
+    early = [(time_ns - there[0][0] + 5 * 10**9, *rest) for time_ns, *rest in there[: len(there) // 3]]
+    write_pcap("mixed.pcap", early + there[len(early) :])
+    more = {
+        "report": ["-o", "new.html"],
+        "record": ["-o", "new.mcap"],
+        "export": ["-o", "new.csv", "--topic", "/cmd_vel"],
+        "plot": ["/cmd_vel.linear.x", "-o", "new.svg"],
+        "check": [ROOT / "samples/expectations/rover.yaml"],
+        "compare": [captures("a_rover")],
+    }
+    result = call(*name.split(), "mixed.pcap", *more.get(name, ()), *missions("rover_ground"))
+    assert result.code in {0, 3}
+    told = [line for line in result.err if "some times are before the year 2000 and others are not" in line]
+    assert len(told) == 1
+    if name == "report":
+        assert "some times are before the year 2000" in Path("new.html").read_text()

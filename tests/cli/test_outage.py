@@ -142,9 +142,11 @@ def test_an_interface_is_waited_for(command, missions, recording, tmp_path, lays
             "-o",
             path,
         ) as program:
-            line(program, "is down; waiting" if lays else "is not there; waiting")
+            why = "is down" if lays else "is not there"
+            assert program.line(program.err) == f"edoras: cable {why}; waiting for it\n"
             CABLE.switch("up") if lays else CABLE.lay()
             line(program, "back")
+            assert program.line(program.err) == "capturing on cable; Ctrl-C ends\n"
             CABLE.send(twist(7))
             return program.end(signal.SIGINT)
 

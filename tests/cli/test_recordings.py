@@ -269,6 +269,36 @@ def test_an_input_that_is_cut_off_leaves_the_older_recording(call, folder):
     assert call("info", "old_1.mcap").code == 0
 
 
+OUTSIDE = {
+    **{f"record {suffix}": ["record", "-o", f"new{suffix}"] for suffix in (".mcap", ".pcap", ".pcapng")},
+    "record rosbag2": ["record", "--rosbag2", "-o", "new"],
+    "export file": ["export", "--topic", "/cmd_vel", "-o", "new.csv"],
+    "export folder": ["export", "-o", "deep/new/"],
+    "plot": ["plot", "/cmd_vel.linear.x", "-o", "new.svg"],
+    "report": ["report", "-o", "new.html"],
+    "check": ["check", "--junit", "new.xml"],
+    "check --init": ["check", "--init", "-o", "new.yaml"],
+    **{name: [name] for name in ("info", "sniff", "doctor", "live")},
+}
+
+
+@pytest.mark.parametrize(("start", "end"), [("500", ""), ("", "2001-01-01"), ("2030-01-01", "")])
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_time_outside_the_capture_leaves_nothing(call, tmp_path, monkeypatch, name, start, end):
+    monkeypatch.chdir(tmp_path)
+    words = [*OUTSIDE[name], CAPTURE, "-c", ROVER, *(("--start", start) if start else ("--end", end))]
+    words += [EXPECTED] if name == "check" else []
+    result = call(*words)
+    assert result.code == (1 if start else 2)
+    (line,) = result.err
+    assert (
+        "nothing between --start and --end; its times go from 0 to 65.270 s"
+        if start
+        else "before the capture"
+    ) in line
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_live_recording_replaces_at_its_end(command, folder):
     with Program(command, "record", "--listen", f"{HOST}:0", "-o", "old.mcap", "--force") as program:
         told = [program.line(program.err) for _ in range(2)]

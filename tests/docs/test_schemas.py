@@ -2,8 +2,8 @@
 
 import json
 
-import tomllib
 from places import ROOT
+from toml_files import TOML
 
 FOLDER = ROOT / "docs/schemas"
 
@@ -18,7 +18,7 @@ def test_each_is_read_and_versioned():
 
 
 def test_the_wheel_takes_them():
-    tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    tool = TOML.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     assert "edoras_tools.schemas" in tool["packages"]
     assert ROOT / tool["package-dir"]["edoras_tools.schemas"] == FOLDER
     patterns = tool["package-data"]["edoras_tools.schemas"]

@@ -1,6 +1,6 @@
 """Times that a user gives: after the capture's start, or of the clock."""
 
-from datetime import UTC, date, datetime, timedelta, timezone
+from datetime import date, datetime, timedelta, timezone
 from zoneinfo import ZoneInfo
 
 import pytest
@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from edoras_tools.cli.options import TimeOptions, at, moment, zone
 from edoras_tools.errors import ConfigError
+from edoras_tools.older import UTC
 from edoras_tools.pipelines.selection import Period
 from edoras_tools.units import SECOND
 

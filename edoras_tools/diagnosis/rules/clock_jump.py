@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.units import SECOND
+from edoras_tools.words import seconds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,11 +22,12 @@ def judge(case: Case) -> Iterator[Verdict]:
         when = int(case.rows.time_ns[jump.row])
         own = jump.clock == "capture"
         whose = "the capture's own clock" if own else f"the clock of cFS {jump.clock}, and not the capture's,"
+        way = "back" if jump.by_ns < 0 else "ahead"
         yield Verdict(
             ID,
             Severity.WARNING,
-            f"{whose} jumped by {jump.by_ns / SECOND:+.1f} s at packet {case.rows.number[jump.row]}: times "
-            "here are given as if it had not",
+            f"{whose} was set {way} by {seconds(abs(jump.by_ns) / SECOND)} at packet "
+            f"{case.rows.number[jump.row]}: times here are given as if it had not",
             hop="capture" if own else "cFS",
             start_ns=when,
             end_ns=when,

@@ -104,7 +104,7 @@ class DeviceSource:
 
     Args:
         device: is closed by ``close``.
-        ready: called once when ``batches`` starts.
+        ready: called once, when ``batches`` starts or its interface is there for the first time.
         told: called by ``batches`` for every interface that goes away, and again when it is back.
         idle_s: without traffic, an empty batch is yielded this often, or every ``gather_s`` if that is
             longer, so that sinks flush and displays refresh.
@@ -163,11 +163,12 @@ class DeviceSource:
             CaptureError: the device failed; everything that it delivered has been yielded.
         """
         self.started.set()
-        if self._ready is not None:
-            self._ready()
         nothing = _nothing()
         while True:
             self._tell()
+            if self._ready is not None and (not self._device.outages or self._device.outages[0].end_ns):
+                self._ready()
+                self._ready = None
             self._gather()
             frames, end = self._waiting()
             self.statistics.kernel_drops = self._device.drops

@@ -219,6 +219,15 @@ class WatchedSink:
         if self._sink and self._sink.output:
             self._sink.output.spares = True
 
+    def remove(self) -> None:
+        """Close the output and delete it, with the directory that it is alone in: nothing was recorded."""
+        self.abandon()
+        for output in (self._sink.output,) if self._sink and self._sink.output else ():
+            output.remove()
+            if self._sink and output.path not in self._sink.paths:
+                with suppress(OSError):  # something else is in it
+                    output.path.parent.rmdir()
+
     def abandon(self) -> None:
         """Close the file in its present state; nothing more is written."""
         self._closed = True

@@ -308,13 +308,14 @@ def pour(
 
         host = HostWatch(set(bench.columns.context.capture_ports()))
     note: Callable[[HostCounters], None] | None = getattr(sink, "write_host", None)
-    ended = False
+    wrote = ended = False
     try:
         if host and note:
             note(host.now())
         for rows in loop:
             batch, columns = rows.alone()
             if len(batch):
+                wrote = True
                 sink.write(batch, columns)
                 flushing.took(batch)
             if host and note and (counters := host.due()):
@@ -339,5 +340,7 @@ def pour(
         source.close()
         if not ended and isinstance(sink, WatchedSink):
             sink.spare_older()
+            if not wrote and not report.interrupted:
+                sink.remove()
         sink.close(source.statistics)
     return report

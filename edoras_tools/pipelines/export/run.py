@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -157,7 +157,7 @@ def export(
             for topic in chosen_topics(source, patterns, usual)
         }
         wanted = check_fields(form.fields, there)
-        make = _writer(target)
+        make, made = _writer(target)
         report, tables = ExportReport(source), dict[str, TableFile]()
         try:
             for block in filter(len, source.blocks(wanted, progress)):
@@ -174,12 +174,15 @@ def export(
         except BaseException:
             for table in tables.values():
                 table.remove()
+            for folder in made:
+                with suppress(OSError):  # something else is in it
+                    folder.rmdir()
             raise
     return report
 
 
-def _writer(target: ExportTarget) -> Any:
-    """Return the class that writes, and make the folder.
+def _writer(target: ExportTarget) -> tuple[Any, list[Path]]:
+    """Return the class that writes, and the folders that were made for it, the innermost first.
 
     Raises:
         CaptureError: the folder cannot be made.
@@ -193,12 +196,13 @@ def _writer(target: ExportTarget) -> Any:
             "pip install 'edoras-tools[analysis]', or write CSV or JSON Lines"
         ) from error
     folder = target.path if target.folder else target.path.parent
+    made = [item for item in (folder, *folder.parents) if not item.exists()]
     try:
         check_links(folder)
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CaptureError(f"{folder}: the folder cannot be created: {error.strerror or error}") from error
-    return make
+    return make, made
 
 
 def _told(source: TopicSource, topic: str) -> dict[str, str]:

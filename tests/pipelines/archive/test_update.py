@@ -349,7 +349,7 @@ limit = path.stat().st_size + 16384
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 try:
     with open_index(path, write=True) as opened:
-        for number in range(1000):
+        for number in range(3000):
             rows = [{"capture": str(number), "text": f"{number} {place}"} for place in range(50)]
             opened.replace([], [{"warnings": TABLES["warnings"].arrow(rows)}])
             print(number, flush=True)
@@ -368,7 +368,7 @@ def test_a_full_disk_is_told_and_leaves_an_index(tmp_path):
     )
     *numbers, told = done.stdout.splitlines()
     assert told.startswith(f"{index}: cannot be written: ")
-    assert 1 < len(numbers) < 1000
+    assert 1 < len(numbers) < 3000
     found = rows(index, "SELECT capture, count(*) FROM warnings GROUP BY ALL")
     assert sorted(found) == sorted((number, 50) for number in numbers), "complete, or not there"
 

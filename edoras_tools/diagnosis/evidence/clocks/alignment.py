@@ -38,6 +38,7 @@ from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import matches
 from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.words import seconds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,16 +86,21 @@ class Alignment:
     by: str
     shared: NDArray[np.int64]
 
-    def __str__(self) -> str:
+    def told(self, other: str) -> str:
+        """Return it in words; ``other`` is the first capture."""
         low, high = math.floor(self.low_ns / _TENTH_NS) / 10_000, math.ceil(self.high_ns / _TENTH_NS) / 10_000
+        offset, way = self.line.offset_ns / SECOND, f"ahead of that of {other}"
+        if offset < 0:
+            offset, low, high, way = -offset, -high, -low, f"behind that of {other}"
         drift = f"its drift cannot be told (less than {MOST_DRIFT * 1e6:.0f} ppm)"
         if self.drift is not None:
             least, most = math.floor(self.drift[0] * 1e7) / 10, math.ceil(self.drift[1] * 1e7) / 10
             drift = (
                 f"and drifts by {self.line.drift * 1e6:+.1f} ppm, between {least:+.1f} and {most:+.1f} ppm"
             )
-        offset = f"{self.line.offset_ns / SECOND:+.3f} s, between {low:+.4f} and {high:+.4f} s"
-        return f"{offset}, {drift}, told by {self.by}"
+        return (
+            f"{way} by {seconds(offset, 3)}, between {low:.4f} and {high:.4f} s, {drift}, told by {self.by}"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,8 @@ def _head(found: Diagnosis, name: str) -> str:
         f'<p class="dim">{escape(text)}</p>'
         for text in (f"{plural(found.datagrams, 'datagram')}{when}", *limits(found))
     )
-    return f"<header>{heading(name)}{line}{end}</header>"
+    warned = "".join(f'<p class="warning">{escape(text)}</p>' for text in found.capture.warnings)
+    return f"<header>{heading(name)}{line}{warned}{end}</header>"
 
 
 def _summary(found: Diagnosis) -> str:
