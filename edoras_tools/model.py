@@ -131,6 +131,8 @@ class Link(int):
         header_bytes: bytes in front of the space packet.
         last_hop: whether flight apps send on it what they were commanded, values without a header.
         dictionary: whether a dictionary of F Prime describes what its packets hold.
+        samples: whether its datagrams hold samples of DDS.
+        several: whether a datagram may hold several messages: the link itself says what is in it.
     """
 
     code: ClassVar[int] = 0
@@ -151,6 +153,8 @@ class Link(int):
     header_bytes: ClassVar[int] = 0
     last_hop: ClassVar[bool] = False
     dictionary: ClassVar[bool] = False
+    samples: ClassVar[bool] = False
+    several: ClassVar[bool] = False
 
     @property
     def only_to_cfs(self) -> bool:

@@ -31,14 +31,15 @@ PUT_OFF = {
     "io/formats/stream.py": ("zstandard", "only for captures inside zstd data"),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
     "io/topics/streams.py": (
-        "edoras_tools.io.topics.carried",
-        "only where messages travel as files, or by RACS2",
+        "edoras_tools.io.topics.carried edoras_tools.io.topics.samples",
+        "only where messages travel as files, by RACS2, or by RTPS",
     ),
     "io/foxglove/server.py": (
         "edoras_tools.io.foxglove.client",
         "websockets, an extra: when the first client comes",
     ),
     "links/racs2.py": ("edoras_tools.links.streams", "2 ms, and only where there are its streams"),
+    "links/rtps/link.py": ("edoras_tools.links.rtps", "5 ms, and only where there is RTPS"),
     "links/table.py": ("importlib.metadata", "11 ms, and only where a package adds a link"),
     "middleware/dds/joining.py": (
         "edoras_tools.middleware.dds",
@@ -57,6 +58,7 @@ PUT_OFF = {
     ),
     "pipelines/workbench.py": ("edoras_tools", "only for several files, or layouts that are given"),
     "render/capture/watch.py": ("edoras_tools.render", "rich, and only where something is drawn"),
+    "decode/columns.py": ("edoras_tools.decode.samples", "5 ms, and only where there is RTPS"),
     "ros/types/library.py": ("rosbags", "15 ms, and only for .idl files"),
     "ros/types/standard.py": ("rosbags", "15 ms, and only to make the table of standard messages anew"),
     "sessions/faults/chance.py": ("hashlib", "20 ms, and only where there are faults"),

@@ -57,6 +57,7 @@ ELSEWHERE = {
     "io/frames/*": "io/frames/test_linklayer.py",
     "io/net/*": "io/net/test_transmit.py",
     "links/streams/*": "links/test_racs2.py",
+    "links/rtps/*": "links/rtps/test_reader.py",
     "io/shared.py": "pipelines/test_ahead.py",
     "io/topics/*": "io/formats/mcap/test_writer.py",
     "io/topics/carried/fprime.py": "links/test_fprime.py",

@@ -162,7 +162,16 @@ class _Pass:
             self.out["findings"][rows] |= found.findings
             for name, values in found.columns.items():
                 self.out[name][rows] = values
+            if link.samples:
+                self._samples(rows)
         return start
+
+    def _samples(self, rows: NDArray[np.intp]) -> None:
+        """Judge whether samples of DDS are whole messages of their types."""
+        from edoras_tools.decode.samples import known_samples
+
+        for item in known_samples(self.context.types, self.context.endpoints, self.batch, rows):
+            self.flag(Finding.CDR_INVALID, item.row, ~item.valid)
 
     def space_packet(self, start: NDArray[np.int32]) -> None:
         """Read the primary header, and all that lies behind it.

@@ -14,7 +14,7 @@ from edoras_tools.decode.commands import CommandTable
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import table
 from edoras_tools.links.cfdp import PDU_NAME
-from edoras_tools.links.protocol import Peers
+from edoras_tools.links.protocol import Endpoints, Peers
 from edoras_tools.links.sbn import BRIDGE_PORT
 from edoras_tools.mission import FlightLink, GroundLink, Mission
 from edoras_tools.model import NO_ROUTE, OTHER
@@ -137,6 +137,8 @@ class Context:
         options: as given.
         structs: the C structs that packets without a route hold.
         peers: grows as datagrams are decoded, in order.
+        endpoints: of DDS, as they announce themselves; grows as well.
+        by_magic: the links that are recognised on any port.
         links: every link there is.
         frames: the CCSDS transfer frames that come to a port, by port.
         ports: the UDP ports of each link, bool (65536,).
@@ -184,7 +186,9 @@ class Context:
             route.msg_id for route in self.mission.routes
         )
         self.peers = Peers()
+        self.endpoints = Endpoints()
         self.links = table.links()
+        self.by_magic = tuple(link for link in self.links if link.magic)
         self.frames = {item.port: item.format for item in self.mission.frames}
         self.ports = self._ports()
         self._settle_ports()

@@ -110,12 +110,24 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
                 best[better] = sure[better]
     if context.by_sender.any():
         link = np.where(link == 0, context.by_sender[context.claim[batch.source_port]], link)
+    for item in context.by_magic:
+        link[_beginning(batch, link, item.magic)] = item
     if batch.streams is not None:
         _stream_links(batch, context, link)
     link[(batch.capture_findings & Finding.FRAGMENT) != 0] = OTHER
     if context.frames:
         link[frame_rows(batch, context.frames)[0]] = FRAMES
     return link
+
+
+def _beginning(batch: PacketBatch, link: NDArray[np.uint8], magic: bytes) -> NDArray[np.intp]:
+    """Return the datagrams of no link that begin with some bytes; messages of streams are not asked."""
+    rows: NDArray[np.intp] = np.flatnonzero((link == OTHER) & (batch.length >= len(magic)))
+    rows = rows[batch.data[batch.offset[rows]] == magic[0]]
+    if len(rows):
+        begins = gather(batch.data, batch.offset[rows], len(magic))
+        return rows[np.all(begins == np.frombuffer(magic, np.uint8), axis=1)]
+    return rows
 
 
 def _stream_links(batch: PacketBatch, context: Context, link: NDArray[np.uint8]) -> None:
@@ -157,4 +169,8 @@ def link_of(datagram: Datagram, context: Context) -> Link:
             sure = int(item.recognise(seen))
             if sure and sure >= best:
                 link, best = item, sure
-    return link if link is not OTHER else table.link(context.by_sender[context.claim[datagram.source.port]])
+    if link is OTHER:
+        link = table.link(context.by_sender[context.claim[datagram.source.port]])
+    if link is OTHER:
+        link = next((item for item in context.by_magic if datagram.payload.startswith(item.magic)), OTHER)
+    return link

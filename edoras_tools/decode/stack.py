@@ -260,16 +260,40 @@ class _Dissection(Reading):
                 self._entry(table[key], start, start + length)
         return bool(len(found.key))
 
+    def sample(self, topic: str, type_name: str, at: int, end: int) -> None:
+        """Read a sample of DDS as a message; see :meth:`Reading.sample`."""
+        types = self.context.types
+        if types is None or not types.has(type_name) or end - at < ENCAPSULATION.size:
+            return
+        if self.read(ENCAPSULATION, at)["representation"] not in {CDR_BE, CDR_LE}:
+            return
+        try:
+            values = types.decode(type_name, self.data[at:end])
+        except WireError:
+            self.findings |= Finding.CDR_INVALID
+            return
+        cdr = self.data[at : at + types.extent(type_name, self.data[at:end])]
+        self._add(RosMessage(type_name, topic, values, cdr))
+        if self.detail:
+            fields = tuple(
+                LayerField(path, value, at + low, at + high)
+                for path, value, low, high in types.spans(type_name, cdr)
+            )
+            self.layers.append(Layer("ros", type_name, at + ENCAPSULATION.size, end, fields))
+
+    def _add(self, message: RosMessage) -> None:
+        """Add a message behind those that were read before."""
+        if self.message is None:
+            self.message = message
+        else:
+            self.more.append(message)
+
     def _entry(self, bound: BoundEntry, at: int, end: int) -> None:
         """Read the values of one entry of a dictionary, as a message."""
         payload = self.data[at:end]
         cdr = bound.message(payload)
         values = self.context.structs.types.decode(bound.type, cdr)
-        message = RosMessage(bound.type, bound.topic, values, cdr)
-        if self.message is None:
-            self.message = message
-        else:
-            self.more.append(message)
+        self._add(RosMessage(bound.type, bound.topic, values, cdr))
         fields: tuple[LayerField, ...] = ()
         if self.detail:
             spans = zip(bound.spans(values, 0), bound.wire_places(payload), strict=True)

@@ -53,8 +53,11 @@ def _text(decoded: Decoded, msg_ids: MsgIds) -> str:
             fields, form = LAYER_TEXTS[layer.name]
             values = layer.values()
             return form.format(*(values[name] for name in fields))
-    if decoded.link.dictionary:
-        return protocol(decoded.link).summary(decoded) or str(decoded.stop or "")
+    if decoded.link.several:
+        text = protocol(decoded.link).summary(decoded) or str(decoded.stop or "")
+        if decoded.link.samples and decoded.message is not None:
+            text += f": {short_values(decoded.message.values)}"
+        return text
     if decoded.message is not None:
         bare = decoded.layer("edoras") is None  # the header of a C struct is already in the line
         return short_values({k: v for k, v in decoded.message.values.items() if not bare or k != "header"})

@@ -16,6 +16,7 @@ ROWS: Final = {
     "cfdp": "edoras_tools.links.cfdp:CFDP",
     "frames": "edoras_tools.links.frames:FRAMES",
     "fprime": "edoras_tools.links.fprime:FPRIME",
+    "rtps": "edoras_tools.links.rtps.link:RTPS",
     "file": "edoras_tools.links.stored:STORED",
     "reset": "edoras_tools.links.resets:RESETS",
     "racs2": "edoras_tools.links.racs2:RACS2",

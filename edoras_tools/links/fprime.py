@@ -69,6 +69,7 @@ class GroundDataLink(LinkProtocol):
     layouts = fprime.LINK_LAYOUTS
     port_decides = False
     dictionary = True
+    several = True
     wireshark = "data"
 
     def recognise(self, seen: Seen) -> Any:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.framing import Framing
     from edoras_tools.links.reading import Reading
     from edoras_tools.model import PacketBatch
+    from edoras_tools.wire.rtps.parameters import Announcement
     from edoras_tools.wire.transfer_frames.fields import FrameFormat
 
 BY_PORT: Final = 1
@@ -40,6 +41,9 @@ SMALLEST_DOUBLE: Final = 1023 - 256
 LARGEST_DOUBLE: Final = 1023 + 63
 """IEEE 754 exponents, bias included, of the smallest and largest value that a double is likely to have:
 about 1e-77 and 1e19. Zero and subnormal values count as well; infinities and NaN do not."""
+MOST_ENDPOINTS: Final = 1 << 14
+"""Endpoints that are kept; those beyond stay unknown."""
+_MOST_HEARD: Final = 1 << 14
 _EXPONENT: Final = 0x7FF0
 _TOP: Final = Field("top", 16, "sign, exponent, first 4 bits of the fraction")
 _REST: Final = Field("rest", 48, "the other bits of the fraction", kind="bytes")
@@ -121,6 +125,40 @@ class Peers:
         return identity if since <= number else None
 
 
+class Endpoints:
+    """Writers, readers and participants of DDS by GUID, as they announce themselves; the first announcement counts, from the datagram on that has it.
+
+    Attributes:
+        announced: by GUID what was announced, and the number of the datagram.
+    """
+
+    def __init__(self) -> None:
+        self.announced: dict[bytes, tuple[Announcement, int]] = {}
+        self._heard: set[bytes] = set()
+
+    def is_new(self, payload: bytes) -> bool:
+        """Tell whether an announcement was not heard before: they come again and again."""
+        if payload in self._heard:
+            return False
+        if len(self._heard) >= _MOST_HEARD:
+            self._heard.clear()
+        self._heard.add(payload)
+        return True
+
+    def learn(self, announcement: Announcement, number: int) -> None:
+        """Take an announcement of a datagram."""
+        known = self.announced.get(announcement.guid)
+        if known is None and len(self.announced) < MOST_ENDPOINTS:
+            self.announced[announcement.guid] = announcement, number
+        elif known is not None and number < known[1]:
+            self.announced[announcement.guid] = known[0], number
+
+    def find(self, guid: bytes, number: int | None = None) -> Announcement | None:
+        """Return what an endpoint announced before a datagram came, or at any time; None: nothing."""
+        found = self.announced.get(guid)
+        return found[0] if found and (number is None or found[1] <= number) else None
+
+
 class Site(Protocol):
     """What the mission says of the place of a capture, and what was learnt from its datagrams so far."""
 
@@ -135,6 +173,10 @@ class Site(Protocol):
     @property
     def peers(self) -> Peers:
         """Identities by endpoint; grows as datagrams are read, in order."""
+
+    @property
+    def endpoints(self) -> Endpoints:
+        """Writers and readers of DDS that announced themselves; grows as datagrams are read, in order."""
 
     @property
     def frames(self) -> Mapping[int, FrameFormat]:
@@ -201,6 +243,8 @@ class LinkProtocol(Link):
         sender_port: whether the source port is enough where the destination port decides nothing.
         wireshark: name of Wireshark's own dissector, which is left the link's datagrams; empty for ours.
         framing: cuts its messages from TCP streams, where ``transport`` has them.
+        magic: how every datagram of it begins: it is recognised on any port that no other link has; empty
+            where nothing tells so much.
     """
 
     layouts: ClassVar[tuple[Layout, ...]] = ()
@@ -210,6 +254,7 @@ class LinkProtocol(Link):
     sender_port: ClassVar[bool] = False
     wireshark: ClassVar[str] = ""
     framing: ClassVar[Framing | None] = None
+    magic: ClassVar[bytes] = b""
 
     @property
     def port_decides(self) -> bool:

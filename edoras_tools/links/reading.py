@@ -58,9 +58,10 @@ class Reading:
         return values
 
     def extend(self, field: LayerField) -> None:
-        """Add a field to the last layer, which then ends where the field does."""
+        """Add a field to the last layer, which ends not before the field does."""
         layer = self.layers[-1]
-        self.layers[-1] = Layer(layer.name, layer.title, layer.start, field.end, (*layer.fields, field))
+        end = max(layer.end, field.end)
+        self.layers[-1] = Layer(layer.name, layer.title, layer.start, end, (*layer.fields, field))
 
     def described(self, kind: int, at: int, end: int) -> bool:
         """Read what a packet of F Prime holds by its dictionary; tell whether there is one.
@@ -72,6 +73,17 @@ class Reading:
         """
         del kind, at, end
         return False
+
+    def sample(self, topic: str, type_name: str, at: int, end: int) -> None:
+        """Read a sample of DDS, if the reader knows its type.
+
+        Args:
+            topic: ROS name of its topic.
+            type_name: ROS name of its type.
+            at: first byte of its encapsulation.
+            end: one past the sample.
+        """
+        del topic, type_name, at, end
 
     def truncated(self, layer: str, at: int, need: int) -> None:
         """Note that a layer is cut, and stop.

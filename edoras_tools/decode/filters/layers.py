@@ -47,7 +47,7 @@ def layer_fields(context: Context) -> Iterator[FilterField]:
     """Yield every header and every field of it that the tree can show."""
     for link in context.links:
         for layout in link.layouts:
-            yield from _header(layout, partial(link.places, layout), by_field=True)
+            yield from _header(layout, partial(link.places, layout), by_field=True, many=link.samples)
     yield from _header(ccsds.PRIMARY, _primary)
     yield from _header(cfe.EXTENDED, _extended)
     # Of each header the build with the most fields; the actual build is known when packets are read.
@@ -109,7 +109,7 @@ def _others(msg_ids: MsgIds) -> Iterator[FilterField]:
 
 
 def _header(
-    layout: Layout, places: Callable[..., Places] | None, *, by_field: bool = False
+    layout: Layout, places: Callable[..., Places] | None, *, by_field: bool = False, many: bool = False
 ) -> Iterator[FilterField]:
     """Yield a header and its fields.
 
@@ -117,13 +117,15 @@ def _header(
         layout: the table.
         places: finds the headers of many packets; None if each packet must be dissected.
         by_field: ``places`` takes the name of the ``field``: some headers lack the last fields.
+        many: a packet may have several of them.
     """
     name = layout.name
 
     yield _struct(name, partial(_there, places) if places is not None else None)
     for slot in layout.slots:
         of_field = partial(places, field=slot.field.name) if places and by_field else places
-        yield _field(layout, slot, of_field)
+        field = _field(layout, slot, of_field)
+        yield replace(field, pick=_each(name, slot.field.name), many=True) if many else field
 
 
 def _there(places: Callable[[ColumnRows], Places], rows: ColumnRows) -> NDArray[np.bool_]:
@@ -173,6 +175,13 @@ def _picker(layer: str, name: str) -> Callable[[PacketRows, Decoded], Any]:
     def pick(_: PacketRows, decoded: Decoded) -> Any:
         found = decoded.layer(layer)
         return found.values().get(name) if found else None
+
+    return pick
+
+
+def _each(layer: str, name: str) -> Callable[[PacketRows, Decoded], Any]:
+    def pick(_: PacketRows, decoded: Decoded) -> Any:
+        return [item.values()[name] for item in decoded.layers if item.name == layer] or None
 
     return pick
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.sessions.sequence import SequenceCounts
     from edoras_tools.structs import Structs
 
@@ -25,6 +26,7 @@ class RecordingOptions:
         jobs: how many processes may share the work; more than one only for MCAP, and if not split by size.
         yields: share it only while a processor is free, so that others that record have theirs.
         sequences: shared with others that see the same batches; None: the recording follows its own.
+        endpoints: of DDS, as they are learnt; None: samples of theirs have no topics.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
     """
 
@@ -39,6 +41,7 @@ class RecordingOptions:
     jobs: int = 1
     yields: bool = False
     sequences: SequenceCounts | None = None
+    endpoints: Endpoints | None = None
 
     @property
     def splits(self) -> bool:

@@ -23,9 +23,10 @@ from cyclonedds.qos import Policy
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.dds.domain import configuration, hold, release
 from edoras_tools.middleware.dds.presence import OLDER, OLDEST_DISTRO, PRESENCE_TOPIC, gid_bytes_told
-from edoras_tools.middleware.names import dds_name, ros_name
+from edoras_tools.middleware.names import dds_name
 from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.ros.type_hash import HASH_VERSION
+from edoras_tools.wire.rtps.names import ros_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

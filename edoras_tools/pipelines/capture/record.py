@@ -207,6 +207,7 @@ def open_sink(
         jobs=jobs_for(source, target.jobs, fixed=False),
         yields=not target.jobs,
         sequences=sequences,
+        endpoints=bench.columns.context.endpoints,
     )
 
     def part(path: Path) -> CaptureFileSink:

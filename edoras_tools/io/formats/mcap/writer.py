@@ -106,6 +106,7 @@ class McapSink:
             transforms=options.transforms,
             sequences=None if options.splits else options.sequences,  # parts of a batch are other batches
         )
+        self._streams.endpoints = options.endpoints
         self._extras: dict[str, int] = {}
         self._noted: list[InterfaceOutage] = []
         self._count = self._captured = 0

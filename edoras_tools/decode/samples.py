@@ -1,0 +1,89 @@
+"""The samples of DDS in datagrams whose topic was announced and whose type is known, as CDR in columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.links.rtps.reader import TopicSamples, messages_of, topic_samples
+from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
+from edoras_tools.wire.rtps.names import ros_name, ros_topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.protocol import Endpoints
+    from edoras_tools.model import PacketBatch
+    from edoras_tools.ros import TypeStore
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownSamples:
+    """Samples of one topic, in the order of the rows; of one length.
+
+    Attributes:
+        topic: its ROS name.
+        type: its ROS type.
+        row: i64, of the batch.
+        sequence_number: i64, the writer's.
+        offset: i64, of the CDR encapsulation in the batch's data.
+        length: i32, bytes, padding included.
+        written_ns: i64, when it was written, ns since 1970; -1 where nobody says.
+        valid: bool, whether it is a whole message.
+    """
+
+    topic: str
+    type: str
+    row: NDArray[np.intp]
+    sequence_number: NDArray[np.int64]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int32]
+    written_ns: NDArray[np.int64]
+    valid: NDArray[np.bool_]
+
+
+def known_samples(
+    types: TypeStore | None, endpoints: Endpoints, batch: PacketBatch, rows: NDArray[np.intp]
+) -> Iterator[KnownSamples]:
+    """Yield the samples of each topic and type.
+
+    Args:
+        types: the types; None: none is known.
+        endpoints: what was announced so far.
+        batch: the datagrams.
+        rows: those that hold RTPS.
+    """
+    if types is None or not len(rows):
+        return
+    writers, found = topic_samples(batch.data, messages_of(batch, rows).submessages)
+    groups: dict[tuple[str, str], list[int]] = {}
+    since = np.full(len(writers), np.iinfo(np.int64).max)
+    for index, guid in enumerate(writers):
+        announced = endpoints.announced.get(guid)
+        if announced is not None and announced[0].topic and types.has(ros_name(announced[0].type)):
+            since[index] = announced[1]
+            key = ros_topic(announced[0].topic), ros_name(announced[0].type)
+            groups.setdefault(key, []).append(index)
+    plain = _is_plain(batch.data, found) & (batch.number[rows[found.row]] >= since[found.writer])
+    for (topic, type_name), members in groups.items():
+        chosen = np.flatnonzero(plain & np.isin(found.writer, members))
+        if not len(chosen):
+            continue
+        one = TopicSamples(*(column[chosen] for column in found))
+        length = (one.end - one.start).astype(np.int32)
+        valid = types.valid(type_name, batch.data, one.start, length)
+        yield KnownSamples(
+            topic, type_name, rows[one.row], one.sequence_number, one.start, length, one.time_ns, valid
+        )
+
+
+def _is_plain(data: NDArray[np.uint8], found: TopicSamples) -> NDArray[np.bool_]:
+    """Tell which samples are plain CDR, as ROS messages are."""
+    whole = found.end - found.start >= ENCAPSULATION.size
+    head = gather(data, np.where(whole, found.start, 0), ENCAPSULATION.size)
+    return whole & (ENCAPSULATION.column("representation", head) <= CDR_LE)

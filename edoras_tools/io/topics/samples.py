@@ -1,0 +1,91 @@
+"""Samples of DDS whose topic was announced and whose type is known, as messages on their topics."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.decode.samples import known_samples
+from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
+from edoras_tools.links.rtps.link import RTPS
+from edoras_tools.wire.arrays.window import PADDING, copy_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.samples import KnownSamples
+    from edoras_tools.links.protocol import Endpoints
+    from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.ros import TypeStore
+
+MOST_TOPICS: Final = 1 << 10
+"""Topics that are added; samples of others are left out."""
+_APART: Final = "/dds"
+"""Put before a topic that the mission has too, or that two types have: its messages are not mixed."""
+_LOW: Final = (1 << 32) - 1
+
+
+class SampleMessages:
+    """Makes messages of samples.
+
+    Args:
+        types: the ROS types.
+        taken: names of topics that other messages have.
+        endpoints: what is announced, as far as it was decoded.
+    """
+
+    def __init__(self, types: TypeStore, taken: Collection[str], endpoints: Endpoints) -> None:
+        self._types, self._taken, self._endpoints = types, frozenset(taken), endpoints
+        self._names: dict[tuple[str, str], str] = {}
+
+    def messages(
+        self, batch: PacketBatch, columns: Columns, channel: Callable[[str, str], int]
+    ) -> list[Messages]:
+        """Return the messages of the samples in a batch.
+
+        Args:
+            batch: the datagrams.
+            columns: of the same rows.
+            channel: returns the MCAP channel of a topic and a type.
+        """
+        rows = np.flatnonzero(columns.link == RTPS)
+        made = (
+            self._of(batch, item, channel)
+            for item in known_samples(self._types, self._endpoints, batch, rows)
+        )
+        return [item for item in made if item is not None]
+
+    def _name(self, topic: str, type_name: str) -> str:
+        """Return the name of the topic in the recording; empty if there are too many."""
+        key = topic, type_name
+        if key not in self._names and len(self._names) < MOST_TOPICS:
+            name = topic
+            if name in self._taken:
+                name = f"{_APART}{name}"
+            if name in self._names.values():
+                name = f"{_APART}/{type_name}{topic}"
+            self._names[key] = name
+        return self._names.get(key, "")
+
+    def _of(
+        self, batch: PacketBatch, item: KnownSamples, channel: Callable[[str, str], int]
+    ) -> Messages | None:
+        """Return the messages of one topic, their bytes copied: they may be written by another process."""
+        left = self._types.trailing(item.type, batch.data, item.offset, item.length)
+        whole = np.flatnonzero(left >= 0)
+        name = self._name(item.topic, item.type)
+        if not len(whole) or not name:
+            return None
+        size = (item.length - left)[whole].astype(np.int32)
+        start: NDArray[np.int64] = np.cumsum(size, dtype=np.int64) - size
+        data = np.zeros(int(size.sum()) + PADDING, np.uint8)
+        copy_rows(data, start, batch.data, item.offset[whole], size)
+        row, number = item.row[whole], channel(name, item.type)
+        log_ns = batch.time_ns[row]
+        written_ns = np.where(item.written_ns[whole] >= 0, item.written_ns[whole], log_ns)
+        heads = np.empty(len(whole), np.dtype(RECORD))
+        fill_record(heads, number, size, item.sequence_number[whole] & _LOW, log_ns, written_ns)
+        return Messages(row, number, log_ns, RECORD_BYTES, heads.__getitem__, data, start, size, repeats=True)

@@ -1,0 +1,71 @@
+"""DDS over UDP: RTPS, one message of several submessages a datagram, on any port."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen, Site
+from edoras_tools.model import Decoded, PacketBatch, Transport
+from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT, MAGIC, RTPS_HEADER
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.reading import Reading
+    from edoras_tools.wire.layout import Layout
+
+
+class PublishSubscribeLink(LinkProtocol):
+    """The link between DDS participants, which is told by its first bytes: their ports are any."""
+
+    code = 8
+    name = "RTPS"
+    label = "rtps"
+    colour = "bright_magenta"
+    doc = "between DDS participants, as ROS 2 nodes are: RTPS messages, on any port"
+    transport = Transport(first="either")
+    to_cfs = True
+    from_cfs = True
+    layouts = EVERY_RTPS_LAYOUT
+    port_decides = False
+    magic = MAGIC
+    several = True
+    samples = True
+    wireshark = "rtps"
+
+    def recognise(self, seen: Seen) -> Any:
+        """Recognise the four letters that begin every message."""
+        version = seen.field(RTPS_HEADER, "version_major")
+        letters = seen.field(RTPS_HEADER, "magic") == int.from_bytes(MAGIC, "big")
+        return BY_CONTENT * (letters & (version >= 0))
+
+    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+        """Judge messages, and learn which endpoints they announce; see :meth:`LinkProtocol.locate`."""
+        from edoras_tools.links.rtps import reader
+
+        return reader.locate(batch, rows, site)
+
+    def dissect(self, reading: Reading, site: Site) -> None:
+        """Read one message."""
+        from edoras_tools.links.rtps import reader
+
+        reader.dissect(reading, site)
+
+    def places(
+        self, layout: Layout, rows: BatchRows, field: str = ""
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Find the message header, or every submessage of one kind and byte order."""
+        from edoras_tools.links.rtps import reader
+
+        del field
+        return reader.places(layout, rows, self)
+
+    def summary(self, decoded: Decoded) -> str:
+        """Return what the submessages are, and of which topics."""
+        from edoras_tools.links.rtps import reader
+
+        return reader.summary(decoded)
+
+
+RTPS: Final = PublishSubscribeLink()

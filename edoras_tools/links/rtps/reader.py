@@ -1,0 +1,297 @@
+"""Reads RTPS messages: one for people, many as columns; what participants announce is learnt on the way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.links.protocol import Located
+from edoras_tools.model import Finding, LayerField
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.cdr import CDR_BE, CDR_LE
+from edoras_tools.wire.rtps.headers import (
+    BUILT_IN,
+    BUILT_IN_KIND,
+    ENTITY_BYTES,
+    GUID_BYTES,
+    LAYOUTS,
+    OF_PARTICIPANTS,
+    OF_PUBLICATIONS,
+    OF_SUBSCRIPTIONS,
+    PREFIX_BYTES,
+    RTPS_HEADER,
+    SUBMESSAGE,
+    SUBMESSAGE_NAMES,
+    WITH_SEQUENCE_SET,
+    SubmessageFlag,
+    SubmessageKind,
+)
+from edoras_tools.wire.rtps.messages import (
+    Messages,
+    SubmessageFields,
+    Submessages,
+    guid_text,
+    read_messages,
+    read_samples,
+    sequence_set,
+)
+from edoras_tools.wire.rtps.names import ros_name, ros_topic
+from edoras_tools.wire.rtps.parameters import read_announcement
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.protocol import BatchRows, Endpoints, Site
+    from edoras_tools.links.reading import Reading
+    from edoras_tools.model import Decoded, Link, PacketBatch
+    from edoras_tools.wire.layout import Layout
+
+_ANNOUNCING: Final = (OF_PARTICIPANTS, OF_PUBLICATIONS, OF_SUBSCRIPTIONS)
+_PLAIN: Final = (CDR_BE, CDR_LE)
+"""Representations that ROS messages have."""
+_TOLD_SETS: Final = {SubmessageKind.ACKNACK: "missing", SubmessageKind.GAP: "irrelevant"}
+_NUMBERS: Final = {
+    SubmessageKind.DATA: ("writer_sn",),
+    SubmessageKind.DATA_FRAG: ("writer_sn",),
+    SubmessageKind.HEARTBEAT_FRAG: ("writer_sn",),
+    SubmessageKind.NACK_FRAG: ("writer_sn",),
+    SubmessageKind.HEARTBEAT: ("first", "last"),
+    SubmessageKind.ACKNACK: ("base",),
+    SubmessageKind.GAP: ("gap_start", "base"),
+}
+"""The sequence numbers of each kind of submessage."""
+_MOST_TOLD: Final = 6
+
+
+def timeless(flags: int, kind: int) -> bool:
+    """Tell whether it is an INFO_TS without a time."""
+    return kind == SubmessageKind.INFO_TS and bool(flags & SubmessageFlag.NO_TIMESTAMP)
+
+
+class TopicSamples(NamedTuple):
+    """Samples in some messages, whole, of writers that are not built in; of one length.
+
+    Attributes:
+        row: i64, which of the messages.
+        writer: i64, index into the writers.
+        sequence_number: i64, the writer's.
+        start: i64, first byte of the encapsulation.
+        end: i64, one past the sample.
+        time_ns: i64, when it was written, ns since 1970; -1 where nobody says.
+    """
+
+    row: NDArray[np.int64]
+    writer: NDArray[np.int64]
+    sequence_number: NDArray[np.int64]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+
+
+def topic_samples(data: NDArray[np.uint8], found: Submessages) -> tuple[list[bytes], TopicSamples]:
+    """Return the GUIDs of writers, and their samples; keys of what is disposed of are left out.
+
+    Args:
+        data: u8, what the submessages point into.
+        found: all submessages of some messages.
+    """
+    samples = read_samples(data, found, SubmessageKind.DATA)
+    samples = samples.take(samples.fits & ((found.flags[samples.which] & SubmessageFlag.DATA) != 0))
+    own = found.take(samples.which)
+    fields = SubmessageFields(data, own, SubmessageKind.DATA)
+    guids = fields.guid("writer_id")
+    users = np.flatnonzero(
+        (guids.view(np.uint8).reshape(-1, GUID_BYTES)[:, -1] & BUILT_IN_KIND) != BUILT_IN_KIND
+    )
+    writers, which = distinct_guids(guids[users])
+    return writers, TopicSamples(
+        own.row[users],
+        which,
+        fields.sequence_number("writer_sn")[users],
+        samples.start[users],
+        samples.end[users],
+        own.time_ns[users],
+    )
+
+
+def distinct_guids(guids: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.int64]]:
+    """Return the distinct GUIDs in the order they first come, and which of them each is, i64 (n,)."""
+    halves = np.ascontiguousarray(guids).view(np.uint64).reshape(-1, 2)
+    first, which = numbered(halves[:, 0], halves[:, 1])
+    return [guids[at].tobytes() for at in first.tolist()], which
+
+
+def messages_of(batch: PacketBatch, rows: NDArray[np.intp]) -> Messages:
+    """Read the messages of some rows of a batch."""
+    return read_messages(batch.data, batch.offset[rows], batch.length[rows])
+
+
+def locate(batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+    """Judge messages, and learn which endpoints they announce."""
+    found, messages = Located(len(rows)), messages_of(batch, rows)
+    found.flag(Finding.TRUNCATED, messages.truncated)
+    found.flag(Finding.LENGTH_MISMATCH, messages.odd)
+    submessages = messages.submessages
+    for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
+        samples = read_samples(batch.data, submessages, kind)
+        odd = samples.which[~samples.fits]
+        found.findings[submessages.row[odd]] |= np.uint32(Finding.LENGTH_MISMATCH)
+    learn(batch.data, submessages, batch.number[rows], site.endpoints)
+    return found
+
+
+def learn(
+    data: NDArray[np.uint8], found: Submessages, number: NDArray[np.int64], endpoints: Endpoints
+) -> None:
+    """Learn what participants announce.
+
+    Args:
+        data: u8, what the submessages point into.
+        found: all submessages of some messages.
+        number: i64, of the datagram of each message.
+        endpoints: is added to.
+    """
+    samples = read_samples(data, found, SubmessageKind.DATA)
+    keep = samples.fits & ((found.flags[samples.which] & SubmessageFlag.DATA) != 0)
+    samples = samples.take(keep)
+    own = found.take(samples.which)
+    head = SubmessageFields(data, own, SubmessageKind.DATA).guid("writer_id")
+    entity = head.view(np.uint8).reshape(-1, GUID_BYTES)[:, PREFIX_BYTES:]
+    word = np.ascontiguousarray(entity).view(">u4")[:, 0]
+    for at in np.flatnonzero(np.isin(word, [int.from_bytes(item, "big") for item in _ANNOUNCING])).tolist():
+        payload = data[samples.start[at] : samples.end[at]].tobytes()
+        if endpoints.is_new(payload):
+            announcement = read_announcement(payload)
+            if announcement is not None:
+                endpoints.learn(announcement, int(number[own.row[at]]))
+
+
+def dissect(reading: Reading, site: Site) -> None:
+    """Read one message, submessage by submessage.
+
+    Raises:
+        WireError: it is cut. What was read before stays.
+    """
+    data = reading.data
+    reading.read(RTPS_HEADER, 0)
+    octets = np.frombuffer(data, np.uint8)
+    messages = read_messages(octets, np.array([0]), np.array([len(data)]))
+    found = messages.submessages
+    learn(octets, found, np.array([reading.datagram.number]), site.endpoints)
+    inside = _insides(octets, found)
+    if messages.odd[0] or any(not fits for _, _, fits in inside.values()):
+        reading.findings |= Finding.LENGTH_MISMATCH
+    for index in range(len(found.row)):
+        _submessage(reading, site.endpoints, found.take(np.array([index])), inside.get(index))
+    if messages.truncated[0]:
+        last = int(found.end[-1]) if len(found.end) else RTPS_HEADER.size
+        reading.truncated(SUBMESSAGE.little.name, last, SUBMESSAGE.little.size)
+
+
+def _insides(octets: NDArray[np.uint8], found: Submessages) -> dict[int, tuple[int, int, bool]]:
+    """Return where the data of each submessage lies, and whether its headers are sound."""
+    out: dict[int, tuple[int, int, bool]] = {}
+    for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
+        samples = read_samples(octets, found, kind)
+        columns = (samples.start, samples.end, samples.fits)
+        out |= dict(
+            zip(samples.which.tolist(), zip(*(item.tolist() for item in columns), strict=True), strict=True)
+        )
+    return out
+
+
+def _submessage(
+    reading: Reading, endpoints: Endpoints, one: Submessages, inside: tuple[int, int, bool] | None
+) -> None:
+    """Read one submessage, and the sample in it."""
+    kind, flags, at, end = (int(item[0]) for item in (one.kind, one.flags, one.start, one.end))
+    little = bool(flags & SubmessageFlag.LITTLE_ENDIAN)
+    orders = SUBMESSAGE if timeless(flags, kind) else LAYOUTS.get(kind, SUBMESSAGE)
+    layout = orders.of(little=little)
+    if not one.whole[0]:
+        # What is there of it is shown, and where it should have ended.
+        reading.read((layout if end - at >= layout.size else SUBMESSAGE.of(little=little)), at)
+        claimed = SUBMESSAGE.of(little=little).parse(reading.data, at)["octets_to_next_header"]
+        reading.truncated(layout.name, at, max(layout.size, SUBMESSAGE.little.size + claimed))
+    values = reading.read(layout, at)
+    if kind not in _NUMBERS or orders is SUBMESSAGE:
+        return
+    numbers = {
+        name: (values[f"{name}_high"] << 32) + values[f"{name}_low"]
+        for name in _NUMBERS[SubmessageKind(kind)]
+    }
+    behind = at + layout.size
+    for name, value in numbers.items():
+        place = at + layout.by_name[f"{name}_high"].start
+        label = name if name.endswith("_sn") else f"{name}_sn"
+        reading.extend(LayerField(label, value, place, place + 8, str(value), "the sequence number"))
+    if kind in WITH_SEQUENCE_SET:
+        name = _TOLD_SETS[SubmessageKind(kind)]
+        told = sequence_set(
+            reading.data, behind, end, little=little, base=numbers["base"], bits=values["num_bits"]
+        )
+        reading.extend(
+            LayerField(name, told, behind, end, _numbers_text(told), "the samples whose bits are set")
+        )
+    fields = SubmessageFields(np.frombuffer(reading.data, np.uint8), one, SubmessageKind(kind))
+    guid = fields.guid("writer_id")[0].tobytes()
+    place = at + layout.by_name["writer_id"].start
+    known = endpoints.find(guid, reading.datagram.number)
+    told_of = {"writer": (guid_text(guid), "GUID of the writer")}
+    topic = ros_topic(known.topic) if known is not None else ""
+    if known is not None and topic:
+        type_name = ros_name(known.type)
+        told_of |= {"topic": (topic, "as it announced"), "type": (type_name, "as it announced")}
+    for name, (text, doc) in told_of.items():
+        reading.extend(LayerField(name, text, place, place + ENTITY_BYTES, text, doc))
+    sample = kind == SubmessageKind.DATA and flags & SubmessageFlag.DATA
+    if known is not None and topic and sample and inside and inside[2]:
+        reading.sample(topic, ros_name(known.type), inside[0], inside[1])
+
+
+def _numbers_text(numbers: list[int]) -> str:
+    return ", ".join(map(str, numbers)) or "none"
+
+
+def places(layout: Layout, rows: BatchRows, link: Link) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Find the message header, or every submessage of one kind and byte order; a row may have several."""
+    owner = np.flatnonzero(rows.column("link") == link)
+    offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]
+    if layout is RTPS_HEADER:
+        there = length >= layout.size
+        return owner[there], offset[there]
+    found = read_messages(rows.batch.data, offset, length).submessages
+    little = found.little == (layout.byte_order == "little")
+    of_time = (found.kind == SubmessageKind.INFO_TS) & ((found.flags & SubmessageFlag.NO_TIMESTAMP) != 0)
+    kinds = [kind for kind, orders in LAYOUTS.items() if layout in orders]
+    if kinds:
+        chosen = little & (found.kind == kinds[0]) & ~of_time & (found.end - found.start >= layout.size)
+    else:
+        plain = ~np.isin(found.kind, list(LAYOUTS)) | of_time
+        least = np.array([LAYOUTS[kind].little.size if kind in LAYOUTS else 0 for kind in range(256)])
+        plain |= ~found.whole & (found.end - found.start < least[found.kind])
+        chosen = little & plain
+    return owner[found.row[chosen]], found.start[chosen]
+
+
+def summary(decoded: Decoded) -> str:
+    """Return what the submessages are, and of which topics or built-in endpoints."""
+    told: list[str] = []
+    for layer in decoded.layers:
+        values = layer.values()
+        if "submessage_id" not in values:
+            continue
+        name = SUBMESSAGE_NAMES.get(values["submessage_id"], f"0x{values['submessage_id']:02x}")
+        if name in {"INFO_TS", "INFO_DST", "INFO_SRC", "PAD"}:
+            continue
+        of = values.get("topic") or BUILT_IN.get(values.get("writer_id", b""), "")
+        numbers = [values[item] for item in ("writer_sn", "first_sn", "last_sn", "base_sn") if item in values]
+        text = " ".join([name, *([of] if of else []), "..".join(map(str, numbers))]).strip()
+        if values.get("missing"):
+            text += f" missing {_numbers_text(values['missing'])}"
+        told.append(text)
+    more = len(told) - _MOST_TOLD
+    return ", ".join(told[:_MOST_TOLD]) + (f", ... {more} more" if more > 0 else "") or str(
+        decoded.stop or ""
+    )

@@ -1,0 +1,252 @@
+"""The headers of RTPS: of a message, and of each kind of submessage (DDSI-RTPS 2.5, 8.3.7 and 9.4).
+
+The byte order is that of the sender, told by a flag of each submessage: there are two layouts of each kind,
+the second for senders with the most significant byte first. A sequence number is two words, of which the high
+one comes first in either order.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from edoras_tools.wire.layout import Field, Layout
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+MAGIC: Final = b"RTPS"
+PREFIX_BYTES: Final = 12
+ENTITY_BYTES: Final = 4
+GUID_BYTES: Final = PREFIX_BYTES + ENTITY_BYTES
+
+
+class SubmessageKind(IntEnum):
+    """Which submessage it is (9.4.5.1.1); vendors have those from 0x80 on."""
+
+    PAD = 0x01
+    ACKNACK = 0x06
+    HEARTBEAT = 0x07
+    GAP = 0x08
+    INFO_TS = 0x09
+    INFO_SRC = 0x0C
+    INFO_REPLY_IP4 = 0x0D
+    INFO_DST = 0x0E
+    INFO_REPLY = 0x0F
+    NACK_FRAG = 0x12
+    HEARTBEAT_FRAG = 0x13
+    DATA = 0x15
+    DATA_FRAG = 0x16
+    SEC_BODY = 0x30
+    SEC_PREFIX = 0x31
+    SEC_POSTFIX = 0x32
+    SRTPS_PREFIX = 0x33
+    SRTPS_POSTFIX = 0x34
+
+
+class SubmessageFlag(IntFlag):
+    """Flags of submessages; what the second to the fourth bit say depends on the kind."""
+
+    LITTLE_ENDIAN = 0x01
+    INLINE_QOS = 0x02
+    """Of DATA and DATA_FRAG: a parameter list is in front of the data."""
+    NO_TIMESTAMP = 0x02
+    """Of INFO_TS: what follows has no time."""
+    DATA = 0x04
+    """Of DATA: it holds a sample."""
+    KEY = 0x08
+    """Of DATA: it holds a key alone: what it names is disposed of."""
+    FRAGMENT_KEY = 0x04
+    """Of DATA_FRAG: its fragments are those of a key."""
+
+
+SUBMESSAGE_NAMES: Final[Mapping[int, str]] = {int(item): item.name for item in SubmessageKind}
+VENDOR_NAMES: Final[Mapping[int, str]] = {
+    0x0101: "RTI Connext",
+    0x0102: "OpenSplice",
+    0x0103: "OpenDDS",
+    0x0106: "InterCOM",
+    0x0109: "CoreDX",
+    0x010F: "eProsima Fast DDS",
+    0x0110: "Eclipse Cyclone DDS",
+    0x0111: "GurumDDS",
+    0x0112: "RustDDS",
+    0x0113: "Zhenrong ZRDDS",
+    0x0114: "S2E Dust DDS",
+}
+"""As their owners registered them at the OMG."""
+
+RTPS_HEADER: Final = Layout(
+    "rtps",
+    "RTPS",
+    Field("magic", 32, "the letters RTPS", base=16),
+    Field("version_major", 8, "of the protocol", clause="DDSI-RTPS 2.5, 8.3.3"),
+    Field("version_minor", 8, "of the protocol"),
+    Field("vendor_id", 16, "who made the sender's DDS", base=16, names=VENDOR_NAMES),
+    Field("guid_prefix", 8 * PREFIX_BYTES, "of the participant that sends it", kind="bytes"),
+)
+
+
+class Orders(NamedTuple):
+    """A header in both byte orders."""
+
+    little: Layout
+    big: Layout
+
+    def of(self, *, little: bool) -> Layout:
+        """Return the layout of a byte order."""
+        return self.little if little else self.big
+
+
+def _orders(name: str, title: str, *fields: Field) -> Orders:
+    head = (
+        Field("submessage_id", 8, "which submessage", base=16, names=SUBMESSAGE_NAMES),
+        Field("flags", 8, "the first bit: byte order; the others depend on the kind", base=16),
+        Field("octets_to_next_header", 16, "bytes behind this field; 0: up to the end of the message"),
+    )
+    return Orders(
+        Layout(f"rtps_{name}", title, *head, *fields, byte_order="little"),
+        Layout(f"rtps_{name}_big", f"{title}, most significant byte first", *head, *fields),
+    )
+
+
+def _entity(name: str, doc: str) -> Field:
+    return Field(name, 8 * ENTITY_BYTES, doc, kind="bytes", clause="DDSI-RTPS 2.5, 9.3.1.2")
+
+
+def _sequence_number(name: str, doc: str) -> tuple[Field, Field]:
+    return (
+        Field(f"{name}_high", 32, f"{doc}: the high word", kind="int"),
+        Field(f"{name}_low", 32, f"{doc}: the low word"),
+    )
+
+
+_READER: Final = _entity("reader_id", "of which reader; 00000000: of every one")
+_WRITER: Final = _entity("writer_id", "of which writer")
+_ENDS: Final = (_READER, _WRITER)
+_INLINE: Final = (
+    Field("extra_flags", 16, "0", base=16),
+    Field("octets_to_inline_qos", 16, "bytes from behind this field to the inline QoS or the data"),
+)
+
+SUBMESSAGE: Final = _orders("submessage", "Submessage")
+LAYOUTS: Final[Mapping[int, Orders]] = {
+    SubmessageKind.ACKNACK: _orders(
+        "acknack",
+        "ACKNACK",
+        *_ENDS,
+        *_sequence_number("base", "all samples before it are there"),
+        Field("num_bits", 32, "how many samples from there on are spoken of"),
+    ),
+    SubmessageKind.HEARTBEAT: _orders(
+        "heartbeat",
+        "HEARTBEAT",
+        *_ENDS,
+        *_sequence_number("first", "first sample that the writer still has"),
+        *_sequence_number("last", "last sample that it has written"),
+        Field("count", 32, "grows with every heartbeat that is not a copy"),
+    ),
+    SubmessageKind.GAP: _orders(
+        "gap",
+        "GAP",
+        *_ENDS,
+        *_sequence_number("gap_start", "first sample that will not come"),
+        *_sequence_number("base", "the first one behind those that follow it"),
+        Field("num_bits", 32, "of how many samples from there on bits tell whether they come"),
+    ),
+    SubmessageKind.INFO_TS: _orders(
+        "info_ts",
+        "INFO_TS",
+        Field("seconds", 32, "since 1970, of all submessages that follow"),
+        Field("fraction", 32, "of a second, in 1/2^32"),
+    ),
+    SubmessageKind.INFO_SRC: _orders(
+        "info_src",
+        "INFO_SRC",
+        Field("unused", 32, "0"),
+        Field("version_major", 8, "of the protocol"),
+        Field("version_minor", 8, "of the protocol"),
+        Field("vendor_id", 16, "who made the writer's DDS", kind="bytes"),
+        Field("guid_prefix", 8 * PREFIX_BYTES, "of the participant that what follows is from", kind="bytes"),
+    ),
+    SubmessageKind.INFO_DST: _orders(
+        "info_dst",
+        "INFO_DST",
+        Field("guid_prefix", 8 * PREFIX_BYTES, "of the participant that what follows is for", kind="bytes"),
+    ),
+    SubmessageKind.INFO_REPLY: _orders(
+        "info_reply", "INFO_REPLY", Field("num_locators", 32, "where to answer: how many addresses")
+    ),
+    SubmessageKind.NACK_FRAG: _orders(
+        "nack_frag",
+        "NACK_FRAG",
+        *_ENDS,
+        *_sequence_number("writer_sn", "the sample"),
+        Field("fragment_base", 32, "all fragments before it are there"),
+        Field("num_bits", 32, "how many fragments from there on are spoken of"),
+    ),
+    SubmessageKind.HEARTBEAT_FRAG: _orders(
+        "heartbeat_frag",
+        "HEARTBEAT_FRAG",
+        *_ENDS,
+        *_sequence_number("writer_sn", "the sample"),
+        Field("last_fragment_num", 32, "the last fragment that there is so far"),
+        Field("count", 32, "grows with every one that is not a copy"),
+    ),
+    SubmessageKind.DATA: _orders(
+        "data", "DATA", *_INLINE, *_ENDS, *_sequence_number("writer_sn", "the writer's count of its samples")
+    ),
+    SubmessageKind.DATA_FRAG: _orders(
+        "data_frag",
+        "DATA_FRAG",
+        *_INLINE,
+        *_ENDS,
+        *_sequence_number("writer_sn", "the writer's count of its samples"),
+        Field("fragment_starting_num", 32, "the first fragment in it, counted from 1"),
+        Field("fragments_in_submessage", 16, "how many fragments"),
+        Field("fragment_size", 16, "bytes of each but the last of the sample"),
+        Field("sample_size", 32, "bytes of the whole sample"),
+    ),
+}
+"""The header of each kind of submessage, its own four bytes included; others have these four alone."""
+EVERY_RTPS_LAYOUT: Final = (
+    RTPS_HEADER,
+    *(layout for orders in (SUBMESSAGE, *LAYOUTS.values()) for layout in orders),
+)
+EMPTY_KINDS: Final = (SubmessageKind.PAD, SubmessageKind.INFO_TS)
+"""Where a length of 0 does not mean: up to the end (9.4.5.1.3)."""
+WITH_SEQUENCE_SET: Final = (SubmessageKind.ACKNACK, SubmessageKind.GAP)
+INLINE_AT: Final = LAYOUTS[SubmessageKind.DATA].little.by_name["octets_to_inline_qos"].end
+"""What ``octets_to_inline_qos`` counts from, in DATA and DATA_FRAG."""
+
+
+def entity_names(names: Iterable[tuple[str, str]]) -> dict[bytes, str]:
+    """Return names by entity id, which is given in hex."""
+    return {bytes.fromhex(number): name for number, name in names}
+
+
+BUILT_IN: Final[Mapping[bytes, str]] = entity_names(
+    [
+        ("000001c1", "participant"),
+        ("000002c2", "topics writer"),
+        ("000002c7", "topics reader"),
+        ("000003c2", "publications writer"),
+        ("000003c7", "publications reader"),
+        ("000004c2", "subscriptions writer"),
+        ("000004c7", "subscriptions reader"),
+        ("000100c2", "participants writer"),
+        ("000100c7", "participants reader"),
+        ("000200c2", "liveliness writer"),
+        ("000200c7", "liveliness reader"),
+        ("000300c3", "type lookup request writer"),
+        ("000300c4", "type lookup request reader"),
+        ("000301c3", "type lookup reply writer"),
+        ("000301c4", "type lookup reply reader"),
+    ]
+)
+"""Endpoints that every participant has (9.3.1.5)."""
+OF_PARTICIPANTS: Final = bytes.fromhex("000100c2")
+OF_PUBLICATIONS: Final = bytes.fromhex("000003c2")
+OF_SUBSCRIPTIONS: Final = bytes.fromhex("000004c2")
+BUILT_IN_KIND: Final = 0xC0
+"""Bits of the last byte of an entity id that is built in."""

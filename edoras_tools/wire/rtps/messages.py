@@ -1,0 +1,319 @@
+"""Many RTPS messages in columns: their submessages, and the samples that these hold.
+
+All messages of a batch are walked at once: each step takes the next submessage of every one. A message with
+more than ``MOST_SUBMESSAGES`` is read up to there; inline QoS up to ``MOST_PARAMETERS``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.rtps.headers import (
+    EMPTY_KINDS,
+    ENTITY_BYTES,
+    GUID_BYTES,
+    INLINE_AT,
+    LAYOUTS,
+    PREFIX_BYTES,
+    RTPS_HEADER,
+    SUBMESSAGE,
+    Orders,
+    SubmessageFlag,
+    SubmessageKind,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+MOST_SUBMESSAGES: Final = 1 << 10
+MOST_PARAMETERS: Final = 1 << 6
+NO_TIME: Final = -1
+NOWHERE: Final = -1
+"""A position that does not exist."""
+_HEAD: Final = SUBMESSAGE.little.size
+_SENTINEL: Final = 1
+_PREFIX_AT: Final = RTPS_HEADER.by_name["guid_prefix"].start
+_SOURCE_AT: Final = LAYOUTS[SubmessageKind.INFO_SRC].little.by_name["guid_prefix"].start
+_DESTINATION_AT: Final = LAYOUTS[SubmessageKind.INFO_DST].little.by_name["guid_prefix"].start
+SEQUENCE_UNKNOWN: Final = -(1 << 32)
+"""The sequence number that stands for none (9.3.2)."""
+
+
+class Submessages(NamedTuple):
+    """Submessages of some messages, in their order; of one length.
+
+    Attributes:
+        row: i64, which of the messages.
+        start: i64, its first byte in the data.
+        end: i64, one past its last byte that is there.
+        kind: u8, a ``SubmessageKind``, or another number.
+        flags: u8, ``SubmessageFlag``.
+        source: i64, where the GUID prefix of the participant stands that it is from.
+        destination: i64, where that of the participant stands that it is for; ``NOWHERE``: for all.
+        time_ns: i64, when the writer wrote what is in it, ns since 1970; ``NO_TIME`` where nobody says.
+        whole: bool, all of it is there.
+    """
+
+    row: NDArray[np.int64]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    kind: NDArray[np.uint8]
+    flags: NDArray[np.uint8]
+    source: NDArray[np.int64]
+    destination: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    whole: NDArray[np.bool_]
+
+    def take(self, chosen: NDArray[Any]) -> Submessages:
+        """Return some of them."""
+        return Submessages(*(column[chosen] for column in self))
+
+    @property
+    def little(self) -> NDArray[np.bool_]:
+        """Which have the least significant byte first."""
+        return np.asarray((self.flags & SubmessageFlag.LITTLE_ENDIAN) != 0)
+
+
+class Messages(NamedTuple):
+    """What is in some messages.
+
+    Attributes:
+        submessages: all of them.
+        truncated: bool (n,), of which messages bytes are missing.
+        odd: bool (n,), which hold more submessages than are read.
+    """
+
+    submessages: Submessages
+    truncated: NDArray[np.bool_]
+    odd: NDArray[np.bool_]
+
+
+def read_messages(
+    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.integer[Any]]
+) -> Messages:
+    """Read many messages; nothing in them can make this raise.
+
+    Args:
+        data: u8, contiguous.
+        offset: i64 (n,), where each begins.
+        length: (n,), bytes that are there.
+    """
+    count = len(offset)
+    end = offset + length
+    truncated = length < RTPS_HEADER.size
+    source, destination = offset + _PREFIX_AT, np.full(count, NOWHERE, np.int64)
+    time_ns = np.full(count, NO_TIME, np.int64)
+    place = offset + RTPS_HEADER.size
+    active = np.flatnonzero(~truncated & (place < end))
+    steps: list[tuple[NDArray[Any], ...]] = []
+    while len(active) and len(steps) < MOST_SUBMESSAGES:
+        room = end[active] - place[active] >= _HEAD
+        truncated[active[~room]] = True
+        active = active[room]
+        at = place[active]
+        head = gather(data, at, _HEAD)
+        kind, flags = head[:, 0], head[:, 1]
+        little = (flags & SubmessageFlag.LITTLE_ENDIAN) != 0
+        size = _number(SUBMESSAGE, "octets_to_next_header", head, little)
+        stop = at + _HEAD + size
+        to_end = (size == 0) & ~np.isin(kind, EMPTY_KINDS)
+        stop[to_end] = end[active[to_end]]
+        whole = (stop <= end[active]) & (stop - at >= _LEAST[kind])
+        no_time = (kind == SubmessageKind.INFO_TS) & ((flags & SubmessageFlag.NO_TIMESTAMP) != 0)
+        whole |= no_time & (stop <= end[active])
+        truncated[active[~whole]] = True
+        stop = np.minimum(stop, end[active])
+        for told, target, inside in (
+            (SubmessageKind.INFO_SRC, source, _SOURCE_AT),
+            (SubmessageKind.INFO_DST, destination, _DESTINATION_AT),
+        ):
+            some = (kind == told) & whole
+            target[active[some]] = at[some] + inside
+        _note_times(data, at, kind, whole, little, no_time, time_ns, active)
+        steps.append(
+            (active, at, stop, kind, flags, source[active], destination[active], time_ns[active], whole)
+        )
+        place[active] = stop
+        active = active[place[active] < end[active]]
+    odd = np.zeros(count, bool)
+    odd[active] = True
+    return Messages(_joined(steps), truncated, odd)
+
+
+def _note_times(
+    data: NDArray[np.uint8],
+    at: NDArray[np.int64],
+    kind: NDArray[np.uint8],
+    whole: NDArray[np.bool_],
+    little: NDArray[np.bool_],
+    no_time: NDArray[np.bool_],
+    time_ns: NDArray[np.int64],
+    active: NDArray[np.int64],
+) -> None:
+    """Note the times that INFO_TS gives to what follows."""
+    orders = LAYOUTS[SubmessageKind.INFO_TS]
+    some = np.flatnonzero((kind == SubmessageKind.INFO_TS) & whole & ~no_time)
+    if len(some):
+        head = gather(data, at[some], orders.little.size)
+        seconds = _number(orders, "seconds", head, little[some])
+        fraction = _number(orders, "fraction", head, little[some])
+        time_ns[active[some]] = seconds * SECOND + (fraction * SECOND >> 32)
+    time_ns[active[no_time]] = NO_TIME
+
+
+def _joined(steps: list[tuple[NDArray[Any], ...]]) -> Submessages:
+    if not steps:
+        none = np.zeros(0, np.int64)
+        octets = np.zeros(0, np.uint8)
+        return Submessages(none, none, none, octets, octets, none, none, none, np.zeros(0, bool))
+    found = Submessages(*(np.concatenate(column) for column in zip(*steps, strict=True)))
+    return found if len(steps) == 1 else found.take(np.argsort(found.row, kind="stable"))
+
+
+def _least() -> NDArray[np.int64]:
+    least = np.full(256, _HEAD, np.int64)
+    for kind, orders in LAYOUTS.items():
+        least[kind] = orders.little.size
+    return least
+
+
+_LEAST: Final = _least()
+"""Bytes of a submessage of each kind, at the least."""
+
+
+def _number(
+    orders: Orders, name: str, head: NDArray[np.uint8], little: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """Read a number of headers of either byte order."""
+    if little.all():
+        return orders.little.column(name, head).astype(np.int64)
+    return np.where(little, orders.little.column(name, head), orders.big.column(name, head)).astype(np.int64)
+
+
+class SubmessageFields:
+    """The fields of submessages of one kind.
+
+    Args:
+        data: u8, what they point into.
+        found: submessages of that kind, all whole.
+        kind: which.
+    """
+
+    def __init__(self, data: NDArray[np.uint8], found: Submessages, kind: SubmessageKind) -> None:
+        self._orders, self._little = LAYOUTS[kind], found.little
+        self._data, self._found = data, found
+        self._head = gather(data, found.start, self._orders.little.size)
+
+    def number(self, name: str) -> NDArray[np.int64]:
+        """Return a number, i64 (n,)."""
+        return _number(self._orders, name, self._head, self._little)
+
+    def sequence_number(self, name: str) -> NDArray[np.int64]:
+        """Return a sequence number, i64 (n,)."""
+        return (self.number(f"{name}_high") << 32) + self.number(f"{name}_low")
+
+    def guid(self, name: str) -> NDArray[np.void]:
+        """Return the GUID of an endpoint, V16 (n,): ``writer_id`` is the source's, ``reader_id`` the other's.
+
+        Where nothing says which participant it is for, its prefix is zero.
+        """
+        prefix = self._found.source if name == "writer_id" else self._found.destination
+        # The other way round: an ACKNACK is from the reader, and for the writer.
+        if self._orders in _FROM_READERS:
+            prefix = self._found.destination if name == "writer_id" else self._found.source
+        slot = self._orders.little.by_name[name]
+        out = np.zeros((len(prefix), GUID_BYTES), np.uint8)
+        known = prefix != NOWHERE
+        out[known, :PREFIX_BYTES] = gather(self._data, prefix[known], PREFIX_BYTES)
+        out[:, PREFIX_BYTES:] = self._head[:, slot.start : slot.start + ENTITY_BYTES]
+        return out.view(f"V{GUID_BYTES}")[:, 0]
+
+
+_FROM_READERS: Final = (LAYOUTS[SubmessageKind.ACKNACK], LAYOUTS[SubmessageKind.NACK_FRAG])
+
+
+class Samples(NamedTuple):
+    """What DATA and DATA_FRAG hold; of one length.
+
+    Attributes:
+        which: i64, index of the submessage.
+        start: i64, first byte of the data in its encapsulation; of a fragment, of its part.
+        end: i64, one past the last.
+        fits: bool, the header and the inline QoS are sound.
+    """
+
+    which: NDArray[np.int64]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    fits: NDArray[np.bool_]
+
+    def take(self, chosen: NDArray[Any]) -> Samples:
+        """Return some of them."""
+        return Samples(*(column[chosen] for column in self))
+
+
+def read_samples(data: NDArray[np.uint8], found: Submessages, kind: SubmessageKind) -> Samples:
+    """Find the data of submessages, behind inline QoS.
+
+    Args:
+        data: u8, what they point into.
+        found: all submessages of some messages.
+        kind: ``DATA`` or ``DATA_FRAG``; those that are cut, and DATA without data, are left out.
+    """
+    chosen = (found.kind == kind) & found.whole
+    if kind == SubmessageKind.DATA:
+        chosen &= (found.flags & (SubmessageFlag.DATA | SubmessageFlag.KEY)) != 0
+    which = np.flatnonzero(chosen)
+    some = found.take(which)
+    inline = SubmessageFields(data, some, kind).number("octets_to_inline_qos")
+    start = some.start + INLINE_AT + inline
+    # 8.3.7.2: fields of later versions may stand in between; fewer bytes than those of now may not.
+    least = some.start + LAYOUTS[kind].little.size
+    fits = (start >= least) & (start <= some.end)
+    start = np.where(fits, start, some.end)
+    active = np.flatnonzero(fits & ((some.flags & SubmessageFlag.INLINE_QOS) != 0))
+    fits[active] = False
+    little = some.little
+    for _ in range(MOST_PARAMETERS):
+        active = active[start[active] + _HEAD <= some.end[active]]
+        if not len(active):
+            break
+        head = gather(data, start[active], _HEAD)
+        words = np.where(little[active, None], head.view("<u2"), head.view(">u2")).astype(np.int64)
+        over = words[:, 0] == _SENTINEL
+        start[active] += _HEAD + np.where(over, 0, words[:, 1])
+        fits[active[over]] = True
+        active = active[~over]
+    start = np.where(fits, start, some.end)
+    return Samples(which, start, some.end, fits)
+
+
+def sequence_set(data: bytes, at: int, end: int, *, little: bool, base: int, bits: int) -> list[int]:
+    """Return the numbers of a sequence number set, or of a set of fragments (9.4.2.6, 9.4.2.8).
+
+    Args:
+        data: what it is in.
+        at: behind ``num_bits``.
+        end: one past the submessage.
+        little: byte order.
+        base: the first number that a bit stands for.
+        bits: how many; those whose words are not there are left out.
+    """
+    bits = min(bits, MOST_BITS, (end - at) // 4 * 32)
+    order = "<u4" if little else ">u4"
+    words = np.frombuffer(data, order, (bits + 31) // 32, at) if bits > 0 else np.zeros(0, order)
+    set_bits = np.unpackbits(words.astype(">u4").view(np.uint8))[: max(bits, 0)]
+    return [base + int(bit) for bit in np.flatnonzero(set_bits)]
+
+
+MOST_BITS: Final = 256
+"""Of a set; no sound one has more (8.3.5.5)."""
+
+
+def guid_text(guid: bytes) -> str:
+    """Return a GUID as people and other tools write it: ``0110..35.00000403``: prefix, entity id, in hex."""
+    return f"{guid[:PREFIX_BYTES].hex()}.{guid[PREFIX_BYTES:].hex()}"

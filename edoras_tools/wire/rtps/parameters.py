@@ -1,0 +1,117 @@
+"""Parameter lists: what participants tell each other of themselves and of their endpoints (9.6.3).
+
+Read leniently: a list that is cut, or never ends, is read as far as it goes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, Final, Literal
+
+from edoras_tools.wire.rtps.headers import GUID_BYTES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+MOST_PARAMETERS_READ: Final = 1 << 9
+LONGEST_TEXT: Final = 1 << 10
+"""Bytes of a name; longer ones are cut."""
+_MUST_UNDERSTAND: Final = 0x3FFF
+"""The bits of a parameter id without the flags of vendors and of what must be understood."""
+_ENCAPSULATIONS: Final[dict[int, Literal["big", "little"]]] = {0x0002: "big", 0x0003: "little"}
+"""PL_CDR by its representation: the byte order."""
+
+
+class ParameterId(IntEnum):
+    """The parameters that are read (table 9.18)."""
+
+    PAD = 0x0000
+    SENTINEL = 0x0001
+    TOPIC_NAME = 0x0005
+    TYPE_NAME = 0x0007
+    VENDOR_ID = 0x0016
+    RELIABILITY = 0x001A
+    DURABILITY = 0x001D
+    USER_DATA = 0x002C
+    PARTICIPANT_GUID = 0x0050
+    ENDPOINT_GUID = 0x005A
+    ENTITY_NAME = 0x0062
+
+
+RELIABILITY_NAMES: Final = {1: "best effort", 2: "reliable"}
+DURABILITY_NAMES: Final = {0: "volatile", 1: "transient local", 2: "transient", 3: "persistent"}
+
+
+@dataclass(frozen=True, slots=True)
+class Announcement:
+    """What a participant says of itself or of an endpoint; empty or None where it does not say.
+
+    Attributes:
+        guid: of the endpoint, or of the participant.
+        topic: as DDS has it: ``rt/cmd_vel``.
+        type: as DDS has it: ``geometry_msgs::msg::dds_::Twist_``.
+        reliable: whether samples that were lost are sent again.
+        durability: one of ``DURABILITY_NAMES``.
+        name: of the participant.
+    """
+
+    guid: bytes
+    topic: str = ""
+    type: str = ""
+    reliable: bool | None = None
+    durability: str = ""
+    name: str = ""
+
+
+def read_parameters(data: bytes) -> Iterator[tuple[int, bytes, Literal["big", "little"]]]:
+    """Yield id, value and byte order of each parameter in an encapsulation; nothing if it is no list.
+
+    Args:
+        data: from the encapsulation on.
+    """
+    order = _ENCAPSULATIONS.get(int.from_bytes(data[:2], "big"))
+    at = 4
+    for _ in range(MOST_PARAMETERS_READ):
+        if order is None or at + 4 > len(data):
+            return
+        number = int.from_bytes(data[at : at + 2], order)
+        size = int.from_bytes(data[at + 2 : at + 4], order)
+        if number == ParameterId.SENTINEL or at + 4 + size > len(data):
+            return
+        yield number, data[at + 4 : at + 4 + size], order
+        at += 4 + size
+
+
+def read_announcement(data: bytes) -> Announcement | None:
+    """Read what is said of a participant or an endpoint; None where no GUID is in it.
+
+    Args:
+        data: from the encapsulation on.
+    """
+    guid, participant, topic, kind, name, durability = b"", b"", "", "", "", ""
+    reliable = None
+    for number, value, order in read_parameters(data):
+        parameter = number & _MUST_UNDERSTAND
+        if parameter == ParameterId.ENDPOINT_GUID and len(value) >= GUID_BYTES:
+            guid = value[:GUID_BYTES]
+        elif parameter == ParameterId.PARTICIPANT_GUID and len(value) >= GUID_BYTES:
+            participant = value[:GUID_BYTES]
+        elif parameter == ParameterId.TOPIC_NAME:
+            topic = _text(value, order)
+        elif parameter == ParameterId.TYPE_NAME:
+            kind = _text(value, order)
+        elif parameter == ParameterId.ENTITY_NAME:
+            name = _text(value, order)
+        elif parameter == ParameterId.RELIABILITY:
+            known = RELIABILITY_NAMES.get(int.from_bytes(value[:4], order))
+            reliable = known == "reliable" if known else None
+        elif parameter == ParameterId.DURABILITY:
+            durability = DURABILITY_NAMES.get(int.from_bytes(value[:4], order), "")
+    found = guid or participant
+    return Announcement(found, topic, kind, reliable, durability, name) if found else None
+
+
+def _text(value: bytes, order: Literal["big", "little"]) -> str:
+    size = min(int.from_bytes(value[:4], order), LONGEST_TEXT)
+    return value[4 : 4 + size].split(b"\0", 1)[0].decode("utf-8", "replace")

@@ -1,0 +1,47 @@
+"""Parameter lists of discovery: both byte orders, and any bytes."""
+
+import struct
+
+import pytest
+from effort import examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rtps import PREFIX, TWIST, WRITER, announcement, parameter, text
+
+from edoras_tools.wire.rtps.parameters import (
+    LONGEST_TEXT,
+    MOST_PARAMETERS_READ,
+    Announcement,
+    read_announcement,
+    read_parameters,
+)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("reliable", [True, False])
+def test_a_writer_is_announced(order, reliable):
+    raw = announcement("rt/cmd_vel", TWIST, reliable=reliable, order=order)
+    assert read_announcement(raw) == Announcement(PREFIX + WRITER, "rt/cmd_vel", TWIST, reliable)
+
+
+def test_what_is_not_said_is_unknown():
+    assert read_announcement(b"\0\3\0\0" + parameter(5, text("rt/a"))) is None
+    found = read_announcement(b"\0\3\0\0" + parameter(0x50, bytes(16)) + parameter(0x62, text("node")))
+    assert found == Announcement(bytes(16), name="node")
+    assert read_announcement(b"\0\1\0\0" + parameter(0x5A, bytes(16))) is None  # plain CDR is no list
+    durable = parameter(0x5A, bytes(16)) + parameter(0x1D, struct.pack("<I", 1))
+    assert read_announcement(b"\0\3\0\0" + durable).durability == "transient local"
+
+
+def test_long_names_and_endless_lists_end():
+    long = parameter(0x5A, bytes(16)) + parameter(5, text("x" * 5000))
+    assert len(read_announcement(b"\0\3\0\0" + long).topic) <= LONGEST_TEXT
+    assert len(list(read_parameters(b"\0\3\0\0" + parameter(0, b"") * 100_000))) == MOST_PARAMETERS_READ
+    assert not list(read_parameters(b"\0\3\0\0" + struct.pack("<HH", 5, 0xFFFF) + bytes(100)))
+
+
+@settings(max_examples=examples(300), deadline=None)
+@given(st.binary(max_size=200), st.sampled_from([b"\0\2\0\0", b"\0\3\0\0", b""]))
+def test_any_bytes(raw, head):
+    found = read_announcement(head + raw)
+    assert found is None or len(found.guid) == 16
