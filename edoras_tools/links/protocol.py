@@ -126,7 +126,9 @@ class Peers:
 
 
 class Endpoints:
-    """Writers, readers and participants of DDS by GUID, as they announce themselves; the first announcement counts, from the datagram on that has it.
+    """Writers, readers and participants of DDS, as they announce themselves.
+
+    The first announcement of each counts, from the datagram on that has it.
 
     Attributes:
         announced: by GUID what was announced, and the number of the datagram.
