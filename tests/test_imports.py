@@ -31,7 +31,7 @@ PUT_OFF = {
     "io/formats/stream.py": ("zstandard", "only for captures inside zstd data"),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
     "io/topics/streams.py": (
-        "edoras_tools.io.topics.carried edoras_tools.io.topics.samples",
+        "edoras_tools.io.topics.carried",
         "only where messages travel as files, by RACS2, or by RTPS",
     ),
     "io/foxglove/server.py": (

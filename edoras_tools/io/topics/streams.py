@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.topics.carried.files import FileMessages
     from edoras_tools.io.topics.carried.racs2 import BridgeMessages
     from edoras_tools.io.topics.rows import Messages
-    from edoras_tools.io.topics.samples import SampleMessages
+    from edoras_tools.io.topics.carried.samples import SampleMessages
     from edoras_tools.links.protocol import Endpoints
     from edoras_tools.mission import Mission, StoredTopic
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
@@ -342,7 +342,7 @@ class Streams:
 
 
 def _sample_messages(types: TypeStore, taken: Sequence[Topic], endpoints: Endpoints) -> SampleMessages:
-    from edoras_tools.io.topics.samples import SampleMessages
+    from edoras_tools.io.topics.carried.samples import SampleMessages
 
     return SampleMessages(types, [topic.name for topic in taken], endpoints)
 
