@@ -25,12 +25,9 @@ from edoras_tools.io.topics.statistics import LinkStatistics
 from edoras_tools.io.topics.structs import struct_messages
 from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
 from edoras_tools.links.cfdp import CFDP
-<<<<<<< HEAD
 from edoras_tools.links.racs2 import RACS2
 from edoras_tools.links.resets import RESETS
-=======
 from edoras_tools.links.rtps.link import RTPS
->>>>>>> 5590aa3 (RTPS is a link: messages of DDS on any port, submessages in columns and layers, what is announced names topics, samples of known types are messages and have topics in recordings)
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
@@ -42,8 +39,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.topics.carried.files import FileMessages
     from edoras_tools.io.topics.carried.racs2 import BridgeMessages
-    from edoras_tools.io.topics.rows import Messages
     from edoras_tools.io.topics.carried.samples import SampleMessages
+    from edoras_tools.io.topics.rows import Messages
     from edoras_tools.links.protocol import Endpoints
     from edoras_tools.mission import Mission, StoredTopic
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
@@ -91,12 +88,8 @@ class PreparedBatch:
 
     Attributes:
         published: i64, publish time of each row, ns since 1970.
-<<<<<<< HEAD
         statistics: the seconds of link statistics that have ended, files that were transferred, messages of
-            RACS2.
-=======
-        statistics: the seconds of link statistics that have ended, transferred files, samples of DDS.
->>>>>>> 5590aa3 (RTPS is a link: messages of DDS on any port, submessages in columns and layers, what is announced names topics, samples of known types are messages and have topics in recordings)
+            RACS2, samples of DDS.
         added: channel ids of the topics that were added so far, by name.
     """
 
@@ -226,15 +219,12 @@ class Streams:
         told = [self._statistics.messages(batch, columns, self._statistics_id)] if statistics else []
         if self._files and self._add:
             told += self._files.messages(batch, columns, self._place_stored)
-<<<<<<< HEAD
         if self._add and (columns.link == RACS2).any():
             self._bridged = self._bridged or self._bridge_messages()
             told += self._bridged.messages(batch, columns)
-=======
-        if self.endpoints is not None and self.endpoints.announced and (columns.link == RTPS).any():
-            self._samples = self._samples or _sample_messages(self._types, self.topics, self.endpoints)
+        if self._add and self.endpoints is not None and (columns.link == RTPS).any():
+            self._samples = self._samples or _sample_messages(self._types, self._taken(), self.endpoints)
             told += self._samples.messages(batch, columns, self._place_sample)
->>>>>>> 5590aa3 (RTPS is a link: messages of DDS on any port, submessages in columns and layers, what is announced names topics, samples of known types are messages and have topics in recordings)
         if self._latched.routes:
             rows = np.flatnonzero(np.isin(columns.route, self._latched.routes))
             taken, own = batch.take(rows), columns.take(rows)
@@ -313,21 +303,23 @@ class Streams:
                 return int(self._routes[index])
         return self._place(Topic(stored.topic, stored.type, {"link": CFDP.label, "file": stored.file_name}))
 
-<<<<<<< HEAD
     def _bridge_messages(self) -> BridgeMessages:
         from edoras_tools.io.topics.carried.racs2 import BridgeMessages
-
-        taken = {item.name for item in (*self.topics, TRANSFORMS, FAULTS, HOST_COUNTERS)}
-        taken |= {item.topic for item in self._mission.stored} | {item.topic for item in self.structs.all}
 
         def place(name: str, type_name: str) -> int:
             return self._place(Topic(name, type_name, {"link": RACS2.label}))
 
-        return BridgeMessages(self._types, taken, place)
-=======
+        return BridgeMessages(self._types, self._taken(), place)
+
+    def _taken(self) -> set[str]:
+        """Return the names of topics that other messages have, or may have."""
+        taken = {item.name for item in (*self.topics, TRANSFORMS, FAULTS, HOST_COUNTERS)}
+        return (
+            taken | {item.topic for item in self._mission.stored} | {item.topic for item in self.structs.all}
+        )
+
     def _place_sample(self, name: str, type_name: str) -> int:
         return self._place(Topic(name, type_name, {"link": RTPS.label}))
->>>>>>> 5590aa3 (RTPS is a link: messages of DDS on any port, submessages in columns and layers, what is announced names topics, samples of known types are messages and have topics in recordings)
 
     def _place(self, topic: Topic) -> int:
         """Return the channel of a topic that is added at first use."""
@@ -341,10 +333,10 @@ class Streams:
         return self._statistics.finish(self._statistics_id)
 
 
-def _sample_messages(types: TypeStore, taken: Sequence[Topic], endpoints: Endpoints) -> SampleMessages:
+def _sample_messages(types: TypeStore, taken: set[str], endpoints: Endpoints) -> SampleMessages:
     from edoras_tools.io.topics.carried.samples import SampleMessages
 
-    return SampleMessages(types, [topic.name for topic in taken], endpoints)
+    return SampleMessages(types, taken, endpoints)
 
 
 def _file_messages(mission: Mission, types: TypeStore) -> FileMessages:
