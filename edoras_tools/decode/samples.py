@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.links.rtps.reader import TopicSamples, messages_of, topic_samples
+from edoras_tools.links.rtps.reader import TopicSamples, rtps_messages, topic_samples
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
 from edoras_tools.wire.rtps.names import ros_name, ros_topic
@@ -24,12 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownSamples:
-    """Samples of one topic, in the order of the rows; of one length.
+    """SampleData of one topic, in the order of the rows; of one length.
 
     Attributes:
         topic: its ROS name.
         type: its ROS type.
         row: i64, of the batch.
+        writers: GUIDs.
+        writer: i64, which of them wrote it.
         sequence_number: i64, the writer's.
         offset: i64, of the CDR encapsulation in the batch's data.
         length: i32, bytes, padding included.
@@ -40,6 +42,8 @@ class KnownSamples:
     topic: str
     type: str
     row: NDArray[np.intp]
+    writers: list[bytes]
+    writer: NDArray[np.int64]
     sequence_number: NDArray[np.int64]
     offset: NDArray[np.int64]
     length: NDArray[np.int32]
@@ -60,7 +64,7 @@ def known_samples(
     """
     if types is None or not len(rows):
         return
-    writers, found = topic_samples(batch.data, messages_of(batch, rows).submessages)
+    writers, found = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
     groups: dict[tuple[str, str], list[int]] = {}
     since = np.full(len(writers), np.iinfo(np.int64).max)
     for index, guid in enumerate(writers):
@@ -78,7 +82,16 @@ def known_samples(
         length = (one.end - one.start).astype(np.int32)
         valid = types.valid(type_name, batch.data, one.start, length)
         yield KnownSamples(
-            topic, type_name, rows[one.row], one.sequence_number, one.start, length, one.time_ns, valid
+            topic,
+            type_name,
+            rows[one.row],
+            writers,
+            one.writer,
+            one.sequence_number,
+            one.start,
+            length,
+            one.time_ns,
+            valid,
         )
 
 

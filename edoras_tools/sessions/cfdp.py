@@ -15,7 +15,6 @@ The rules that this file keeps:
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -23,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from edoras_tools.links.cfdp import CFDP, holds_pdu
+from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.wire.arrays.crc import FileCrc
 from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.arrays.window import copy_rows
@@ -48,50 +48,8 @@ if TYPE_CHECKING:
     Keep: TypeAlias = "Callable[[Transaction, int, bytes], None]"
 
 MOST_TRANSACTIONS: Final = 1 << 14
-MOST_RANGES: Final = 1 << 12
 LARGEST_OFFSET: Final = 1 << 40
 """In a file; pieces beyond are left out."""
-
-
-class ByteRanges:
-    """Which bytes of a file are known: ranges in order that do not touch."""
-
-    def __init__(self) -> None:
-        self._starts: list[int] = []
-        self._ends: list[int] = []
-
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        return zip(self._starts, self._ends, strict=True)
-
-    @property
-    def end(self) -> int:
-        """One past the last known byte."""
-        return self._ends[-1] if self._ends else 0
-
-    @property
-    def size(self) -> int:
-        """How many bytes are known."""
-        return sum(self._ends) - sum(self._starts)
-
-    def missing(self, start: int, end: int) -> list[tuple[int, int]]:
-        """Return the parts of a range that are not known."""
-        found = []
-        for index in range(bisect_left(self._ends, start), bisect_right(self._starts, end)):
-            if start < self._starts[index]:
-                found.append((start, self._starts[index]))
-            start = max(start, self._ends[index])
-        return [*found, (start, end)] if start < end else found
-
-    def add(self, start: int, end: int) -> bool:
-        """Add a range and return True; one that touches no other is left out if there are too many."""
-        first, last = bisect_left(self._ends, start), bisect_right(self._starts, end)
-        if first < last:
-            start, end = min(start, self._starts[first]), max(end, self._ends[last - 1])
-        elif len(self._starts) >= MOST_RANGES:
-            return False
-        self._starts[first:last] = [start]
-        self._ends[first:last] = [end]
-        return True
 
 
 @dataclass(slots=True, eq=False)
@@ -135,7 +93,7 @@ class Transaction:
     checksum_type: int | None = None
     file_size: int | None = None
     file_checksum: int | None = None
-    received: ByteRanges = field(default_factory=ByteRanges)
+    received: KnownRanges = field(default_factory=KnownRanges)
     sums: dict[int, ModularSum | FileCrc] = field(
         default_factory=lambda: {
             Checksum.MODULAR: ModularSum(),

@@ -13,7 +13,9 @@ from pdus import eof, finished, metadata, nak, pdu, piece
 
 from edoras_tools.model import PacketBatch
 from edoras_tools.sessions import cfdp as follower
-from edoras_tools.sessions.cfdp import ByteRanges, Follower
+from edoras_tools.sessions import ranges as known_ranges
+from edoras_tools.sessions.cfdp import Follower
+from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.wire import cfdp
 from edoras_tools.wire.cfdp import Checksum, Directive
 
@@ -102,7 +104,7 @@ def test_the_longest_silence():
 
 def test_transactions_and_ranges_are_limited(monkeypatch):
     monkeypatch.setattr(follower, "MOST_TRANSACTIONS", 3)
-    monkeypatch.setattr(follower, "MOST_RANGES", 5)
+    monkeypatch.setattr(known_ranges, "MOST_RANGES", 5)
     made = Follower()
     many = [piece(9, b"x", number=number) for number in range(10)]
     made.take(batch_of(many), np.arange(10))
@@ -191,7 +193,7 @@ test_any_order_of_pieces = Transfers.TestCase
 @settings(max_examples=examples(100))
 @given(st.lists(st.tuples(st.integers(0, 80), st.integers(1, 20)), max_size=20))
 def test_ranges_are_those_of_a_set(spans):
-    ranges, known = ByteRanges(), set()
+    ranges, known = KnownRanges(), set()
     for start, size in spans:
         new = {at for first, end in ranges.missing(start, start + size) for at in range(first, end)}
         assert new == set(range(start, start + size)) - known

@@ -8,7 +8,7 @@ import numpy as np
 from places import ROOT
 
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.wire.rtps.headers import LAYOUTS, MAGIC, SubmessageKind
+from edoras_tools.wire.rtps.headers import RTPS_MAGIC, SUBMESSAGE_LAYOUTS, SubmessageKind
 
 FOLDER = ROOT / "samples/rtps"
 CAPTURES = sorted(FOLDER.glob("*.pcap.gz"))
@@ -27,7 +27,7 @@ def batches(path):
 
 def message(*submessages, prefix=PREFIX, version=(2, 5), vendor=b"\x01\x10"):
     """Return an RTPS message."""
-    return MAGIC + bytes(version) + vendor + prefix + b"".join(submessages)
+    return RTPS_MAGIC + bytes(version) + vendor + prefix + b"".join(submessages)
 
 
 def submessage(kind, body, flags=1, length=None):
@@ -38,7 +38,7 @@ def submessage(kind, body, flags=1, length=None):
 
 def made(kind, flags=1, tail=b"", **values):
     """Return a submessage of a kind with a layout; a sequence number is one value."""
-    layout = LAYOUTS[kind].of(little=bool(flags & 1))
+    layout = SUBMESSAGE_LAYOUTS[kind].of(little=bool(flags & 1))
     words = {}
     for name, value in values.items():
         if f"{name}_high" in layout.by_name:

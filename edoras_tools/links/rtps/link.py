@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen, Site
 from edoras_tools.model import Decoded, PacketBatch, Transport
-from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT, MAGIC, RTPS_HEADER
+from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT, RTPS_HEADER, RTPS_MAGIC
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,7 +29,7 @@ class PublishSubscribeLink(LinkProtocol):
     from_cfs = True
     layouts = EVERY_RTPS_LAYOUT
     port_decides = False
-    magic = MAGIC
+    magic = RTPS_MAGIC
     several = True
     samples = True
     wireshark = "rtps"
@@ -37,20 +37,20 @@ class PublishSubscribeLink(LinkProtocol):
     def recognise(self, seen: Seen) -> Any:
         """Recognise the four letters that begin every message."""
         version = seen.field(RTPS_HEADER, "version_major")
-        letters = seen.field(RTPS_HEADER, "magic") == int.from_bytes(MAGIC, "big")
+        letters = seen.field(RTPS_HEADER, "magic") == int.from_bytes(RTPS_MAGIC, "big")
         return BY_CONTENT * (letters & (version >= 0))
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Judge messages, and learn which endpoints they announce; see :meth:`LinkProtocol.locate`."""
         from edoras_tools.links.rtps import reader
 
-        return reader.locate(batch, rows, site)
+        return reader.locate_samples(batch, rows, site)
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read one message."""
         from edoras_tools.links.rtps import reader
 
-        reader.dissect(reading, site)
+        reader.dissect_message(reading, site)
 
     def places(
         self, layout: Layout, rows: BatchRows, field: str = ""
@@ -59,13 +59,13 @@ class PublishSubscribeLink(LinkProtocol):
         from edoras_tools.links.rtps import reader
 
         del field
-        return reader.places(layout, rows, self)
+        return reader.submessage_places(layout, rows, self)
 
     def summary(self, decoded: Decoded) -> str:
         """Return what the submessages are, and of which topics."""
         from edoras_tools.links.rtps import reader
 
-        return reader.summary(decoded)
+        return reader.rtps_summary(decoded)
 
 
 RTPS: Final = PublishSubscribeLink()

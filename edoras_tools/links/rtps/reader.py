@@ -15,20 +15,21 @@ from edoras_tools.wire.rtps.headers import (
     BUILT_IN_KIND,
     ENTITY_BYTES,
     GUID_BYTES,
-    LAYOUTS,
     OF_PARTICIPANTS,
     OF_PUBLICATIONS,
     OF_SUBSCRIPTIONS,
     PREFIX_BYTES,
     RTPS_HEADER,
     SUBMESSAGE,
+    SUBMESSAGE_LAYOUTS,
     SUBMESSAGE_NAMES,
     WITH_SEQUENCE_SET,
     SubmessageFlag,
     SubmessageKind,
 )
 from edoras_tools.wire.rtps.messages import (
-    Messages,
+    LEAST_BYTES,
+    RtpsMessages,
     SubmessageFields,
     Submessages,
     guid_text,
@@ -70,7 +71,7 @@ def timeless(flags: int, kind: int) -> bool:
 
 
 class TopicSamples(NamedTuple):
-    """Samples in some messages, whole, of writers that are not built in; of one length.
+    """SampleData in some messages, whole, of writers that are not built in; of one length.
 
     Attributes:
         row: i64, which of the messages.
@@ -122,14 +123,14 @@ def distinct_guids(guids: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.int
     return [guids[at].tobytes() for at in first.tolist()], which
 
 
-def messages_of(batch: PacketBatch, rows: NDArray[np.intp]) -> Messages:
+def rtps_messages(batch: PacketBatch, rows: NDArray[np.intp]) -> RtpsMessages:
     """Read the messages of some rows of a batch."""
     return read_messages(batch.data, batch.offset[rows], batch.length[rows])
 
 
-def locate(batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+def locate_samples(batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
     """Judge messages, and learn which endpoints they announce."""
-    found, messages = Located(len(rows)), messages_of(batch, rows)
+    found, messages = Located(len(rows)), rtps_messages(batch, rows)
     found.flag(Finding.TRUNCATED, messages.truncated)
     found.flag(Finding.LENGTH_MISMATCH, messages.odd)
     submessages = messages.submessages
@@ -167,7 +168,7 @@ def learn(
                 endpoints.learn(announcement, int(number[own.row[at]]))
 
 
-def dissect(reading: Reading, site: Site) -> None:
+def dissect_message(reading: Reading, site: Site) -> None:
     """Read one message, submessage by submessage.
 
     Raises:
@@ -207,7 +208,7 @@ def _submessage(
     """Read one submessage, and the sample in it."""
     kind, flags, at, end = (int(item[0]) for item in (one.kind, one.flags, one.start, one.end))
     little = bool(flags & SubmessageFlag.LITTLE_ENDIAN)
-    orders = SUBMESSAGE if timeless(flags, kind) else LAYOUTS.get(kind, SUBMESSAGE)
+    orders = SUBMESSAGE if timeless(flags, kind) else SUBMESSAGE_LAYOUTS.get(kind, SUBMESSAGE)
     layout = orders.of(little=little)
     if not one.whole[0]:
         # What is there of it is shown, and where it should have ended.
@@ -254,7 +255,9 @@ def _numbers_text(numbers: list[int]) -> str:
     return ", ".join(map(str, numbers)) or "none"
 
 
-def places(layout: Layout, rows: BatchRows, link: Link) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+def submessage_places(
+    layout: Layout, rows: BatchRows, link: Link
+) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
     """Find the message header, or every submessage of one kind and byte order; a row may have several."""
     owner = np.flatnonzero(rows.column("link") == link)
     offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]
@@ -264,18 +267,17 @@ def places(layout: Layout, rows: BatchRows, link: Link) -> tuple[NDArray[np.intp
     found = read_messages(rows.batch.data, offset, length).submessages
     little = found.little == (layout.byte_order == "little")
     of_time = (found.kind == SubmessageKind.INFO_TS) & ((found.flags & SubmessageFlag.NO_TIMESTAMP) != 0)
-    kinds = [kind for kind, orders in LAYOUTS.items() if layout in orders]
+    kinds = [kind for kind, orders in SUBMESSAGE_LAYOUTS.items() if layout in orders]
     if kinds:
         chosen = little & (found.kind == kinds[0]) & ~of_time & (found.end - found.start >= layout.size)
     else:
-        plain = ~np.isin(found.kind, list(LAYOUTS)) | of_time
-        least = np.array([LAYOUTS[kind].little.size if kind in LAYOUTS else 0 for kind in range(256)])
-        plain |= ~found.whole & (found.end - found.start < least[found.kind])
+        plain = ~np.isin(found.kind, list(SUBMESSAGE_LAYOUTS)) | of_time
+        plain |= ~found.whole & (found.end - found.start < LEAST_BYTES[found.kind])
         chosen = little & plain
     return owner[found.row[chosen]], found.start[chosen]
 
 
-def summary(decoded: Decoded) -> str:
+def rtps_summary(decoded: Decoded) -> str:
     """Return what the submessages are, and of which topics or built-in endpoints."""
     told: list[str] = []
     for layer in decoded.layers:

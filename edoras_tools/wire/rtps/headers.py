@@ -15,7 +15,7 @@ from edoras_tools.wire.layout import Field, Layout
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-MAGIC: Final = b"RTPS"
+RTPS_MAGIC: Final = b"RTPS"
 PREFIX_BYTES: Final = 12
 ENTITY_BYTES: Final = 4
 GUID_BYTES: Final = PREFIX_BYTES + ENTITY_BYTES
@@ -130,7 +130,7 @@ _INLINE: Final = (
 )
 
 SUBMESSAGE: Final = _orders("submessage", "Submessage")
-LAYOUTS: Final[Mapping[int, Orders]] = {
+SUBMESSAGE_LAYOUTS: Final[Mapping[int, Orders]] = {
     SubmessageKind.ACKNACK: _orders(
         "acknack",
         "ACKNACK",
@@ -211,12 +211,12 @@ LAYOUTS: Final[Mapping[int, Orders]] = {
 """The header of each kind of submessage, its own four bytes included; others have these four alone."""
 EVERY_RTPS_LAYOUT: Final = (
     RTPS_HEADER,
-    *(layout for orders in (SUBMESSAGE, *LAYOUTS.values()) for layout in orders),
+    *(layout for orders in (SUBMESSAGE, *SUBMESSAGE_LAYOUTS.values()) for layout in orders),
 )
 EMPTY_KINDS: Final = (SubmessageKind.PAD, SubmessageKind.INFO_TS)
 """Where a length of 0 does not mean: up to the end (9.4.5.1.3)."""
 WITH_SEQUENCE_SET: Final = (SubmessageKind.ACKNACK, SubmessageKind.GAP)
-INLINE_AT: Final = LAYOUTS[SubmessageKind.DATA].little.by_name["octets_to_inline_qos"].end
+INLINE_AT: Final = SUBMESSAGE_LAYOUTS[SubmessageKind.DATA].little.by_name["octets_to_inline_qos"].end
 """What ``octets_to_inline_qos`` counts from, in DATA and DATA_FRAG."""
 
 

@@ -17,10 +17,10 @@ from edoras_tools.wire.rtps.headers import (
     ENTITY_BYTES,
     GUID_BYTES,
     INLINE_AT,
-    LAYOUTS,
     PREFIX_BYTES,
     RTPS_HEADER,
     SUBMESSAGE,
+    SUBMESSAGE_LAYOUTS,
     Orders,
     SubmessageFlag,
     SubmessageKind,
@@ -37,8 +37,8 @@ NOWHERE: Final = -1
 _HEAD: Final = SUBMESSAGE.little.size
 _SENTINEL: Final = 1
 _PREFIX_AT: Final = RTPS_HEADER.by_name["guid_prefix"].start
-_SOURCE_AT: Final = LAYOUTS[SubmessageKind.INFO_SRC].little.by_name["guid_prefix"].start
-_DESTINATION_AT: Final = LAYOUTS[SubmessageKind.INFO_DST].little.by_name["guid_prefix"].start
+_SOURCE_AT: Final = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_SRC].little.by_name["guid_prefix"].start
+_DESTINATION_AT: Final = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_DST].little.by_name["guid_prefix"].start
 SEQUENCE_UNKNOWN: Final = -(1 << 32)
 """The sequence number that stands for none (9.3.2)."""
 
@@ -78,7 +78,7 @@ class Submessages(NamedTuple):
         return np.asarray((self.flags & SubmessageFlag.LITTLE_ENDIAN) != 0)
 
 
-class Messages(NamedTuple):
+class RtpsMessages(NamedTuple):
     """What is in some messages.
 
     Attributes:
@@ -94,7 +94,7 @@ class Messages(NamedTuple):
 
 def read_messages(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.integer[Any]]
-) -> Messages:
+) -> RtpsMessages:
     """Read many messages; nothing in them can make this raise.
 
     Args:
@@ -122,7 +122,7 @@ def read_messages(
         stop = at + _HEAD + size
         to_end = (size == 0) & ~np.isin(kind, EMPTY_KINDS)
         stop[to_end] = end[active[to_end]]
-        whole = (stop <= end[active]) & (stop - at >= _LEAST[kind])
+        whole = (stop <= end[active]) & (stop - at >= LEAST_BYTES[kind])
         no_time = (kind == SubmessageKind.INFO_TS) & ((flags & SubmessageFlag.NO_TIMESTAMP) != 0)
         whole |= no_time & (stop <= end[active])
         truncated[active[~whole]] = True
@@ -141,7 +141,7 @@ def read_messages(
         active = active[place[active] < end[active]]
     odd = np.zeros(count, bool)
     odd[active] = True
-    return Messages(_joined(steps), truncated, odd)
+    return RtpsMessages(_joined(steps), truncated, odd)
 
 
 def _note_times(
@@ -155,7 +155,7 @@ def _note_times(
     active: NDArray[np.int64],
 ) -> None:
     """Note the times that INFO_TS gives to what follows."""
-    orders = LAYOUTS[SubmessageKind.INFO_TS]
+    orders = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_TS]
     some = np.flatnonzero((kind == SubmessageKind.INFO_TS) & whole & ~no_time)
     if len(some):
         head = gather(data, at[some], orders.little.size)
@@ -176,12 +176,12 @@ def _joined(steps: list[tuple[NDArray[Any], ...]]) -> Submessages:
 
 def _least() -> NDArray[np.int64]:
     least = np.full(256, _HEAD, np.int64)
-    for kind, orders in LAYOUTS.items():
+    for kind, orders in SUBMESSAGE_LAYOUTS.items():
         least[kind] = orders.little.size
     return least
 
 
-_LEAST: Final = _least()
+LEAST_BYTES: Final = _least()
 """Bytes of a submessage of each kind, at the least."""
 
 
@@ -204,7 +204,7 @@ class SubmessageFields:
     """
 
     def __init__(self, data: NDArray[np.uint8], found: Submessages, kind: SubmessageKind) -> None:
-        self._orders, self._little = LAYOUTS[kind], found.little
+        self._orders, self._little = SUBMESSAGE_LAYOUTS[kind], found.little
         self._data, self._found = data, found
         self._head = gather(data, found.start, self._orders.little.size)
 
@@ -233,10 +233,13 @@ class SubmessageFields:
         return out.view(f"V{GUID_BYTES}")[:, 0]
 
 
-_FROM_READERS: Final = (LAYOUTS[SubmessageKind.ACKNACK], LAYOUTS[SubmessageKind.NACK_FRAG])
+_FROM_READERS: Final = (
+    SUBMESSAGE_LAYOUTS[SubmessageKind.ACKNACK],
+    SUBMESSAGE_LAYOUTS[SubmessageKind.NACK_FRAG],
+)
 
 
-class Samples(NamedTuple):
+class SampleData(NamedTuple):
     """What DATA and DATA_FRAG hold; of one length.
 
     Attributes:
@@ -251,12 +254,12 @@ class Samples(NamedTuple):
     end: NDArray[np.int64]
     fits: NDArray[np.bool_]
 
-    def take(self, chosen: NDArray[Any]) -> Samples:
+    def take(self, chosen: NDArray[Any]) -> SampleData:
         """Return some of them."""
-        return Samples(*(column[chosen] for column in self))
+        return SampleData(*(column[chosen] for column in self))
 
 
-def read_samples(data: NDArray[np.uint8], found: Submessages, kind: SubmessageKind) -> Samples:
+def read_samples(data: NDArray[np.uint8], found: Submessages, kind: SubmessageKind) -> SampleData:
     """Find the data of submessages, behind inline QoS.
 
     Args:
@@ -272,7 +275,7 @@ def read_samples(data: NDArray[np.uint8], found: Submessages, kind: SubmessageKi
     inline = SubmessageFields(data, some, kind).number("octets_to_inline_qos")
     start = some.start + INLINE_AT + inline
     # 8.3.7.2: fields of later versions may stand in between; fewer bytes than those of now may not.
-    least = some.start + LAYOUTS[kind].little.size
+    least = some.start + SUBMESSAGE_LAYOUTS[kind].little.size
     fits = (start >= least) & (start <= some.end)
     start = np.where(fits, start, some.end)
     active = np.flatnonzero(fits & ((some.flags & SubmessageFlag.INLINE_QOS) != 0))
@@ -289,7 +292,7 @@ def read_samples(data: NDArray[np.uint8], found: Submessages, kind: SubmessageKi
         fits[active[over]] = True
         active = active[~over]
     start = np.where(fits, start, some.end)
-    return Samples(which, start, some.end, fits)
+    return SampleData(which, start, some.end, fits)
 
 
 def sequence_set(data: bytes, at: int, end: int, *, little: bool, base: int, bits: int) -> list[int]:

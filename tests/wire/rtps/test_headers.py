@@ -3,7 +3,13 @@
 import pytest
 from rtps import PREFIX, WRITER
 
-from edoras_tools.wire.rtps.headers import BUILT_IN, EVERY_RTPS_LAYOUT, LAYOUTS, RTPS_HEADER, SubmessageKind
+from edoras_tools.wire.rtps.headers import (
+    BUILT_IN,
+    EVERY_RTPS_LAYOUT,
+    RTPS_HEADER,
+    SUBMESSAGE_LAYOUTS,
+    SubmessageKind,
+)
 
 
 def test_a_real_header():
@@ -19,9 +25,9 @@ def test_a_real_header():
     assert RTPS_HEADER.emit(values) == raw
 
 
-@pytest.mark.parametrize("kind", LAYOUTS)
+@pytest.mark.parametrize("kind", SUBMESSAGE_LAYOUTS)
 def test_both_orders_hold_the_same(kind):
-    little, big = LAYOUTS[kind]
+    little, big = SUBMESSAGE_LAYOUTS[kind]
     values = {
         slot.field.name: WRITER[: slot.end - slot.start].ljust(slot.end - slot.start, b"\1")
         if slot.field.kind == "bytes"

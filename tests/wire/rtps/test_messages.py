@@ -1,4 +1,4 @@
-"""Messages in columns: every submessage beside tshark, both byte orders, and any bytes."""
+"""RtpsMessages in columns: every submessage beside tshark, both byte orders, and any bytes."""
 
 import struct
 

@@ -8,7 +8,10 @@ import numpy as np
 
 from edoras_tools.decode.samples import known_samples
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
+from edoras_tools.links.protocol import MOST_ENDPOINTS
 from edoras_tools.links.rtps.link import RTPS
+from edoras_tools.sessions.ranges import KnownRanges
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows
 
 if TYPE_CHECKING:
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.ros import TypeStore
 
-MOST_TOPICS: Final = 1 << 10
+MOST_SAMPLE_TOPICS: Final = 1 << 10
 """Topics that are added; samples of others are left out."""
 _APART: Final = "/dds"
 """Put before a topic that the mission has too, or that two types have: its messages are not mixed."""
@@ -29,7 +32,7 @@ _LOW: Final = (1 << 32) - 1
 
 
 class SampleMessages:
-    """Makes messages of samples.
+    """Makes messages of samples; one that comes again, or to several readers, makes one message.
 
     Args:
         types: the ROS types.
@@ -39,6 +42,7 @@ class SampleMessages:
 
     def __init__(self, types: TypeStore, taken: Collection[str], endpoints: Endpoints) -> None:
         self._types, self._taken, self._endpoints = types, frozenset(taken), endpoints
+        self._known: dict[bytes, KnownRanges] = {}
         self._names: dict[tuple[str, str], str] = {}
 
     def messages(
@@ -61,7 +65,7 @@ class SampleMessages:
     def _name(self, topic: str, type_name: str) -> str:
         """Return the name of the topic in the recording; empty if there are too many."""
         key = topic, type_name
-        if key not in self._names and len(self._names) < MOST_TOPICS:
+        if key not in self._names and len(self._names) < MOST_SAMPLE_TOPICS:
             name = topic
             if name in self._taken:
                 name = f"{_APART}{name}"
@@ -70,12 +74,21 @@ class SampleMessages:
             self._names[key] = name
         return self._names.get(key, "")
 
+    def _new(self, item: KnownSamples) -> NDArray[np.bool_]:
+        """Tell which samples did not come before."""
+        new = np.ones(len(item.row), bool)
+        for writer, at in by_value(item.writer):
+            guid = item.writers[writer]
+            if guid in self._known or len(self._known) < MOST_ENDPOINTS:
+                new[at] = self._known.setdefault(guid, KnownRanges()).fresh(item.sequence_number[at])
+        return new
+
     def _of(
         self, batch: PacketBatch, item: KnownSamples, channel: Callable[[str, str], int]
     ) -> Messages | None:
         """Return the messages of one topic, their bytes copied: they may be written by another process."""
         left = self._types.trailing(item.type, batch.data, item.offset, item.length)
-        whole = np.flatnonzero(left >= 0)
+        whole = np.flatnonzero((left >= 0) & self._new(item))
         name = self._name(item.topic, item.type)
         if not len(whole) or not name:
             return None

@@ -1,0 +1,71 @@
+"""Which of many whole numbers are known, as ranges: bytes of a file, sequence numbers of a writer."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+MOST_RANGES: Final = 1 << 12
+
+
+class KnownRanges:
+    """Which bytes of a file, or which sequence numbers, are known: ranges in order that do not touch."""
+
+    def __init__(self) -> None:
+        self._starts: list[int] = []
+        self._ends: list[int] = []
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return zip(self._starts, self._ends, strict=True)
+
+    @property
+    def end(self) -> int:
+        """One past the last known one."""
+        return self._ends[-1] if self._ends else 0
+
+    @property
+    def size(self) -> int:
+        """How many are known."""
+        return sum(self._ends) - sum(self._starts)
+
+    def missing(self, start: int, end: int) -> list[tuple[int, int]]:
+        """Return the parts of a range that are not known."""
+        found = []
+        for index in range(bisect_left(self._ends, start), bisect_right(self._starts, end)):
+            if start < self._starts[index]:
+                found.append((start, self._starts[index]))
+            start = max(start, self._ends[index])
+        return [*found, (start, end)] if start < end else found
+
+    def add(self, start: int, end: int) -> bool:
+        """Add a range and return True; one that touches no other is left out if there are too many."""
+        first, last = bisect_left(self._ends, start), bisect_right(self._starts, end)
+        if first < last:
+            start, end = min(start, self._starts[first]), max(end, self._ends[last - 1])
+        elif len(self._starts) >= MOST_RANGES:
+            return False
+        self._starts[first:last] = [start]
+        self._ends[first:last] = [end]
+        return True
+
+    def fresh(self, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Add numbers; tell which of them were not known, each at its first place, bool (n,)."""
+        distinct, first = np.unique(numbers, return_index=True)
+        starts, ends = np.array(self._starts, np.int64), np.array(self._ends, np.int64)
+        before = np.searchsorted(starts, distinct, side="right")
+        new = before == 0
+        new[~new] = ends[before[~new] - 1] <= distinct[~new]
+        out = np.zeros(len(numbers), bool)
+        out[first[new]] = True
+        left = distinct[new]
+        breaks = np.flatnonzero(np.diff(left) != 1) + 1
+        for run in np.split(left, breaks) if len(left) else ():
+            self.add(int(run[0]), int(run[-1]) + 1)
+        return out

@@ -1,0 +1,35 @@
+"""Samples of DDS are messages of a recording: what was published, once each, as rosbags reads them."""
+
+from collections import Counter
+
+import pytest
+from rosbags.highlevel import AnyReader
+from rtps import CAPTURES, TRUTH
+
+from edoras_tools.pipelines.capture.record import Target, record
+from edoras_tools.pipelines.workbench import Settings, open_files
+
+
+def recorded(path, target, **options):
+    source = open_files([path])
+    record(source, Settings().workbench(source.info), Target(target, **options))
+    with AnyReader([target]) as reader:
+        return [
+            (item.topic, item.msgtype, time_ns, reader.deserialize(raw, item.msgtype))
+            for item, time_ns, raw in reader.messages()
+            if not item.topic.startswith("/edoras/")
+        ]
+
+
+@pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.name.partition(".")[0])
+def test_what_was_published_is_recorded_once(path, tmp_path):
+    kind, _, end = path.name.partition(".")[0].partition("_")
+    found = recorded(path, tmp_path / "all.mcap")
+    count = Counter(item[:2] for item in found)
+    truth = TRUTH[kind]
+    heard = truth["heard"] if end == "receiver" else {}
+    texts = len(heard.get("/chatter", range(truth["written"]["/chatter"])))
+    assert count["/cmd_vel", "geometry_msgs/msg/Twist"] == truth["written"]["/cmd_vel"]
+    assert count["/chatter", "std_msgs/msg/String"] == texts
+    twists = sorted(item[3].linear.x for item in found if item[0] == "/cmd_vel")
+    assert twists == [number / 10 for number in range(truth["written"]["/cmd_vel"])]
