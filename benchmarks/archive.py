@@ -1,8 +1,9 @@
 """Index many captures with known losses: with one worker and with two, killed and resumed, on a dask cluster.
 
     python benchmarks/archive.py make DIR [COUNT]  # captures, and truth.json: what was lost in each
-    python benchmarks/archive.py jobs DIR          # one worker, and two: time, CPU time, equal results, truth
-    python benchmarks/archive.py kill DIR [KILLS]  # killed at random moments and resumed: same index
+    python benchmarks/archive.py jobs DIR [KILLS]  # one worker, two, and two that are killed at random
+                                                   # and resumed: time, CPU time, equal results, truth
+    python benchmarks/archive.py kill DIR [KILLS]  # only killed and resumed: same index
     python benchmarks/archive.py cluster DIR       # dask's own programs, one worker killed: same index
 
 The captures are those of an emulated cFS, with telemetry taken out at random or with more commands than its
@@ -147,8 +148,8 @@ def held_to_truth(index: Path, folder: Path) -> str:
     return f"{right} of {len(truth)} captures have the known losses; {total} lost, known {known}"
 
 
-def jobs(folder: Path) -> None:
-    """Index with one worker and with two."""
+def jobs(folder: Path, kills: int) -> None:
+    """Index with one worker, with two, and with two that are killed and resumed."""
     with tempfile.TemporaryDirectory() as temporary:
         one, two = Path(temporary) / "1.duckdb", Path(temporary) / "2.duckdb"
         print(f"load {os.getloadavg()[0]:.1f} on {len(os.sched_getaffinity(0))} cores")
@@ -161,25 +162,58 @@ def jobs(folder: Path) -> None:
         print(f"nothing new: {again[0]:.1f} s")
         print(f"one to two: {times[1][0] / times[2][0]:.2f}; equal: {contents(one) == contents(two)}")
         print(held_to_truth(two, folder))
+        index = Path(temporary) / "killed.duckdb"
+        equal = killed(folder, index, times[2][0], kills) and contents(two) == contents(index)
+        print(f"killed {kills} times and resumed: equal: {equal}; {held_to_truth(index, folder)}")
 
 
 def kill(folder: Path, kills: int) -> None:
     """Kill the program at random moments, and resume it."""
-    chance = random.Random(2)
     with tempfile.TemporaryDirectory() as temporary:
         whole, index = Path(temporary) / "whole.duckdb", Path(temporary) / "killed.duckdb"
-        seconds = indexed(folder, whole)[0]
-        command = [EDORAS, "archive", str(folder), "--index", str(index), "-q", "-c", str(MISSION)]
-        for _ in range(kills):
-            with subprocess.Popen(command, start_new_session=True) as running:
-                time.sleep(chance.uniform(0.2, 0.8) * seconds)
-                running.send_signal(signal.SIGKILL)
+        equal = killed(folder, index, indexed(folder, whole)[0], kills) and contents(whole) == contents(index)
+        print(f"resumed; equal: {equal}; {held_to_truth(index, folder)}")
+
+
+def killed(folder: Path, index: Path, seconds: float, kills: int) -> bool:
+    """Index a folder, killed so many times on the way; return whether some kill left one half done.
+
+    Args:
+        folder: the captures.
+        index: where their index is made.
+        seconds: how long it takes in one go. Each try has from 0.4 to 1.2 of its share, so
+            that the last kills come before the end.
+        kills: how many times.
+    """
+    chance, shares = random.Random(2), []
+    total = len(json.loads((folder / "truth.json").read_text()))
+    command = [EDORAS, "archive", str(folder), "--index", str(index), "-q", "-c", str(MISSION)]
+    for _ in range(kills):
+        with subprocess.Popen(command, start_new_session=True) as running:
+            time.sleep(2 + chance.uniform(0.4, 1.2) * seconds / (kills + 1))
+            over = running.poll() is not None
+            running.send_signal(signal.SIGKILL)
+        await_workers(running.pid)
+        count = 0
+        if index.exists():
             with duckdb.connect(str(index)) as opened:
                 tables = opened.execute("SELECT count(*) FROM duckdb_tables()").fetchone()[0]
                 count = opened.execute("SELECT count(*) FROM captures").fetchone()[0] if tables else 0
-            print(f"killed; {count} captures are in the index")
-        subprocess.run(command, check=True)
-        print(f"resumed; equal: {contents(whole) == contents(index)}")
+        print(f"  {'ended before it was killed' if over else 'killed'}; {count} of {total} captures indexed")
+        shares.append(0 if over else count)
+    subprocess.run(command, check=True)
+    return any(0 < count < total for count in shares)
+
+
+def await_workers(group: int) -> None:
+    """Wait until the workers of a program that was killed have noticed."""
+    for _ in range(600):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    sys.exit("workers outlive the program by more than a minute")
 
 
 def cluster(folder: Path) -> None:
@@ -233,10 +267,12 @@ def main() -> None:
     options = parser.parse_args()
     if options.what == "make":
         make(options.folder, options.count or 2000)
+    elif options.what == "jobs":
+        jobs(options.folder, options.count or 5)
     elif options.what == "kill":
         kill(options.folder, options.count or 5)
     else:
-        {"jobs": jobs, "cluster": cluster}[options.what](options.folder)
+        cluster(options.folder)
 
 
 if __name__ == "__main__":

@@ -147,6 +147,18 @@ class Builds:
         self._found[places] = found
         self.several = bool(((self._found != 0) & (self._found != 1 << self.usual)).any())
 
+    @property
+    def told(self) -> tuple[int, bytes]:
+        """What was found, for ``take_over``."""
+        return self.usual, self._found.tobytes() if self.several else b""
+
+    def take_over(self, told: tuple[int, bytes]) -> None:
+        """Take what another value of this kind was told."""
+        self.usual, found = told
+        self.several = bool(found)
+        if found:
+            self._found = np.frombuffer(found, np.uint8).copy()
+
     def of_batch(self, batch: PacketBatch, offset: NDArray[np.int64], length: NDArray[np.int32]) -> Any:
         """Return the headers of each space packet of a batch, u8; one number where all have the same.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -81,6 +81,22 @@ _TYPES: Final = {
 }
 
 
+class Begun(NamedTuple):
+    """A batch of which only that is read that depends on the batches before.
+
+    Attributes:
+        link: u8, the link of each datagram.
+        start: i32, of those that have a link: where the space packet starts in each, -1 where none does.
+        out: the columns of these so far.
+        part: these; None where they have to be taken again.
+    """
+
+    link: NDArray[np.uint8]
+    start: NDArray[np.int32]
+    out: dict[str, NDArray[Any]]
+    part: PacketBatch | None = None
+
+
 class ColumnDecoder:
     """Decodes batches, in the order they were captured.
 
@@ -96,16 +112,30 @@ class ColumnDecoder:
         """Read a batch; nothing in it can make this raise."""
         if not len(batch):  # live sources give many
             return Columns(**_blank(0))
+        return self.finish(batch, self.begin(batch))
+
+    def begin(self, batch: PacketBatch) -> Begun:
+        """Read what depends on the batches before, of a batch with at least one row."""
         link = link_columns(batch, self.context)
         if not self._variants.settled:
             self._variants.look(batch, link)
         rows = np.flatnonzero(link)
+        part = batch if len(rows) == len(batch) else batch.take(rows)
+        read = _Pass(self.context, part, _blank(len(part), leave_out=_PACKET_COLUMNS))
+        read.out["link"] = link if part is batch else link[rows]
+        read.out["findings"] = part.capture_findings.copy()
+        return Begun(link, read.begin(), read.out, part)
+
+    def finish(self, batch: PacketBatch, begun: Begun) -> Columns:
+        """Read the rest; a batch that another process began needs what was ``detected`` there by then."""
+        link, start, out, part = begun
+        rows = np.flatnonzero(link)
         if len(rows) == len(batch):
-            return _Pass(self.context, batch, link).columns()
-        part = _Pass(self.context, batch.take(rows), link[rows]).columns()
+            return _Pass(self.context, batch, out).finish(start)
+        columns = _Pass(self.context, part or batch.take(rows), out).finish(start)
         whole = _blank(len(batch))
         for item in fields(Columns):
-            whole[item.name][rows] = getattr(part, item.name)
+            whole[item.name][rows] = getattr(columns, item.name)
         outside = link == OTHER
         whole["findings"][outside] = batch.capture_findings[outside]
         return Columns(**whole)
@@ -122,20 +152,22 @@ def _blank(count: int, leave_out: Collection[str] = ()) -> dict[str, NDArray[Any
 class _Pass:
     """Reads the layers of one batch; every array has the batch's length."""
 
-    def __init__(self, context: Context, batch: PacketBatch, link: NDArray[np.uint8]) -> None:
+    def __init__(self, context: Context, batch: PacketBatch, out: dict[str, NDArray[Any]]) -> None:
         self.context = context
         self.batch = batch
-        self.out = _blank(len(batch), leave_out=_PACKET_COLUMNS)
-        self.out["link"] = link
-        self.out["findings"] = batch.capture_findings.copy()
+        self.out = out
 
-    def columns(self) -> Columns:
-        """Go through the layers, outermost first."""
+    def begin(self) -> NDArray[np.int32]:
+        """Read the outer layers; return what ``locate`` does."""
         link, length = self.out["link"], self.batch.length
         for item in self.context.links:
             if item.receive_buffer:
                 self.mark(item.over_receive_buffer, (link == item) & (length > item.receive_buffer))
-        self.space_packet(self.locate())
+        return self.locate()
+
+    def finish(self, start: NDArray[np.int32]) -> Columns:
+        """Read the space packets and what is in them."""
+        self.space_packet(start)
         cut = (self.batch.capture_findings & Finding.CAPTURE_CUT) != 0
         self.out["findings"][cut] &= np.uint32(~UNKNOWABLE & 0xFFFFFFFF)
         return Columns(**self.out)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -248,6 +248,19 @@ class Context:
         """Return the route of each MsgId on a link, i16 (65536,); ``NO_ROUTE`` where there is none."""
         routes: NDArray[np.int16] = self.route_of[self.route_row[link]]
         return routes
+
+    @property
+    def detected(self) -> tuple[Any, ...]:
+        """What was detected from the bytes and decides how packets are read, for ``take_over``."""
+        place = cfe.HEADERS.index(self.headers)
+        return place, tuple(self.envelopes), tuple(self.unrouted), self.builds.told
+
+    def take_over(self, detected: tuple[Any, ...]) -> None:
+        """Read packets as another context does, in another process."""
+        place, envelopes, unrouted, told = detected
+        self.headers = cfe.HEADERS[place]
+        self.envelopes, self.unrouted = [*envelopes], [*unrouted]
+        self.builds.take_over(told)
 
     def capture_ports(self) -> tuple[int, ...]:
         """Return every UDP port that belongs to a link, for a filter in the kernel; not 0, that of files."""

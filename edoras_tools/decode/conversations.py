@@ -143,10 +143,7 @@ class Conversations:
         size = len(first)
         sums = {name: np.bincount(which, marks[name], size).astype(np.int64) for name in _SUMS}
         sums["datagrams"] = np.bincount(which, minlength=size)
-        first_ns = np.full(size, np.iinfo(np.int64).max)
-        last_ns = np.zeros(size, np.int64)
-        np.minimum.at(first_ns, which, batch.time_ns[rows])
-        np.maximum.at(last_ns, which, batch.time_ns[rows])
+        first_ns, last_ns = _spans(batch.time_ns[rows], first, which)
         # Other programs have many conversations; only those that look like a link's are kept.
         alike = link[rows[first]] != OTHER
         alike |= sums["commands"] + sums["telemetry"] + sums["network"] > 0
@@ -261,6 +258,20 @@ def unnamed(flows: Iterable[Flow]) -> list[Unnamed]:
         )
         for (link, port), count in sorted(counts.items())
     ]
+
+
+def _spans(
+    time_ns: NDArray[np.int64], first: NDArray[np.intp], which: NDArray[np.intp]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the smallest time of each group, and the largest, at least 0; see ``numbered``."""
+    if (time_ns[1:] >= time_ns[:-1]).all():  # nearly always
+        last = np.zeros(len(first), np.intp)
+        last[which] = np.arange(len(which))  # of several for one place the last stays
+        return time_ns[first], np.maximum(time_ns[last], 0)
+    first_ns, last_ns = time_ns[first], np.zeros(len(first), np.int64)
+    np.minimum.at(first_ns, which, time_ns)
+    np.maximum.at(last_ns, which, time_ns)
+    return first_ns, last_ns
 
 
 def _marks(

@@ -8,7 +8,9 @@ is as with one process. The rules:
 2. A batch is valid until the next one is asked for. Its frames are in the memory that the file was read into,
    which is used again only when no batch there is in use.
 3. What decoding tells (notes, the counts of the source) arrives with the batch after which it is known.
-4. The other process ends when the socket to it is closed.
+4. The other process only begins to decode a batch (``ColumnDecoder.begin``) that would be waited for: what
+   follows from the batch alone is then done here, so that both have as much to do.
+5. The other process ends when the socket to it is closed.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.decode.columns import Begun
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.forked import await_end, fork, portable, receive, send, undisturbed
 from edoras_tools.io.formats.merge import follow_streams, recorded_faults, recorded_host
@@ -38,6 +41,8 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.links.framing import Framing
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo
+
+    _Told = tuple[dict[str, Any], list[str], dict[str, str], tuple[Any, ...] | None]
     from edoras_tools.sessions.faults.fault import Fault
 
 _SLOTS: Final = 4
@@ -65,7 +70,9 @@ class Ahead:
         self._source, self._decoder = source, decoder
         self._process = 0
         self._link: socket.socket | None = None
-        self._columns: tuple[PacketBatch, Columns] | None = None
+        self._decoded: tuple[PacketBatch, Columns | Begun] | None = None
+        self._detected: tuple[Any, ...] | None = None
+        """As the other process had it at that batch."""
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams; see ``Source.batches``.
@@ -90,8 +97,8 @@ class Ahead:
                 self._take(told)
                 if packed is None:
                     break
-                self._columns = unpickled(packed, memory)
-                yield self._columns[0]
+                self._decoded = unpickled(packed, memory)
+                yield self._decoded[0]
                 with suppress(OSError):  # it has ended: what it sent last comes next
                     link.send(_TAKEN)
         finally:
@@ -101,9 +108,15 @@ class Ahead:
 
     def decode(self, batch: PacketBatch) -> Columns:
         """Return the columns of the batch that was yielded last; what else it is given is decoded here."""
-        if self._columns is not None and self._columns[0] is batch:
-            return self._columns[1]
-        return self._decoder.decode(batch)
+        if self._decoded is None or self._decoded[0] is not batch:
+            return self._decoder.decode(batch)
+        found = self._decoded[1]
+        if not isinstance(found, Begun):
+            return found
+        if self._detected is not None:
+            self._decoder.context.take_over(self._detected)
+            self._detected = None
+        return self._decoder.finish(batch, found)
 
     def follow(self, framings: Mapping[int, Framing]) -> None:
         """See ``follow_streams``."""
@@ -134,11 +147,12 @@ class Ahead:
             return None, None, killed
         return packed, told, failure
 
-    def _take(self, told: tuple[dict[str, Any], list[str], dict[str, str]] | None) -> None:
+    def _take(self, told: _Told | None) -> None:
         """Take over what the other process knows of the source, and what decoding told."""
         if told is None:
             return
-        counts, notes, described = told
+        counts, notes, described, detected = told
+        self._detected = detected or self._detected
         for name, value in counts.items():
             setattr(self.statistics, name, value)
         self._decoder.context.notes += notes
@@ -163,6 +177,7 @@ class _Reader:
     def __init__(self, source: Source, decoder: ColumnDecoder, memory: NDArray[np.uint8]) -> None:
         self._source, self._decoder, self._memory = source, decoder, memory
         self._notes = len(decoder.context.notes)
+        self._detected = decoder.context.detected
         self._given = self._taken = 0
         self._room = 0
         self._used = [0] * _ROOMS
@@ -185,7 +200,14 @@ class _Reader:
         send(link, (None, self._told(), failure))
 
     def _hand_over(self, batch: PacketBatch) -> None:
-        columns = self._decoder.decode(batch)
+        decoded: Columns | Begun
+        if len(batch):
+            begun = self._decoder.begin(batch)
+            # The last one that was given is worked on, or is waited for.
+            waited_for = self._given - self._taken_now() <= 1
+            decoded = begun._replace(part=None) if waited_for else self._decoder.finish(batch, begun)
+        else:
+            decoded = self._decoder.decode(batch)
         self._await(self._given - _SLOTS + 1)
         rooms: set[int] = set()
 
@@ -197,7 +219,7 @@ class _Reader:
             return at
 
         slot = _ROOMS * ROOM_BYTES + self._given % _SLOTS * SLOT_BYTES
-        packed = pickled((batch, columns), self._memory, slot, lent, size=SLOT_BYTES)
+        packed = pickled((batch, decoded), self._memory, slot, lent, size=SLOT_BYTES)
         self._given += 1
         for room in rooms:
             self._used[room] = self._given
@@ -220,11 +242,20 @@ class _Reader:
                 os._exit(0)  # the process that asked has ended
             self._taken += taken
 
-    def _told(self) -> tuple[dict[str, Any], list[str], dict[str, str]]:
+    def _taken_now(self) -> int:
+        """Return how many batches were taken, without waiting."""
+        while select.select([self._link], [], [], 0)[0]:
+            self._await(self._taken + 1)
+        return self._taken
+
+    def _told(self) -> _Told:
         context, statistics = self._decoder.context, self._source.statistics
         notes, self._notes = context.notes[self._notes :], len(context.notes)
         counts = {item.name: getattr(statistics, item.name) for item in fields(SourceStatistics)}
-        return counts, notes, dict(context.described)
+        detected = context.detected
+        fresh = None if detected == self._detected else detected
+        self._detected = detected
+        return counts, notes, dict(context.described), fresh
 
 
 def read_ahead(source: Source, decoder: ColumnDecoder, jobs: int) -> Source:

@@ -2,6 +2,7 @@ import random
 import struct
 from contextlib import closing
 
+import numpy as np
 import pytest
 from places import CAPTURES
 from rewriting import Udp, datagrams, write
@@ -119,3 +120,24 @@ def test_all_of_a_real_capture_is_cfs(name):
 def test_a_cut_frame_is_as_long_as_it_was(tmp_path):
     path = write(tmp_path / "x.pcap", datagrams(CAPTURES / "a_rover.pcap"), snap=60)
     assert {flow.kind for flow in read(path).judge()} == {ConversationKind.CFS}
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_conversation_spans_its_first_and_last_datagram_in_any_order(turned):
+    with closing(open_file(CAPTURES / "a_rover.pcap")) as source:
+        (batch, *_) = source.batches()
+    if turned:
+        batch = batch.take(np.random.default_rng(1).permutation(len(batch)))
+    context = Context()
+    found = Conversations(context)
+    for part in np.array_split(np.arange(len(batch)), 3):
+        some = batch.take(part)
+        found.add(some, ColumnDecoder(context).decode(some))
+    times = {}
+    for number in range(len(batch)):
+        datagram = batch[number]
+        times.setdefault((datagram.source, datagram.destination), []).append(datagram.time_ns)
+    assert len(found.flows) > 2
+    for flow in found.flows.values():
+        own = times[flow.source, flow.destination]
+        assert (flow.first_ns, flow.last_ns, flow.datagrams) == (min(own), max(own), len(own))

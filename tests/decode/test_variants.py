@@ -1,5 +1,6 @@
 import json
 from contextlib import closing
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -179,6 +180,25 @@ def test_a_build_that_comes_late_in_a_long_source_is_found(tmp_path):
     headers = np.concatenate(found)
     assert not headers[: len(repeated)].any()
     assert (headers[len(repeated) :] != 0).sum() > 800
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_one_decoder_detected_another_reads_with(tmp_path, order):
+    """Each batch is begun by one and finished by the other, as processes share them."""
+    with closing(open_file(write(tmp_path / "x.pcap", two_builds(order)[0]))) as source:
+        batch = concatenate(list(source.batches()))
+    one, begins, ends = (Settings([ROVER]).workbench().columns for _ in range(3))
+    several = 0
+    for part in np.array_split(np.arange(len(batch)), 40):
+        some = batch.take(part)
+        begun = begins.begin(some)
+        ends.context.take_over(begins.context.detected)
+        expected, found = one.decode(some), ends.finish(some, begun._replace(part=None))
+        for item in fields(type(found)):
+            assert np.array_equal(getattr(found, item.name), getattr(expected, item.name)), item.name
+        several += ends.context.builds.several
+    assert several > 10
+    assert ends.context.detected == one.context.detected
 
 
 def test_headers_that_an_option_names_are_those_of_every_conversation(tmp_path):

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import CAPTURES, ROOT
 
+from edoras_tools.decode.columns import Begun
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats import stream
 from edoras_tools.model import Columns, PacketBatch
@@ -104,6 +105,32 @@ def test_batches_are_the_same_however_they_are_cut(window, slots, rooms, room, s
                 assert here.statistics.frames == ahead.statistics.frames
     assert here.statistics == ahead.statistics
     assert ahead.statistics.datagrams == 1827
+
+
+@pytest.mark.parametrize("path", sorted(CAPTURES.glob("*.pcap*")), ids=lambda path: path.name)
+@pytest.mark.parametrize("here", ["all", "none", "every third"])
+def test_whoever_decodes_a_batch_reads_the_same(path, here, monkeypatch):
+    count = iter(range(1 << 20))
+    taken = {
+        "all": lambda reader: reader._given,
+        "none": lambda reader: reader._given - 2,
+        "every third": lambda reader: reader._given - 2 * (next(count) % 3 > 0),
+    }
+    monkeypatch.setattr(module._Reader, "_taken_now", taken[here])
+    one, two = (open_files([path]) for _ in range(2))
+    decoder, other = (Settings().workbench(one.info).columns for _ in range(2))
+    ahead = Ahead(two, other)
+    begun = batches = 0
+    with closing(one), closing(ahead):
+        for expected, batch in zip_longest(one.batches(), ahead.batches()):
+            begun += isinstance(ahead._decoded[1], Begun)
+            batches += 1
+            assert same(decoder.decode(expected), ahead.decode(batch))
+    assert begun == {"all": batches, "none": 0, "every third": -(-batches // 3)}[here]
+    assert decoder.context.notes == other.context.notes
+    assert decoder.context.described == other.context.described
+    if here == "all" and batches:
+        assert decoder.context.detected == other.context.detected
 
 
 def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(tmp_path):
