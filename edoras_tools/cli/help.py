@@ -36,7 +36,7 @@ def help_(
         list[str] | None,
         typer.Argument(
             metavar="[COMMAND]...",
-            help="A command, e.g. sniff, or wireshark run.",
+            help="A command, e.g. sniff, or wireshark run; all: what each command does.",
             autocompletion=_named_commands,
         ),
     ] = None,
@@ -58,7 +58,7 @@ def help_(
         _write_pages(root, context, man, force=force)
         return
     command: Any = root
-    for name in names or ():
+    for name in () if names == ["all"] else names or ():
         known = getattr(command, "commands", {})
         if name not in known:
             hint = did_you_mean(name, known) or f"see {context.command_path} -h"

@@ -17,6 +17,7 @@ import typer.core
 from edoras_tools import __version__
 from edoras_tools.cli import settings
 from edoras_tools.cli.endings import INTERRUPTED, tell
+from edoras_tools.cli.options import VERBOSE
 from edoras_tools.cli.usage import command_help
 from edoras_tools.errors import EdorasError
 
@@ -83,6 +84,9 @@ class Command(typer.core.TyperCommand):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
         self.params.append(_colour_option())
+        self._own_verbose = any("-v" in item.opts for item in self.params)
+        if not self._own_verbose:
+            self.params.append(_verbose_option())
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002  an override
         """Print the help text."""
@@ -110,8 +114,11 @@ class Command(typer.core.TyperCommand):
             if file is not None and option in (ctx.default_map or ()) and not _is_given(ctx, option):
                 error.message = f"{file.path}: {error.message}"
             raise
-        if file is not None and ctx.params.get("verbose"):
-            tell(_harmless(f"settings: {file.path}"))
+        verbose = ctx.params.get("verbose", False)
+        if not self._own_verbose:
+            ctx.params.pop("verbose", None)  # the command does not know it
+        if verbose:
+            _tell_setup(ctx, file)
         return rest
 
 
@@ -126,6 +133,24 @@ class Program(Command):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
         self.params.append(_version_option())
+
+
+def _verbose_option() -> Any:
+    return typer.core.TyperOption(
+        param_decls=["--verbose", "-v"], help=VERBOSE, is_flag=True, default=False, rich_help_panel="Printing"
+    )
+
+
+def _tell_setup(ctx: Any, file: settings.SettingsFile | None) -> None:
+    """Print what a command works with: versions, the settings file, missions and the like."""
+    python = ".".join(map(str, sys.version_info[:3]))
+    used = file.path if file and not file.left_out else f"no {settings.NAME}"
+    lines = [f"edoras-tools {__version__}, Python {python}", f"settings: {used}"]
+    for name, called in (("config", "missions"), ("msg_path", "messages"), ("structs", "structs")):
+        given = ", ".join(map(str, ctx.params.get(name) or ()))
+        lines += [f"{called}: {given}"] if given else []
+    for line in lines:
+        tell(_harmless(line))
 
 
 def _version_option() -> Any:

@@ -369,7 +369,8 @@ ros_option = partial(
 )
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no summary.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more on stderr.")]
+VERBOSE: Final = "Also print versions, settings file and missions, on stderr."
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help=f"{VERBOSE} Show notes in lists.")]
 
 
 class LinkName(StrEnum):

@@ -34,8 +34,8 @@ def command_help(command: Any, ctx: Any, *, everything: bool = False) -> str:
     """Return the help text of a command or a group of commands.
 
     Where the text would be longer than the screen, options that belong together are listed by their names
-    only: the last ones first. A command's own options, and the commands of a group, are always explained, if
-    need be in their first words.
+    only: the last ones first. A command's own options are always explained, if need be in their first words.
+    So are the commands of a group; if they are still too many, the first under each heading.
 
     Args:
         command: click's object.
@@ -49,14 +49,17 @@ def command_help(command: Any, ctx: Any, *, everything: bool = False) -> str:
     inner = _inner(command)
     left = [name for name in groups if (groups[name][0].names not in inner if inner else name != OWN)]
     folded: list[str] = []
+    brief = False
     while True:
-        lines = list(_lines(command, ctx, groups, folded, width))
+        lines = list(_lines(command, ctx, groups, folded, width, brief=brief))
         if everything or not terminal.interactive or len(lines) <= height:
             break
         if left:
             folded.append(left.pop())
         elif any(entry != _shortened(entry) for entry in groups.get(OWN, ())):
             groups = {**groups, OWN: [_shortened(entry) for entry in groups[OWN]]}
+        elif inner and not brief:
+            brief = True
         else:
             break
     if not terminal.colour:
@@ -113,7 +116,13 @@ def _sentence(text: str) -> str:
 
 
 def _lines(
-    command: Any, ctx: Any, groups: Mapping[str, list[Entry]], folded: list[str], width: int
+    command: Any,
+    ctx: Any,
+    groups: Mapping[str, list[Entry]],
+    folded: list[str],
+    width: int,
+    *,
+    brief: bool,
 ) -> Iterator[str]:
     usage = " ".join([ctx.command_path, *command.collect_usage_pieces(ctx)])
     yield from textwrap.wrap(f"Usage: {usage}", width, subsequent_indent="  ")
@@ -123,7 +132,8 @@ def _lines(
     commands = {name: group for name, group in groups.items() if group[0].names in _inner(command)}
     if commands:
         yield ""
-        yield from _command_lines(commands, width)
+        yield from _command_lines(commands, width, brief=brief)
+        yield from [f"{ctx.command_path} help all: what each of them does"] if brief else []
     for heading in [name for name in groups if name not in {*commands, *folded}]:
         yield ""
         yield heading
@@ -147,16 +157,25 @@ def _inner(command: Any) -> Mapping[str, Any]:
     return inner
 
 
-def _command_lines(groups: Mapping[str, list[Entry]], width: int) -> Iterator[str]:
-    """Yield commands with what they do; the group stands in front of its first one."""
+def _command_lines(groups: Mapping[str, list[Entry]], width: int, *, brief: bool) -> Iterator[str]:
+    """Yield commands with what they do; the group stands in front of its first one.
+
+    Args:
+        groups: of commands, by heading.
+        width: of the lines.
+        brief: explain only the first of each group, and name the others.
+    """
     first = max(map(len, groups)) + 1
     second = first + max(len(entry.names) for group in groups.values() for entry in group) + 1
     for heading, entries in groups.items():
-        for place, entry in enumerate(entries):
+        for place, entry in enumerate(entries[:1] if brief else entries):
             start = f"{'' if place else heading:<{first}}{entry.names}"
             text = textwrap.wrap(entry.help, max(20, width - second))
             yield f"{start:<{second}}{text[0] if text else ''}".rstrip()
             yield from (f"{'':{second}}{line}" for line in text[1:])
+        if brief and entries[1:]:
+            rest = f"also {', '.join(entry.names for entry in entries[1:])}"
+            yield from (f"{'':{first}}{line}" for line in textwrap.wrap(rest, max(20, width - first)))
 
 
 def _shortened(entry: Entry) -> Entry:

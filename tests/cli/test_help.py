@@ -10,7 +10,7 @@ from edoras_tools.cli.man import page
 
 def test_help_of_a_command_is_all_of_it(call):
     assert call("help", "record").out.rstrip() == call("record", "--help").out.rstrip()
-    assert call("help").out.rstrip() == call("--help").out.rstrip()
+    assert call("help").out.rstrip() == call("--help").out.rstrip() == call("help", "all").out.rstrip()
     assert "edoras wireshark extcap install" in call("help", "wireshark", "extcap", "install").out
 
 

@@ -9,6 +9,7 @@ import pytest
 import typer
 from places import ROOT
 
+from edoras_tools import __version__
 from edoras_tools.cli import main, settings
 
 CAPTURE = ROOT / "samples/captures/a_rover.pcap"
@@ -130,8 +131,30 @@ def test_a_table_is_for_one_command(project, call):
     write(project / "edoras.toml", f"[info]\nconfig = '{MISSION}'\n[sniff]\nverbose = true\n")
     assert topics(call("info", CAPTURE, "--json"))
     done = call("sniff", CAPTURE, "-n", 3)
-    assert done.err[0] == f"edoras: settings: {project}/edoras.toml"
+    python = ".".join(map(str, sys.version_info[:3]))
+    assert done.err[:2] == [
+        f"edoras: edoras-tools {__version__}, Python {python}",
+        f"edoras: settings: {project}/edoras.toml",
+    ]
     assert "/cmd_vel" not in done.out
+
+
+def test_every_command_says_with_v_what_it_works_with(project, call):
+    write(project / "edoras.toml", f"config = '{MISSION}'\n")
+    for words in (
+        ["info", CAPTURE],
+        ["decode", CAPTURE, 1],
+        ["wireshark", "print"],
+        ["xtce"],
+        ["doctor", CAPTURE],
+    ):
+        assert call(*words, "-v").err[1:3] == [
+            f"edoras: settings: {project}/edoras.toml",
+            f"edoras: missions: {MISSION}",
+        ]
+        assert not any(line.startswith("edoras: settings") for line in call(*words).err)
+    (project / "edoras.toml").unlink()
+    assert call("help", "-v").err[1] == "edoras: settings: no edoras.toml"
 
 
 def test_commands_of_a_group_take_it_too(project, call):

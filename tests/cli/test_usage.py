@@ -29,9 +29,9 @@ TREE = {
 def shown(monkeypatch):
     """A function: the lines of a command's help on a stream."""
 
-    def lines(path, *, interactive, everything=False):
+    def lines(path, *, interactive, everything=False, rows=ROWS):
         monkeypatch.setattr(usage, "look", lambda _: Terminal(COLUMNS, colour=False, interactive=interactive))
-        monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((COLUMNS, ROWS)))
+        monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((COLUMNS, rows)))
         command, context = TREE[path]
         return usage.command_help(command, context, everything=everything).splitlines()
 
@@ -69,6 +69,18 @@ def test_no_option_is_missing_on_a_terminal(path, shown):
     there = named(shown(path, interactive=True))
     for item in command.get_params(context):
         assert item.param_type_name == "argument" or there.intersection(item.opts), item.name
+
+
+def test_the_list_of_commands_fits_a_small_screen(shown, monkeypatch):
+    lines = shown("edoras", interactive=True, rows=24)
+    assert len(lines) <= 22
+    text = "\n".join(lines)
+    for name in main.COMMANDS:
+        assert re.search(rf"\b{name}\b", text), name
+    for group, (first, *_) in main.GROUPS.items():
+        command, _ = TREE[f"edoras {first}"]
+        assert any(line.startswith(group) and line.endswith(usage.first_line(command)) for line in lines)
+    assert "edoras help all: what each of them does" in lines
 
 
 def test_commands_stand_in_their_groups(shown):
