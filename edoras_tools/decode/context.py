@@ -14,6 +14,8 @@ from edoras_tools.decode.commands import CommandTable
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import table
 from edoras_tools.links.cfdp import PDU_NAME
+from edoras_tools.links.fprime import FPRIME, GroundDataFraming
+from edoras_tools.links.frames import TransferFraming
 from edoras_tools.links.protocol import Endpoints, Peers
 from edoras_tools.links.sbn import BRIDGE_PORT
 from edoras_tools.mission import FlightLink, GroundLink, Mission
@@ -148,6 +150,7 @@ class Context:
         by_sender: u8, the link of a set that the source port alone decides; 0 for the others.
         stream_links: u8 (65536,), the link whose TCP streams have a port at one end; 0 for none.
         framings: how TCP streams are cut, by port.
+        framed_links: u8 (65536,), the link of packets out of frames in streams, by the port of either end.
         with_headers: the links whose datagrams do not begin with a space packet.
         header_bytes: i64 (256,), bytes in front of the space packet, by link.
         against: bool (2, 256), whether a packet goes the wrong way: by type bit and link.
@@ -317,7 +320,16 @@ class Context:
         for link, port in reversed([*self.options.ports, *usual]):
             if link != OTHER and table.protocol(link).framing is not None:
                 self.stream_links[port] = link
+        self.framed_links: NDArray[np.uint8] = np.zeros(65536, np.uint8)
         self.framings = table.framings(self.options.ports)
+        for framed in self.mission.frames:
+            if framed.format.stream:
+                own = framed.link.dictionary and framed.format.kind == "tm"
+                self.framings[framed.port] = (
+                    GroundDataFraming(framed.format.length) if own else TransferFraming(framed.format)
+                )
+                self.stream_links[framed.port] = FPRIME if own else OTHER
+                self.framed_links[framed.port] = framed.link
 
     def _settle_ports(self) -> None:
         """Find the sets of links that claim a port, and what is decided for each of them."""

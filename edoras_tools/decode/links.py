@@ -108,6 +108,9 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
                 better = (sure > 0) & (sure >= best)
                 link[rows[better]] = item
                 best[better] = sure[better]
+    if context.frames:
+        taken = np.flatnonzero((batch.original_length < 0) & (link == 0))
+        link[taken] = context.framed_links[batch.source_port[taken]]
     if context.by_sender.any():
         link = np.where(link == 0, context.by_sender[context.claim[batch.source_port]], link)
     for item in context.by_magic:
@@ -157,10 +160,10 @@ def link_of(datagram: Datagram, context: Context) -> Link:
     """Return the link of one datagram: the same answer as :func:`link_columns`."""
     if Finding.FRAGMENT in datagram.findings:
         return OTHER
-    if datagram.stream:
-        return _stream_link(datagram, context)
     if is_frame(datagram, context.frames):
         return FRAMES
+    if datagram.stream:
+        return _stream_link(datagram, context)
     claim = context.claim[datagram.destination.port]
     link, best = table.link(context.decided[claim]), 0
     if link is OTHER and context.claimants[claim]:
@@ -169,6 +172,8 @@ def link_of(datagram: Datagram, context: Context) -> Link:
             sure = int(item.recognise(seen))
             if sure and sure >= best:
                 link, best = item, sure
+    if link is OTHER and datagram.original_length < 0:
+        link = table.link(context.framed_links[datagram.source.port])
     if link is OTHER:
         link = table.link(context.by_sender[context.claim[datagram.source.port]])
     if link is OTHER:

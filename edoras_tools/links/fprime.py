@@ -28,15 +28,22 @@ _VERDICTS: Final = {
 
 
 class GroundDataFraming(Framing):
-    """Frames that follow each other in a TCP stream, and what keeps it alive between them."""
+    """Frames that follow each other in a TCP stream, and what keeps it alive between them.
+
+    Args:
+        tm_bytes: of a TM frame.
+    """
 
     head = fprime.STREAM_HEAD
+
+    def __init__(self, tm_bytes: int = fprime.TM_FRAME_BYTES) -> None:
+        self.tm_bytes = tm_bytes
 
     def lengths(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
     ) -> NDArray[np.int64]:
         """Return the bytes of the frame that starts at each position."""
-        starts, size = fprime.frame_lengths(data, at)
+        starts, size = fprime.frame_lengths(data, at, self.tm_bytes)
         return prefixed(starts, size, end - at, self.head, self.largest)
 
     def likely(

@@ -1,4 +1,4 @@
-"""CCSDS transfer frames over UDP, one a datagram: what carries the packets of another link.
+"""CCSDS transfer frames, one a datagram or one behind the other in TCP streams: they carry packets of a link.
 
 A mission says which ports carry them. The packets in them are rows of their own, of the link that the mission
 names; see :mod:`edoras_tools.io.frames.transfer`.
@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.links.framing import Framing, prefixed
 from edoras_tools.links.protocol import BatchRows, LinkProtocol, Seen, Site
 from edoras_tools.model import Datagram, Decoded, LayerField, PacketBatch
-from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16, crc16_rows
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.transfer_frames import headers
@@ -32,7 +33,71 @@ if TYPE_CHECKING:
     from edoras_tools.wire.layout import Layout
 
 _TM_FLAGS: Final = headers.TM.by_name["secondary_header_flag"].start
+_COUNTS: Final = {
+    "tm": "master_channel_frame_count",
+    "aos": "virtual_channel_frame_count",
+    "tc": "frame_sequence_number",
+}
 _TOLD: Final = ("virtual_channel_frame_count", "frame_sequence_number")
+
+
+class TransferFraming(Framing):
+    """Frames of one kind that follow each other in a TCP stream.
+
+    Args:
+        form: of the frames.
+    """
+
+    head = max(layout.size for layout in FRAME_LAYOUTS.values())
+
+    def __init__(self, form: FrameFormat) -> None:
+        self.form = form
+
+    def lengths(
+        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
+    ) -> NDArray[np.int64]:
+        """Return the bytes of the frame that starts at each position."""
+        layout = self.form.layout
+        head = gather(data, at, layout.size)
+        size = _stated_length(self.form, head)
+        starts = layout.column("transfer_frame_version_number", head) == FRAME_VERSIONS[self.form.kind]
+        return prefixed(starts & (size >= self.form.smallest), size, end - at, layout.size, self.largest)
+
+    def likely(
+        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
+    ) -> NDArray[np.bool_]:
+        """Ask for a frame that is whole, and whose CRC is right, or whose count goes on in the next one."""
+        size = self.lengths(data, at, end)
+        found = (size > 0) & (at + size <= end)
+        rows = np.flatnonzero(found)
+        if self.form.fecf:
+            found[rows] = crc16_rows(data, at[rows], size[rows].astype(np.int32)) == 0
+        else:
+            found[rows] = self._goes_on(
+                data, at[rows], at[rows] + size[rows], np.broadcast_to(end, len(at))[rows]
+            )
+        return found
+
+    def _goes_on(
+        self,
+        data: NDArray[np.uint8],
+        at: NDArray[np.int64],
+        behind: NDArray[np.int64],
+        end: NDArray[np.int64],
+    ) -> NDArray[np.bool_]:
+        """Tell where a frame is followed by the next of its spacecraft; another channel may be between."""
+        layout, count = self.form.layout, _COUNTS[self.form.kind]
+        there = behind + layout.size <= end
+        one, other = (
+            layout.columns(gather(data, place, layout.size)) for place in (at, np.where(there, behind, at))
+        )
+        step = (other[count].astype(np.int64) - one[count]) & layout.by_name[count].mask
+        same = other["virtual_channel_id"] == one["virtual_channel_id"]
+        goes_on = (step == 1) | ~(same | (self.form.kind == "tm"))
+        found: NDArray[np.bool_] = there & goes_on & (other["spacecraft_id"] == one["spacecraft_id"])
+        version = "transfer_frame_version_number"
+        found &= other[version] == one[version]
+        return found
 
 
 class TransferFramesLink(LinkProtocol):
@@ -63,7 +128,8 @@ class TransferFramesLink(LinkProtocol):
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read the headers of one frame."""
-        form, data = site.frames[reading.datagram.destination.port], reading.data
+        form, data = format_of(reading.datagram, site.frames), reading.data
+        assert form is not None, "it is a frame"
         for layout, start in _headers(form, bool(form.kind == "tm" and data[_TM_FLAGS] >> 7)):
             reading.read(layout, start)
         if form.fecf:
@@ -79,7 +145,9 @@ class TransferFramesLink(LinkProtocol):
         del field
         found = np.full(len(rows.column("link")), NO_FIRST, np.int64)
         owner = np.flatnonzero(rows.column("link") == self)
-        for port, picked in by_value(rows.datagram("destination_port")[owner]):
+        to_port, from_port = (rows.datagram(f"{end}_port")[owner] for end in ("destination", "source"))
+        streams = rows.batch.streams is not None and rows.datagram("streams")[owner]
+        for port, picked in by_value(_framed_ports(to_port, from_port, streams, rows.context.frames)):
             at, form = owner[picked], rows.context.frames[port]
             offset, end = rows.datagram("offset")[at], rows.datagram("length")[at]
             second = headers.TM.column(
@@ -125,16 +193,56 @@ def frame_rows(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> tuple[
         formats: of the frames that come to a port.
 
     Returns:
-        the rows, and how many other datagrams came to these ports.
+        the rows, and how many other datagrams came to these ports; what else a stream holds is not counted.
     """
-    ports = np.isin(batch.destination_port, list(formats))
-    if batch.streams is not None:
-        ports &= ~batch.streams
-    rows = np.flatnonzero(ports & (batch.original_length >= 0))
+    ports = framed_ports(batch, formats)
+    rows = np.flatnonzero((ports != 0) & (batch.original_length >= 0))
     frames = np.zeros(len(rows), bool)
-    for port, at in by_value(batch.destination_port[rows]):
+    for port, at in by_value(ports[rows]):
         frames[at] = _are_frames(batch, rows[at], formats[port])
-    return rows[frames], len(rows) - int(np.count_nonzero(frames))
+    others = rows[~frames]
+    if batch.streams is not None:
+        others = others[~batch.streams[others]]
+    return rows[frames], len(others)
+
+
+def framed_ports(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> NDArray[np.uint16]:
+    """Return the port that says what frames each row may be; 0 for none.
+
+    It is the destination's, and in a stream, which may carry frames either way, that of either end.
+    """
+    streams = False if batch.streams is None else batch.streams
+    return _framed_ports(batch.destination_port, batch.source_port, streams, formats)
+
+
+def _framed_ports(
+    destination: NDArray[np.uint16],
+    source: NDArray[np.uint16],
+    streams: NDArray[np.bool_] | bool,
+    formats: Mapping[int, FrameFormat],
+) -> NDArray[np.uint16]:
+    of_streams = [port for port, form in formats.items() if form.stream]
+    datagrams = np.isin(destination, [port for port in formats if port not in of_streams]) & np.logical_not(
+        streams
+    )
+    found = np.where(datagrams, destination, 0)
+    for end in (source, destination) if of_streams else ():
+        found = np.where(np.isin(end, of_streams) & streams, end, found)
+    return found.astype(np.uint16)
+
+
+def format_of(datagram: Datagram, formats: Mapping[int, FrameFormat]) -> FrameFormat | None:
+    """Return the format of the frames that a datagram may be one of: by the same port as ``framed_ports``."""
+    ends = (datagram.destination, datagram.source) if datagram.stream else (datagram.destination,)
+    found = (formats.get(end.port) for end in ends)
+    return next((form for form in found if form is not None and form.stream == datagram.stream), None)
+
+
+def _stated_length(form: FrameFormat, head: NDArray[np.uint8]) -> Any:
+    """Return the bytes of frames with these headers."""
+    if form.kind == "tc":
+        return form.layout.column("frame_length", head).astype(np.int64) + headers.TC_LENGTH_BIAS
+    return np.full(len(head), form.length, np.int64)
 
 
 def _are_frames(batch: PacketBatch, rows: NDArray[np.intp], form: FrameFormat) -> NDArray[np.bool_]:
@@ -143,20 +251,14 @@ def _are_frames(batch: PacketBatch, rows: NDArray[np.intp], form: FrameFormat) -
     length = have + np.maximum(batch.original_length[rows] - batch.frame_length[rows], 0)
     right: NDArray[np.bool_] = (have >= layout.size) & (length >= form.smallest)
     right &= layout.column("transfer_frame_version_number", head) == FRAME_VERSIONS[form.kind]
-    tc = form.kind == "tc"
-    right &= length == (layout.column("frame_length", head) + headers.TC_LENGTH_BIAS if tc else form.length)
+    right &= length == _stated_length(form, head)
     return right
 
 
 def is_frame(datagram: Datagram, formats: Mapping[int, FrameFormat]) -> bool:
     """Tell whether a datagram is a frame: the same answer as :func:`frame_rows`."""
-    form = formats.get(datagram.destination.port)
-    if (
-        form is None
-        or datagram.stream
-        or datagram.original_length < 0
-        or len(datagram.payload) < form.layout.size
-    ):
+    form = format_of(datagram, formats)
+    if form is None or datagram.original_length < 0 or len(datagram.payload) < form.layout.size:
         return False
     head = form.layout.parse(datagram.payload)
     length = len(datagram.payload) + max(datagram.original_length - len(datagram.frame), 0)

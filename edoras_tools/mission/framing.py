@@ -1,4 +1,4 @@
-"""Reads ``frames``: the UDP ports to which CCSDS transfer frames come, and what their bytes do not say."""
+"""Reads ``frames``: the ports of CCSDS transfer frames, and what their bytes do not say."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FRAMES_GROUP: Final = "frames"
 _LARGEST: Final = {"tm": 2048, "aos": 65507}
 """Bytes of a frame; 131.0-B limits those of TM, a datagram those of AOS."""
 _USUAL_LINK: Final = {"tm": "to", "aos": "to", "tc": "ci"}
-_KEYS: Final = ("port", "kind", "link", "fecf")
+_KEYS: Final = ("port", "kind", "link", "fecf", "transport")
 _OWN_KEYS: Final = {
     "tm": ("length",),
     "aos": ("length", "ocf", "insert_zone", "header_error_control"),
@@ -67,7 +67,8 @@ def _framed_port(fields: Fields, name: str) -> FramedPort | None:
     of_packets = [item.label for item in links() if item.packets or item.dictionary]
     link = fields.word(f"{group}.link", of_packets) or _USUAL_LINK[kind]
     own = _OWN_KEYS[kind]
-    values: dict[str, Any] = {"kind": kind}
+    transport = fields.word(f"{group}.transport", ("udp", "tcp"))
+    values: dict[str, Any] = {"kind": kind, "stream": transport == "tcp"}
     for key in ("fecf", *own):
         if key == "length":
             values[key] = fields.integer(f"{group}.{key}", 1, _LARGEST[kind])

@@ -180,11 +180,11 @@ class StoredTopic:
 
 @dataclass(frozen=True, slots=True)
 class FramedPort:
-    """One of ``frames``: a UDP port to which CCSDS transfer frames come.
+    """One of ``frames``: a port of CCSDS transfer frames.
 
     Attributes:
         name: that the file gives it.
-        port: where they are sent to.
+        port: where they are sent to; of TCP, that of either end.
         format: of the frames.
         link: the one that the packets in them belong to.
         file: the file, as it was named when loaded.
@@ -229,7 +229,7 @@ class Mission:
         warnings: one line each: what a bridge accepts but is probably a mistake.
         bridges: link and routes of each bridge together.
         msg_ids: the version of the MsgIds.
-        frames: the ports to which transfer frames come; no port twice.
+        frames: the ports of transfer frames; no port twice.
         pdu_msg_ids: of packets that hold a CFDP PDU each, as those of cFS's CF app.
         stored: topics whose messages travel as files.
     """

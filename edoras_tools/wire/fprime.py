@@ -279,16 +279,16 @@ def read_ground_frames(
 
 
 def frame_lengths(
-    data: NDArray[np.uint8], at: NDArray[np.int64]
+    data: NDArray[np.uint8], at: NDArray[np.int64], tm_bytes: int = TM_FRAME_BYTES
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
     """Tell where in a stream frames start, and how long they are.
 
-    A TM frame does not say its length, so that of F Prime's default configuration is assumed; a TC frame must
-    be as long as the one space packet in it.
+    A TM frame does not say its length; a TC frame must be as long as the one space packet in it.
 
     Args:
         data: u8, contiguous.
         at: i64 (n,), positions.
+        tm_bytes: of a TM frame.
 
     Returns:
         whether a frame may start, or a ``KEEP_ALIVE``; its bytes, which mean nothing before ``STREAM_HEAD``
@@ -301,12 +301,12 @@ def frame_lengths(
 
     stated = field(COMMAND_FRAME, "frame_length") + headers.TC_LENGTH_BIAS
     inside = field(SPACE_PACKET, "packet_data_length", COMMAND_FRAME.size) + ccsds.LENGTH_BIAS
-    own, _, tc, tm = frame_shapes_of(field, np.where(inside + _LEAST[_TC] == stated, stated, TM_FRAME_BYTES))
+    own, _, tc, tm = frame_shapes_of(field, np.where(inside + _LEAST[_TC] == stated, stated, tm_bytes))
     tc &= inside + _LEAST[_TC] == stated
     own_size = field(FRAME, "length") + _LEAST[_OWN]
     alive = (window == np.frombuffer(KEEP_ALIVE, np.uint8)).all(axis=1)
     sizes = [np.int64(len(KEEP_ALIVE)), own_size, stated]
-    return own | tc | tm | alive, np.select([alive, own, tc], sizes, np.int64(TM_FRAME_BYTES))
+    return own | tc | tm | alive, np.select([alive, own, tc], sizes, np.int64(tm_bytes))
 
 
 def _space_packets(

@@ -29,7 +29,7 @@ from rewriting import Udp, write
 from rewriting import datagrams as captured
 from rosbags.highlevel import AnyReader
 from streams import frames as stream_frames
-from streams import segments_of
+from streams import segments_of, write_segments
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.decode.filters.filter import Where
@@ -333,6 +333,24 @@ def test_frames_over_tcp_are_messages_however_they_are_cut(kind, cuts):
         frames, ways = [own(packet) for packet in PACKETS], [packet[:2] == b"\0\0" for packet in PACKETS]
     found, _ = in_streams(list(zip(frames, ways, strict=True)), cuts)
     assert sorted(found) == sorted(frames)
+
+
+def test_a_mission_names_the_length_of_tm_frames_in_streams(tmp_path):
+    down = [space(packet, count) for count, packet in enumerate(PACKETS) if packet[:2] != b"\0\0"]
+    frames = [tm(packet, count=count, size=300) for count, packet in enumerate(down)]
+    up = [tc(space(packet, up=True)) for packet in PACKETS if packet[:2] == b"\0\0"]
+    segments = []
+    for stream, ends in ((b"".join(frames), (ROVER, GDS)), (b"".join(up), (GDS, ROVER))):
+        segments += segments_of(stream, range(0, 9000, 211), source=ends[0], destination=ends[1])
+    write_segments(tmp_path / "x.pcap", segments)
+    port = next(port for _, port in (GDS, ROVER) if port in {50000, 50001})
+    told = RADIO.replace("50001", str(port)).replace("length: 100", "length: 300, transport: tcp")
+    (tmp_path / "radio.yaml").write_text(told)
+    with closing(open_file(tmp_path / "x.pcap")) as source:
+        report = inspect(source, Settings([tmp_path / "radio.yaml"], structs=(DICTIONARY,)).workbench())
+    counted = {item["link"]: item["count"] for item in report.summary()["routes"]}
+    assert counted == {"frames": len(frames), "fprime": len(down) + len(up)}
+    assert sum(report.entries.values()) == len(list(sent()))
 
 
 def test_what_keeps_a_connection_alive_is_no_frame():

@@ -1,12 +1,18 @@
 """Transfer frames as a layer below a link: from a capture to its rows, views, filters and recordings."""
 
 from contextlib import closing
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from effort import examples
 from field_filters import compared
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from places import CAPTURES, ROOT
 from rewriting import Udp, datagrams, write
+from streams import segments_of, write_segments
 from transfer_frames import GROUND, Maker, space_packet
 
 from edoras_tools.io.formats.open import open_file
@@ -53,6 +59,21 @@ def rows_of(path, config):
     return bench, rows
 
 
+def links_of(path, config):
+    """Return the decoders, and (link, payload) of every row; both readers say the same of each."""
+    bench, found = Settings([config]).workbench(), []
+    with closing(open_file(path)) as source, reading(source, bench) as loop:
+        for rows in loop:
+            for row in range(len(rows.batch)):
+                decoded = bench.dissector.dissect(rows.batch[row])
+                assert decoded.link == rows.columns.link[row]
+                assert int(decoded.findings) == rows.columns.findings[row]
+                found.append((decoded.link, rows.batch[row].payload))
+            if len(rows):
+                compared(bench, rows, FRAMES.layouts)
+    return bench, found
+
+
 @pytest.mark.parametrize("kind", MAKERS)
 def test_frames_and_their_packets_are_rows_that_both_readers_agree_on(kind, tmp_path):
     maker = Maker(**vars(MAKERS[kind]))
@@ -70,6 +91,39 @@ def test_frames_and_their_packets_are_rows_that_both_readers_agree_on(kind, tmp_
             assert decoded.summary.startswith(f"{kind.upper()} frame ")
             assert ("frame_error_control" in values) == maker.fecf
             assert decoded.layers[-1].end == len(batch[row].payload) or not maker.fecf
+
+
+@settings(max_examples=examples(4))
+@given(cuts=st.sets(st.integers(0, 700), max_size=20), server=st.booleans())
+@pytest.mark.parametrize("kind", MAKERS)
+def test_frames_in_tcp_streams_are_those_of_datagrams(kind, cuts, server):
+    """Either end may listen; segments are cut anywhere."""
+    maker = Maker(**vars(MAKERS[kind]))
+    frames = [frame for frame, _ in maker.carry(PACKETS)]
+    ends = {"source": ("10.0.0.2", 40000), "destination": GROUND}
+    if server:
+        ends = {"source": GROUND, "destination": ("10.0.0.2", 40000)}
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        write_segments(folder / "t.pcap", segments_of(b"".join(frames), cuts, **ends))
+        _, found = links_of(folder / "t.pcap", mission(folder, maker, link="to", transport="tcp"))
+    assert [payload for link, payload in found if link is FRAMES] == frames
+    assert [payload for link, payload in found if link is TO] == PACKETS
+
+
+@pytest.mark.parametrize("fecf", [True, False])
+def test_a_stream_that_lost_a_segment_goes_on_with_the_next_whole_frame(fecf, tmp_path):
+    maker = Maker("tm", 40, fecf=fecf)
+    frames = [frame for frame, _ in maker.carry(PACKETS)]
+    segments = segments_of(b"".join(frames), range(0, 5000, 70), destination=GROUND)
+    write_segments(tmp_path / "t.pcap", segments[:5] + segments[6:])
+    config = mission(tmp_path, maker, transport="tcp")
+    bench, rows = links_of(tmp_path / "t.pcap", config)
+    found = [payload for link, payload in rows if link is FRAMES]
+    assert len(frames) - 4 <= len(found) < len(frames)
+    assert set(found) <= set(frames)
+    assert bench.frames.channels[0].lost == len(frames) - len(found)
+    assert bench.frames.strange == 0
 
 
 @pytest.mark.parametrize("kind", MAKERS)

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.links.frames import frame_rows
+from edoras_tools.links.frames import frame_rows, framed_ports
 from edoras_tools.model import NO_MSG_ID, Columns, Finding
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
 from edoras_tools.wire import ccsds
@@ -202,7 +202,7 @@ class Unframer:
         batch = replace(batch, capture_findings=batch.capture_findings.copy())
         parts = [
             part
-            for port, at in by_value(batch.destination_port[rows])
+            for port, at in by_value(framed_ports(batch, self.formats)[rows])
             if (part := self._read(batch, rows[at], self.formats[port])) is not None
         ]
         if not parts:
@@ -501,6 +501,8 @@ def _with_packets(
     out = batch.take(source[order])
     out.frame_length[own] = out.capture_findings[own] = 0
     out.original_length[own] = -1
+    if out.streams is not None:
+        out.streams[own] = False
     out.offset[own] = len(batch.data) + start[place]
     out.length[own] = length[place]
     return replace(out, data=np.concatenate([batch.data, buffer]))

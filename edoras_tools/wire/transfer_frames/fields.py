@@ -40,6 +40,7 @@ class FrameFormat:
         insert_zone: AOS: bytes of the insert zone behind the header.
         header_error_control: AOS: two bytes of it are behind the header.
         segment_header: TC: the data begins with a segment header.
+        stream: they follow each other in TCP streams, either way; if not, each is a datagram.
     """
 
     kind: FrameKind
@@ -49,6 +50,7 @@ class FrameFormat:
     insert_zone: int = 0
     header_error_control: bool = False
     segment_header: bool = False
+    stream: bool = False
 
     @property
     def layout(self) -> Layout:
