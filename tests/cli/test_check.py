@@ -4,6 +4,7 @@ import json
 import re
 
 import pytest
+from places import ROOT
 
 
 @pytest.fixture
@@ -64,6 +65,20 @@ def test_a_draft_and_what_it_says(call, rover, tmp_path, monkeypatch):
     assert (done.code, (tmp_path / "new/expect.yaml").read_text()) == (2, written)
     assert "exists; name another output, or replace it with --force" in done.err[0]
     assert call("check", "--init", path, *mission, "-o", "new/expect.yaml", "--force").code == 0
+
+
+def test_what_nobody_examined_is_never_green(call, tmp_path):
+    path, expect = ROOT / "tests/captures/n10_uplink_loss.pcap.zst", tmp_path / "expect.yaml"
+    done = call("check", "--init", path, "-o", expect)
+    assert done.code == 3
+    assert done.err[0].endswith("incomplete: name the ports, and draft again")
+    done = call("check", path, expect)
+    assert done.code == 3
+    (unmet,) = [line for line in done.out.splitlines() if line.startswith("✗")]
+    assert unmet.startswith("✗ verdicts  not_examined is not allowed  226 datagrams on port 5234")
+    named = ("--port", "ci:5234")
+    assert call("check", "--init", path, "-o", expect, "--force", *named).code == 0
+    assert call("check", path, expect, *named).code == 0
 
 
 def test_junit_beside_the_lines(call, rover, expect, tmp_path):
