@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import open_files
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
@@ -45,6 +46,10 @@ if TYPE_CHECKING:
     from edoras_tools.render.terminal.run import Progress
 
     Judge = Callable[[Collection[str], Progress | None], Iterator[TopicBlock]]
+
+
+_OWN_THREADS: Final = 2
+"""Processors that one process keeps busy by itself: one thread makes columns, another writes tables."""
 
 
 class TopicSource(ABC):
@@ -188,7 +193,7 @@ class CaptureTopics(TopicSource):
         statistics = STATISTICS_TOPIC in wanted
         scope, source = self._scope, self._source
         if not scope.selection and not scope.period:  # else it is decoded where it is selected
-            source = read_ahead(source, self._bench.columns, self.jobs)
+            source = read_ahead(source, self._bench.columns, self.jobs, own=_OWN_THREADS)
         with reading(source, self._bench, scope.selection, examined=scope.period, keeps_failure=True) as loop:
             for rows in loop:
                 if progress is not None:
@@ -228,8 +233,8 @@ class CaptureTopics(TopicSource):
     ) -> Iterator[TopicBlock]:
         routes = range(len(self._streams.topics) - len(self._bench.mission.routes), len(self._streams.topics))
         for messages in streams:
-            places = np.broadcast_to(messages.channel_id, len(messages))
-            chosen = [place for place in np.unique(places).tolist() if self._places[place].name in wanted]
+            places = by_value(np.broadcast_to(messages.channel_id, len(messages)))
+            chosen = [item for item in places if self._places[item[0]].name in wanted]
             if not chosen:
                 continue
             if (
@@ -240,8 +245,8 @@ class CaptureTopics(TopicSource):
                 laid = lay_out([messages], rows)
                 data, start, length = np.frombuffer(laid.data, np.uint8), laid.start, laid.end - laid.start
             heads = messages.heads(slice(0, len(messages)))
-            for place in chosen:
-                topic, here = self._places[place], np.flatnonzero(places == place)
+            for place, here in chosen:
+                topic = self._places[place]
                 columns = self.types(topic.name).columns(
                     topic.type, data, start[here], length[here].astype(np.int32)
                 )
