@@ -584,7 +584,8 @@ class SourceStatistics:
         datagrams: UDP datagrams handed over.
         skipped: frames that are no UDP datagram.
         bytes: frame bytes read.
-        kernel_drops: frames that the kernel or a full queue lost before the source saw them.
+        kernel_drops: frames that the kernel or a full queue lost before the source saw them; None where the
+            source does not tell, as pcap files.
         total_bytes: size of the whole input where it is known, for progress; else 0.
         position: bytes of the input consumed so far, on the scale of ``total_bytes``.
         warnings: one line each, for people.
@@ -595,7 +596,7 @@ class SourceStatistics:
     datagrams: int = 0
     skipped: int = 0
     bytes: int = 0
-    kernel_drops: int = 0
+    kernel_drops: int | None = None
     total_bytes: int = 0
     position: int = 0
     warnings: list[str] = field(default_factory=list)

@@ -59,7 +59,8 @@ class Capture:
     """What is known of the capture itself.
 
     Attributes:
-        drops: frames that the kernel or a full queue lost before they were captured.
+        drops: frames that the kernel or a full queue lost before they were captured; None where the capture
+            does not tell.
         warnings: what its source has to say.
         zero_ns: its first datagram, where what is judged begins later; None where that is the first.
         cut: datagrams that were left out for their time.
@@ -72,7 +73,7 @@ class Capture:
         frames: the transfer frames in it, and what their counts say; None where the mission names none.
     """
 
-    drops: int = 0
+    drops: int | None = None
     warnings: tuple[str, ...] = ()
     zero_ns: int | None = None
     cut: int = 0

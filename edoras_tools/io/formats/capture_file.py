@@ -100,12 +100,11 @@ class CaptureFileSink:
         """Write the end of the format, and close the file if it was opened here.
 
         Args:
-            statistics: not used; the formats cannot store it.
+            statistics: of the source; pcapng stores how many frames were lost.
         """
-        del statistics
         if not self._closed:
             self._closed = True
-            self._finish()
+            self._finish(statistics)
             self.flush()
             try:
                 if self.output:
@@ -117,7 +116,7 @@ class CaptureFileSink:
         """Return the bytes of a batch of at least one frame: u8."""
         raise NotImplementedError
 
-    def _finish(self) -> None:
+    def _finish(self, statistics: SourceStatistics | None) -> None:
         """Write what the format needs after the last frame."""
 
     def _put(self, data: bytes | NDArray[np.uint8]) -> None:

@@ -85,11 +85,15 @@ class MergedSource:
 
     @property
     def statistics(self) -> SourceStatistics:
-        """The sums of the sources' statistics."""
+        """The sums of the sources' statistics; a sum of 0 drops is None where a source does not tell."""
         total = self._statistics
         for item in fields(SourceStatistics):
             values = [getattr(source.statistics, item.name) for source in self._sources]
-            setattr(total, item.name, [*chain(*values)] if isinstance(values[0], list) else sum(values))
+            if isinstance(values[0], list):
+                setattr(total, item.name, [*chain(*values)])
+            else:
+                added = sum(value or 0 for value in values)
+                setattr(total, item.name, None if None in values and not added else added)
         return total
 
     def follow(self, framings: Mapping[int, Framing]) -> None:

@@ -57,7 +57,7 @@ class Diagnostics:
     ) -> None:
         self._topics = {(route.link, route.msg_id): route.topic for route in mission.routes}
         self._types, self._name, self._levels, self._statistics = types, name, levels, statistics
-        self._drops = statistics.kernel_drops if statistics else 0
+        self._drops = (statistics.kernel_drops or 0) if statistics else 0
         self._counts: dict[tuple[int, int], NDArray[np.int64]] = {}
         self._until = 0
         self.latest: dict[str, dict[str, Any]] = {}
@@ -140,14 +140,18 @@ class Diagnostics:
         }
 
     def _capture(self, statistics: SourceStatistics) -> dict[str, Any]:
-        lost, self._drops = statistics.kernel_drops - self._drops, statistics.kernel_drops
+        drops = statistics.kernel_drops or 0
+        lost, self._drops = drops - self._drops, drops
         return {
             "level": ERROR if lost else OK,
             "name": "capture",
             "message": f"{lost} packets lost by the capture itself" if lost else "OK",
             "hardware_id": self._name,
             "values": [
-                {"key": "kernel_drops", "value": str(statistics.kernel_drops)},
+                {
+                    "key": "kernel_drops",
+                    "value": "not told" if statistics.kernel_drops is None else str(drops),
+                },
                 {"key": "skipped", "value": str(statistics.skipped)},
             ],
         }

@@ -135,7 +135,7 @@ class LinkStatistics:
         heads["encapsulation"] = CDR_LE_WORD
         stamp(heads, time_ns)
         heads["rate_hz"] = groups["count"]
-        heads["kernel_drops"] = self._statistics.kernel_drops if self._statistics else 0
+        heads["kernel_drops"] = (self._statistics.kernel_drops or 0) if self._statistics else 0
         for name in ("bytes", "count", "largest"):
             heads[name] = groups[name]
         heads["gaps"] = np.maximum(groups["gaps"], 0)

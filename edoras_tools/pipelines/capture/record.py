@@ -108,7 +108,7 @@ class CaptureReport:
     @property
     def lost(self) -> int:
         """Frames that the kernel or a full queue lost."""
-        return self.source.statistics.kernel_drops
+        return self.source.statistics.kernel_drops or 0
 
     def summary(self) -> dict[str, Any]:
         """Return the report in the shape of ``info --json``."""

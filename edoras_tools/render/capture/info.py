@@ -118,10 +118,13 @@ def totals(summary: Mapping[str, Any]) -> Table:
         grid.add_row("from", Text(f"{units.utc(start)} UTC"))
         span = Text(f"   {units.duration((end - start) / 1e9)}", palette.STRONG)
         grid.add_row("to", Text(f"{units.utc(end)} UTC").append_text(span))
-    drops = summary.get("capture_drops", 0)
-    if drops is None:
+    if topics:
         return grid
-    if drops:
+    drops = summary.get("capture_drops")
+    if drops is None:
+        of_it = " by this format" if summary.get("kind") == "pcap" else ""
+        grid.add_row("drops", Text(f"not told{of_it}", palette.DIM))
+    elif drops:
         lost = f"{plural(drops, 'frame')} lost by the capture itself; gaps below may be among them"
         grid.add_row("drops", Text(lost, Level.ERROR.style))
     else:

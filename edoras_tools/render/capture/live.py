@@ -61,12 +61,12 @@ def view(title: str, moment: Moment) -> Group:
 
 
 def _totals(moment: Moment, rates: Mapping[object, float]) -> Text:
-    count, drops = moment.summary.get("datagrams", 0), moment.summary.get("capture_drops", 0)
+    count, drops = moment.summary.get("datagrams", 0), moment.summary.get("capture_drops")
     line = Text(plural(count, "packet"), palette.STRONG)
     line.append(f"   {units.rate(rates.get(None)).replace('Hz', 'packets/s')}", palette.DIM)
     if drops:
         line.append(f"   {units.count(drops)} dropped", Level.ERROR.style)
-    else:
+    elif drops is not None:
         line.append("   no drops", palette.DIM)
     if moment.written is not None:
         line.append(f"   {units.size(moment.written)} written", palette.DIM)

@@ -132,6 +132,10 @@ def test_what_is_known_of_all_together():
     assert (merged.info.name, merged.info.kind, merged.info.time_resolution_ns) == ("A, B", "pcap", 1000)
     assert merged.statistics.frames == 3
     assert merged.statistics.warnings == ["A warns", "B warns"]
+    for drops, told in (([None, None], None), ([0, None], None), ([3, None], 3), ([0, 0], 0), ([3, 4], 7)):
+        for source, count in zip(sources, drops, strict=True):
+            source.statistics.kernel_drops = count
+        assert merged.statistics.kernel_drops == told
     merged.close()
     assert all(source.closed for source in sources)
 

@@ -39,6 +39,13 @@ def test_drops_are_an_error(summary):
     assert "\x1b[1;31m1,234 frames lost by the capture itself" in out.getvalue()
 
 
+@pytest.mark.parametrize(("kind", "told"), [("pcap", "not told by this format"), ("mcap", "not told")])
+def test_drops_that_are_not_told_are_not_none(summary, kind, told):
+    lines = shown(capture_summary({**summary, "kind": kind, "capture_drops": None})).splitlines()
+    (line,) = (line for line in lines if line.startswith("drops"))
+    assert line.split(None, 1)[1].rstrip() == told
+
+
 def test_an_empty_capture(summary):
     nothing = {"datagrams": 0, "start_ns": 0, "end_ns": 0, "capture_drops": 0, "routes": [], "findings": {}}
     words = shown(capture_summary(nothing)).split()

@@ -352,8 +352,9 @@ class McapSource:
                 record = Metadata.read(stream)
                 if record.name == OUTAGE_METADATA_NAME:
                     self._note(InterfaceOutage.from_text(record.metadata))
-                if record.name not in self._metadata:
-                    self.statistics.kernel_drops += int(record.metadata.get("kernel_drops", 0))
+                if record.name not in self._metadata and "kernel_drops" in record.metadata:
+                    before = self.statistics.kernel_drops or 0
+                    self.statistics.kernel_drops = before + int(record.metadata["kernel_drops"])
                 self._metadata[record.name] = record.metadata
             else:
                 attachment = Attachment.read(stream)

@@ -306,7 +306,7 @@ class McapSink:
                 **self._opening(),
                 "datagrams": str(self._captured),
                 "clock_offset_ns": json.dumps(self._streams.clock.offsets()),
-                **{key: str(value) for key, value in counted.items()},
+                **{key: str(value) for key, value in counted.items() if value is not None},
             },
         )
         file.finish()

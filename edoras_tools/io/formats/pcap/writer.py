@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import PacketBatch
+    from edoras_tools.model import PacketBatch, SourceStatistics
 
 _MICROSECONDS = 0xA1B2C3D4
 _NANOSECONDS = 0xA1B23C4D
@@ -75,8 +75,9 @@ class PcapSink(CaptureFileSink):
         copy_rows(out, starts + _HEADER_BYTES, batch.data, batch.frame_offset, batch.frame_length)
         return out
 
-    def _finish(self) -> None:
+    def _finish(self, statistics: SourceStatistics | None) -> None:
         """Write the header, if there was no frame."""
+        del statistics
         if self._link_type is None:
             self._begin(_ETHERNET)
 

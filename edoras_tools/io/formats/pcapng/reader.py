@@ -1,14 +1,15 @@
 """pcapng files: sections of blocks, either byte order (draft-ietf-opsawg-pcapng).
 
-It reads section headers, interface descriptions, and the three kinds of packet blocks, and skips every other
-block. A simple packet block has no time: its frames get 1970-01-01.
+It reads section headers, interface descriptions, the three kinds of packet blocks, and how many packets were
+lost by the statistics of interfaces; it skips every other block. A simple packet block has no time: its
+frames get 1970-01-01.
 """
 
 from __future__ import annotations
 
 import struct
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,7 @@ INTERFACE_DESCRIPTION = 1
 _OBSOLETE_PACKET = 2
 """Obsolete; like ``ENHANCED_PACKET``, with a 16-bit interface number."""
 SIMPLE_PACKET = 3
+_INTERFACE_STATISTICS = 5
 ENHANCED_PACKET = 6
 _BYTE_ORDER_MAGIC = 0x1A2B3C4D
 _LARGEST_BLOCK = 16 << 20
@@ -42,9 +44,13 @@ _LEAST_BYTES = {
     SIMPLE_PACKET: 16,
     ENHANCED_PACKET: 32,
 }
+_LEAST_STATISTICS = 24
+_ORDERS: Final[dict[str, Literal["little", "big"]]] = {"<": "little", ">": "big"}
 _OPT_COMMENT = 1
 _IF_TSRESOL = 9
 _IF_TSOFFSET = 14
+_ISB_DROPS = {5, 7}
+"""Lost by the interface, and by the system, since the capture began."""
 _MULTIPLE_OF_4 = 0xFFFFFFFC
 _STRIDE = 16 << 10
 _SIGHT = 512
@@ -94,6 +100,9 @@ class PcapngSource(RecordSource):
         super().__init__(window)
         self._order = "<"
         self._interfaces: list[_Interface] = []
+        self._lost: dict[tuple[int, int], int] = {}
+        """By section and interface: what the last statistics of it say."""
+        self._section = 0
         self._seen: list[_Interface] = []
         self._read_with: dict[str, str] = {}
         while window.end < _LEAST_BYTES[SECTION_HEADER]:
@@ -126,6 +135,8 @@ class PcapngSource(RecordSource):
                 self._add_interface(self._at, length)
             elif kind == SECTION_HEADER:
                 self._read_with = self._listened(self._at, length)
+            elif kind == _INTERFACE_STATISTICS:
+                self._count_lost(self._at, length)
             self._at += length
 
     def _frames(self) -> Iterator[FrameBatch]:
@@ -162,6 +173,7 @@ class PcapngSource(RecordSource):
                 at, f"the section of record {{}} is pcapng {major}.{minor}, which is not supported"
             )
         self._interfaces = []
+        self._section += 1
 
     def _listened(self, at: int, length: int) -> dict[str, str]:
         """Return the ports of a recorder that listened, if a section's comment is one of ours."""
@@ -191,6 +203,20 @@ class PcapngSource(RecordSource):
                 scale = replace(scale, offset_s=struct.unpack(f"{self._order}q", value)[0])
         self._interfaces.append(_Interface(link_type, snap_length, scale))
         self._seen.append(self._interfaces[-1])
+
+    def _count_lost(self, at: int, length: int) -> None:
+        """Take the counts of lost packets from the statistics of an interface, if they are there."""
+        if length < _LEAST_STATISTICS:
+            return
+        interface = int.from_bytes(self._window.data[at + 8 : at + 12].tobytes(), _ORDERS[self._order])
+        found = [
+            int.from_bytes(value, _ORDERS[self._order])
+            for code, value in self._options(at + 20, at + length - 4)
+            if code in _ISB_DROPS and len(value) == 8
+        ]
+        if found:
+            self._lost[self._section, interface] = sum(found)
+            self.statistics.kernel_drops = sum(self._lost.values())
 
     def _blocks(self, start: int) -> tuple[_Blocks, int]:
         """Return the complete blocks of one section, and their end."""
@@ -245,6 +271,8 @@ class PcapngSource(RecordSource):
         described = np.flatnonzero(sound & (kind == INTERFACE_DESCRIPTION))
         for row in described.tolist():
             self._add_interface(int(blocks.position[row]), int(length[row]))
+        for row in np.flatnonzero(sound & (kind == _INTERFACE_STATISTICS)).tolist():
+            self._count_lost(int(blocks.position[row]), int(length[row]))
         full = (kind == ENHANCED_PACKET) | (kind == _OBSOLETE_PACKET)
         sound &= ~full | (blocks.words[:, 5] <= length - 32)
         packet = full | (kind == SIMPLE_PACKET)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import PacketBatch
+    from edoras_tools.model import PacketBatch, SourceStatistics
 
 _ENHANCED_PACKET = 6
 _HEAD_BYTES = 28
@@ -52,6 +52,7 @@ class PcapngSink(CaptureFileSink):
         self._exponent, self._unit_ns = (9, 1) if nanosecond else (6, 1000)
         self._snap_length = snap_length
         self._interfaces: dict[int, int] = {}
+        self._last_ticks = 0
         text = comment.encode()
         told = struct.pack(f"<HH{len(text)}s{-len(text) % 4}xI", 1, len(text), text, 0) if text else b""
         size = struct.pack("<I", 28 + len(told))
@@ -63,6 +64,7 @@ class PcapngSink(CaptureFileSink):
                 f"{self.name}: a time before 1970 does not fit pcapng; write an .mcap file instead"
             )
         ticks = batch.time_ns // self._unit_ns
+        self._last_ticks = int(ticks[-1])
         padded = batch.frame_length.astype(np.int64) + 3 & ~3
         sizes = padded + (_HEAD_BYTES + _TAIL_BYTES)
         starts = np.cumsum(sizes) - sizes
@@ -88,6 +90,13 @@ class PcapngSink(CaptureFileSink):
         if empty.any():
             put_rows(out, starts[empty], head_rows[empty])
         return out
+
+    def _finish(self, statistics: SourceStatistics | None) -> None:
+        """Write how many frames were lost, if the source tells, as statistics of the first interface."""
+        drops = statistics.kernel_drops if statistics else None
+        if drops is not None and self._interfaces:
+            time = self._last_ticks >> 32, self._last_ticks & 0xFFFFFFFF
+            self._put(struct.pack("<5IHHQII", 5, 40, 0, *time, 5, 8, drops, 0, 40))
 
     def _interface(self, link_type: int) -> int:
         """Return the number of a link type's interface; a new one is described in the file."""

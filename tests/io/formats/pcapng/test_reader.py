@@ -60,6 +60,43 @@ def simple(frame, order="<", original=None):
     return block(3, struct.pack(f"{order}I", original or len(frame)) + frame, order)
 
 
+def statistics(*drops, order="<", number=0, code=5):
+    body = struct.pack(f"{order}III", number, 0, 5)
+    options = b"".join(struct.pack(f"{order}HHQ", code, 8, item) for item in drops)
+    return block(5, body + options + bytes(4), order)
+
+
+LOST = {
+    "none": ([enhanced(FRAME)], None),
+    "not of drops": ([enhanced(FRAME), statistics(3, code=4)], None),
+    "zero": ([enhanced(FRAME), statistics(0)], 0),
+    "of the system": ([enhanced(FRAME), statistics(7, code=7)], 7),
+    "the last of several": ([statistics(1), enhanced(FRAME), statistics(3)], 3),
+    "of two interfaces": ([interface(), enhanced(FRAME), statistics(3), statistics(4, number=1)], 7),
+    "of two sections": ([statistics(3), section(), interface(), enhanced(FRAME), statistics(4)], 7),
+    "of no packet": ([statistics(3)], 3),
+    "too short": ([enhanced(FRAME), block(5, bytes(8))], None),
+    "cut": ([enhanced(FRAME), block(5, bytes(12) + struct.pack("<HH", 5, 8))], None),
+}
+
+
+@pytest.mark.parametrize("name", LOST)
+def test_what_the_capture_lost_is_told_by_statistics(tmp_path, name):
+    blocks, lost = LOST[name]
+    (tmp_path / "a").write_bytes(section() + interface() + b"".join(blocks))
+    with closing(open_file(tmp_path / "a")) as source:
+        assert sum(map(len, source.batches())) == blocks.count(enhanced(FRAME))
+        assert source.statistics.kernel_drops == lost
+
+
+def test_statistics_in_the_other_byte_order(tmp_path):
+    content = section(">") + interface(">") + enhanced(FRAME, order=">") + statistics(9, order=">")
+    (tmp_path / "a").write_bytes(content)
+    with closing(open_file(tmp_path / "a")) as source:
+        assert sum(map(len, source.batches())) == 1
+        assert source.statistics.kernel_drops == 9
+
+
 @pytest.fixture(params=["default", "tiny"])
 def _sizes(monkeypatch, request):
     if request.param == "tiny":

@@ -116,6 +116,19 @@ def test_a_capture_without_packets(tmp_path):
         assert list(source.batches()) == []
 
 
+@pytest.mark.parametrize("drops", [None, 0, 1 << 40])
+def test_what_was_lost_is_told_at_the_end(tmp_path, drops):
+    path = tmp_path / "a.pcapng"
+    sink = PcapngSink(path)
+    sink.write(batch_of([b"x" * 60], [5 << 33], [1], [60]))
+    sink.close(SourceStatistics(kernel_drops=drops))
+    with closing(open_file(path)) as source:
+        assert len(list(source.batches())) <= 1
+        assert source.statistics.kernel_drops == drops
+    with RawPcapNgReader(str(path)) as other:
+        assert [bytes(data) for data, _ in other] == [b"x" * 60]
+
+
 def test_a_time_before_1970():
     sink = PcapngSink(io.BytesIO())
     with pytest.raises(CaptureError, match="a time before 1970 does not fit pcapng"):
