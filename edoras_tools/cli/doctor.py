@@ -280,11 +280,14 @@ def _compare(
 def _compare_bags(
     settings: Settings, scope: Scope, given: InputOptions, bags: list[Path], printing: options.PrintOptions
 ) -> None:
-    from edoras_tools.pipelines.doctor.bags import against_bag, against_capture
+    from edoras_tools.diagnosis.chains import Chain, chains
+    from edoras_tools.pipelines.doctor.bags import against_bag, against_capture, bridge_counts
+    from edoras_tools.pipelines.doctor.doctor import Pace, examine
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
 
     files = given.paths
+    ways: list[Chain] = []
     if not files and len(bags) < 2:
         raise ConfigError("--bag needs a capture, or a second bag: edoras doctor CAPTURE --bag BAG")
     if files:
@@ -292,14 +295,20 @@ def _compare_bags(
         with FileProgress(", ".join(map(str, files)), console=error_console(), quiet=quiet) as bar:
             source, bench = open_input(given, settings, aligned=True, progress=bar)
             found = against_capture(source, bags, bench, scope, bar)
+            if all(path.is_file() or path.is_dir() for path in files):  # a pipe is read only once
+                source, bench = open_input(given, settings, aligned=True, progress=bar)
+                judged = examine(source, bench, scope=scope, pace=Pace(monotonic_ns), progress=bar).diagnosis
+                ways = chains(judged.balance, judged.topics, bridge_counts(found))
     elif scope.selection or scope.period:
         raise ConfigError("--start, --end and what selects packets have no effect on bags alone")
     else:
         found = against_bag(bags[0], bags[1:], settings.workbench().types)
     lost = sum(item.found.lost for item in found)
     if printing.json:
-        print_json({"lost": lost, "bags": [item.as_json() for item in found]})
+        told = [item.as_json() for item in found]
+        print_json({"lost": lost, "bags": told, "chains": [item.as_json() for item in ways]})
     else:
+        from edoras_tools.render.doctor.balance import chain_table
         from edoras_tools.render.doctor.doctor import comparison_table
         from edoras_tools.render.terminal.console import output_console
 
@@ -308,6 +317,8 @@ def _compare_bags(
         for item in found:
             console.print(f"first: {first}, second: {item.bag}", markup=False, highlight=False)
             console.print(comparison_table(item.found, console.width))
+        if ways:
+            console.print(chain_table(ways, console.width))
     for item in found:
         if item.left_out:
             tell(f"{item.bag}: {item.left_out:,} messages do not fit their type and are not compared")

@@ -21,6 +21,7 @@ from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKE
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links import table
+from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ class Row:
         unaccounted: how many are missing without a cause that the capture shows.
         counted: figure to where it was counted.
         name: cFE's name for the packet, if it has one.
+        onward: label of the link and MsgId of each packet as which it came out of the application.
     """
 
     route: int
@@ -85,6 +87,7 @@ class Row:
     unaccounted: int = 0
     counted: Mapping[str, str] = field(default_factory=dict)
     name: str = ""
+    onward: tuple[tuple[str, int], ...] = ()
 
     @property
     def all_lost(self) -> int:
@@ -263,7 +266,9 @@ def summed(rows: Iterable[Row]) -> tuple[Row, ...]:
             found[key] = row
             continue
         figures = {name: getattr(known, name) + getattr(row, name) for name in _FIGURES}
-        found[key] = replace(row, lost=dict(Counter(known.lost) + Counter(row.lost)), **figures)
+        onward = tuple(dict.fromkeys((*known.onward, *row.onward)))
+        lost = dict(Counter(known.lost) + Counter(row.lost))
+        found[key] = replace(row, lost=lost, onward=onward, **figures)
     return tuple(found.values())
 
 
@@ -331,7 +336,15 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
     if fate.reached is not None:
         told = {"in": "what the software bus did not lose", "out": "number of datagrams on the robot link"}
         late = at - fate.reached - fate.unaccounted
-        add(APPLICATION, at, fate.reached, waiting=late, unaccounted=fate.unaccounted, counted=told)
+        add(
+            APPLICATION,
+            at,
+            fate.reached,
+            waiting=late,
+            unaccounted=fate.unaccounted,
+            counted=told,
+            onward=((ROBOT.label, NO_MSG_ID),),
+        )
     if fate.seen:
         out = int(fate.arrived.sum()) + fate.passed_on
         rest = at - out - sum(ended.values()) - fate.superseded - fate.waiting - fate.unaccounted
@@ -349,6 +362,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
             not_captured=rest,
             unaccounted=fate.unaccounted,
             counted={"in": "what the software bus did not lose", "out": f"same values on {ways}"},
+            onward=tuple(dict.fromkeys((hop.out.link.label, hop.out.msg_id) for hop in fate.hops)),
         )
     return rows
 

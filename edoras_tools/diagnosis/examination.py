@@ -14,6 +14,7 @@ from edoras_tools.diagnosis.accounting.commands import Refused
 from edoras_tools.diagnosis.accounts import accounts
 from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, sent, summed
 from edoras_tools.diagnosis.case import Capture, Case
+from edoras_tools.diagnosis.chains import Chain, chains
 from edoras_tools.diagnosis.evidence.relays.proxied import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.missing import Missing, missing
@@ -120,6 +121,11 @@ class Diagnosis:
         return headlines(self.balance, self.topics)
 
     @property
+    def chains(self) -> list[Chain]:
+        """The way of each command, from its publisher to the robot."""
+        return chains(self.balance, self.topics)
+
+    @property
     def worst(self) -> Severity:
         """How grave the gravest verdict is."""
         return max((item.severity for item in self.verdicts), default=Severity.HABIT)
@@ -206,6 +212,7 @@ class Diagnosis:
             "verdicts": [verdict.as_json() for verdict in self.verdicts],
             "habits": [verdict.as_json() for verdict in self.habits],
             "balance": [row.as_json(self.topics.get(row.route)) for row in self.balance],
+            "chains": [item.as_json() for item in self.chains],
             "routes": self.routes,
             "peers": self.peers,
         }

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.diagnosis.chains import BridgeCount
 from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.table import Rows
@@ -105,6 +106,16 @@ def against_capture(
         _has_something_in_common(item, source.info.name)
         found.append(item._replace(found=compared.limited(choice)) if choice else item)
     return found
+
+
+def bridge_counts(found: Iterable[BagComparison]) -> dict[tuple[str, int], BridgeCount]:
+    """Return what bags counted inside the bridges, by link label and MsgId; of several bags the first."""
+    counts: dict[tuple[str, int], BridgeCount] = {}
+    for item in found:
+        for route in item.found.routes:
+            told = BridgeCount(route.same + route.lost, route.lost, str(item.bag))
+            counts.setdefault((route.link.label, route.msg_id), told)
+    return counts
 
 
 def _carried(rows: Rows, heard: Rows, mission: Mission, place: int, topic: str) -> Route:

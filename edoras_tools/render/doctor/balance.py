@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
 
+from edoras_tools.diagnosis.chains import PEER_TO_ROBOT
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import msg_id_text, route_text
 from edoras_tools.render.severity import Level
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from rich.console import RenderableType
 
+    from edoras_tools.diagnosis.chains import Chain
     from edoras_tools.diagnosis.examination import Diagnosis
 
 CAUSES: Final = {
@@ -45,7 +47,7 @@ def shown_rows(found: Diagnosis) -> list[dict[str, Any]]:
     Args:
         found: the diagnosis.
     """
-    rows = [row.as_json(found.topics.get(row.route)) for row in found.balance]
+    rows = _with_ends(found, [row.as_json(found.topics.get(row.route)) for row in found.balance])
     quiet = [row for row in rows if not row["topic"] and row["name"] and row["in"] == row["out"]]
     if len(quiet) < 2:
         return rows
@@ -60,9 +62,34 @@ def shown_rows(found: Diagnosis) -> list[dict[str, Any]]:
     return [*kept, {**others, "msg_id": None, "link": None, "instance": None, "name": name, "hop": "all"}]
 
 
+def _with_ends(found: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows, and in front of each command's and behind them the hops that were not counted."""
+    before: dict[int, dict[str, Any]] = {}
+    behind: dict[int, dict[str, Any]] = {}
+    for chain in found.chains:
+        key = ("ci", f"0x{chain.msg_id:04x}", chain.instance)
+        own = [at for at, row in enumerate(rows) if (row["link"], row["msg_id"], row["instance"]) == key]
+        for ends, hop, at in ((before, chain.hops[0], own[0]), (behind, chain.hops[-1], own[-1])):
+            if not hop.observed and hop.hop != PEER_TO_ROBOT:
+                ends[at] = {**rows[at], **dict.fromkeys(FIGURES), **hop.as_json(), "lost_by": {}}
+    return [
+        item
+        for at, row in enumerate(rows)
+        for item in (before.get(at), row, behind.get(at))
+        if item is not None
+    ]
+
+
 def causes(row: Mapping[str, Any]) -> str:
-    """Return why messages of a row were lost: ``92 over a message limit``."""
+    """Return why messages of a row were lost: ``92 over a message limit``; of one not counted, what would."""
+    if row.get("lost", 0) is None:
+        return str(row["counted"])
     return ", ".join(f"{number:,} {CAUSES.get(cause, cause)}" for cause, number in row["lost_by"].items())
+
+
+def figure_text(value: int | None) -> str:
+    """Return a figure as text; nothing where it was not counted."""
+    return "" if value is None else units.count(value)
 
 
 def _figure(name: str) -> Any:
@@ -70,7 +97,7 @@ def _figure(name: str) -> Any:
 
     def cell(row: Mapping[str, Any]) -> Text:
         always = name in {"in", "out", "lost"}
-        told = units.count(row[name]) if row[name] or always else ""
+        told = figure_text(row[name]) if row[name] or always else ""
         return Text(told, style if row[name] else palette.DIM if name == "lost" else "")
 
     return cell
@@ -103,6 +130,33 @@ def balance_table(found: Diagnosis, width: int) -> RenderableType:
     empty = {head for head, name in zip(HEADS, FIGURES, strict=True) if not any(row[name] for row in rows)}
     columns = [column for column in _COLUMNS if column.title not in empty - {"Lost"}]
     return build(columns, rows, width, apart=lambda row: row["msg_id"])
+
+
+def chain_table(found: Sequence[Chain], width: int) -> RenderableType:
+    """Return the way of each command, a row a hop.
+
+    Args:
+        found: the chains.
+        width: of the terminal.
+    """
+    rows = [
+        {**hop.as_json(), "msg_id": f"0x{item.msg_id:04x}", "topic": item.topic, "name": item.instance}
+        for item in found
+        for hop in item.hops
+    ]
+    shown = {name for name in FIGURES if any(row[name] for row in rows)} | {"in", "out", "lost"}
+    columns = [
+        Column("MsgId", _msg_id, justify="left"),
+        Column("Topic", route_text, justify="left", elastic=True),
+        Column("Hop", lambda row: plain(row["hop"]), justify="left"),
+        *(
+            Column(head, _figure(name), rank=0 if name in {"in", "out", "lost"} else 1)
+            for head, name in zip(HEADS, FIGURES, strict=True)
+            if name in shown
+        ),
+        Column("Counted", lambda row: plain(row["counted"]), rank=2, justify="left"),
+    ]
+    return build(columns, rows, width, apart=lambda row: (row["msg_id"], row["name"]))
 
 
 def balance_lines(found: Diagnosis) -> Sequence[str]:

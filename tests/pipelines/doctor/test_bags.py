@@ -12,11 +12,13 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
+from edoras_tools.diagnosis.chains import PEER_TO_ROBOT, PUBLISHER, chains
 from edoras_tools.emulator import Simulation
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
-from edoras_tools.pipelines.doctor.bags import against_bag, against_capture
+from edoras_tools.pipelines.doctor.bags import against_bag, against_capture, bridge_counts
+from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import MILLISECOND, SECOND
@@ -148,6 +150,26 @@ def test_each_loss_is_found_in_its_bridge(recorded):
         assert (row.same + row.lost, row.same) == (sent, came)
         assert (row.extra, row.altered, row.doubled) == (0, 0, 0)
         assert row.back == (TOPICS[row.msg_id][3] < 0)
+
+
+def test_the_chain_of_each_command_has_what_each_bridge_lost(recorded):
+    """Every command of the ground, from its publisher to the robot, with losses in both bridges."""
+    folder, lost, crossed = recorded
+    counts = bridge_counts(compared(folder, "ground.mcap", "robot"))
+    source = open_file(folder / "wire.pcap")
+    found = examine(source, Settings(MISSIONS).workbench(source.info)).diagnosis
+    ways = chains(found.balance, found.topics, counts)
+    assert {item.topic for item in ways} == {"/robot_1/ground/cmd_vel", "/robot_2/ground/cmd_vel"}
+    for chain in ways:
+        publisher, *inside, robot = chain.hops
+        to_robot = chain.topic.replace("/ground", "")
+        assert (publisher.hop, robot.hop) == (PUBLISHER, PEER_TO_ROBOT)
+        assert (publisher.lost, publisher.out) == (lost[chain.topic], crossed[chain.topic])
+        assert (robot.lost, robot.out) == (lost[to_robot], crossed[to_robot])
+        assert [hop.hop for hop in inside[:3]] == ["CI", "software bus", "application"]
+        for one, following in zip(chain.hops, chain.hops[1:], strict=False):
+            assert one.out == following.came, following.hop
+    assert sum(chain.hops[0].lost + chain.hops[-1].lost for chain in ways) > 20
 
 
 def test_delays_are_those_of_each_bridge_and_clocks_are_aligned(recorded):

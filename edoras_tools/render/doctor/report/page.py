@@ -236,7 +236,7 @@ def _balance(found: Diagnosis) -> str:
                 row["msg_id"] or "",
                 row["topic"] or row["name"] or "",
                 row["hop"],
-                *(units.count(row[name]) for name, _ in figures),
+                *(balance.figure_text(row[name]) for name, _ in figures),
                 balance.causes(row),
             )
         )
