@@ -173,6 +173,7 @@ class SendingOptions(NamedTuple):
     yes: Yes = False
     sequence: Annotated[str, _option(metavar="RULE", help="Sequence counts: keep, count or zero.")] = "keep"
     checksum: Annotated[str, _option(metavar="RULE", help="Checksums: keep, fix, zero or wrong.")] = "keep"
+    tcp: Annotated[bool, _option("--tcp", help="SBN: on a TCP connection to the target.")] = False
     step: Annotated[bool, _option("--step", help="One by one: n sends the next, space runs, q quits.")] = (
         False
     )
@@ -205,6 +206,7 @@ class SendingOptions(NamedTuple):
             sequence=one_of(SequenceRule, self.sequence, "--sequence"),
             checksum=one_of(ChecksumRule, self.checksum, "--checksum"),
             step=self.step,
+            tcp=self.tcp,
         )
 
 
@@ -271,6 +273,8 @@ def carry_out(
         tell_reach(send_options.listen, "answer", instead="--no-listen receives no answers")
     recording = None
     goal = recordings.recording_target(ending.output, force=ending.force, inputs=inputs)
+    if goal and send_options.tcp:
+        raise ConfigError("-o records datagrams: with --tcp capture the connection with edoras record -i lo")
     if goal:
         from edoras_tools.pipelines.sending.recording import SentRecording
 

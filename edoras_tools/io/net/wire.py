@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.io.net.transmit import Listener, SendStatistics, Transmitter
+    from edoras_tools.io.net.transmit_stream import StreamTransmitter
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.sessions.outgoing import Outgoing
 
@@ -87,13 +88,16 @@ class UdpWire:
 
     def __init__(
         self,
-        transmitter: Transmitter,
+        transmitter: Transmitter | StreamTransmitter,
         answers: Link,
         listeners: Sequence[tuple[Link, Listener]] = (),
         watched: Sequence[int] = (),
     ) -> None:
         self._transmitter = transmitter
-        self._sockets: list[tuple[Link, Transmitter | Listener]] = [(answers, transmitter), *listeners]
+        self._sockets: list[tuple[Link, Transmitter | StreamTransmitter | Listener]] = [
+            (answers, transmitter),
+            *listeners,
+        ]
         self._watched = [*(item.fileno() for _, item in self._sockets), *watched]
         self.now = time.monotonic_ns
         self.ends = transmitter.local, transmitter.target

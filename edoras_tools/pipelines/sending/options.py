@@ -88,6 +88,7 @@ class SendOptions:
         passes: how often; 0 for no end.
         step: start in single steps.
         headers: those of the cFE that it goes to, for packets that are made.
+        tcp: SBN: on one TCP connection to the target, which listens.
     """
 
     to: Receiver = Receiver.CI
@@ -116,6 +117,7 @@ class SendOptions:
     passes: int = 1
     step: bool = False
     headers: Headers = STANDARD
+    tcp: bool = False
 
     def _check(self) -> None:
         """Check the combination, once the receiver is known.
@@ -125,6 +127,12 @@ class SendOptions:
         """
         if self.unlimited and self.max_rate_hz:
             raise ConfigError("--unlimited removes the limit that --max-rate sets; name one of them")
+        if self.tcp and (self.to is not Receiver.SBN or self.role is Role.BRIDGE):
+            raise ConfigError(
+                "--tcp sends SBN as cFS's TCP module does: it needs --to sbn, and no --role bridge"
+            )
+        if self.tcp and self.listen is not None:
+            raise ConfigError("--listen is for datagrams: with --tcp answers come on the same connection")
         listens = not self.no_listen or self.to is Receiver.SBN
         if self.listen is not None and not listens:
             raise ConfigError("--listen and --no-listen exclude each other; name one of them")
@@ -181,7 +189,7 @@ class SendOptions:
         return replace(
             self,
             target=target,
-            listen=listen,
+            listen=None if self.tcp else listen,
             events=events,
             linger_ns=linger if self.linger_ns is None else self.linger_ns,
             follow_ns=_FOLLOW_NS if self.linger_ns is None else 0,

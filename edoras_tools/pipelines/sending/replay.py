@@ -9,6 +9,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError, WireError
 from edoras_tools.io.formats.merge import follow_streams
+from edoras_tools.links.sbn import BRIDGE_PORT
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.sending.options import Receiver
@@ -77,7 +78,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     notes: list[str] = []
     wanted: set[int] = set()
     links = np.zeros(256, np.int64)
-    first_ns, left, size, there, period = -1, choice.count, 0, 0, Period()
+    first_ns, left, size, there, over_tcp, period = -1, choice.count, 0, 0, 0, Period()
     try:
         selection = choice.selection.over(bench)
         follow_streams(source, bench.columns.context.framings)
@@ -105,6 +106,8 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
             if len(chosen):
                 parts.append(Outgoing.of(options.to.link, chosen, columns))
                 cut = int(np.count_nonzero(chosen.capture_findings & np.uint32(Finding.CAPTURE_CUT)))
+                streams = 0 if chosen.streams is None else int(np.count_nonzero(chosen.streams))
+                over_tcp += streams
                 if cut:
                     notes.append(f"{cut:,} datagrams were cut by the capture, and are sent cut")
                 size += len(parts[-1].data)
@@ -118,6 +121,10 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
         source.close()
     if not parts:
         raise CaptureError(f"{source.info.name}: {_nothing(options.to, links, there)}")
+    if over_tcp and not options.tcp:
+        notes.append(
+            f"{over_tcp:,} of them came over TCP, and are sent as datagrams; --tcp sends them over TCP"
+        )
     return Loaded(join_datagrams(parts), tuple(sorted(wanted)), tuple(notes))
 
 
@@ -127,7 +134,11 @@ def _towards(
     towards: NDArray[np.bool_] = columns.link == options.to.link
     if options.to is Receiver.SBN:
         ports = [link.peer_port for link in mission.flight] or [_SBN_PORT]
-        towards = towards & np.isin(batch.destination_port, ports)
+        here = np.isin(batch.destination_port, ports)
+        if batch.streams is not None:  # cFS connects to peers of a higher ProcessorID: they listen
+            theirs = [link.udp_receive_port for link in mission.flight] or [BRIDGE_PORT]
+            here |= batch.streams & np.isin(batch.source_port, theirs)
+        towards = towards & here
     return towards
 
 

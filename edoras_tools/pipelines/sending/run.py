@@ -11,8 +11,9 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import Listener, Transmitter
+from edoras_tools.io.net.transmit_stream import StreamTransmitter
 from edoras_tools.io.net.wire import UdpWire, precise_timing
-from edoras_tools.links.table import carrying
+from edoras_tools.links.table import carrying, protocol
 from edoras_tools.model import NO_MSG_ID, Link
 from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule, in_order
 from edoras_tools.pipelines.sending.options import Receiver, Role
@@ -20,7 +21,7 @@ from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.pipelines.sending.safety import check_allowed
 from edoras_tools.pipelines.sending.wait_for import conditions, count_known, only_enables
 from edoras_tools.sessions.sbn.connection import SbnConnection
-from edoras_tools.sessions.sbn.habits import CLIENT, PUBLIC_BRIDGE
+from edoras_tools.sessions.sbn.habits import CLIENT, PUBLIC_BRIDGE, TCP_CLIENT
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 
@@ -175,7 +176,8 @@ class Transmission:
         )
         with ExitStack() as stack:
             is_sbn = options.to is Receiver.SBN
-            transmitter = stack.enter_context(Transmitter(options.target, options.listen if is_sbn else None))
+            transmitter = _transmitter(options)
+            stack.enter_context(transmitter)
             listeners: list[tuple[Link, Listener]] = []
             if options.listen is not None and not is_sbn:
                 listener = stack.enter_context(Listener(options.listen))
@@ -245,4 +247,19 @@ class Transmission:
         if not self.options.has_session:
             return None
         habits = PUBLIC_BRIDGE if self.options.role is Role.BRIDGE else CLIENT
+        if self.options.tcp:
+            habits = TCP_CLIENT
         return SbnConnection(self.options.identity(self.mission), self.wanted, habits=habits, now=now)
+
+
+def _transmitter(options: SendOptions) -> Transmitter | StreamTransmitter:
+    """Open the socket to send from.
+
+    Raises:
+        CaptureError: the target cannot be reached.
+    """
+    assert options.target is not None
+    framing = protocol(options.to.link).framing
+    if options.tcp and framing is not None:
+        return StreamTransmitter(options.target, framing)
+    return Transmitter(options.target, options.listen if options.to is Receiver.SBN else None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from edoras_tools.cfs import limits
@@ -75,6 +75,9 @@ It announces itself only to peers of other spacecraft, and waits for others to s
 
 CLIENT: Final = Habits(ask=(MsgType.PROTO, MsgType.SUB), ask_ns=SECOND)
 """A peer that connects at once: the default of replay, inject and sweep."""
+
+TCP_CLIENT: Final = replace(CLIENT, farewell=(), timeout_ns=None)
+"""The same over TCP: the module of cFS has no timeout and no DISCONNECT; who leaves closes the connection."""
 
 BRIDGE: Final = Habits(
     ask=(MsgType.PROTO,),
