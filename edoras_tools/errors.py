@@ -15,7 +15,7 @@ Every message is one line (``ConfigError``: one line a mistake) that says what, 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,4 +93,12 @@ class CaptureError(EdorasError):
 
 
 class NoDatagramsError(CaptureError):
-    """A recording of topics, as other tools make it: it holds messages, and no datagrams."""
+    """A recording of topics, as other tools make it: it holds messages, and no datagrams.
+
+    Attributes:
+        path: as it was named.
+        files: those that it consists of, each a ``SettledFile``; who reads no topics leaves them.
+    """
+
+    path: str = ""
+    files: Sequence[Any] = ()

@@ -221,6 +221,8 @@ class Datagram:
         original_length: bytes of the frame on the wire; more than ``len(frame)`` when the capture cut it; -1
             of a packet taken out of transfer frames, which has none.
         stream: whether it is a message of a TCP stream; ``frame`` is then one segment that holds it alone.
+        topic: of a message out of a recording without datagrams: the place of its topic in
+            ``Mission.routes``; ``NO_ROUTE`` of datagrams. Such a message has no addresses.
     """
 
     number: int
@@ -234,6 +236,12 @@ class Datagram:
     destination: Endpoint
     findings: Finding = NO_FINDINGS
     stream: bool = False
+    topic: int = NO_ROUTE
+
+
+RECORDED: Final = np.dtype([("topic", "<u2"), ("sequence", "<u4"), ("publish_ns", "<i8")])
+"""Of a message out of a recording without datagrams: place of its topic in ``Mission.routes``, and what the
+recording has beside its time; ns since 1970."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -262,6 +270,8 @@ class PacketBatch:
             ``STREAM_GAP``, ``STREAM_RESENT``, and what is wrong with transfer frames.
         ipv6: the IPv6 addresses, 16 bytes each, that the address columns index.
         streams: bool, which rows come from TCP streams; None where none does.
+        recorded: ``RECORDED``, what a recording without datagrams says of each message: its rows are
+            messages, without frames and addresses, and with ``original_length`` -1. None of datagrams.
     """
 
     data: NDArray[np.uint8]
@@ -281,6 +291,7 @@ class PacketBatch:
     capture_findings: NDArray[np.uint32]
     ipv6: tuple[bytes, ...] = ()
     streams: NDArray[np.bool_] | None = None
+    recorded: NDArray[np.void] | None = None
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -311,6 +322,7 @@ class PacketBatch:
             ),
             findings=Finding(int(self.capture_findings[index])),
             stream=self.streams is not None and bool(self.streams[index]),
+            topic=NO_ROUTE if self.recorded is None else int(self.recorded["topic"][index]),
         )
 
     def address(self, value: int, index: int) -> str:
@@ -653,5 +665,7 @@ def concatenate(batches: Sequence[PacketBatch]) -> PacketBatch:
                 np.zeros(len(batch), bool) if value is None else value
                 for batch, value in zip(batches, values, strict=True)
             ]
+        elif item.name == "recorded" and values[0] is None:  # messages are never merged with datagrams
+            continue
         columns[item.name] = sum(values, ()) if item.name == "ipv6" else np.concatenate(values)
     return PacketBatch(**columns)

@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
 
 def plural(number: int, noun: str) -> str:
@@ -27,7 +27,7 @@ def seconds(value: float, digits: int = 1) -> str:
     return f"{text} ({larger[-1]})" if larger else text
 
 
-def listed(items: list[str], most: int = 8) -> str:
+def listed(items: Sequence[str], most: int = 8) -> str:
     """Return the first of some items, and that there are more."""
     return ", ".join(items[:most]) + (", ..." if len(items) > most else "")
 

@@ -25,9 +25,10 @@ PUT_OFF = {
     "pipelines/sending/keys.py": ("termios tty", "not there on Windows"),
     "io/capture/scapy_backend.py": ("scapy", "0.35 s, and only where there is no packet ring"),
     "io/formats/open.py": (
-        "tempfile edoras_tools.io.formats.rosbag2.folder",
-        "only for recordings from a pipe or packed, and for directories, whose metadata needs YAML",
+        "edoras_tools.io.formats.rosbag2.folder",
+        "only for directories, whose metadata needs YAML",
     ),
+    "io/formats/settled.py": ("tempfile", "only for recordings from a pipe or packed"),
     "io/formats/stream.py": ("zstandard", "only for captures inside zstd data"),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
     "io/topics/streams.py": (

@@ -16,6 +16,7 @@ from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
+    from edoras_tools.pipelines.check.messages import CountedMessages
     from edoras_tools.pipelines.doctor.doctor import Findings
     from edoras_tools.pipelines.doctor.scope import Scope
 
@@ -78,7 +79,7 @@ def check(
     with FileProgress(
         ", ".join(map(str, given.paths)), console=error_console(), quiet=quiet or json or live
     ) as bar:
-        source, bench = open_input(given, decoding.settings(), aligned=True, progress=bar)
+        source, bench = open_input(given, decoding.settings(), aligned=True, messages=True, progress=bar)
         pace = Pace(monotonic_ns, 0, duration or 0)
         report = run(source, bench, expected, profile=profile, scope=scope, pace=pace, progress=bar)
     _check_whole(report.findings, live=live)
@@ -128,7 +129,7 @@ def _draft(
     if path is not None:
         check_new(path, given.paths, force=task.force)
     with FileProgress(", ".join(map(str, given.paths)), console=error_console(), quiet=printing.quiet) as bar:
-        source, bench = open_input(given, decoding.settings(), aligned=True, progress=bar)
+        source, bench = open_input(given, decoding.settings(), aligned=True, messages=True, progress=bar)
         profile = profile_with(task.constant or ())
         made = draft(source, bench, profile=profile, scope=scope, progress=bar)
     _check_whole(made.findings, live=False)
@@ -139,21 +140,21 @@ def _draft(
         write_bytes(path, made.text.encode(), folders=True)
     for note in made.notes if not printing.quiet else ():
         tell(note)
-    unexamined = made.findings.diagnosis.unnamed
+    unexamined = made.findings.unnamed
     for item in unexamined:
         tell(str(item))
     if unexamined:
         raise typer.Exit(LOST)
 
 
-def _check_whole(findings: Findings, *, live: bool) -> None:
+def _check_whole(findings: Findings | CountedMessages, *, live: bool) -> None:
     """Refuse to judge a part of a file."""
     if findings.interrupted and not live:
         raise KeyboardInterrupt
 
 
-def _end(source: Source, findings: Findings, *, live: bool) -> None:
-    for warning in findings.diagnosis.capture.warnings:
+def _end(source: Source, findings: Findings | CountedMessages, *, live: bool) -> None:
+    for warning in findings.warnings:
         tell(warning)
     if findings.failure is not None:
         raise findings.failure

@@ -12,16 +12,24 @@ from edoras_tools.cli import options
 from edoras_tools.cli.endings import tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import print_json
-from edoras_tools.io.formats.table import READ
+from edoras_tools.errors import ConfigError
+from edoras_tools.io.formats.table import READ_PACKED
 
 
 @options.grouped
 def decode(
     *,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help=f"{READ}; - is stdin.")],
-    number: Annotated[
-        int, typer.Argument(metavar="N", parser=options.counted, help="The packet's number, from 1.")
+    arguments: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE... N",
+            help=f"{READ_PACKED}; - is stdin; several are merged. N is the packet's number in sniff, from 1.",
+        ),
     ],
+    read: Annotated[
+        list[Path] | None,
+        typer.Option("--read", "-r", metavar="FILE", help="Same as FILE without -r; repeatable."),
+    ] = None,
     layer: Annotated[
         str,
         typer.Option(
@@ -39,7 +47,12 @@ def decode(
     from edoras_tools.pipelines.capture.sniff import decode_packet
     from edoras_tools.render.capture.watch import Followed
 
-    source, bench = open_input(InputOptions(FileOptions([file])), decoding.settings())
+    *files, last = arguments
+    number = options.counted(last)
+    paths = [*(read or ()), *map(Path, files)]
+    if not paths:
+        raise ConfigError("name the file and the packet's number: edoras decode FILE N")
+    source, bench = open_input(InputOptions(FileOptions(paths)), decoding.settings(), messages=True)
     decoded = decode_packet(Followed(source, quiet=json), bench, number)
     for note in bench.columns.context.notes:
         tell(note)

@@ -10,6 +10,7 @@ import typer
 
 from edoras_tools.cli.output import print_json
 from edoras_tools.errors import CaptureError
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -142,6 +143,19 @@ def topics_read(source: TopicSource, result: str) -> None:
         raise typer.Exit(LOST)
 
 
+def no_messages(source: Source, shown: int) -> None:
+    """Print that no message was selected.
+
+    Raises:
+        CaptureError: the recording has none.
+    """
+    there = source.statistics.datagrams
+    if not there:
+        raise CaptureError(f"{source.info.name}: no message in it")
+    if not shown:
+        tell(f"none of the {there:,} messages was selected")
+
+
 def finish_relay(
     relay: Bridges | Proxy,
     show: Callable[[Mapping[str, Any], int, Path | None], Group],
@@ -188,12 +202,15 @@ def finish(report: CaptureReport, *, live: bool) -> None:
         EdorasError: the source ended early, or contained no UDP at all.
         typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out.
     """
-    for warning in (*report.ledger.mission.warnings, *report.notes):
+    recorded = bool(report.ledger.mission.recorded)
+    for warning in (*report.ledger.mission.warnings, *report.notes, *report.ledger.unread):
         tell(warning)
     if report.failure is not None:
         raise report.failure
     if report.interrupted and not live:
-        tell(f"interrupted after {report.ledger.datagrams:,} datagrams")
+        tell(f"interrupted after {plural(report.ledger.datagrams, 'message' if recorded else 'datagram')}")
+    elif recorded:
+        no_messages(report.source, report.ledger.datagrams)
     elif not live:
         no_datagrams(report.source)
         if not report.ledger.datagrams:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from edoras_tools.cli import options
-from edoras_tools.cli.endings import LOST, finish, topics_read
+from edoras_tools.cli.endings import LOST, finish
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import print_json
-from edoras_tools.errors import ConfigError, NoDatagramsError
-
-if TYPE_CHECKING:
-    from edoras_tools.pipelines.selection import Period, Selection
-    from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.errors import ConfigError
 
 
 @options.grouped
@@ -58,14 +54,7 @@ def info(
     captures = [path for path in paths if path not in {item.path for item in contents}]
     if not captures:
         return
-    settings = decoding.settings()
-    try:
-        source, bench = open_input(InputOptions(FileOptions(captures)), settings)
-    except NoDatagramsError:
-        if part.datagrams:
-            raise ConfigError("--count counts datagrams, and here are only topics: leave it out") from None
-        _topics(captures, settings, chosen.selection(), limits.period, printing)
-        return
+    source, bench = open_input(InputOptions(FileOptions(captures)), decoding.settings(), messages=True)
     with watcher(source, None, quiet=printing.quiet or printing.json, live=False) as watch:
         report = inspect(
             source, bench, selection=chosen.selection(), limits=limits, watcher=watch, jobs=jobs or 0
@@ -76,32 +65,10 @@ def info(
         from edoras_tools.render.capture.info import capture_summary
         from edoras_tools.render.terminal.console import output_console
 
-        output_console().print(capture_summary(report.summary()))
+        summary = report.summary()
+        warnings = () if bench.mission.recorded else summary["warnings"]  # told below
+        output_console().print(capture_summary({**summary, "warnings": warnings}))
     finish(report, live=False)
-
-
-def _topics(
-    paths: list[Path],
-    settings: Settings,
-    selection: Selection,
-    period: Period,
-    printing: options.PrintOptions,
-) -> None:
-    """Show the topics of recordings that have no datagrams."""
-    from edoras_tools.pipelines.doctor.scope import Scope
-    from edoras_tools.pipelines.export.listing import list_topics
-    from edoras_tools.pipelines.export.sources import open_topics
-
-    source = open_topics(paths, settings, Scope(replace(selection, topics=()), period))
-    summary = list_topics(source, selection.topics)
-    if printing.json:
-        print_json(summary)
-    else:
-        from edoras_tools.render.capture.info import capture_summary
-        from edoras_tools.render.terminal.console import output_console
-
-        output_console().print(capture_summary({**summary, "warnings": ()}))
-    topics_read(source, "counted is")
 
 
 def _verify(files: list[Path], printing: options.PrintOptions) -> None:

@@ -12,7 +12,7 @@ import typer
 
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import tell
-from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.errors import ConfigError, EdorasError, NoDatagramsError
 from edoras_tools.io.formats.table import READ_PACKED
 
 if TYPE_CHECKING:
@@ -97,6 +97,7 @@ def open_input(
     *,
     every_port: bool = False,
     aligned: bool = False,
+    messages: bool = False,
     output: Path | None = None,
     progress: Progress | None = None,
 ) -> tuple[Source, Workbench]:
@@ -110,6 +111,7 @@ def open_input(
         every_port: capture all UDP, not only the ports of the links.
         aligned: align the clocks of several files by their content, and take datagrams that several captured
             only once.
+        messages: also open recordings without datagrams; the workbench's mission then has their topics.
         output: the file that will be written, perhaps as another user.
         progress: shows the progress while clocks are aligned.
 
@@ -138,12 +140,19 @@ def open_input(
             if not read:
                 raise ConfigError(f"{stored[0]}: {why}")
             notes = [f"{path}: {why}" for path in stored]
-        if (aligned or stored) and len(read) > 1 and "-" not in map(str, read):
-            from edoras_tools.pipelines.clocks import open_aligned
+        try:
+            if (aligned or stored) and len(read) > 1 and "-" not in map(str, read):
+                from edoras_tools.pipelines.clocks import open_aligned
 
-            source, notes = open_aligned(read, settings, progress)
-        else:
-            source = open_files(read)
+                source, notes = open_aligned(read, settings, progress)
+            else:
+                source = open_files(read)
+        except NoDatagramsError as error:
+            if not messages:
+                raise
+            from edoras_tools.pipelines.messages.opening import open_messages
+
+            return open_messages(read, settings, error)
         try:
             bench = settings.workbench(source.info)
         except EdorasError:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.capture.device import DeviceSource
     from edoras_tools.io.foxglove.origins import OriginCheck
     from edoras_tools.io.foxglove.playback import PlaybackState
+    from edoras_tools.io.foxglove.recorded import PlayedSink
     from edoras_tools.io.foxglove.sink import FoxgloveSink
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.capture.record import CaptureReport, Target
@@ -230,7 +231,7 @@ def live(
     For example: edoras live -i lo -c rover.yaml; or edoras live --sim two-rovers
     """
     from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.live.run import attach
+    from edoras_tools.pipelines.live.run import attach, attach_player
     from edoras_tools.render.bridge.foxglove import served
 
     (_, given), sim = source
@@ -250,15 +251,18 @@ def live(
         raise ConfigError("--no-wait starts at once, and --paused does not start: use one of them")
     goal = recordings.recording_target(outputs.output, force=outputs.force)
     settings, selection = decoding.settings(), chosen.selection()
-    serve = partial(
-        attach,
-        listen=Endpoint(outputs.host, outputs.ws_port),
-        origins=_origin_check(outputs.allow_origin),
-        token=outputs.token or "",
-    )
+    serving: dict[str, Any] = {
+        "listen": Endpoint(outputs.host, outputs.ws_port),
+        "origins": _origin_check(outputs.allow_origin),
+        "token": outputs.token or "",
+    }
+    serve = partial(attach, **serving)
     report = None
     if files:
-        summary, failure = _play(files, settings, selection, serve, playback, limits, quiet=quiet or json)
+        serve_player = partial(attach_player, **serving)
+        summary, failure = _play(
+            files, settings, selection, serve_player, playback, limits, quiet=quiet or json
+        )
     else:
         failure = None
         with ExitStack() as stack:
@@ -285,7 +289,7 @@ def _play(
     files: Sequence[Path],
     settings: Settings,
     selection: Selection,
-    serve: Callable[..., FoxgloveSink],
+    serve: Callable[..., PlayedSink],
     playback: PlaybackOptions,
     limits: Limits,
     *,
@@ -307,7 +311,7 @@ def _play(
             reopen, bench, clock=monotonic_ns, scope=scope, options=how, progress=bar
         )
     start_ns, end_ns = player.range_ns
-    sink = serve(bench, info, player=player)
+    sink = serve(bench, info, player)
     with on_interrupt(player.stop):
         _say(info.name, sink)
         if not quiet:
@@ -322,7 +326,7 @@ def _play(
 
 @contextmanager
 def _keyboard(
-    player: RecordingPlayer, sink: FoxgloveSink, *, quiet: bool
+    player: RecordingPlayer, sink: PlayedSink, *, quiet: bool
 ) -> Iterator[tuple[Callable[[], str], Callable[[PlaybackState], None]]]:
     """Give the functions that read keys and show the state; they do nothing where there is no terminal."""
     here = sys.stdin.isatty() and sys.stderr.isatty()
@@ -409,7 +413,7 @@ def _write(line: str) -> None:
     sys.stderr.flush()
 
 
-def _say(name: str, sink: FoxgloveSink, publishes: Sequence[str] = ()) -> None:
+def _say(name: str, sink: PlayedSink, publishes: Sequence[str] = ()) -> None:
     """Print the address first, because scripts wait for this line; then our own page, and who may connect."""
     server, may = sink.server, "watch"
     if publishes:

@@ -125,7 +125,12 @@ def record(
     if files.tf and target.format is not None and not target.format.messages:
         raise ConfigError(f"{path}: --tf writes a topic, and {target.format.name} has none: use .mcap")
     check_output(target, given.paths, snapshots=plan is not None)
-    source, bench = open_input(given, decoding.settings(), every_port=every, output=path)
+    source, bench = open_input(given, decoding.settings(), every_port=every, messages=True, output=path)
+    if plan and bench.mission.recorded:
+        source.close()
+        raise ConfigError(
+            f"{source.info.name}: has messages and no datagrams, and a snapshot is of datagrams"
+        )
     if plan:
         _record_snapshots(source, bench, target, plan, snapshots, chosen.selection(), limits, printing)
         return

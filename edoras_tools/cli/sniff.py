@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from edoras_tools.cli import options, views
-from edoras_tools.cli.endings import nothing_shown
+from edoras_tools.cli.endings import no_messages, nothing_shown
 from edoras_tools.cli.inputs import InputOptions, open_input
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def sniff(
     from edoras_tools.pipelines.capture.sniff import sniff as packets
     from edoras_tools.render.capture import packet
     from edoras_tools.render.capture import tree as tree_view
-    from edoras_tools.render.capture.packet_list import PacketList
+    from edoras_tools.render.capture.packet_list import COLUMNS, MESSAGE_COLUMNS, PacketList
     from edoras_tools.render.capture.watch import Followed
     from edoras_tools.render.severity import NOTABLE
     from edoras_tools.render.terminal.palette import Paint
@@ -48,16 +48,20 @@ def sniff(
     view.check(verbose=verbose)
     limits = stop.limits(given.paths)
     settings, selection, live = decoding.settings(), chosen.selection(), not given.paths
-    selection = replace(
-        selection,
-        links=selection.links or (() if every or given.live.listen else table.links()),
-        notable=NOTABLE if view.findings else 0,
-    )
     if view.tui:
         from edoras_tools.cli.panes import check_terminal, show
 
         check_terminal()
-    source, bench = open_input(given, settings, every_port=every)
+    source, bench = open_input(given, settings, every_port=every, messages=True)
+    recorded = bool(bench.mission.recorded)
+    if recorded:
+        view.check_recorded(source, every=every)
+    any_link = recorded or every or given.live.listen
+    selection = replace(
+        selection,
+        links=selection.links or (() if any_link else table.links()),
+        notable=NOTABLE if view.findings else 0,
+    )
     if view.tui:
         show(source, bench, settings, selection, view.time_format, limits, verbose=verbose)
         return
@@ -65,6 +69,13 @@ def sniff(
     counts = view.sequence or view.stat
     read = Followed(source, quiet=live or not (counts or terminal.interactive))
     waits = live or "-" in map(str, given.paths)
+
+    def ended(shown: int) -> None:
+        if recorded:
+            no_messages(source, shown)
+        else:
+            nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)
+
     if view.fields or view.sequence or view.stat:
         from edoras_tools.pipelines.reading import chosen as chosen_rows
 
@@ -77,7 +88,7 @@ def sniff(
             shown = views.print_sequence(rows, bench, view.sequence)
         else:
             shown = views.print_statistics(rows, bench, view.stat or (), json=view.json)
-        nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)
+        ended(shown)
         return
     bench.dissector.detail = view.tree or view.hexdump
     packet_list = PacketList(
@@ -86,6 +97,8 @@ def sniff(
         time_format=view.time_format,
         names=MSG_ID_NAMES,
         verbose=verbose,
+        shown=MESSAGE_COLUMNS if recorded else COLUMNS,
+        added=[(f"{'Type':<12}", False)] if recorded else (),
     )
     taken = read, bench, selection, limits, packet_list.count_from
 
@@ -101,7 +114,12 @@ def sniff(
     elif view.hexdump or view.tree:
         blocks = ([text(decoded)] for decoded in packets(*taken))
     else:
-        blocks = ([packet_list.line(line) for line in some] for some in lines(*taken))
+        blocks = (
+            [
+                packet_list.line(line, values=(line.type.rpartition("/")[2],) if recorded else ())
+                for line in some
+            ]
+            for some in lines(*taken)
+        )
     header = "" if view.json or view.hexdump or view.tree else packet_list.header()
-    shown = views.print_packets(read.printed(blocks), header, flush=waits)
-    nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)
+    ended(views.print_packets(read.printed(blocks), header, flush=waits))

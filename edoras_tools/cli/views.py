@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import typer
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Workbench
 
 
@@ -113,6 +114,36 @@ class ViewOptions(NamedTuple):
         for name, given in {"--time": self.time, "-v": verbose}.items():
             if given and view not in {"", "--tui"}:
                 raise ConfigError(f"{name} has no effect with {view}; leave one of them out")
+
+    def check_recorded(self, source: Source, *, every: bool) -> None:
+        """Refuse what a recording without datagrams cannot show; the source is then closed.
+
+        Args:
+            source: the recording.
+            every: whether ``-a`` is given.
+
+        Raises:
+            ConfigError: something cannot be shown.
+        """
+        given = {
+            "--tui": self.tui,
+            "--sequence": self.sequence,
+            "--stat sbn": Statistic.SBN in (self.stat or ()),
+            "-a": every,
+        }
+        for name, what in _NEED_DATAGRAMS.items():
+            if given[name]:
+                source.close()
+                raise ConfigError(f"{source.info.name}: has messages and no datagrams, and {what} datagrams")
+
+
+_NEED_DATAGRAMS: Final = {
+    "--tui": "the panes show",
+    "--sequence": "a sequence diagram shows who sends",
+    "--stat sbn": "SBN is in",
+    "-a": "-a also shows",
+}
+"""What cannot be used with recordings without datagrams, and the words in front of "datagrams"."""
 
 
 def print_packets(blocks: Iterable[list[str]], header: str, *, flush: bool) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_columns
+from edoras_tools.decode.recorded import recorded_columns
 from edoras_tools.decode.variants import Variants
 from edoras_tools.links.cfdp import PDU_FINDINGS, holds_pdu
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Columns, Finding, PacketBatch
@@ -112,6 +113,8 @@ class ColumnDecoder:
         """Read a batch; nothing in it can make this raise."""
         if not len(batch):  # live sources give many
             return Columns(**_blank(0))
+        if batch.recorded is not None:
+            return recorded_columns(batch, _blank(len(batch)), self.context)
         return self.finish(batch, self.begin(batch))
 
     def begin(self, batch: PacketBatch) -> Begun:

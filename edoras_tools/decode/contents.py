@@ -82,7 +82,7 @@ class Contents(Generic[Content]):
     def _dissected(self, rows: ColumnRows, place: int) -> Content:
         """Dissect one packet; where it has no space packet, the same bytes are dissected once."""
         batch, columns = rows.batch, rows.columns
-        if columns.packet_offset[place] >= 0:
+        if columns.packet_offset[place] >= 0 or batch.recorded is not None:
             return self._of_packet(self._dissector.dissect(batch[place]))
         start = int(batch.offset[place])
         payload = batch.data[start : start + int(batch.length[place])].tobytes()
@@ -117,7 +117,11 @@ class MessageRows(NamedTuple):
 
 
 def read_whole(rows: ColumnRows) -> NDArray[np.bool_]:
-    """Tell which rows hold a packet that is read to its end."""
+    """Tell which rows hold a packet, or a message of a recording, that is read to its end."""
+    if rows.batch.recorded is not None:
+        read: NDArray[np.bool_] = rows.column("cdr_length") > 0
+        read &= (rows.column("findings") & np.uint32(_ENDING)) == 0
+        return read
     whole: NDArray[np.bool_] = (rows.column("packet_offset") >= 0) & (rows.column("header_length") > 0)
     whole &= (rows.column("findings") & np.uint32(_ENDING)) == 0
     return whole

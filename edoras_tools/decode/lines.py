@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.decode.contents import Contents, endpoints, links_of, message_rows, read_whole
+from edoras_tools.decode.recorded import recorded_topic
 from edoras_tools.decode.summary import LAYER_TEXTS, message_texts, packet_text
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.wire import cfe
@@ -48,6 +49,7 @@ class PacketLine(NamedTuple):
         length: bytes of the UDP payload that were captured.
         findings: what is remarkable.
         text: the summary, or why decoding ended.
+        type: of a message without a datagram; nothing of packets.
     """
 
     number: int
@@ -61,6 +63,7 @@ class PacketLine(NamedTuple):
     length: int
     findings: Finding
     text: str
+    type: str = ""
 
 
 class _Content(NamedTuple):
@@ -70,6 +73,7 @@ class _Content(NamedTuple):
     msg_id: int
     name: str
     text: str
+    type: str = ""
 
 
 def line_of(decoded: Decoded) -> PacketLine:
@@ -85,6 +89,7 @@ def line_of(decoded: Decoded) -> PacketLine:
         len(datagram.payload),
         decoded.findings,
         content.text,
+        content.type,
     )
 
 
@@ -127,20 +132,24 @@ class PacketLines:
                 length,
                 found[findings],
                 content.text,
+                content.type,
             )
 
 
 def _content(decoded: Decoded) -> _Content:
-    kind, name, msg_id = "", "", NO_MSG_ID
+    kind, name, type_, msg_id = "", "", "", NO_MSG_ID
     if (peer := decoded.layer("sbn")) and "msg_type" in (values := peer.values()):
         kind = _peer_kind(values["msg_type"])
     if (packet := decoded.layer("ccsds")) and "packet_type" in (values := packet.values()):
         shown = packet.fields[0]  # the dissection puts the MsgId in front
         msg_id, name = shown.value, shown.text.partition(" ")[2]
         kind = kind or ("cmd" if values["packet_type"] else "tlm")
-    if decoded.message and (not name or decoded.layer("edoras")):
+    if decoded.datagram.topic != NO_ROUTE:
+        name, type_ = recorded_topic(decoded)
+    elif decoded.message and (not name or decoded.layer("edoras")):
         name = decoded.message.topic  # of a C struct the packet's name says as much, and is shorter
-    return _Content(kind, msg_id, name, decoded.summary or (str(decoded.stop) if decoded.stop else ""))
+    text = decoded.summary or (str(decoded.stop) if decoded.stop else "")
+    return _Content(kind, msg_id, name, text, type_)
 
 
 def _peer_kind(msg_type: int) -> str:
@@ -152,8 +161,13 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
     out: list[_Content | None] = [None] * len(rows)
     msg_id, context = rows.column("msg_id"), rows.context
     easy = read_whole(rows)
+    if rows.batch.recorded is not None:
+        for owner, topic, kind, texts in _messages(rows, easy):
+            for row, text in zip(owner.tolist(), texts, strict=True):
+                out[row] = _Content("", NO_MSG_ID, topic, text, kind) if easy[row] else None
+        return out
     told: dict[int, tuple[str, str]] = {}
-    for owner, topic, texts in _messages(rows, easy):
+    for owner, topic, _, texts in _messages(rows, easy):
         told.update(zip(owner.tolist(), ((topic, text) for text in texts), strict=True))
     kinds, codes = _kinds(rows), rows.column("function_code").tolist()
     ids = msg_id.tolist()
@@ -187,13 +201,13 @@ def _kinds(rows: ColumnRows) -> list[str]:
 
 def _messages(
     rows: ColumnRows, easy: NDArray[np.bool_]
-) -> Iterator[tuple[NDArray[np.int64], str, list[str]]]:
-    """Yield the rows of each topic that hold messages, the topic, and the text of each.
+) -> Iterator[tuple[NDArray[np.int64], str, str, list[str]]]:
+    """Yield the rows of each topic that hold messages, the topic, its type, and the text of each.
 
     ``easy`` is cleared where a message has to be dissected.
     """
     routes = rows.routes()
-    for owner, topic, _, messages, plan, bound in message_rows(rows, easy.copy()):
+    for owner, topic, kind, messages, plan, bound in message_rows(rows, easy.copy()):
         layer = _LAYERS.get(rows.context.msg_ids.known(bound.key.msg_id)) if bound else None
         plain = messages.valid
         if bound:
@@ -209,4 +223,4 @@ def _messages(
             texts = []
         easy[owner[~plain] if texts else owner] = False
         if texts:
-            yield owner, topic, texts
+            yield owner, topic, kind, texts

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_of
+from edoras_tools.decode.recorded import dissect_recorded
 from edoras_tools.decode.summary import summarise
 from edoras_tools.errors import EdorasError, TruncatedError, WireError
 from edoras_tools.links.cfdp import read_pdu
@@ -53,6 +54,8 @@ class Dissector:
 
     def dissect(self, datagram: Datagram) -> Decoded:
         """Read one datagram; nothing in it can make this raise."""
+        if datagram.topic != NO_ROUTE:
+            return dissect_recorded(datagram, self.context, detail=self.detail)
         link = link_of(datagram, self.context)
         work = _Dissection(self.context, datagram, link, detail=self.detail)
         stop: EdorasError | None = None

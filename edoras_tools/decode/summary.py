@@ -186,16 +186,17 @@ def _values(column: NDArray[Any]) -> list[str]:
 
 def short_values(values: Mapping[str, Any]) -> str:
     """Return a message in a few words: zeros left out, long arrays cut, the header last."""
-    leaves = sorted(_leaves(values), key=lambda leaf: leaf[0].startswith("header."))
+    leaves = sorted(leaves_of(values), key=lambda leaf: leaf[0].startswith("header."))
     words = [f"{path}={_short(value)}" for path, value in leaves if _says_something(value)]
     shown = words[:_MOST_FIELDS]
     return " ".join(shown) + (" ..." if len(words) > len(shown) else "") if words else "all zero"
 
 
-def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def leaves_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted path and the value of every field that is no message itself."""
     for name, value in values.items():
         if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{name}.")
+            yield from leaves_of(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
 

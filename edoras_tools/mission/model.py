@@ -179,6 +179,29 @@ class StoredTopic:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedTopic:
+    """A topic of a recording that has no datagrams, as it was recorded.
+
+    Attributes:
+        topic: with a leading slash.
+        type: name of its schema; empty where it has none.
+        encoding: of its messages, e.g. ``cdr`` or ``json``.
+        schema_encoding: of the schema, e.g. ``ros2msg``; empty where it has none.
+        schema: its bytes.
+        metadata: of the channel, e.g. ``offered_qos_profiles``.
+        unread: why its messages are not read; empty where they are.
+    """
+
+    topic: str
+    type: str
+    encoding: str = "cdr"
+    schema_encoding: str = ""
+    schema: bytes = b""
+    metadata: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    unread: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class FramedPort:
     """One of ``frames``: a port of CCSDS transfer frames.
 
@@ -232,6 +255,7 @@ class Mission:
         frames: the ports of transfer frames; no port twice.
         pdu_msg_ids: of packets that hold a CFDP PDU each, as those of cFS's CF app.
         stored: topics whose messages travel as files.
+        recorded: not of files: the topics of a recording without datagrams, one for each of ``routes``.
     """
 
     routes: tuple[Route, ...] = ()
@@ -243,6 +267,7 @@ class Mission:
     frames: tuple[FramedPort, ...] = ()
     pdu_msg_ids: tuple[int, ...] = ()
     stored: tuple[StoredTopic, ...] = ()
+    recorded: tuple[RecordedTopic, ...] = ()
 
     def numbered(self, msg_ids: MsgIds) -> Mission:
         """Return the same mission with the MsgIds that its packets have in another version."""

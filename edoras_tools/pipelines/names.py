@@ -15,10 +15,10 @@ from edoras_tools.links import table
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.structs.shapes import Key
-from edoras_tools.words import did_you_mean
+from edoras_tools.words import did_you_mean, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -98,6 +98,8 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
         RouteError: it stands for nothing; with what was perhaps meant.
     """
     name, routes = pattern.upper(), context.mission.routes
+    if context.mission.recorded:
+        return _recorded(pattern, [route.topic for route in routes])
     structs = [item for item in context.structs.all if fits_topic(item.topic, pattern)]
     keys = [item.key for item in structs if item.key.port != 0]
     own = [item.name.upper() for item in structs if item.key.port == 0]  # what the robot link calls them
@@ -119,6 +121,16 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
     near = near or (did_you_mean(pattern, names, 1, 0.8) if pattern[:1] != "/" else "")
     there = ", ".join(route.topic for route in routes) or "none; name a mission with -c"
     raise RouteError(f"no configured topic matches {pattern!r}; {near or f'there are: {there}'}")
+
+
+def _recorded(pattern: str, topics: Sequence[str]) -> PacketKinds:
+    """Return which topics of a recording without datagrams a name stands for."""
+    found = frozenset(place for place, topic in enumerate(topics) if fits_topic(topic, pattern))
+    if not found:
+        near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1)
+        there = f"there are {listed(sorted(set(topics)), 12)}"
+        raise RouteError(f"no topic of the recording matches {pattern!r}; {near or there}")
+    return PacketKinds(found)
 
 
 def _number(text: str) -> int | None:

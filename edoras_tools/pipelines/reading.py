@@ -171,6 +171,8 @@ class ReadLoop:
             raise outside(self.source.info.name, self.begin_ns, self.last_ns)
 
     def _follow(self, batch: PacketBatch, columns: Columns) -> None:
+        if batch.recorded is not None:
+            return
         if self._conversing:
             self.conversations.add(batch, columns)
         elif len(others := np.flatnonzero(columns.link == OTHER)):

@@ -188,6 +188,11 @@ class Selection:
             ConfigError: the filter has an error.
         """
         context = bench.columns.context
+        if context.mission.recorded and (self.links or self.msg_ids):
+            raise ConfigError(
+                "--link and --msg-id select datagrams, and the recording has only messages: use --topic, "
+                "--where, --start and --end"
+            )
         groups = [[hex(item) if isinstance(item, int) else item for item in self.msg_ids], self.topics]
         named = [PacketKinds.any(find_packets(name, context) for name in names) for names in groups if names]
         chosen = replace(self, _named=named, _ready=True)
@@ -207,6 +212,10 @@ class Selection:
         if self.notable:
             chosen &= (columns.findings & np.uint32(self.notable)) != 0
         return chosen
+
+    def places(self) -> frozenset[int] | None:
+        """Return the routes that are named, of what :meth:`over` returns; None where none is."""
+        return frozenset.intersection(*(item.routes for item in self._named)) if self._named else None
 
     def about(self, link: str | None, msg_id: int | None, mission: Mission) -> bool:
         """Return whether a link's label and a MsgId are selected, without regard to the filter.

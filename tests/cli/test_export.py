@@ -162,7 +162,7 @@ def test_what_has_topics_only_is_not_chosen_from_by_link(call, rover, tmp_path):
         writer.write(topic, 10**18, bytes([0, 1, 0, 0]) + bytes(48))
     done = call("export", path, "--link", "ci", "-o", tmp_path / "b.jsonl")
     assert (done.code, len(done.err)) == (2, 1)
-    assert "contains topics but no datagrams" in done.err[0]
+    assert "--link and --msg-id select datagrams" in done.err[0]
     done = call("export", path, rover[0], "-o", tmp_path / "b.jsonl")
     assert (done.code, len(done.err)) == (2, 1)
 

@@ -288,6 +288,8 @@ def structs_of(rows: ColumnRows) -> dict[Bound, Held]:
     """Return the rows that hold each C struct."""
 
     def make() -> dict[Bound, Held]:
+        if rows.batch.recorded is not None:
+            return {}
         structs = rows.context.structs
         found = payloads(structs, rows.column, rows.datagram, rows.batch.data)
         return {held.bound: held for held in structs.held(found, rows.column, rows.batch.data)}

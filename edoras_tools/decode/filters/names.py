@@ -33,6 +33,21 @@ _ALIASES: Final = {
     "message": "ros",
 }
 """Names of ``sniff --json`` and of the columns, which win over everything else of that name."""
+_OF_MESSAGES: Final = (
+    "number",
+    "time_ns",
+    "time",
+    "utc",
+    "length",
+    "topic",
+    "type",
+    "findings",
+    "ros",
+    "summary",
+    "stop",
+    "payload",
+)
+"""Names of the packet itself that messages without datagrams have, too."""
 _BITS: Final = {bit: finding.label for bit, finding in enumerate(Finding)}
 _CLOSE: Final = 0.6
 
@@ -61,9 +76,16 @@ class Names:
 
     def __init__(self, context: Context) -> None:
         self._packet: dict[str, list[FilterField]] = {}
+        self._of_datagrams: frozenset[str] = frozenset()
+        layers = list(layer_fields(context))
         for field in _packet_fields(context):
             self._packet.setdefault(field.name, []).append(field)
-        self._layers = {field.name: field for field in layer_fields(context)}
+        if context.mission.recorded:  # messages without datagrams
+            known = {*self._packet, *_ALIASES, *(field.name for field in layers)}
+            self._packet = {name: self._packet[name] for name in _OF_MESSAGES}
+            self._of_datagrams = frozenset(known - {*self._packet, "message"})
+            layers = []
+        self._layers = {field.name: field for field in layers}
         self._short: dict[str, list[str]] = {}
         # The headers of F Prime have names of cFE's; they do not make those less clear.
         apart = {layout.name for link in context.links if link.dictionary for layout in link.layouts}
@@ -83,7 +105,7 @@ class Names:
         layer = self._layers.get(_ALIASES.get(name, name))
         if layer is not None:
             return [layer]
-        if name in _ALIASES:
+        if name in _ALIASES and _ALIASES[name] in self._packet:
             return self._packet[_ALIASES[name]]
         messages = self._messages.find(name)
         short = [] if name.startswith("ros.") else self._short.get(name, [])
@@ -108,12 +130,14 @@ class Names:
     def all(self) -> Iterator[str]:
         """Yield every name that can be written, without indices."""
         yield from self._packet
-        yield from _ALIASES
+        yield from (name for name, of in _ALIASES.items() if of in self._packet or of in self._layers)
         yield from self._layers
         yield from (name for name, layers in self._short.items() if len(layers) == 1)
         yield from self._messages.names()
 
     def _nothing(self, name: str) -> str:
+        if name in self._of_datagrams:
+            return f"{name!r} is of datagrams, and the recording has only messages"
         if "[" in name:
             plain = name.partition("[")[0]
             found = self._packet.get(plain) or self._messages.find(plain)
@@ -191,7 +215,7 @@ def _packet_fields(context: Context) -> Iterator[FilterField]:
     yield FilterField(
         "ros",
         ValueKind.STRUCT,
-        lambda _, decoded: 0 if decoded.message else None,
+        lambda rows, decoded: 0 if decoded.message and not _of_json(rows, decoded) else None,
         _read_messages,
         cost=MESSAGE_COST,
         doc="whether a message was decoded, ROS or a C struct",
@@ -213,6 +237,12 @@ def _packet_fields(context: Context) -> Iterator[FilterField]:
         cost=BYTES_COST,
         doc="the UDP payload",
     )
+
+
+def _of_json(rows: PacketRows, decoded: Decoded) -> bool:
+    """Tell whether a message has values, and no fields: those are of ROS messages and C structs."""
+    topic = decoded.datagram.topic
+    return topic != NO_ROUTE and bool(rows.context.mission.recorded[topic].unread)
 
 
 def _number(name: str, doc: str, pick: Any) -> FilterField:
@@ -322,6 +352,8 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
     texts: list[str] = [*routed, *(getattr(bound, name) for bound in context.structs.all)]
 
     def pick(_: PacketRows, decoded: Decoded) -> str | list[str] | None:
+        if decoded.datagram.topic != NO_ROUTE:
+            return texts[decoded.datagram.topic]
         if decoded.more:
             return [getattr(message, name) for message in decoded.messages]
         packet = decoded.layer("ccsds")
@@ -338,6 +370,8 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
 
     def read(rows: ColumnRows) -> Series:
         routes = rows.routes()
+        if rows.batch.recorded is not None:
+            return Series(len(rows), routes.astype(INDEX_DTYPE), table=texts)
         which = np.where(rows.column("msg_id") == NO_MSG_ID, NO_ROUTE, routes).astype(INDEX_DTYPE)
         found = payloads(context.structs, rows.column, rows.datagram, rows.batch.data)
         there = np.flatnonzero(which != NO_ROUTE)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.errors import CaptureError, NoDatagramsError
 from edoras_tools.io.formats.cfe import CFE_MAGIC
 from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
+from edoras_tools.io.formats.settled import settled_file
 from edoras_tools.io.formats.stream import ByteStream, CompressedStream, FileStream, Window
 from edoras_tools.io.formats.table import CFE, MCAP, PCAPNG, READABLE, TOPIC_READERS
 
@@ -24,7 +25,6 @@ _DATABASE = b"SQLite f"
 """Of rosbag2's storage in SQLite, as its ``.db3`` files begin."""
 _COMPRESSED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
 _LONGEST_MAGIC = 8
-_COPIED_BYTES = 1 << 20
 _MODIFIED_PCAP = {b"\x34\xcd\xb2\xa1", b"\xa1\xb2\xcd\x34"}
 _OTHERS = (
     (b"GMBU", "a Microsoft Network Monitor capture"),
@@ -51,9 +51,16 @@ def open_file(path: str | Path, name: str = "") -> Source:
         CaptureError: ``path`` cannot be read.
         NoDatagramsError: it is another tool's recording, of topics only.
     """
-    if os.path.isdir(path):  # noqa: PTH112  Path raises an error at a name that no file can have
-        return _open_folder(Path(path))
-    stream: ByteStream = FileStream(_open(path), name or str(path))
+    try:
+        if os.path.isdir(path):  # noqa: PTH112  Path raises an error at a name that no file can have
+            return _open_folder(Path(path))
+        return _open_stream(FileStream(_open(path), name or str(path)), path)
+    except NoDatagramsError as error:
+        error.path = str(path)
+        raise
+
+
+def _open_stream(stream: ByteStream, path: str | Path) -> Source:
     try:
         return _tell(stream, path)
     except BaseException:
@@ -66,7 +73,7 @@ def _open_folder(path: Path) -> Source:
 
     source = open_folder(path, open_file)
     if source is None:
-        raise CaptureError(f"{path}: is a directory; name a capture in it")
+        raise CaptureError(f"{path}: is a directory; name a capture in it, or a rosbag2 directory")
     return source
 
 
@@ -89,6 +96,7 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
             stream = CompressedStream(stream, kind, head)
             head = _head(stream)
             break
+    there = stream.total_bytes and not wrapped and str(path) != "-"  # as a file of that name
     if not head:
         what = f"contains only an empty {wrapped} stream" if wrapped else "is empty"
         raise CaptureError(f"{stream.name}: {what}; a capture has at least a header")
@@ -101,9 +109,9 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
         stored: Source = CFE.source()(Window(stream, head))
         return stored
     if head.startswith(_MCAP):
-        return _mcap(stream, path, b"" if stream.total_bytes and not wrapped else head)
+        return _mcap(stream, path, b"" if there else head)
     if head.startswith(_DATABASE):
-        raise NoDatagramsError(f"{stream.name}: a database holds topics and no datagrams; {TOPIC_READERS}")
+        raise _database(stream, path, b"" if there else head)
     raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")
 
 
@@ -112,24 +120,20 @@ def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:
 
     ``head`` is what was read of a stream that has to be copied, else empty.
     """
-    copy = None
-    if head:
-        from tempfile import NamedTemporaryFile, gettempdir
-
-        try:
-            copy = NamedTemporaryFile(prefix="edoras-", suffix=".mcap")  # noqa: SIM115  the source keeps it
-            copy.write(head)
-            buffer = memoryview(bytearray(_COPIED_BYTES))
-            while count := stream.fill(buffer):
-                copy.write(buffer[:count])
-            copy.flush()
-        except OSError as error:
-            reason = error.strerror or error
-            raise CaptureError(f"{stream.name}: cannot be copied to {gettempdir()}: {reason}") from error
-    name = stream.name
-    stream.close()
-    source: Source = MCAP.source()(Path(copy.name if copy else path), name, copy)
+    file = settled_file(stream, Path(path), head)
+    try:
+        source: Source = MCAP.source()(file.path, file.name, file.copy)
+    except NoDatagramsError as error:
+        error.files = [file]
+        raise
     return source
+
+
+def _database(stream: ByteStream, path: str | Path, head: bytes) -> NoDatagramsError:
+    """Return the error that a database is; ``head`` is as for ``_mcap``."""
+    error = NoDatagramsError(f"{stream.name}: a database holds topics and no datagrams; {TOPIC_READERS}")
+    error.files = [settled_file(stream, Path(path), head)]
+    return error
 
 
 def _open(path: str | Path) -> io.FileIO:

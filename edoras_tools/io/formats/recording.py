@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from edoras_tools.links.protocol import Endpoints
     from edoras_tools.sessions.sequence import SequenceCounts
     from edoras_tools.structs import Structs
@@ -27,6 +29,7 @@ class RecordingOptions:
         yields: share it only while a processor is free, so that others that record have theirs.
         sequences: shared with others that see the same batches; None: the recording follows its own.
         endpoints: of DDS, as they are learnt; None: samples of theirs have no topics.
+        topics: of a recording without datagrams: places of the topics that are written; None: all.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
     """
 
@@ -42,6 +45,7 @@ class RecordingOptions:
     yields: bool = False
     sequences: SequenceCounts | None = None
     endpoints: Endpoints | None = None
+    topics: Collection[int] | None = None
 
     @property
     def splits(self) -> bool:

@@ -84,7 +84,7 @@ READ: Final = _listed([item.name for item in FILE_FORMATS if item.suffix], "or")
 READ_PACKED: Final = f"{READ.replace(' or', ',')} (.gz, .zst) or rosbag2"
 """The same, with how they may be packed, and the directories of rosbag2."""
 READABLE: Final = READ.replace(" or ", " and ")
-TOPIC_READERS: Final = "info, export and plot read its topics"
+TOPIC_READERS: Final = "info, sniff, record, live, export, plot and check read its topics"
 """What to do with a recording of topics where datagrams are needed."""
 FILE_SUFFIXES: Final = [item.suffix for item in reversed(FILE_FORMATS) if item.suffix]
 WRITTEN: Final = _listed(FILE_SUFFIXES, "or")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import struct
+from base64 import b64encode
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -53,6 +54,8 @@ _LENGTH_CODES: Final = (0, 126, 127)
 _SHORTEST: Final = (126, 1 << 16)
 """The smallest payloads in bytes that need the second and the third head."""
 
+_BINARY_SCHEMAS: Final = ("protobuf", "flatbuffer")
+"""Encodings of schemas that are no text; they are sent in Base64."""
 _TIME: Final = struct.Struct("<BQ")
 _PLAYBACK_STATE: Final = struct.Struct("<BBQf?I")
 _PUBLISHED: Final = struct.Struct("<BI")
@@ -231,14 +234,23 @@ def server_info(
 
 
 def channel(place: int, topic: Topic, definition: str) -> dict[str, Any]:
-    """Return the description of a topic: its number, and the complete ``ros2msg`` text of its type."""
+    """Return the description of a topic: its number, and its schema.
+
+    Args:
+        place: its number.
+        topic: the topic.
+        definition: the complete ``ros2msg`` text of its type, where the topic has no schema of its own.
+    """
+    encoding, schema = topic.schema or ("ros2msg", definition.encode())
     return {
         "id": place,
         "topic": topic.name,
-        "encoding": "cdr",
+        "encoding": topic.encoding,
         "schemaName": topic.type,
-        "schemaEncoding": "ros2msg",
-        "schema": definition,
+        "schemaEncoding": encoding,
+        "schema": b64encode(schema).decode()
+        if encoding in _BINARY_SCHEMAS
+        else schema.decode("utf-8", "replace"),
         **({"metadata": dict(topic.metadata)} if topic.metadata else {}),
     }
 

@@ -60,11 +60,15 @@ class Topic:
         name: with a leading ``/``.
         type: ROS type name.
         metadata: further properties.
+        encoding: of its messages.
+        schema: encoding and bytes of its schema as it was recorded; None for the definition of its type.
     """
 
     name: str
     type: str
     metadata: Mapping[str, str] = field(default_factory=dict)
+    encoding: str = "cdr"
+    schema: tuple[str, bytes] | None = None
 
 
 OWN_TOPICS: Final = (

@@ -10,6 +10,7 @@ from edoras_tools.diagnosis.evidence.copies import Once
 from edoras_tools.pipelines.ahead import read_ahead
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import CaptureReport
+from edoras_tools.pipelines.names import fits_topic
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.arrays.order import by_value
@@ -41,6 +42,9 @@ class Counting:
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """Add the chosen rows of a batch, and return those that count; the loop must follow conversations."""
+        if rows.batch.recorded is not None:
+            self.report.ledger.add(*rows.alone())
+            return rows
         keep = self._once.keep(rows.batch, rows.columns)
         keep[loop.conversations.left_out()] = False
         kept = rows.take(np.flatnonzero(keep[rows.chosen]))
@@ -83,9 +87,16 @@ def inspect(
         RouteError: the selection names a topic that is not configured.
         ConfigError: its filter has an error.
     """
-    if not selection:
+    if not selection and not bench.mission.recorded:
         source = read_ahead(source, bench.columns, jobs)
     counting = Counting(source, bench)
+    if bench.mission.recorded:
+        patterns = selection.topics if selection else ()
+        counting.report.ledger.listed = [
+            place
+            for place, route in enumerate(bench.mission.routes)
+            if not patterns or any(fits_topic(route.topic, item) for item in patterns)
+        ]
     with reading(source, bench, selection, limits, keeps_failure=True, conversing=True) as loop:
         for rows in loop:
             counting.add(rows, loop)

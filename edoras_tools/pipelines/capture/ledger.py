@@ -21,6 +21,8 @@ from edoras_tools.wire.arrays.order import order_by
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from edoras_tools.mission import Mission
@@ -101,6 +103,7 @@ class Ledger:
         sequences: shared with others that see the same batches; by default its own.
 
     Attributes:
+        listed: routes that have a row also without a message.
         taken_out: of the datagrams, packets that were taken out of transfer frames.
         behind: datagrams whose time is before that of the previous one.
         behind_ns: maximum by which the time runs back.
@@ -111,6 +114,7 @@ class Ledger:
         self.accounts: dict[tuple[int, int, int, int], Account] = {}
         self._sequences = sequences or SequenceCounts()
         self._ground = GroundCounts()
+        self.listed: Sequence[int] = ()
         self._known = 0
         """How many of its streams belong to accounts."""
         self.datagrams = 0
@@ -144,7 +148,8 @@ class Ledger:
         self.tally(batch)
         if not len(batch):
             return
-        own = table.message_kinds(columns, batch.length)
+        # Messages of a recording have no MsgId: there the topic is what tells streams apart.
+        own = table.message_kinds(columns, batch.length) if batch.recorded is None else columns.route
         kind = columns.link.astype(np.uint32) << 9 | (own + 1).astype(np.uint16)
         msg_id = (columns.msg_id + 1).astype(np.uint32)
         order = order_by(msg_id, columns.processor_id, kind)
@@ -176,7 +181,8 @@ class Ledger:
         """Notes on the figures, one line each."""
         if self.behind_ns < _TOLD_NS:
             return []
-        back = f"{plural(self.behind, 'datagram')}, by up to {self.behind_ns / SECOND:.3f} s"
+        what = "message" if self.mission.recorded else "datagram"
+        back = f"{plural(self.behind, what)}, by up to {self.behind_ns / SECOND:.3f} s"
         told = "jitter, gaps and reordered are counted in the file's order; edoras doctor sorts it first"
         return [f"times run back at {back}: {told}"]
 
@@ -187,6 +193,15 @@ class Ledger:
         for account in self.accounts.values():
             total.update(account.findings)
         return dict(total)
+
+    @property
+    def unread(self) -> list[str]:
+        """How many messages of a recording cannot be read, and why, a line for each topic."""
+        return [
+            f"{self.mission.routes[account.route].topic}: {plural(account.count, 'message')}: {why}"
+            for account in self.accounts.values()
+            if self.mission.recorded and (why := self.mission.recorded[account.route].unread)
+        ]
 
     def _account(self, columns: Columns, kind: int, row: int) -> Account:
         key = (
@@ -250,26 +265,34 @@ class Ledger:
                 item.kind,
             ),
         )
-        return [self._row(account) for account in accounts]
+        rows = [self._row(account) for account in accounts]
+        seen = {account.route for account in accounts}
+        silent = [
+            Account(OTHER, 0, NO_MSG_ID, place, place, bytes_min=0)
+            for place in self.listed
+            if place not in seen
+        ]
+        return rows + [self._row(account) for account in silent]
 
     def _row(self, account: Account) -> dict[str, Any]:
         route = self.mission.routes[account.route] if account.route >= 0 else None
+        recorded = bool(self.mission.recorded)
         name = message_name(self.mission.msg_ids.known(account.msg_id))
         if account.msg_id == NO_MSG_ID and account.link != OTHER:
             name = table.protocol(account.link).message_name(account.kind)
         return {
             "topic": route.topic if route else None,
-            "type": route.type if route else None,
+            "type": (route.type or None) if route else None,
             "name": name or None,
-            "link": account.link.label,
+            "link": None if recorded else account.link.label,
             "processor_id": account.processor_id or None,
             "msg_id": f"0x{account.msg_id:04x}" if account.msg_id != NO_MSG_ID else None,
             "count": account.count,
             "rate_hz": round(account.rate_hz, 3),
             "jitter_ms": round(account.jitter_ms, 3),
-            "gaps": account.gaps,
-            "duplicates": account.duplicates,
-            "reordered": account.reordered,
+            "gaps": None if recorded else account.gaps,
+            "duplicates": None if recorded else account.duplicates,
+            "reordered": None if recorded else account.reordered,
             "bytes": account.bytes,
             "bytes_min": account.bytes_min,
             "bytes_max": account.bytes_max,

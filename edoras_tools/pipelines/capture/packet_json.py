@@ -18,6 +18,7 @@ import numpy as np
 
 from edoras_tools.decode.contents import Contents, endpoints, links_of, message_rows, read_whole
 from edoras_tools.decode.filters.layers import slot_values
+from edoras_tools.decode.recorded import RECORDED_LAYER, recorded_topic
 from edoras_tools.decode.summary import Group, grouped_columns
 from edoras_tools.io.formats.jsonl.texts import json_value, value_texts
 from edoras_tools.links.protocol import LinkProtocol
@@ -64,21 +65,25 @@ def as_json(decoded: Decoded) -> dict[str, Any]:
     """Return a packet in the shape of ``sniff --json``: plain values, bytes of headers as hex."""
     packet = decoded.layer("ccsds")
     message = decoded.message
+    recorded = decoded.datagram.topic != NO_ROUTE
+    topic, type_ = (
+        recorded_topic(decoded) if recorded else (message.topic, message.type) if message else ("", "")
+    )
     return {
         "number": decoded.datagram.number,
         "time_ns": decoded.datagram.time_ns,
-        "link": decoded.link.label,
-        "source": str(decoded.datagram.source),
-        "destination": str(decoded.datagram.destination),
+        "link": None if recorded else decoded.link.label,
+        "source": None if recorded else str(decoded.datagram.source),
+        "destination": None if recorded else str(decoded.datagram.destination),
         "length": len(decoded.datagram.payload),
         "layers": {
             layer.name: json_value(layer.values(), octets=bytes.hex)
             for layer in decoded.layers
-            if layer.name not in {"ros", "cfs"}
+            if layer.name not in {"ros", "cfs", RECORDED_LAYER}
         },
         "msg_id": f"0x{packet.values()['msg_id']:04x}" if packet else None,
-        "topic": message.topic if message else None,
-        "type": message.type if message else None,
+        "topic": topic or None,
+        "type": type_ or None,
         "message": json_value(message.values) if message else None,
         **({"more": [_message(item) for item in decoded.more]} if decoded.more else {}),
         "findings": decoded.findings.labels,
@@ -102,6 +107,8 @@ class PacketTexts:
 
     def of(self, rows: ColumnRows) -> list[str]:
         """Return the text of each row, in order: ``as_json`` without spaces, behind ``schema``."""
+        if rows.batch.recorded is not None:
+            return self._of_messages(rows)
         links = {code: _text(link.label) for code, link in links_of(rows).items()}
         pairs, which = endpoints(rows)
         named = [(_text(str(source)), _text(str(destination))) for source, destination in pairs]
@@ -120,6 +127,21 @@ class PacketTexts:
             for number, time_ns, link, (source, destination), length, tail in heads
         ]
 
+    def _of_messages(self, rows: ColumnRows) -> list[str]:
+        """Return the text of each message of a recording without datagrams."""
+        heads = zip(
+            rows.datagram("number").tolist(),
+            rows.datagram("time_ns").tolist(),
+            rows.datagram("length").tolist(),
+            self._contents.of(rows),
+            strict=True,
+        )
+        return [
+            f'{{"schema":1,"number":{number},"time_ns":{time_ns},"link":null,"source":null,'
+            f'"destination":null,"length":{length},{tail}'
+            for number, time_ns, length, tail in heads
+        ]
+
 
 def _text(value: Any) -> str:
     return dumps(value, ensure_ascii=False, separators=(",", ":"))
@@ -133,8 +155,9 @@ def _tail(decoded: Decoded) -> str:
 def _tails(rows: ColumnRows) -> list[str | None]:
     """Return the same of rows, None for those that have to be dissected."""
     out: list[str | None] = [None] * len(rows)
-    shapes = _Shapes(rows)
-    easy = read_whole(rows) & shapes.known
+    recorded = rows.batch.recorded is not None
+    shapes = None if recorded else _Shapes(rows)
+    easy = read_whole(rows) if shapes is None else read_whole(rows) & shapes.known
     about: dict[str, NDArray[Any]] = {name: np.full(len(rows), "null", object) for name in _ABOUT}
     for owner, topic, name, messages, plan, _ in message_rows(rows, easy):
         texts = _message_texts(messages, plan)
@@ -143,8 +166,10 @@ def _tails(rows: ColumnRows) -> list[str | None]:
         easy[owner if texts is None else owner[~messages.valid]] = False
     ids, findings = rows.column("msg_id"), rows.column("findings")
     labels = {bits: _text(Finding(bits).labels) for bits in set(findings.tolist())}
-    for members, parts in shapes.of(np.flatnonzero(easy)):
-        parts[("msg_id",)] = [f'"0x{value:04x}"' for value in ids[members].tolist()]
+    there = np.flatnonzero(easy)
+    bare: dict[Path, Texts] = {("layers",): "{}"}
+    for members, parts in [(there, bare)] if shapes is None else shapes.of(there):
+        parts[("msg_id",)] = "null" if recorded else [f'"0x{value:04x}"' for value in ids[members].tolist()]
         for key, values in about.items():
             parts[(key,)] = values[members].tolist()
         parts[("findings",)] = [labels[bits] for bits in findings[members].tolist()]

@@ -23,7 +23,7 @@ from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.sessions.sequence import SequenceCounts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
     from edoras_tools.errors import EdorasError
@@ -110,19 +110,26 @@ class CaptureReport:
         """Frames that the kernel or a full queue lost."""
         return self.source.statistics.kernel_drops or 0
 
+    @property
+    def messages(self) -> int:
+        """Messages of a recording without datagrams that were counted, or written and not lost again."""
+        return self.ledger.datagrams - sum(item.datagrams for item in self.losses)
+
     def summary(self) -> dict[str, Any]:
         """Return the report in the shape of ``info --json``."""
         statistics = self.source.statistics
+        recorded = bool(self.ledger.mission.recorded)
         return {
             "source": self.source.info.name,
             "kind": self.source.info.kind,
-            "datagrams": self.ledger.datagrams
-            - self.ledger.taken_out
-            - sum(item.datagrams for item in self.losses),
+            "datagrams": 0
+            if recorded
+            else self.ledger.datagrams - self.ledger.taken_out - sum(item.datagrams for item in self.losses),
+            **({"messages": self.messages} if recorded else {}),
             "skipped": statistics.skipped,
             "start_ns": self.ledger.start_ns,
             "end_ns": self.ledger.end_ns,
-            "capture_drops": statistics.kernel_drops,
+            "capture_drops": None if recorded else statistics.kernel_drops,
             "outages": [outage.as_json() for outage in statistics.outages],
             "routes": self.ledger.routes(),
             **({"entries": self._entries()} if self.entries else {}),
@@ -131,6 +138,7 @@ class CaptureReport:
                 *self.ledger.mission.warnings,
                 *self.notes,
                 *self.ledger.notes,
+                *self.ledger.unread,
                 *statistics.warnings,
                 *map(str, self.losses),
             ],
@@ -168,6 +176,24 @@ def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = Fa
         refuse_existing(in_the_way(target.path, split=split))
 
 
+def check_recorded(source: Source, bench: Workbench, target: Target) -> None:
+    """Refuse outputs that only datagrams can be written to; the source is then closed.
+
+    Raises:
+        ConfigError: the source is a recording without datagrams, and the target needs them.
+    """
+    if not bench.mission.recorded or target.format is None:
+        return
+    why = ""
+    if not target.format.messages:
+        why = f"{target.format.name} holds datagrams: write .mcap, or --rosbag2"
+    elif target.transforms:
+        why = "--tf makes /tf of what bridges carry: leave it out"
+    if why:
+        source.close()
+        raise ConfigError(f"{source.info.name}: has messages and no datagrams, and {why}")
+
+
 def open_sink(
     target: Target,
     source: Source,
@@ -175,6 +201,7 @@ def open_sink(
     *,
     chosen: str = "",
     sequences: SequenceCounts | None = None,
+    topics: Collection[int] | None = None,
 ) -> WatchedSink:
     """Open a sink for a target that was checked.
 
@@ -184,6 +211,7 @@ def open_sink(
         bench: mission, types and decoders.
         chosen: the selection, in words.
         sequences: see ``RecordingOptions``.
+        topics: see ``RecordingOptions``.
 
     Raises:
         CaptureError: it cannot be written.
@@ -208,6 +236,7 @@ def open_sink(
         yields=not target.jobs,
         sequences=sequences,
         endpoints=bench.columns.context.endpoints,
+        topics=topics,
     )
 
     def part(path: Path) -> CaptureFileSink:
@@ -266,11 +295,15 @@ def record(
         RouteError: the selection names a topic that is not configured.
         ConfigError: its filter has an error.
     """
+    check_recorded(source, bench, target)
     with reading(source, bench, selection, limits, keeps_failure=True) as loop:
         if isinstance(source, DeviceSource) and not (watcher or tap or limits.count or limits.duration_ns):
             source.quiet_s = QUIET_NS / 1e9
         sequences = SequenceCounts()
-        sink = open_sink(target, source, bench, chosen=str(loop.selection), sequences=sequences)
+        topics = loop.selection.places() if bench.mission.recorded else None
+        sink = open_sink(
+            target, source, bench, chosen=str(loop.selection), sequences=sequences, topics=topics
+        )
         report = pour(loop, sink, watcher=watcher, tap=tap, by_route=by_route, sequences=sequences)
     report.outputs, report.losses, report.keep = list(sink.paths), sink.losses, sink.keep
     return report

@@ -18,6 +18,7 @@ from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
+from edoras_tools.pipelines.check.messages import CountedMessages, count_messages
 from edoras_tools.pipelines.check.observation import Subject
 from edoras_tools.pipelines.check.run import NOTABLE_FINDINGS, Figures
 from edoras_tools.pipelines.doctor.doctor import examine
@@ -53,8 +54,11 @@ class Draft:
         findings: of the doctor.
     """
 
-    def __init__(self, ledger: Ledger, mission: Mission, findings: Findings, name: str) -> None:
+    def __init__(
+        self, ledger: Ledger, mission: Mission, findings: Findings | CountedMessages, name: str
+    ) -> None:
         self.findings = findings
+        self._diagnosis = None if isinstance(findings, CountedMessages) else findings.diagnosis
         self.notes: list[str] = []
         self._ledger, self._mission = ledger, mission
         self.text = "".join(f"{line}\n" for line in self._lines(name))
@@ -67,7 +71,13 @@ class Draft:
             yield "topics:"
         for subject in subjects:
             yield from self._topic(subject)
-        diagnosis = self.findings.diagnosis
+        diagnosis = self._diagnosis
+        if diagnosis is None:
+            self.notes.append(
+                "the recording has messages and no datagrams: losses, latencies, events, findings and "
+                "verdicts are not observable in it, so the draft expects nothing of them"
+            )
+            return
         findings = sorted(NOTABLE_FINDINGS & self._ledger.findings.keys())
         grave = {item.rule for item in diagnosis.verdicts if item.severity >= Severity.WARNING}
         if diagnosis.unnamed:
@@ -101,7 +111,7 @@ class Draft:
         ]
 
     def _topic(self, subject: Subject) -> Iterator[str]:
-        figures = Figures.of(subject, self._ledger, self.findings.diagnosis)
+        figures = Figures.of(subject, self._ledger, self._diagnosis)
         assert figures.size is not None, "it has messages"
         yield f"  {_key(subject.name)}:"
         yield "    count: at least 1"
@@ -142,7 +152,11 @@ def draft(
 ) -> Draft:
     """Read a source to its end and draft expectations from it; the source is closed."""
     counting = Counting(source, bench)
-    findings = examine(source, bench, profile=profile, scope=scope, progress=progress, counting=counting)
+    findings: Findings | CountedMessages
+    if bench.mission.recorded:
+        findings = count_messages(source, bench, counting, scope, progress)
+    else:
+        findings = examine(source, bench, profile=profile, scope=scope, progress=progress, counting=counting)
     return Draft(counting.report.ledger, bench.mission, findings, source.info.name)
 
 

@@ -10,6 +10,7 @@ from edoras_tools.diagnosis.balance import sent
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
+from edoras_tools.pipelines.check.messages import NOT_OBSERVABLE, CountedMessages, count_messages
 from edoras_tools.pipelines.check.observation import Observation
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.render.severity import NOTABLE
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 NOTABLE_FINDINGS: Final = frozenset(item.label for item in NOTABLE)
 """Labels of the findings that are warnings or errors."""
 _CAPTURE: Final = "capture"
+_OF_DATAGRAMS: Final = frozenset({*LOSS_KEYS, "latency"})
+"""Bounds of what only datagrams show."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +73,14 @@ class CheckReport:
         file: the expectations.
         results: one for each.
         seconds: how long the capture lasts.
-        findings: of the doctor.
+        findings: of the doctor; of a recording without datagrams, what was counted.
     """
 
     source: str
     file: str
     results: tuple[CheckResult, ...]
     seconds: float
-    findings: Findings
+    findings: Findings | CountedMessages
 
     @property
     def failed(self) -> int:
@@ -123,8 +126,8 @@ class Figures:
     unaccounted: int
 
     @classmethod
-    def of(cls, subject: Subject, ledger: Ledger, diagnosis: Diagnosis) -> Figures:
-        """Return the figures of a subject."""
+    def of(cls, subject: Subject, ledger: Ledger, diagnosis: Diagnosis | None) -> Figures:
+        """Return the figures of a subject; without a diagnosis, those of messages alone."""
         packets = subject.packets
         own = [
             item
@@ -136,9 +139,12 @@ class Figures:
             max(item.longest_ns, item.first_ns - ledger.start_ns, ledger.end_ns - item.last_ns)
             for item in own
         ]
-        waits = [latency_ms(row) for row in diagnosis.routes if _is_about(row, subject, diagnosis)]
+        waits: list[float | None] = []
+        rows: list[Row] = []
+        if diagnosis is not None:
+            waits = [latency_ms(row) for row in diagnosis.routes if _is_about(row, subject, diagnosis)]
+            rows = [row for row in diagnosis.balance if packets.takes(row.route, row.msg_id)]
         slowest = max((item for item in waits if item is not None), default=None)
-        rows = [row for row in diagnosis.balance if packets.takes(row.route, row.msg_id)]
         return cls(
             count=sum(item.count for item in own),
             rate=sum(rates) if rates else None,
@@ -150,9 +156,9 @@ class Figures:
         )
 
     @classmethod
-    def whole(cls, ledger: Ledger, diagnosis: Diagnosis) -> Figures:
+    def whole(cls, ledger: Ledger, diagnosis: Diagnosis | None) -> Figures:
         """Return the figures of all messages; ``silence`` is how long the capture lasts."""
-        rows = [row for row in diagnosis.balance if row.hop != _CAPTURE]
+        rows = [row for row in diagnosis.balance if row.hop != _CAPTURE] if diagnosis else []
         seconds = (ledger.end_ns - ledger.start_ns) / SECOND
         return cls(ledger.datagrams, None, seconds, None, None, sent(rows), **_losses(rows))
 
@@ -186,9 +192,13 @@ def check(
     except BaseException:
         source.close()
         raise
-    findings = examine(
-        source, bench, profile=profile, scope=scope, pace=pace, progress=progress, counting=observed
-    )
+    findings: Findings | CountedMessages
+    if bench.mission.recorded:
+        findings = count_messages(source, bench, observed, scope, progress)
+    else:
+        findings = examine(
+            source, bench, profile=profile, scope=scope, pace=pace, progress=progress, counting=observed
+        )
     expected = observed.about(scope.selection.over(bench)) if scope else expected
     results = tuple(_results(expected, observed, findings))
     ledger = observed.report.ledger
@@ -196,18 +206,28 @@ def check(
     return CheckReport(source.info.name, expected.file, results, seconds, findings)
 
 
-def _results(expected: Expectations, observed: Observation, findings: Findings) -> Iterator[CheckResult]:
-    ledger, diagnosis = observed.report.ledger, findings.diagnosis
+def _results(
+    expected: Expectations, observed: Observation, findings: Findings | CountedMessages
+) -> Iterator[CheckResult]:
+    ledger = observed.report.ledger
+    diagnosis = None if isinstance(findings, CountedMessages) else findings.diagnosis
     if findings.failure is not None:
         yield CheckResult(_CAPTURE, "input", "read to its end", str(findings.failure), passed=False)
     if not ledger.datagrams:
-        yield CheckResult(_CAPTURE, "input", "datagrams of a link", "none", passed=False)
+        wanted = "messages" if diagnosis is None else "datagrams of a link"
+        yield CheckResult(_CAPTURE, "input", wanted, "none", passed=False)
     for topic, subject, watches in zip(expected.topics, observed.subjects, observed.fields, strict=True):
         figures = Figures.of(subject, ledger, diagnosis)
         for key, bound in topic.bounds.items():
-            yield _bounded(subject.name, key, bound, figures)
+            if diagnosis is None and key in _OF_DATAGRAMS:
+                yield CheckResult(subject.name, key, bound.text, NOT_OBSERVABLE, passed=False)
+            else:
+                yield _bounded(subject.name, key, bound, figures)
         for item, watch in zip(topic.fields, watches, strict=True):
-            yield _field(subject.name, item, watch, ledger, diagnosis.zero_ns)
+            yield _field(subject.name, item, watch, ledger, findings.zero_ns)
+    if diagnosis is None:
+        yield from _recorded(expected, Figures.whole(ledger, None))
+        return
     for event, watch in zip(expected.events, observed.events, strict=True):
         yield _event(event, watch, diagnosis.zero_ns)
     if expected.findings is not None:
@@ -227,6 +247,21 @@ def _results(expected: Expectations, observed: Observation, findings: Findings) 
     whole = Figures.whole(ledger, diagnosis)
     for key, bound in expected.bounds.items():
         yield _bounded(_CAPTURE, key, bound, whole)
+
+
+def _recorded(expected: Expectations, whole: Figures) -> Iterator[CheckResult]:
+    """Yield the results of expectations that are of no topic, for a recording without datagrams."""
+    for event in expected.events:
+        wanted = "must appear" if event.must else "must not appear"
+        yield CheckResult("events", event.text, wanted, NOT_OBSERVABLE, passed=False)
+    for about, allowed in {"findings": expected.findings, "verdicts": expected.verdicts}.items():
+        if allowed is not None:
+            yield CheckResult(about, "allowed", _only(allowed), NOT_OBSERVABLE, passed=False)
+    for key, bound in expected.bounds.items():
+        if key in _OF_DATAGRAMS:
+            yield CheckResult(_CAPTURE, key, bound.text, NOT_OBSERVABLE, passed=False)
+        else:
+            yield _bounded(_CAPTURE, key, bound, whole)
 
 
 def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckResult:
@@ -259,8 +294,10 @@ def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckR
 def _field(
     about: str, item: FieldExpectation, watch: FilterCount, ledger: Ledger, zero_ns: int
 ) -> CheckResult:
+    what = "message" if ledger.mission.recorded else "packet"
+
     def told(place: tuple[int, int] | None) -> str:
-        return f"first is packet {place[0]:,} at {(place[1] - zero_ns) / SECOND:.3f} s" if place else ""
+        return f"first is {what} {place[0]:,} at {(place[1] - zero_ns) / SECOND:.3f} s" if place else ""
 
     of, passed = plural(watch.seen, "message"), watch.seen > 0
     found = f"{watch.hits:,} of {of}"
@@ -297,12 +334,16 @@ def _event(item: EventExpectation, watch: FilterCount, zero_ns: int) -> CheckRes
 
 def _allowed(about: str, allowed: frozenset[str], found: dict[str, Any]) -> Iterator[CheckResult]:
     """Compare what was found, a name to a count or a reason, with what is allowed: each other one fails."""
-    expected = f"only {', '.join(sorted(allowed))}" if allowed else "none"
+    expected = _only(allowed)
     others = [name for name in found if name not in allowed]
     for name in others:
         yield CheckResult(about, name, "is not allowed", str(found[name]), passed=False)
     if not others:
         yield CheckResult(about, "allowed", expected, ", ".join(found) or "none", passed=True)
+
+
+def _only(allowed: frozenset[str]) -> str:
+    return f"only {', '.join(sorted(allowed))}" if allowed else "none"
 
 
 def _losses(rows: Sequence[Row]) -> dict[str, int]:

@@ -67,6 +67,21 @@ class Findings:
     failure: EdorasError | None = None
     interrupted: bool = False
 
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Notes on the capture, a line each."""
+        return self.diagnosis.capture.warnings
+
+    @property
+    def unnamed(self) -> Sequence[object]:
+        """Traffic that looks like a link's and was left out, because its port was not named."""
+        return self.diagnosis.unnamed
+
+    @property
+    def zero_ns(self) -> int:
+        """What times count from, ns since 1970."""
+        return self.diagnosis.zero_ns
+
     def summary(self) -> dict[str, Any]:
         """Return the findings in the shape of ``doctor --json``."""
         return {

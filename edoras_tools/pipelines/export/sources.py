@@ -1,35 +1,32 @@
 """Reads captures, and recordings of other tools, by topic: blocks of messages in columns.
 
 A capture has the same topics as a recording of it (``io.topics.streams``). A recording of another tool has
-the topics that were recorded. It contains no datagrams, so nothing can be selected by link, MsgId or filter.
+the topics that were recorded. It contains no datagrams, so nothing can be selected by link or MsgId.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from contextlib import suppress
-from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError, ConfigError, EdorasError, NoDatagramsError
+from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import recorded_faults
-from edoras_tools.io.formats.open import is_cfe_file, open_file
-from edoras_tools.io.formats.rosbag2.reader import open_rosbag
+from edoras_tools.io.formats.open import is_cfe_file
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.rows import RECORD_BYTES, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, Streams
+from edoras_tools.model import Finding
 from edoras_tools.pipelines.ahead import read_ahead
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.block import TopicBlock
 from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_blocks
-from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.messages.opening import open_inputs
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import open_files
-from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.words import listed
@@ -38,12 +35,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
-    from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag
     from edoras_tools.io.topics.rows import Messages
     from edoras_tools.io.topics.streams import Topic
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.ros import TypeStore
 
     Judge = Callable[[Collection[str], Progress | None], Iterator[TopicBlock]]
 
@@ -262,72 +260,67 @@ class CaptureTopics(TopicSource):
 
 
 class BagTopics(TopicSource):
-    """Recordings of other tools by topic; see ``TopicSource``.
+    """Recordings without datagrams by topic; see ``TopicSource``.
 
     Args:
-        bags: the recordings, one read after the other.
-        settings: where message definitions come from that the recordings do not contain.
-        scope: which time.
-
-    Raises:
-        CaptureError: one cannot be read.
-        ConfigError: the selection needs datagrams.
+        source: the messages; it is closed.
+        bench: what reads them.
+        scope: which messages.
     """
 
-    def __init__(self, bags: Sequence[Rosbag], settings: Settings, scope: Scope | None = None) -> None:
-        super().__init__(", ".join(str(bag.path) for bag in bags), scope)
-        self._bags = bags
-        selection = self._scope.selection
-        if selection.links or selection.msg_ids or selection.where:
-            raise ConfigError(
-                f"{self.name}: contains topics but no datagrams, so --link, --msg-id and --where cannot be "
-                "used; use --topic, --start and --end"
-            )
-        definitions: dict[str, str] = {}
-        there: dict[str, str] = {}
-        for bag in bags:
-            there |= bag.topics()
-            definitions |= bag.definitions()
-        self._types = TypeStore(settings.distro, settings.msg_paths, definitions)
-        wrong = {topic: self._types.check(kind) for topic, kind in there.items()}
-        self.topics = {topic: kind for topic, kind in there.items() if wrong[topic] is None}
-        self._notes = [f"{topic} is left out: {why}" for topic, why in wrong.items() if why is not None]
-        self.zero_ns = min(bag.start_ns() for bag in bags)
-        self._period = self._scope.period.since(self.zero_ns)
+    def __init__(self, source: Source, bench: Workbench, scope: Scope | None = None) -> None:
+        super().__init__(source.info.name, scope)
+        self._messages, self._bench = source, bench
+        self._places: dict[int, str] = {}
+        self._left_out: list[str] = []
+        for place, (route, recorded) in enumerate(
+            zip(bench.mission.routes, bench.mission.recorded, strict=True)
+        ):
+            why = recorded.unread
+            if not why and route.topic in self.topics:
+                why = f"some messages are {route.type}, others {self.topics[route.topic]}"
+            if why:
+                self._left_out.append(f"{route.topic} is left out: {why}")
+            else:
+                self.topics[route.topic] = route.type
+                self._places[place] = route.topic
 
     @property
     def notes(self) -> list[str]:
         """Notes on the input for the user."""
-        return self._notes
+        return [*self._left_out, *self._bench.columns.context.notes]
 
     def types(self, _: str) -> TypeStore:
         """Return the types that include a topic's."""
-        return self._types
+        return self._bench.types
 
-    def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:  # noqa: ARG002  what is read of a bag is not counted
+    def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:
         """Yield the messages of some topics."""
-        for found in self.recorded(wanted):
-            kind = self.topics[found.topic]
-            valid = self._types.valid(kind, found.data, found.offset, found.length)
-            self.left_out += len(found.offset) - int(valid.sum())
-            columns = self._types.columns(kind, found.data, found.offset[valid], found.length[valid])
-            yield TopicBlock(found.topic, found.time_ns[valid], columns)
+        scope, types = self._scope, self._bench.types
+        places = {place: topic for place, topic in self._places.items() if topic in wanted}
+        with reading(
+            self._messages, self._bench, scope.selection, examined=scope.period, keeps_failure=True
+        ) as loop:
+            for rows in loop:
+                if progress is not None:
+                    progress.read(self._messages)
+                if loop.begin_ns is not None:
+                    self.zero_ns, self.last_ns = loop.begin_ns, loop.last_ns
+                batch, route = rows.batch, rows.column("route")
+                invalid = (rows.column("findings") & np.uint32(Finding.CDR_INVALID)) != 0
+                for place, here in by_value(route):
+                    if place not in places:
+                        continue
+                    self.left_out += int(invalid[here].sum())
+                    here = here[~invalid[here]]  # noqa: PLW2901  without the incomplete ones
+                    offset, length = rows.datagram("offset")[here], rows.datagram("length")[here]
+                    columns = types.columns(self.topics[places[place]], batch.data, offset, length)
+                    yield TopicBlock(places[place], rows.datagram("time_ns")[here], columns)
+            self.failure, self.interrupted = loop.failure, loop.interrupted
 
-    def recorded(self, wanted: Collection[str]) -> Iterator[RecordedBlock]:
-        """Yield the messages of some topics in the chosen time, as they were recorded."""
-        with on_interrupt(lambda: None) as asked:
-            try:
-                for found in chain.from_iterable(bag.blocks(wanted) for bag in self._bags):
-                    self.last_ns = max(self.last_ns, int(found.time_ns.max(initial=-1)))
-                    rows = np.flatnonzero(self._period.holds(found.time_ns - self.zero_ns))
-                    yield found._replace(
-                        time_ns=found.time_ns[rows], offset=found.offset[rows], length=found.length[rows]
-                    )
-                    if asked.is_set():
-                        break
-            except CaptureError as error:
-                self.failure = error
-            self.interrupted = asked.is_set()
+    def close(self) -> None:
+        """Close the input; may be called twice."""
+        self._messages.close()
 
 
 def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None = None) -> TopicSource:
@@ -337,19 +330,14 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
         CaptureError: one cannot be opened.
         ConfigError: the mission has mistakes, or some contain datagrams and others only topics.
     """
-    bags = [_is_bag(path) for path in paths]
-    if all(bags):
-        return BagTopics([open_rosbag(path) for path in paths], settings, scope)
-    if any(bags):
-        raise ConfigError(
-            f"{paths[bags.index(True)]} contains topics and {paths[bags.index(False)]} datagrams; "
-            "read them separately"
-        )
-    notes: list[str] = []
     if len(paths) > 1 and any(map(is_cfe_file, paths)) and "-" not in map(str, paths):
         source, notes = open_aligned(paths, settings)
+        bench = settings.workbench(source.info)
+        bench.columns.context.notes += notes
     else:
-        source = open_files(paths)
+        source, bench = open_inputs(paths, settings)
+    if bench.mission.recorded:
+        return BagTopics(source, bench, scope)
 
     def judge(wanted: Collection[str], progress: Progress | None) -> Iterator[TopicBlock]:
         return judged_blocks(wanted, paths, settings, scope or Scope(), progress)
@@ -371,24 +359,4 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
         return found
 
     again = all(path.is_file() or path.is_dir() for path in paths)
-    try:
-        bench = settings.workbench(source.info)
-        bench.columns.context.notes += notes
-        return CaptureTopics(source, bench, scope, *((judge, seek) if again else ()))
-    except EdorasError:
-        source.close()
-        raise
-
-
-def _is_bag(path: Path) -> bool:
-    """Return whether a path has topics but no datagrams: a rosbag2 directory or file, another tool's MCAP."""
-    if str(path) == "-" or not (path.is_dir() or path.is_file()):
-        return False
-    try:
-        open_file(path).close()
-    except NoDatagramsError:
-        with suppress(CaptureError):
-            return path.is_dir() or bool(open_rosbag(path).topics())
-    except CaptureError:
-        return path.is_dir()
-    return False  # what opens captures says what is wrong, if anything is
+    return CaptureTopics(source, bench, scope, *((judge, seek) if again else ()))

@@ -15,6 +15,7 @@ from edoras_tools.io.foxglove.playback import PlaybackState
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.live.keys import request_of, split_keys
+from edoras_tools.pipelines.messages.opening import open_inputs
 from edoras_tools.pipelines.selection import outside
 from edoras_tools.pipelines.workbench import open_files
 from edoras_tools.units import MILLISECOND, SECOND
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.io.foxglove.playback import PlaybackRequest
-    from edoras_tools.io.foxglove.sink import FoxgloveSink
+    from edoras_tools.io.foxglove.recorded import PlayedSink
     from edoras_tools.model import Columns, PacketBatch, SourceInfo
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.run import Progress
@@ -87,11 +88,11 @@ def open_recording(
     for path in paths:
         if str(path) == "-" or path.is_fifo() or path.is_char_device():
             raise CaptureError(f"{path}: playback reads it several times; save it to a file first")
-    source = open_files(paths)
-    try:
-        return source.info, settings.workbench(source.info), partial(open_files, paths)
-    finally:
-        source.close()
+    source, bench = open_inputs(paths, settings)
+    source.close()
+    if bench.mission.recorded:
+        return source.info, bench, lambda: open_inputs(paths, settings)[0]
+    return source.info, bench, partial(open_files, paths)
 
 
 class RecordingPlayer:
@@ -176,7 +177,7 @@ class RecordingPlayer:
 
     def run(
         self,
-        sink: FoxgloveSink,
+        sink: PlayedSink,
         *,
         duration_ns: int = 0,
         keys: Callable[[], str] = str,
@@ -223,7 +224,7 @@ class RecordingPlayer:
             sink.server.close()
         return asked.is_set()
 
-    def _press(self, key: str, sink: FoxgloveSink) -> None:
+    def _press(self, key: str, sink: PlayedSink) -> None:
         """Do what a key asks for, and tell the clients."""
         request = request_of(key, self.state, self.range_ns[0])
         if request is not None:
@@ -232,7 +233,7 @@ class RecordingPlayer:
             self.stop()
 
     def _play(
-        self, sink: FoxgloveSink, pieces: Generator[_Piece], piece: _Piece | None, position: int
+        self, sink: PlayedSink, pieces: Generator[_Piece], piece: _Piece | None, position: int
     ) -> _Piece | None:
         """Write what is due to the sink; return what comes next, None at the end."""
         piece = piece or next(pieces, None)
@@ -246,7 +247,7 @@ class RecordingPlayer:
             piece = next(pieces, None)
         return piece
 
-    def _tell(self, sink: FoxgloveSink, position: int, *, over: bool) -> None:
+    def _tell(self, sink: PlayedSink, position: int, *, over: bool) -> None:
         with self._lock:
             playback = self._playback
             ends = over and playback.seek_ns is None and position >= self.range_ns[1] and not playback.ended
@@ -294,7 +295,8 @@ class RecordingPlayer:
         if last < 0 and self._period and self._begin_ns is not None and self.failure is None:
             raise outside(source.info.name, self._begin_ns, last_ns)
         if last < 0:
-            raise self.failure or CaptureError(f"{source.info.name}: it contains no selected datagram")
+            what = "message" if self._bench.mission.recorded else "datagram"
+            raise self.failure or CaptureError(f"{source.info.name}: it contains no selected {what}")
         return first, last
 
     def _chosen(self, batch: PacketBatch) -> _Piece:
@@ -304,7 +306,7 @@ class RecordingPlayer:
         rows = np.flatnonzero(self._period.holds(batch.time_ns - self._begin_ns))
         return batch.take(rows), columns.take(rows)
 
-    def _read(self, start_ns: int, sink: FoxgloveSink) -> Generator[_Piece]:
+    def _read(self, start_ns: int, sink: PlayedSink) -> Generator[_Piece]:
         """Yield what was captured from a time on; first show the last earlier message of each topic."""
         source = self._reopen()
         follow_streams(source, self._bench.columns.context.framings)
@@ -331,7 +333,7 @@ class RecordingPlayer:
             source.close()
 
 
-def _show(latest: dict[int, _Piece], sink: FoxgloveSink) -> None:
+def _show(latest: dict[int, _Piece], sink: PlayedSink) -> None:
     for batch, columns in sorted(latest.values(), key=lambda piece: int(piece[0].time_ns[0])):
         sink.write(batch, columns)
     if latest:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.io.foxglove.origins import OriginCheck
+from edoras_tools.io.foxglove.recorded import RecordedSink
 from edoras_tools.io.foxglove.server import HERE, ServerOptions
 from edoras_tools.io.foxglove.sink import FoxgloveSink
 from edoras_tools.pipelines.capture.record import pour, record
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.io.foxglove.playback import Player
     from edoras_tools.io.foxglove.publishing import Publisher
+    from edoras_tools.io.foxglove.recorded import PlayedSink
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.capture.record import CaptureReport, Target
     from edoras_tools.pipelines.selection import Selection
@@ -58,15 +60,37 @@ def attach(
         CaptureError: the address cannot be listened on.
         ConfigError: ``websockets`` is not installed.
     """
+    options = ServerOptions(listen, origins, publisher, player, token)
     return FoxgloveSink(
         bench.mission,
         bench.types,
         info,
-        ServerOptions(listen, origins, publisher, player, token),
+        options,
         levels=LEVELS,
         statistics=statistics,
         structs=bench.columns.context.structs,
     )
+
+
+def attach_player(
+    bench: Workbench,
+    info: SourceInfo,
+    player: Player,
+    *,
+    listen: Endpoint = HERE,
+    origins: OriginCheck = OriginCheck(),  # noqa: B008  frozen
+    token: str = "",
+) -> PlayedSink:
+    """Start a server for a recording that is played; see ``attach``.
+
+    Raises:
+        CaptureError: the address cannot be listened on.
+        ConfigError: ``websockets`` is not installed.
+    """
+    if not bench.mission.recorded:
+        return attach(bench, info, listen=listen, player=player, origins=origins, token=token)
+    options = ServerOptions(listen, origins, None, player, token)
+    return RecordedSink(bench.mission, bench.types, info, options)
 
 
 def live(

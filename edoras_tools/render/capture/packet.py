@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.model import NO_ROUTE
 from edoras_tools.render.capture import hexdump, tree
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.terminal import FILE_WIDTH
@@ -58,6 +59,8 @@ def _bytes(decoded: Decoded, width: int, paint: palette.Paint, chosen: str, base
         # A payload reassembled from fragments is not in a single frame.
         span = (start + shift, end + shift) if shift >= 0 else None
     content = "TCP message" if datagram.stream else "UDP payload"
+    if datagram.topic != NO_ROUTE:
+        content = "Message"
     title = content if base == "payload" else "Frame"
     pointed = f", {chosen} at {span[0]}-{span[1] - 1}" if span and span[1] > span[0] else ""
     head = paint(f"{title}, {len(data):,} bytes{pointed}", palette.STRONG)

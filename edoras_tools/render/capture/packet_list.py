@@ -37,6 +37,8 @@ class _Widths:
 
 COLUMNS: Final = ("time", "ports", "packet", "msg_id", "topic", "bytes")
 """The columns that can be left out; the number and the message are always there."""
+MESSAGE_COLUMNS: Final = ("time", "topic", "bytes")
+"""Those that messages without datagrams have."""
 _ADDED_CELLS: Final = (8, 24)
 """Cells of an added column, at least and at most."""
 _TIME_CELLS: Final = {

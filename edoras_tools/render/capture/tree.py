@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 from edoras_tools.decode.lines import line_of
-from edoras_tools.model import NO_MSG_ID
+from edoras_tools.decode.recorded import recorded_topic
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.render import units
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.render.terminal import palette
@@ -86,9 +87,16 @@ def _packet(decoded: Decoded) -> Iterator[TreeRow]:
     datagram, style = decoded.datagram, decoded.link.colour
     cut = datagram.original_length - len(datagram.frame)
     frame = f"frame of {len(datagram.frame):,}" + (f" ({cut:,} more were cut off)" if cut > 0 else "")
-    length = f"{plural(len(datagram.payload), 'byte')} in a {frame}"
+    length = plural(len(datagram.payload), "byte")
+    recorded = datagram.topic != NO_ROUTE
+    if not recorded:
+        length += f" in a {frame}"
     value = f"{units.utc(datagram.time_ns)} UTC  {length}"
-    yield TreeRow("packet", 0, f"Packet {datagram.number}", value, style=style)
+    what = "Message" if recorded else "Packet"
+    yield TreeRow("packet", 0, f"{what} {datagram.number}", value, style=style)
+    if recorded:
+        yield TreeRow("packet", 0, "", clean("  ".join(recorded_topic(decoded))), style=style)
+        return
     line = line_of(decoded)
     msg_id = f"0x{line.msg_id:04x}" if line.msg_id != NO_MSG_ID else ""
     what = " ".join(word for word in (decoded.link_name, line.kind, msg_id, line.name) if word)

@@ -127,16 +127,17 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | N
     """
     topics = [row for row in summary.get("routes", ()) if row.get("topic")]
     messages = sum(row.get("count", 0) for row in topics)
-    words = [plural(summary.get("datagrams", 0), "datagram")]
-    if summary.get("datagrams"):
-        words[0] += f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}"
-    words.append(f"{plural(messages, 'message')} on {plural(len(topics), 'topic')}")
+    over = f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}"
+    on = f"{plural(messages, 'message')} on {plural(len(topics), 'topic')}"
+    if "messages" in summary:  # of a recording without datagrams
+        what, words = "message", [on + over * bool(messages)]
+    else:
+        what, words = "datagram", [plural(summary.get("datagrams", 0), "datagram"), on]
+        words[0] += over * bool(summary.get("datagrams"))
     written = sum(map(size_of, outputs))
     if written:
         words.append(units.size(written))
     if keep and keep.deleted:
-        words.append(
-            f"{plural(keep.deleted, 'older file')} with {plural(keep.datagrams, 'datagram')} deleted"
-        )
+        words.append(f"{plural(keep.deleted, 'older file')} with {plural(keep.datagrams, what)} deleted")
     name = str(outputs[0]) if len(outputs) == 1 else f"{outputs[0]} to {outputs[-1].name}"
     return f"{clean(name)}: {', '.join(words)}"

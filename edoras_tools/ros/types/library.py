@@ -14,15 +14,19 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.grammar import Section, parse_definition, sections
-from edoras_tools.ros.types.schema import TYPE_NAME, Definition, full_name
+from edoras_tools.ros.types.schema import TYPE_NAME, Definition, complete_text, full_name
 from edoras_tools.ros.types.standard import converted, distros, standard
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
+    from rosbags.interfaces.typing import Typesdict
+
 
 _INCLUDE: Final = re.compile(r"^[ \t]*#.*", re.MULTILINE)
 """A line for the preprocessor: what it includes is found by name."""
+_IDL_PARTS: Final = re.compile(r"^=+\n(?:IDL: .*\n)?", re.MULTILINE)
+"""Between the definitions of a schema."""
 OWN: Final = Path(__file__).parent / "definitions"
 """The definitions of this package's own messages, ``PACKAGE/msg/NAME.msg``."""
 
@@ -172,10 +176,17 @@ def _read(name: str, file: Path) -> Definition:
 
 
 def _read_idl(name: str, text: str, file: Path) -> Definition:
+    types = _idl_types(text, str(file))
+    if name not in types:
+        raise ConfigError(f"{file}:1: defines {', '.join(types) or 'no type'}, not {name}")
+    return converted(name, types)
+
+
+def _idl_types(text: str, place: str) -> Typesdict:
     from rosbags.typesys import TypesysError, get_types_from_idl
 
     try:
-        types = get_types_from_idl(_INCLUDE.sub("", text))
+        return get_types_from_idl(_INCLUDE.sub("", text))
     except (
         TypesysError,
         ValueError,
@@ -185,10 +196,24 @@ def _read_idl(name: str, text: str, file: Path) -> Definition:
         TypeError,
         AttributeError,
     ) as error:
-        raise ConfigError(f"{file}:{_idl_line(error)}: not the IDL that ROS 2 writes") from error
-    if name not in types:
-        raise ConfigError(f"{file}:1: defines {', '.join(types) or 'no type'}, not {name}")
-    return converted(name, types)
+        raise ConfigError(f"{place}:{_idl_line(error)}: not the IDL that ROS 2 writes") from error
+
+
+def text_of_idl(name: str, text: str) -> str:
+    """Return a type's ``ros2idl`` schema, complete with the types that it uses, as a ``ros2msg`` text.
+
+    Raises:
+        ConfigError: it is not the IDL that ROS 2 writes.
+    """
+    found: dict[str, Definition] = {}
+    for part in _IDL_PARTS.split(text):
+        if part.strip():
+            types = _idl_types(part, f"schema of {name}")
+            found.update((item, converted(item, types)) for item in types)
+    if full_name(name) not in found:
+        raise ConfigError(f"schema of {name}: defines {', '.join(found) or 'no type'}")
+    head = found.pop(full_name(name))
+    return complete_text([head, *found.values()])
 
 
 def _idl_line(error: Exception) -> int:

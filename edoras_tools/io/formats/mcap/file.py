@@ -254,22 +254,23 @@ class McapFile:
         """Bytes written so far."""
         return self.output.size
 
-    def add_schema(self, name: str, definition: str) -> int:
-        """Write a ``ros2msg`` schema; return its id."""
-        schema = Schema(
-            id=len(self.summary.schemas) + 1, data=definition.encode(), encoding="ros2msg", name=name
-        )
+    def add_schema(self, name: str, definition: str | bytes, encoding: str = "ros2msg") -> int:
+        """Write a schema; return its id."""
+        data = definition.encode() if isinstance(definition, str) else definition
+        schema = Schema(id=len(self.summary.schemas) + 1, data=data, encoding=encoding, name=name)
         self.summary.schemas[schema.id] = schema
         self.add_bytes(record_bytes(schema))
         return schema.id
 
-    def add_channel(self, topic: str, schema_id: int, metadata: Mapping[str, str]) -> int:
-        """Write a channel of CDR messages; return its id."""
+    def add_channel(
+        self, topic: str, schema_id: int, metadata: Mapping[str, str], encoding: str = "cdr"
+    ) -> int:
+        """Write a channel of messages; return its id."""
         # The ros2 profile of the MCAP registry requires the key; unknown is an empty string.
         channel = Channel(
             id=len(self.summary.channels) + 1,
             topic=topic,
-            message_encoding="cdr",
+            message_encoding=encoding,
             metadata={"offered_qos_profiles": self._offered, **metadata},
             schema_id=schema_id,
         )

@@ -1,21 +1,25 @@
-"""The messages of an indexed MCAP file of any tool, in columns."""
+"""The messages of an MCAP file of any tool, in columns: along its index, or from start to end without one."""
 
 from __future__ import annotations
 
-from typing import IO, TYPE_CHECKING, Final, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
+from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
+from edoras_tools.io.formats.mcap.recovery.walk import walk
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
-from edoras_tools.io.topics.names import RECORD_PREFIX_BYTES
+from edoras_tools.io.topics.names import MAGIC, RECORD_PREFIX_BYTES
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES
 from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
 
     from mcap.records import ChunkIndex
     from mcap.summary import Summary
@@ -34,6 +38,8 @@ class SelectedMessages(NamedTuple):
         data: u8, the chunks' records.
         offset: i64, first byte of the message data in ``data``.
         length: i64, its bytes.
+        sequence: u32.
+        publish_time: i64, ns since 1970.
     """
 
     channel_id: NDArray[np.uint16]
@@ -41,6 +47,13 @@ class SelectedMessages(NamedTuple):
     data: NDArray[np.uint8]
     offset: NDArray[np.int64]
     length: NDArray[np.int64]
+    sequence: NDArray[np.uint32]
+    publish_time: NDArray[np.int64]
+
+    def take(self, rows: NDArray[Any]) -> SelectedMessages:
+        """Return the messages that an index array or a mask chooses, over the same buffer."""
+        parts = {name: value if name == "data" else value[rows] for name, value in self._asdict().items()}
+        return SelectedMessages(**parts)
 
 
 def is_indexed(summary: Summary | None) -> bool:
@@ -68,25 +81,92 @@ def chunk_messages(
     parts: list[SelectedMessages] = []
     failure: CaptureError | None = None
     for index in sorted(summary.chunk_indexes, key=lambda item: item.chunk_start_offset):
-        there = [channel for channel in index.message_index_offsets if channel in channels]
-        if not there:
+        if not any(channel in channels for channel in index.message_index_offsets):
             continue
-        offset = np.sort(np.concatenate([_offsets(file, index, channel) for channel in there]))
         try:
-            parts.append(_messages(_unpacked(file, name, index), offset, name, index))
+            parts.append(chunk_content(file, name, index, channels))
         except CaptureError as error:
             failure = error
             break
         if sum(len(part.data) for part in parts) >= _BATCH_BYTES:
-            yield _joined(parts)
+            yield joined_messages(parts)
             parts = []
     if parts:
-        yield _joined(parts)
+        yield joined_messages(parts)
     if failure is not None:
         raise failure
 
 
-def _joined(parts: Sequence[SelectedMessages]) -> SelectedMessages:
+def chunk_content(
+    file: IO[bytes], name: str, index: ChunkIndex, channels: Collection[int]
+) -> SelectedMessages:
+    """Return the messages of some channels in one chunk, in the order of the file.
+
+    Raises:
+        CaptureError: it is damaged.
+    """
+    there = [channel for channel in index.message_index_offsets if channel in channels]
+    offset = np.sort(
+        np.concatenate([np.zeros(0, np.int64), *(_offsets(file, index, item) for item in there)])
+    )
+    return _messages(_unpacked(file, name, index), offset, name, index)
+
+
+def scanned(path: Path, name: str) -> Iterator[SelectedMessages | Schema | Channel]:
+    """Yield what is in a file without a whole index, in its order: messages of a chunk together.
+
+    Raises:
+        CaptureError: it is cut off or damaged; after all before that place.
+    """
+    with FileBytes(path) as file:
+        place, loose = len(MAGIC), bytearray()
+        while (record := file.prefix(place)) is not None:
+            opcode, start, end = record
+            if opcode == Opcode.DATA_END:
+                break
+            if end > file.size:
+                record = None
+                break
+            if opcode == Opcode.MESSAGE:
+                loose += file.read(place, end)
+            elif opcode in {Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL}:
+                if loose:
+                    yield from _walked(loose)
+                    loose = bytearray()
+                if opcode == Opcode.CHUNK:
+                    yield from _walked(_chunk_records(file.read(start, end), name, place))
+                elif (found := parse(opcode, file.read(start, end))) is not None:
+                    yield found
+            if len(loose) >= _BATCH_BYTES:
+                yield from _walked(loose)
+                loose = bytearray()
+            place = end
+        if loose:
+            yield from _walked(loose)
+        if record is None:
+            raise CaptureError(f"{name}: is cut off at byte {place} of {file.size}; all before was read")
+
+
+def _chunk_records(content: bytes | memoryview, name: str, place: int) -> bytes | memoryview:
+    head = chunk_head(content)
+    if head is not None and head.compression not in COMPRESSIONS:
+        raise CaptureError(f"{name}: chunks are compressed with {head.compression!r}; there are zstd and lz4")
+    raw, proof = unpack_chunk(head, content[head.data :]) if head is not None else (b"", Proof.FAILED)
+    if proof is Proof.FAILED:
+        raise _damaged_at(name, place)
+    return raw
+
+
+def _walked(raw: bytes | bytearray | memoryview) -> Iterator[SelectedMessages | Schema | Channel]:
+    """Yield the channels among some records, then the messages."""
+    found = walk(bytes(raw))
+    yield from (item for item in found.others if isinstance(item, (Schema, Channel)))
+    if len(found):
+        heads = read_at(found.data, found.start, np.dtype(RECORD))
+        yield _selected(heads, found.data, found.start + RECORD_BYTES)
+
+
+def joined_messages(parts: Sequence[SelectedMessages]) -> SelectedMessages:
     """Put the messages of several chunks together: what is done with them costs about as much for few."""
     ends = np.cumsum([len(part.data) for part in parts])
     offsets = [part.offset + (end - len(part.data)) for part, end in zip(parts, ends.tolist(), strict=True)]
@@ -96,6 +176,8 @@ def _joined(parts: Sequence[SelectedMessages]) -> SelectedMessages:
         np.concatenate([part.data for part in parts]),
         np.concatenate(offsets),
         np.concatenate([part.length for part in parts]),
+        np.concatenate([part.sequence for part in parts]),
+        np.concatenate([part.publish_time for part in parts]),
     )
 
 
@@ -112,13 +194,7 @@ def _offsets(file: IO[bytes], index: ChunkIndex, channel: int) -> NDArray[np.int
 def _unpacked(file: IO[bytes], name: str, index: ChunkIndex) -> NDArray[np.uint8]:
     file.seek(index.chunk_start_offset)
     content = memoryview(file.read(index.chunk_length))[RECORD_HEAD.size :]
-    head = chunk_head(content)
-    if head is not None and head.compression not in COMPRESSIONS:
-        raise CaptureError(f"{name}: chunks are compressed with {head.compression!r}; there are zstd and lz4")
-    raw, proof = unpack_chunk(head, content[head.data :]) if head is not None else (b"", Proof.FAILED)
-    if proof is Proof.FAILED:
-        raise _damaged(name, index)
-    return np.frombuffer(raw, np.uint8)
+    return np.frombuffer(_chunk_records(content, name, index.chunk_start_offset), np.uint8)
 
 
 def _messages(
@@ -131,10 +207,24 @@ def _messages(
     length = heads["record_length"].astype(np.int64) - (RECORD_BYTES - RECORD_PREFIX_BYTES)
     if not ((heads["opcode"] == Opcode.MESSAGE) & (length >= 0) & (length <= len(data) - start)).all():
         raise _damaged(name, index)
-    return SelectedMessages(heads["channel_id"], heads["log_time"].astype(np.int64), data, start, length)
+    return _selected(heads, data, start)
+
+
+def _selected(heads: NDArray[Any], data: NDArray[np.uint8], start: NDArray[np.int64]) -> SelectedMessages:
+    return SelectedMessages(
+        heads["channel_id"],
+        heads["log_time"].astype(np.int64),
+        data,
+        start,
+        heads["record_length"].astype(np.int64) - (RECORD_BYTES - RECORD_PREFIX_BYTES),
+        heads["sequence"],
+        heads["publish_time"].astype(np.int64),
+    )
 
 
 def _damaged(name: str, index: ChunkIndex) -> CaptureError:
-    return CaptureError(
-        f"{name}: the chunk at byte {index.chunk_start_offset} is damaged; all before was read"
-    )
+    return _damaged_at(name, index.chunk_start_offset)
+
+
+def _damaged_at(name: str, place: int) -> CaptureError:
+    return CaptureError(f"{name}: the chunk at byte {place} is damaged; all before was read")

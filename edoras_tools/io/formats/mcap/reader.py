@@ -23,6 +23,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from edoras_tools.errors import CaptureError, NoDatagramsError, WireError
 from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
+from edoras_tools.io.formats.mcap.messages import scanned
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
 from edoras_tools.io.formats.table import TOPIC_READERS
 from edoras_tools.io.frames.frame_batch import FrameBatch, joined_frames
@@ -302,8 +303,20 @@ class McapSource:
     def _check(self, *, whole: bool) -> None:
         if self._read(0, len(MAGIC)) != MAGIC:
             raise CaptureError(f"{self._name}: is not an MCAP file")
+        if not whole and DATAGRAMS_TOPIC not in self._topics.values():
+            self._scan_topics()
+            whole = bool(self._topics)
         if whole and DATAGRAMS_TOPIC not in self._topics.values():
             raise self._no_datagrams()
+
+    def _scan_topics(self) -> None:
+        """Look for topics in a file without a summary: other tools describe them anywhere."""
+        with suppress(CaptureError):  # it is cut off; that is told when it is read
+            for found in scanned(self._path, self._name):
+                if isinstance(found, Channel):
+                    self._topics[found.id] = found.topic
+                    if found.topic == DATAGRAMS_TOPIC:
+                        return
 
     def _read_front(self) -> bool:
         """Read the records before the first message, and the summary; return whether there is a summary."""

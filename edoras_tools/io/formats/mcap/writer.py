@@ -19,7 +19,14 @@ from edoras_tools.io.formats.split import part_path
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.host import host_messages
 from edoras_tools.io.topics.names import OUTAGE_METADATA_NAME
-from edoras_tools.io.topics.streams import FAULTS, HOST_COUNTERS, PreparedBatch, Streams, Topic
+from edoras_tools.io.topics.recorded import RecordedStreams
+from edoras_tools.io.topics.streams import (
+    FAULTS,
+    HOST_COUNTERS,
+    PreparedBatch,
+    Streams,
+    Topic,
+)
 from edoras_tools.model import Finding
 
 if TYPE_CHECKING:
@@ -96,17 +103,22 @@ class McapSink:
         self._info = info
         self._options = options
         self._live = statistics
-        self._streams = Streams(
-            mission,
-            types,
-            statistics,
-            datagrams=options.datagrams,
-            structs=options.structs,
-            add=self._add_topic,
-            transforms=options.transforms,
-            sequences=None if options.splits else options.sequences,  # parts of a batch are other batches
+        self._streams: Streams | RecordedStreams = (
+            RecordedStreams(mission, types, options.topics)
+            if mission.recorded
+            else Streams(
+                mission,
+                types,
+                statistics,
+                datagrams=options.datagrams,
+                structs=options.structs,
+                add=self._add_topic,
+                transforms=options.transforms,
+                sequences=None if options.splits else options.sequences,  # parts of a batch are other batches
+            )
         )
-        self._streams.endpoints = options.endpoints
+        if isinstance(self._streams, Streams):
+            self._streams.endpoints = options.endpoints
         self._extras: dict[str, int] = {}
         self._noted: list[InterfaceOutage] = []
         self._count = self._captured = 0
@@ -227,7 +239,7 @@ class McapSink:
         else:
             self._chunks.append(self._streams.made(batch, columns, prepared), len(batch))
         self._count += len(batch)
-        self._captured += int(np.count_nonzero(batch.original_length >= 0))
+        self._captured += int(np.count_nonzero((batch.original_length >= 0) | (batch.recorded is not None)))
 
     def _packed(self, batch: PacketBatch, columns: Columns, prepared: PreparedBatch) -> list[PackedChunks]:
         """Return the chunks of a batch; a worker has this sink as it was when the first file was opened."""
@@ -284,10 +296,18 @@ class McapSink:
         self._count = self._captured = 0
         self._extras = {}
         streams = self._streams
-        schemas = {name: file.add_schema(name, text) for name, text in streams.definitions.items()}
-        streams.number(
-            [file.add_channel(topic.name, schemas[topic.type], topic.metadata) for topic in streams.topics]
-        )
+        schemas: dict[object, int] = {}
+        if isinstance(streams, Streams):
+            schemas = {name: file.add_schema(name, text) for name, text in streams.definitions.items()}
+        channels = []
+        for topic in streams.topics:
+            key = topic.type if topic.schema is None else (topic.type, *topic.schema)
+            if topic.schema is not None and key not in schemas:
+                encoding, data = topic.schema
+                # Without a type there is no schema, and 0 says so.
+                schemas[key] = file.add_schema(topic.type, data, encoding) if topic.type else 0
+            channels.append(file.add_channel(topic.name, schemas[key], topic.metadata, topic.encoding))
+        streams.number(channels)
         file.add_metadata(OPENING_METADATA_NAME, self._opening())
 
     def _close_file(self, statistics: SourceStatistics | None) -> None:
@@ -304,13 +324,18 @@ class McapSink:
             METADATA_NAME,
             {
                 **self._opening(),
-                "datagrams": str(self._captured),
-                "clock_offset_ns": json.dumps(self._streams.clock.offsets()),
+                **self._counted(),
                 **{key: str(value) for key, value in counted.items() if value is not None},
             },
         )
         file.finish()
         self.complete.append((file.output, self._captured))
+
+    def _counted(self) -> dict[str, str]:
+        if isinstance(self._streams, RecordedStreams):
+            return {"datagrams": "0", "messages": str(self._captured)}
+        offsets = json.dumps(self._streams.clock.offsets())
+        return {"datagrams": str(self._captured), "clock_offset_ns": offsets}
 
     def _note_outages(self) -> None:
         """Write outages of the source's interface since the last call: as messages and as metadata."""

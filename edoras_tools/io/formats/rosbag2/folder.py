@@ -5,13 +5,14 @@ from __future__ import annotations
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from edoras_tools.errors import CaptureError, NoDatagramsError
 from edoras_tools.io.formats.merge import MergedSource, recorded_host
 from edoras_tools.io.formats.rosbag2.reader import METADATA, files_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from edoras_tools.io import Source
@@ -51,10 +52,35 @@ def open_folder(path: Path, open_part: Callable[[Path], Source]) -> Source | Non
         CaptureError: a part cannot be read.
         NoDatagramsError: it is another tool's, and holds topics only.
     """
-    files = files_of(path) if (path / METADATA).exists() else []
+    files = files_of(path)
     if not files:
         return None
     with ExitStack() as opened:
-        parts = [opened.enter_context(closing(open_part(file))) for file in files]
+        parts = [opened.enter_context(closing(part)) for part in _parts(path, files, open_part)]
+        if not (path / METADATA).exists():
+            return None
         opened.pop_all()
     return FolderSource(path, parts)
+
+
+def _parts(path: Path, files: Sequence[Path], open_part: Callable[[Path], Source]) -> Iterator[Source]:
+    """Open the files of a directory: all hold datagrams, or all hold topics only."""
+    topics: list[Any] = []
+    reasons: list[str] = []
+    for number, file in enumerate(files):
+        try:
+            part = open_part(file)
+        except NoDatagramsError as error:
+            topics += error.files
+            reasons.append(str(error))
+            part = None
+        if part is not None:
+            yield part
+        if len(reasons) not in {0, number + 1}:
+            raise CaptureError(
+                f"{path}: some files hold datagrams and others topics only; name them one by one"
+            )
+    if reasons:
+        found = NoDatagramsError(reasons[0])
+        found.files = topics
+        raise found

@@ -92,7 +92,7 @@ class Rosbag:
         """
         found: dict[str, str] = {}
         for file in self.files:
-            found |= _database_topics(file) if _kind(file) == "db3" else _mcap_topics(file)
+            found |= _database_topics(file) if storage_of(file) == "db3" else _mcap_topics(file)
         return found
 
     def definitions(self) -> dict[str, str]:
@@ -103,10 +103,10 @@ class Rosbag:
         """
         found: dict[str, str] = {}
         for file in self.files:
-            if _kind(file) == "db3":
+            if storage_of(file) == "db3":
                 found |= _database_definitions(file)
                 continue
-            with _readable(file) as reader:
+            with readable(file) as reader:
                 summary = reader.get_summary()
                 schemas = summary.schemas.values() if summary is not None else ()
                 found |= {item.name: item.data.decode() for item in schemas if item.encoding == _ROS2MSG}
@@ -127,7 +127,7 @@ class Rosbag:
             CaptureError: a file is damaged or cut off; after all messages before that place.
         """
         for file in self.files:
-            yield from _database(file, topics) if _kind(file) == "db3" else _mcap(file, topics)
+            yield from _database(file, topics) if storage_of(file) == "db3" else _mcap(file, topics)
 
     def blocks(self, topics: Collection[str]) -> Iterator[RecordedBlock]:
         """Yield the messages of some topics as ``messages``, many at a time; of MCAP in the file's order.
@@ -136,7 +136,7 @@ class Rosbag:
             CaptureError: as ``messages``.
         """
         for file in self.files:
-            if _kind(file) == "db3":
+            if storage_of(file) == "db3":
                 yield from _gathered(_database(file, topics))
             else:
                 yield from _mcap_blocks(file, topics)
@@ -150,9 +150,9 @@ def open_rosbag(path: str | Path) -> Rosbag:
     """
     path = Path(path)
     if not path.is_dir():
-        _kind(path)
+        storage_of(path)
         return Rosbag(path, (path,))
-    files = tuple(file for file in files_of(path) if _kind(file))
+    files = tuple(file for file in files_of(path) if storage_of(file))
     if not files:
         raise CaptureError(f"{path}: is not a rosbag2 directory: it contains no .mcap and no .db3 file")
     return Rosbag(path, files)
@@ -173,8 +173,12 @@ def files_of(folder: Path) -> list[Path]:
     return found
 
 
-def _kind(path: Path) -> str:
-    """Return the kind of a file, from its first bytes."""
+def storage_of(path: Path) -> str:
+    """Return the kind of a file, from its first bytes: ``db3`` or ``mcap``.
+
+    Raises:
+        CaptureError: it is neither.
+    """
     try:
         with path.open("rb") as file:
             head = file.read(len(_SQLITE))
@@ -190,7 +194,7 @@ def _kind(path: Path) -> str:
 
 
 def _mcap_topics(path: Path) -> dict[str, str]:
-    with _readable(path) as reader:
+    with readable(path) as reader:
         summary = reader.get_summary()
         if summary is not None and summary.channels:
             pairs = [
@@ -206,17 +210,17 @@ def _mcap_topics(path: Path) -> dict[str, str]:
 
 
 def _mcap(path: Path, topics: Collection[str]) -> Iterator[RecordedMessage]:
-    with _readable(path) as reader:
+    with readable(path) as reader:
         for schema, channel, message in reader.iter_messages(topics):
             if channel.message_encoding == _CDR and schema is not None:
                 yield RecordedMessage(message.log_time, channel.topic, schema.name, message.data)
 
 
 def _start_ns(path: Path) -> int:
-    if _kind(path) == "db3":
-        first = next(_query(path, "SELECT min(timestamp) FROM messages", ()))[0]
+    if storage_of(path) == "db3":
+        first = next(query(path, "SELECT min(timestamp) FROM messages", ()))[0]
         return first if isinstance(first, int) else 0
-    with _readable(path) as reader:
+    with readable(path) as reader:
         summary = reader.get_summary()
         if summary is not None and summary.statistics is not None:
             return summary.statistics.message_start_time
@@ -224,7 +228,7 @@ def _start_ns(path: Path) -> int:
 
 
 def _mcap_blocks(path: Path, topics: Collection[str]) -> Iterator[RecordedBlock]:
-    with _readable(path) as reader:
+    with readable(path) as reader:
         summary = reader.get_summary()
     if summary is None or not is_indexed(summary):
         yield from _gathered(_mcap(path, topics))
@@ -234,7 +238,7 @@ def _mcap_blocks(path: Path, topics: Collection[str]) -> Iterator[RecordedBlock]
         for item in summary.channels.values()
         if item.topic in topics and item.message_encoding == _CDR
     }
-    with _readable(path), path.open("rb") as file:
+    with readable(path), path.open("rb") as file:
         for found in chunk_messages(file, str(path), summary, channels):
             for channel in np.unique(found.channel_id).tolist():
                 rows = np.flatnonzero(found.channel_id == channel)
@@ -274,8 +278,12 @@ def _joined_messages(messages: Sequence[RecordedMessage]) -> RecordedBlock:
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[McapReader]:
-    """Yield a reader; its errors become one clear line."""
+def readable(path: Path) -> Iterator[McapReader]:
+    """Yield a reader of an MCAP file; its errors become one clear line.
+
+    Raises:
+        CaptureError: the file is damaged or cut off.
+    """
     try:
         with path.open("rb") as file:
             yield make_reader(file)
@@ -286,7 +294,7 @@ def _readable(path: Path) -> Iterator[McapReader]:
 
 
 def _database_topics(path: Path) -> dict[str, str]:
-    rows = list(_query(path, "SELECT name, type FROM topics WHERE serialization_format = ?", (_CDR,)))
+    rows = list(query(path, "SELECT name, type FROM topics WHERE serialization_format = ?", (_CDR,)))
     if not all(isinstance(word, str) for row in rows for word in row):
         raise CaptureError(
             f"{path}: is not a readable rosbag2 database: the name or type of a topic is not text"
@@ -296,22 +304,22 @@ def _database_topics(path: Path) -> dict[str, str]:
 
 def _database_definitions(path: Path) -> dict[str, str]:
     """Return what databases hold from ROS 2 Iron on."""
-    if not list(_query(path, "SELECT name FROM sqlite_master WHERE name = 'message_definitions'", ())):
+    if not list(query(path, "SELECT name FROM sqlite_master WHERE name = 'message_definitions'", ())):
         return {}
-    query = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = ?"
-    rows = _query(path, query, (_ROS2MSG,))
-    return {kind: text for kind, text in rows if isinstance(kind, str) and isinstance(text, str)}
+    text = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = ?"
+    rows = query(path, text, (_ROS2MSG,))
+    return {kind: said for kind, said in rows if isinstance(kind, str) and isinstance(said, str)}
 
 
 def _database(path: Path, topics: Collection[str]) -> Iterator[RecordedMessage]:
     chosen = list(topics)
     marks = ",".join("?" * len(chosen))
-    query = (
+    text = (
         "SELECT messages.timestamp, topics.name, topics.type, messages.data FROM messages "  # noqa: S608  only question marks are put in
         "JOIN topics ON topics.id = messages.topic_id "
         f"WHERE topics.serialization_format = ? AND topics.name IN ({marks}) ORDER BY messages.timestamp"
     )
-    for time_ns, topic, kind, data in _query(path, query, (_CDR, *chosen)):
+    for time_ns, topic, kind, data in query(path, text, (_CDR, *chosen)):
         if not isinstance(time_ns, int) or not isinstance(data, bytes):  # SQLite does not enforce types
             raise CaptureError(
                 f"{path}: is not a readable rosbag2 database: {topic} has a message without bytes"
@@ -319,10 +327,15 @@ def _database(path: Path, topics: Collection[str]) -> Iterator[RecordedMessage]:
         yield RecordedMessage(time_ns, topic, kind, data)
 
 
-def _query(path: Path, query: str, values: tuple[str, ...]) -> Iterator[Any]:
+def query(path: Path, text: str, values: tuple[str, ...]) -> Iterator[Any]:
+    """Yield the rows that a query of a database gives.
+
+    Raises:
+        CaptureError: it is not a readable rosbag2 database.
+    """
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
-            yield from database.execute(query, values)
+            yield from database.execute(text, values)
     except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite's message may not be valid text
         why = "damaged" if isinstance(error, UnicodeDecodeError) else printable(str(error))
         raise CaptureError(f"{path}: is not a readable rosbag2 database: {why}") from None

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
 
 from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.writer import McapSink
@@ -45,6 +46,14 @@ _QOS: Final = {
     "avoid_ros_namespace_conventions": (False, False),
 }
 """ROS's default quality of service, as the bridges use it: by name from version 9 on, before by number."""
+
+_POLICIES: Final = {
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+    "liveliness": ("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown"),
+}
+"""Policies by their number in ``rmw/types.h``."""
 
 
 class Rosbag2Sink:
@@ -171,11 +180,36 @@ def _offered(version: int) -> str | list[dict[str, Any]]:
 
 def _text(offered: str | list[dict[str, Any]]) -> str:
     """Return it as text, as in a channel of the storage."""
-    if isinstance(offered, str):
-        return offered
+    return offered if isinstance(offered, str) else _yaml_text(offered)
+
+
+def _yaml_text(content: Any) -> str:
     text = StringIO()
-    _yaml(offered, text)
+    _yaml(content, text)
     return text.getvalue().rstrip()
+
+
+def _recorded_qos(text: str, version: int) -> str | list[dict[str, Any]]:
+    """Return the quality of service of a topic that was copied, in the notation of a metadata version."""
+    try:
+        profiles = YAML(typ="safe").load(text)
+    except YAMLError:
+        profiles = None
+    if not isinstance(profiles, list) or not all(isinstance(item, dict) for item in profiles):
+        return [] if version >= _WITH_NAMED_QOS else ""
+    made = [
+        {name: _qos_value(name, value, named=version >= _WITH_NAMED_QOS) for name, value in item.items()}
+        for item in profiles
+    ]
+    return made if version >= _WITH_NAMED_QOS else _yaml_text(made)
+
+
+def _qos_value(name: str, value: Any, *, named: bool) -> Any:
+    """Return a policy by name or by number, as rmw numbers them; all else as it is."""
+    names = _POLICIES.get(name, ())
+    if named and isinstance(value, int) and value < len(names):
+        return names[value]
+    return names.index(value) if not named and value in names else value
 
 
 def _metadata(files: list[McapFile], types: TypeStore) -> dict[str, Any]:
@@ -186,21 +220,30 @@ def _metadata(files: list[McapFile], types: TypeStore) -> dict[str, Any]:
     filled = [summary for summary in summaries if summary.start_ns is not None]
     start = min((summary.start_ns or 0 for summary in filled), default=0)
     end = max((summary.end_ns for summary in filled), default=0)
-    topics: dict[tuple[str, str], int] = {}
+    topics: dict[tuple[str, str, str, str], int] = {}
     for summary in summaries:
         for channel_id, channel in summary.channels.items():
-            key = (channel.topic, summary.schemas[channel.schema_id].name)
+            schema = summary.schemas.get(channel.schema_id)  # a recording that was copied may have none
+            qos = channel.metadata.get("offered_qos_profiles", "")
+            key = (channel.topic, schema.name if schema else "", channel.message_encoding, qos)
             topics[key] = topics.get(key, 0) + summary.counts.get(channel_id, 0)
-    schemas = {item.name: item.data.decode() for summary in summaries for item in summary.schemas.values()}
+    schemas = {
+        item.name: item.data.decode()
+        for summary in summaries
+        for item in summary.schemas.values()
+        if item.encoding == "ros2msg"
+    }
     written = TypeStore(types.distro, definitions=schemas)
 
-    def described(topic: str, type_name: str) -> dict[str, Any]:
-        hashed = {"type_description_hash": type_hash(written, type_name)} if version >= _WITH_HASHES else {}
+    def described(topic: str, type_name: str, encoding: str, qos: str) -> dict[str, Any]:
+        hashed = {}
+        if version >= _WITH_HASHES and written.has(type_name):
+            hashed = {"type_description_hash": type_hash(written, type_name)}
         return {
             "name": topic,
             "type": type_name,
-            "serialization_format": "cdr",
-            "offered_qos_profiles": offered,
+            "serialization_format": encoding,
+            "offered_qos_profiles": offered if qos == _text(offered) else _recorded_qos(qos, version),
             **hashed,
         }
 

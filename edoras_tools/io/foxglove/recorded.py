@@ -1,0 +1,65 @@
+"""Shows a recording without datagrams in Foxglove: its topics, with the schemas that it has."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
+from edoras_tools.io.topics.recorded import RecordedStreams
+from edoras_tools.io.topics.rows import lay_out
+
+if TYPE_CHECKING:
+    from edoras_tools.io.foxglove.sink import FoxgloveSink
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
+    from edoras_tools.ros import TypeStore
+
+    PlayedSink: TypeAlias = FoxgloveSink | "RecordedSink"
+    """What recordings are played to: with datagrams, and without."""
+
+
+class RecordedSink:
+    """Serves messages over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
+
+    Args:
+        mission: has the topics.
+        types: provides the schemas that the recording does not hold.
+        info: of the source; gives the server its name.
+        options: how clients are served.
+
+    Attributes:
+        server: the server; it listens from construction on.
+
+    Raises:
+        CaptureError: the address cannot be used.
+        ConfigError: ``websockets`` is not installed.
+    """
+
+    def __init__(self, mission: Mission, types: TypeStore, info: SourceInfo, options: ServerOptions) -> None:
+        self._streams = RecordedStreams(mission, types)
+        self.server = FoxgloveServer(f"edoras: {info.name}", self._streams.topics, lambda _: "", options)
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Send a batch to clients."""
+        if len(batch) and self.server.clients:
+            prepared = self._streams.prepare(batch, columns)
+            self.server.publish(lay_out(self._streams.made(batch, columns, prepared), len(batch)))
+            self.show_time(int(batch.time_ns[-1]))
+
+    def show_time(self, time_ns: int) -> None:
+        """Send a time for the clients' clocks, ns since 1970."""
+        self.server.tell_time(time_ns)
+
+    def restart(self) -> None:
+        """Do nothing: there are no statistics to reset."""
+
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
+
+    def close(self, statistics: SourceStatistics) -> None:  # noqa: ARG002  required by Sink
+        """Close all clients."""
+        self.server.close()
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts of the messages; see ``FoxgloveServer.summary``."""
+        return self.server.summary()

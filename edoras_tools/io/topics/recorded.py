@@ -1,0 +1,88 @@
+"""The topics of a recording without datagrams, and its messages: what ``Streams`` is for captures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.io.topics.latched import LatchedTopics
+from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, bodies_of, fill_record
+from edoras_tools.io.topics.streams import PreparedBatch, Topic
+from edoras_tools.structs import Structs
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from edoras_tools.mission import Mission, RecordedTopic
+    from edoras_tools.model import Columns, InterfaceOutage, PacketBatch
+    from edoras_tools.ros import TypeStore
+
+
+class RecordedStreams:
+    """The topics of a recording without datagrams, and its messages on them: all as they were recorded.
+
+    It stands in for ``Streams`` where a sink writes such messages.
+
+    Args:
+        mission: has the topics.
+        types: has the definitions that the recording does not hold.
+        places: of the topics that are written; None: all.
+    """
+
+    def __init__(self, mission: Mission, types: TypeStore, places: Collection[int] | None = None) -> None:
+        every = range(len(mission.recorded))
+        self._places = [place for place in every if places is None or place in places]
+        self._ids = np.zeros(len(every), np.uint16)
+        self.topics = tuple(_recorded_topic(mission.recorded[place], types) for place in self._places)
+        self.structs = Structs()
+        self._latched = LatchedTopics(mission)
+        self.number(range(len(self.topics)))
+
+    def number(self, ids: Sequence[int]) -> None:
+        """Set the channel ids of messages, one per topic; until then each topic's index is used."""
+        self._ids[self._places] = ids
+
+    def prepare(self, batch: PacketBatch, columns: Columns) -> PreparedBatch:
+        """Take note of a batch, in the order of the recording."""
+        assert batch.recorded is not None, "they are messages of a recording"
+        published = batch.recorded["publish_ns"]
+        if self._latched.routes:
+            rows = np.flatnonzero(np.isin(columns.route, self._latched.routes))
+            self._latched.keep(columns.take(rows), self._messages(batch.take(rows)))
+        return PreparedBatch(published, [], {})
+
+    def made(self, batch: PacketBatch, columns: Columns, prepared: PreparedBatch) -> list[Messages]:  # noqa: ARG002  as Streams
+        """Return the messages of a batch; this can be done in any order, and in any process."""
+        return [self._messages(batch)]
+
+    def _messages(self, batch: PacketBatch) -> Messages:
+        assert batch.recorded is not None, "they are messages of a recording"
+        heads = np.empty(len(batch), np.dtype(RECORD))
+        recorded, length = batch.recorded, batch.length
+        channels = self._ids[recorded["topic"]]
+        fill_record(heads, channels, length, recorded["sequence"], batch.time_ns, recorded["publish_ns"])
+        rows = np.arange(len(batch))
+        return Messages(
+            rows, channels, batch.time_ns, RECORD_BYTES, heads.__getitem__, batch.data, batch.offset, length
+        )
+
+    def latched(self, time_ns: int) -> Messages:
+        """Return the last message of each latched topic again, for a new file; all belong to row 0."""
+        return self._latched.again(self._ids, time_ns)
+
+    def finish(self) -> Messages:
+        """Return no message: a recording that is copied gets no statistics."""
+        return bodies_of([], [], 0)
+
+    def outages(self, news: Sequence[InterfaceOutage]) -> Messages:  # noqa: ARG002  as Streams
+        """Return no message: no interface is captured."""
+        return bodies_of([], [], 0)
+
+
+def _recorded_topic(topic: RecordedTopic, types: TypeStore) -> Topic:
+    """Return a topic as it is written: with its own schema, or that of its type where it has none."""
+    schema = topic.schema_encoding, topic.schema
+    if not topic.schema and not topic.unread:
+        schema = "ros2msg", types.definition(topic.type).encode()
+    return Topic(topic.topic, topic.type, topic.metadata, topic.encoding, schema)
