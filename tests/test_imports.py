@@ -53,6 +53,7 @@ PUT_OFF = {
         "4 ms, and only where a link is captured live",
     ),
     "pipelines/demo/router.py": ("zenoh", "an extra"),
+    "pipelines/reading.py": ("edoras_tools.io.frames.fragmented", "5 ms, and only where there is RTPS"),
     "pipelines/selection.py": (
         "edoras_tools.decode.filters.filter",
         "the filter language: only where there is a filter",

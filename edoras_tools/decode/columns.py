@@ -143,6 +143,13 @@ class ColumnDecoder:
         whole["findings"][outside] = batch.capture_findings[outside]
         return Columns(**whole)
 
+    def learn(self, batch: PacketBatch, columns: Columns) -> None:
+        """Learn what a batch announces that another process has decoded."""
+        for link in self.context.by_magic:
+            rows = np.flatnonzero(columns.link == link)
+            if len(rows):
+                link.locate(batch, rows, self.context)
+
 
 def _blank(count: int, leave_out: Collection[str] = ()) -> dict[str, NDArray[Any]]:
     return {

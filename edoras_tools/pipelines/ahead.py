@@ -112,6 +112,7 @@ class Ahead:
             return self._decoder.decode(batch)
         found = self._decoded[1]
         if not isinstance(found, Begun):
+            self._decoder.learn(batch, found)
             return found
         if self._detected is not None:
             self._decoder.context.take_over(self._detected)

@@ -17,6 +17,7 @@ from edoras_tools.decode.conversations import Conversations
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import follow_streams
+from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.model import OTHER
 from edoras_tools.pipelines.interrupt import interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.io import Source
+    from edoras_tools.io.frames.fragmented import FragmentedSamples
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
 
@@ -91,6 +93,7 @@ class ReadLoop:
     last_ns: int = -1
     outside: int = 0
     _ends_ns: int = 0
+    _fragmented: FragmentedSamples | None = None
 
     @property
     def interrupted(self) -> bool:
@@ -147,6 +150,8 @@ class ReadLoop:
                 batch = whole.take(examined.holds(whole.time_ns - begin_ns))
                 self.outside += len(whole) - len(batch)
             columns = decode(batch)
+            if (columns.link == RTPS).any():
+                batch, columns = self._with_samples(batch, columns)
             self._follow(batch, columns)
             rows = self.selection.rows(batch, columns)
             inside = inside or (len(batch) > 0 and bool(shown.holds(batch.time_ns - begin_ns).any()))
@@ -162,6 +167,8 @@ class ReadLoop:
                 if not hasattr(self.source, "stop"):
                     return
                 self.source.stop()  # what arrived until now is still read
+        if self._fragmented is not None:
+            self.bench.columns.context.notes += self._fragmented.notes()
         if self.first_ns is not None and self.first_ns < _NO_CLOCK_NS <= self.last_ns:
             self.bench.columns.context.notes.append(
                 "some times are before the year 2000 and others are not: a clock was not set, and spans and "
@@ -169,6 +176,14 @@ class ReadLoop:
             )
         if self.begin_ns is not None and not (inside or self.interrupted or hasattr(self.source, "stop")):
             raise outside(self.source.info.name, self.begin_ns, self.last_ns)
+
+    def _with_samples(self, batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]:
+        """Return a batch with the samples of DDS that become whole in it."""
+        if self._fragmented is None:
+            from edoras_tools.io.frames.fragmented import FragmentedSamples
+
+            self._fragmented = FragmentedSamples()
+        return self._fragmented.take(batch, columns, self.bench.columns)
 
     def _follow(self, batch: PacketBatch, columns: Columns) -> None:
         if batch.recorded is not None:

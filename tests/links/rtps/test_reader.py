@@ -8,7 +8,8 @@ import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rtps import CAPTURES, PREFIX, TRUTH, WRITER, announced, batches, buffer, data, message
+from rtps import CAPTURES, PREFIX, TRUTH, WRITER, announced, batches, data, message
+from rtps_batches import batch_of
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.decode.filters.filter import Where
@@ -17,7 +18,7 @@ from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.links.protocol import MOST_ENDPOINTS, Endpoints
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.table import protocol
-from edoras_tools.model import Finding, PacketBatch
+from edoras_tools.model import Finding
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT
 from edoras_tools.wire.rtps.parameters import Announcement
@@ -42,30 +43,6 @@ APART = {"rtps.bitmap.num_bits": "rtps_nack_frag"}
 """Layers whose field of that name tshark calls otherwise."""
 UNREAD = range(0x80, 0x100)
 """Submessages of vendors, of which tshark shows the number alone."""
-
-
-def batch_of(*payloads, number=1):
-    """Return payloads as the datagrams of a batch."""
-    octets, offset, length = buffer(*payloads)
-    count = len(payloads)
-    zero = np.zeros(count, np.uint16)
-    return PacketBatch(
-        data=np.concatenate([octets, np.zeros(64, np.uint8)]),
-        number=np.arange(number, number + count),
-        time_ns=np.arange(count) * 10**6,
-        link_type=zero + np.uint16(101),
-        frame_offset=offset,
-        frame_length=length,
-        original_length=length,
-        offset=offset,
-        length=length,
-        source_address=np.full(count, 0x7F000001, np.uint32),
-        source_port=zero + np.uint16(40001),
-        destination_address=np.full(count, 0x7F000001, np.uint32),
-        destination_port=zero + np.uint16(40002),
-        ip_version=zero.astype(np.uint8) + np.uint8(4),
-        capture_findings=zero.astype(np.uint32),
-    )
 
 
 def read(batch, context=None):

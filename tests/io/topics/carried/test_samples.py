@@ -31,5 +31,15 @@ def test_what_was_published_is_recorded_once(path, tmp_path):
     texts = len(heard.get("/chatter", range(truth["written"]["/chatter"])))
     assert count["/cmd_vel", "geometry_msgs/msg/Twist"] == truth["written"]["/cmd_vel"]
     assert count["/chatter", "std_msgs/msg/String"] == texts
+    large = "/image" if kind == "fastdds" else "/joint_states"
+    bodies = [item[3] for item in found if item[0] == large]
+    stamps = [0, 25, 50, 75]
+    assert [item.header.stamp.sec for item in bodies] == stamps
+    for item, stamp in zip(bodies, stamps, strict=True):
+        if kind == "fastdds":
+            assert bytes(item.data) == bytes((place * 7 + stamp) % 256 for place in range(90_000))
+        else:
+            assert list(item.name) == [f"joint{stamp}"]
+            assert item.position.tolist() == list(range(2500))
     twists = sorted(item[3].linear.x for item in found if item[0] == "/cmd_vel")
     assert twists == [number / 10 for number in range(truth["written"]["/cmd_vel"])]

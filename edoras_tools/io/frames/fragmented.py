@@ -1,0 +1,245 @@
+"""Puts samples of DDS together that came in fragments: each is a row of its own behind that of the last one.
+
+The rules that this file keeps:
+
+1. The row of a datagram stays as it is. A sample that becomes whole is a message of its own, as its writer
+   could have sent it: header, time, one DATA. It has the time, number and endpoints of the datagram with its
+   last fragment; its ``original_length`` is -1.
+2. A sample is put together once; fragments that come again are left out.
+3. Memory does not grow: at most ``MOST_BYTES`` of samples that are not whole are kept, and so many of them;
+   the oldest give way. A sample that claims more than ``LARGEST_SAMPLE`` is left out.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.links.protocol import MOST_ENDPOINTS
+from edoras_tools.links.rtps.link import RTPS
+from edoras_tools.links.rtps.reader import distinct_guids, rtps_messages
+from edoras_tools.model import Columns
+from edoras_tools.sessions.ranges import KnownRanges
+from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.window import PADDING, copy_rows
+from edoras_tools.wire.rtps.headers import (
+    GUID_BYTES,
+    PREFIX_BYTES,
+    RTPS_HEADER,
+    SUBMESSAGE_LAYOUTS,
+    SubmessageFlag,
+    SubmessageKind,
+)
+from edoras_tools.wire.rtps.messages import SubmessageFields, read_samples
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode import ColumnDecoder
+    from edoras_tools.model import PacketBatch
+
+MOST_BYTES: Final = 64 << 20
+MOST_OPEN: Final = 1 << 10
+LARGEST_SAMPLE: Final = 32 << 20
+
+
+@dataclass(slots=True, eq=False)
+class _Sample:
+    """A sample that is not whole yet."""
+
+    data: NDArray[np.uint8]
+    fragment_size: int
+    fragments: KnownRanges = field(default_factory=KnownRanges)
+
+
+class FragmentedSamples:
+    """Puts the samples of a stream together.
+
+    Attributes:
+        whole: samples that were put together.
+        given_up: samples of which fragments came, and that gave way to others.
+        too_large: fragments of samples that claim too much, or contradict each other.
+    """
+
+    def __init__(self) -> None:
+        self.whole = self.given_up = self.too_large = 0
+        self._open: OrderedDict[tuple[bytes, int], _Sample] = OrderedDict()
+        self._bytes = 0
+        self._done: dict[bytes, KnownRanges] = {}
+
+    def notes(self) -> list[str]:
+        """Return what came, a line each, for users."""
+        unfinished = len(self._open) + self.given_up
+        told = [f"DDS: {plural(self.whole, 'sample')} put together from fragments"] if self.whole else []
+        if unfinished:
+            told.append(f"DDS: of {plural(unfinished, 'sample')} not all fragments came")
+        if self.too_large:
+            told.append(f"DDS: {plural(self.too_large, 'fragment')} left out: of samples over 32 MiB, or odd")
+        return told
+
+    def take(
+        self, batch: PacketBatch, columns: Columns, decoder: ColumnDecoder
+    ) -> tuple[PacketBatch, Columns]:
+        """Return a batch and its columns with the samples that become whole in it.
+
+        Args:
+            batch: the datagrams.
+            columns: of the same rows.
+            decoder: decodes what is put together.
+        """
+        rows = np.flatnonzero(columns.link == RTPS)
+        rows = rows[batch.original_length[rows] >= 0]
+        found = rtps_messages(batch, rows).submessages
+        samples = read_samples(batch.data, found, SubmessageKind.DATA_FRAG)
+        samples = samples.take(samples.fits)
+        if not len(samples.which):
+            return batch, columns
+        own = found.take(samples.which)
+        told = SubmessageFields(batch.data, own, SubmessageKind.DATA_FRAG)
+        number = {
+            name: told.number(name)
+            for name in ("fragment_starting_num", "fragments_in_submessage", "fragment_size", "sample_size")
+        }
+        sequence = told.sequence_number("writer_sn")
+        guids, writer = distinct_guids(told.guid("writer_id"))
+        made: list[tuple[int, bytes]] = []
+        first, which = numbered(writer, sequence)
+        for index, at in enumerate(first.tolist()):
+            chosen = np.flatnonzero(which == index)
+            key = guids[writer[at]], int(sequence[at])
+            some = {name: values[chosen] for name, values in number.items()}
+            end = self._add(key, some, batch.data, samples.start[chosen], samples.end[chosen])
+            if end is not None:
+                last = int(chosen[end])
+                body = self._finished(key)
+                raw = _message(key, body, int(own.time_ns[last]), key_only=bool(own.flags[last] & 4))
+                made.append((int(rows[own.row[last]]), raw))
+        if not made:
+            return batch, columns
+        return _with_messages(batch, columns, sorted(made, key=lambda item: item[0]), decoder)
+
+    def _add(
+        self,
+        key: tuple[bytes, int],
+        told: dict[str, NDArray[np.int64]],
+        data: NDArray[np.uint8],
+        start: NDArray[np.int64],
+        end: NDArray[np.int64],
+    ) -> int | None:
+        """Add fragments of one sample; return which of them makes it whole, None where it is not."""
+        size, step = int(told["sample_size"][0]), int(told["fragment_size"][0])
+        begin = (told["fragment_starting_num"] - 1) * step
+        stop = np.minimum(begin + told["fragments_in_submessage"] * step, size)
+        sound = (
+            (told["sample_size"] == size) & (told["fragment_size"] == step) & (begin >= 0) & (stop > begin)
+        )
+        sound &= end - start >= stop - begin
+        known = self._open.get(key)
+        if known is not None:
+            sound &= (len(known.data) == size) & (known.fragment_size == step)
+        if not 0 < size <= LARGEST_SAMPLE or not step:
+            sound[:] = False
+        self.too_large += int(np.count_nonzero(~sound))
+        done = self._done.get(key[0])
+        if not sound.any() or (done is not None and not done.missing(key[1], key[1] + 1)):
+            return None
+        if known is None:
+            known = self._open[key] = _Sample(np.zeros(size, np.uint8), step)
+            self._bytes += size
+            self._make_room()
+        places = np.flatnonzero(sound)
+        copy_rows(known.data, begin[places], data, start[places], (stop - begin)[places])
+        for place in places.tolist():
+            known.fragments.add(int(begin[place]), int(stop[place]))
+            if known.fragments.size == size:
+                return place
+        return None
+
+    def _make_room(self) -> None:
+        while len(self._open) > 1 and (self._bytes > MOST_BYTES or len(self._open) > MOST_OPEN):
+            _, oldest = self._open.popitem(last=False)
+            self._bytes -= len(oldest.data)
+            self.given_up += 1
+
+    def _finished(self, key: tuple[bytes, int]) -> bytes:
+        """Take a whole sample out of those that are kept."""
+        data = self._open.pop(key).data
+        self._bytes -= len(data)
+        self.whole += 1
+        if key[0] in self._done or len(self._done) < MOST_ENDPOINTS:
+            self._done.setdefault(key[0], KnownRanges()).add(key[1], key[1] + 1)
+        return data.tobytes()
+
+
+def _message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_only: bool) -> bytes:
+    """Return the message that holds a sample in one piece; its length stands for: up to the end."""
+    guid, sequence = key
+    little = int(SubmessageFlag.LITTLE_ENDIAN)
+    head = RTPS_HEADER.emit(
+        {
+            "magic": int.from_bytes(b"RTPS", "big"),
+            "version_major": 2,
+            "version_minor": 5,
+            "guid_prefix": guid[:PREFIX_BYTES],
+        }
+    )
+    if time_ns >= 0:
+        layout = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_TS].little
+        seconds, rest = divmod(time_ns, SECOND)
+        # Rounded up, so that the same nanosecond is read again.
+        stamp = {"seconds": seconds & 0xFFFFFFFF, "fraction": -(-(rest << 32) // SECOND)}
+        told = {"submessage_id": SubmessageKind.INFO_TS, "flags": little, "octets_to_next_header": 8}
+        head += layout.emit(told | stamp)
+    layout = SUBMESSAGE_LAYOUTS[SubmessageKind.DATA].little
+    values = {
+        "submessage_id": SubmessageKind.DATA,
+        "flags": little | (SubmessageFlag.KEY if key_only else SubmessageFlag.DATA),
+        "octets_to_inline_qos": 16,
+        "writer_id": guid[PREFIX_BYTES:GUID_BYTES],
+        "writer_sn_high": sequence >> 32,
+        "writer_sn_low": sequence & 0xFFFFFFFF,
+    }
+    return head + layout.emit(values) + body
+
+
+def _with_messages(
+    batch: PacketBatch, columns: Columns, made: list[tuple[int, bytes]], decoder: ColumnDecoder
+) -> tuple[PacketBatch, Columns]:
+    """Return a batch and its columns with made messages behind their rows."""
+    row = np.array([at for at, _ in made])
+    length = np.array([len(raw) for _, raw in made], np.int32)
+    offset = len(batch.data) + np.cumsum(length, dtype=np.int64) - length
+    data = np.frombuffer(b"".join(raw for _, raw in made) + bytes(PADDING), np.uint8)
+    whole = replace(batch, data=np.concatenate([batch.data, data]))
+    own = whole.take(row)
+    zero = np.zeros(len(row), np.int64)
+    own = replace(
+        own,
+        offset=offset,
+        length=length,
+        frame_length=zero.astype(np.int32),
+        original_length=(zero - 1).astype(np.int32),
+        capture_findings=zero.astype(np.uint32),
+    )
+    more = decoder.decode(own)
+    source = np.concatenate([np.arange(len(batch)), row])
+    order = np.argsort(source, kind="stable")
+
+    def woven(one: Any, other: Any) -> Any:
+        return None if one is None else np.concatenate([one, other])[order]
+
+    shared = {"data", "ipv6"}
+    rows = {
+        item.name: woven(getattr(whole, item.name), getattr(own, item.name))
+        for item in fields(batch)
+        if item.name not in shared
+    }
+    joined = {
+        item.name: woven(getattr(columns, item.name), getattr(more, item.name)) for item in fields(Columns)
+    }
+    return replace(whole, **rows), Columns(**joined)
