@@ -117,7 +117,9 @@ class Ahead:
         if self._detected is not None:
             self._decoder.context.take_over(self._detected)
             self._detected = None
-        return self._decoder.finish(batch, found)
+        columns = self._decoder.finish(batch, found)
+        self._decoder.learn(batch, columns)
+        return columns
 
     def follow(self, framings: Mapping[int, Framing]) -> None:
         """See ``follow_streams``."""
