@@ -70,6 +70,7 @@ class Row:
         counted: figure to where it was counted.
         name: cFE's name for the packet, if it has one.
         onward: label of the link and MsgId of each packet as which it came out of the application.
+        topic: its topic, where no route is configured for it.
     """
 
     route: int
@@ -88,6 +89,7 @@ class Row:
     counted: Mapping[str, str] = field(default_factory=dict)
     name: str = ""
     onward: tuple[tuple[str, int], ...] = ()
+    topic: str = ""
 
     @property
     def all_lost(self) -> int:
@@ -104,7 +106,7 @@ class Row:
     def as_json(self, topic: str | None) -> dict[str, Any]:
         """Return it in the shape of ``doctor --json``."""
         return {
-            "topic": topic,
+            "topic": topic or self.topic or None,
             "name": self.name or None,
             "link": self.link or None,
             "msg_id": None if self.msg_id is None else f"0x{self.msg_id:04x}",

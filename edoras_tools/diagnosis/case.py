@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import HostCounters, InterfaceOutage
     from edoras_tools.sessions.cfdp import Transaction
+    from edoras_tools.sessions.dds import TopicWriter
     from edoras_tools.sessions.ground_counts import GroundStream
 
 _MOST: Final = 0.5
@@ -70,6 +71,7 @@ class Capture:
         corrupt_pdus: CFDP PDUs with a wrong CRC.
         corrupt_ns: time of the first and of the last of these.
         ground: what the counts of F Prime's space packets say.
+        samples: the writers of DDS of which samples are in it.
         frames: the transfer frames in it, and what their counts say; None where the mission names none.
     """
 
@@ -83,6 +85,7 @@ class Capture:
     corrupt_pdus: int = 0
     corrupt_ns: tuple[int, int] = 0, 0
     ground: tuple[GroundStream, ...] = ()
+    samples: tuple[TopicWriter, ...] = ()
     frames: Unframer | None = None
 
     @property

@@ -20,6 +20,7 @@ from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import (
     OF_FILES,
+    OF_SAMPLES,
     RULES,
     SINGLE,
     fprime_packets_lost,
@@ -30,9 +31,11 @@ from edoras_tools.diagnosis.rules import (
     out_of_order,
     topic_never_seen,
 )
+from edoras_tools.diagnosis.samples import sample_rows
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, Severity, Verdict
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.sessions.cfdp import Follower
+from edoras_tools.sessions.dds import SampleFollower
 from edoras_tools.sessions.ground_counts import GroundCounts
 from edoras_tools.words import plural
 
@@ -230,7 +233,7 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
     if not len(case.rows):
         return [
             verdict
-            for rule in (not_examined, not_cfs, frames_lost, fprime_packets_lost, *OF_FILES)
+            for rule in (not_examined, not_cfs, frames_lost, fprime_packets_lost, *OF_FILES, *OF_SAMPLES)
             for verdict in rule.judge(case)
         ]
     found: dict[str, list[Verdict]] = {}
@@ -284,6 +287,7 @@ class Examination:
         self.context = context
         self.profile = profile or SimProfile()
         self._recorder = Recorder(context)
+        self._samples = SampleFollower()
         self._files = Follower(msg_ids=context.mission.pdu_msg_ids)
         self._ground = GroundCounts()
         self._before: list[Callable[[], Diagnosis]] = []
@@ -295,6 +299,7 @@ class Examination:
             self.separate()
         self._recorder.add(batch, columns)
         self._files.add(batch, columns)
+        self._samples.add(batch, columns)
         self._ground.add(batch, columns)
 
     def _goes_on(self) -> bool:
@@ -332,6 +337,8 @@ class Examination:
 
     def _chapter(self, capture: Capture, faults: Sequence[Fault], *, keep: bool) -> Diagnosis:
         followed = self._files.pdus - self._files.packets + self._ground.datagrams if keep else 0
+        followed += self._samples.datagrams if keep else 0
+        made = self._samples.made if keep else 0
         frames = sum(item.frames for item in capture.frames.channels) if capture.frames else 0
         if keep:
             files = self._files
@@ -341,11 +348,13 @@ class Examination:
                 corrupt_pdus=files.corrupt,
                 corrupt_ns=files.corrupt_ns,
                 ground=tuple(self._ground.streams),
+                samples=self._samples.named(self.context.endpoints),
             )
         case = Case(self._recorder, self.profile, capture, proxied(faults))
         found = judge(case, self.progress)
         spans = [(item.first_ns, item.last_ns) for item in capture.files]
         spans += [(item.first_ns, item.last_ns) for item in capture.ground]
+        spans += [(item.writer.first_ns, item.writer.last_ns) for item in capture.samples]
         spans += [(case.start_ns, case.end_ns)] if len(case.rows) else []
         return Diagnosis(
             verdicts=_sorted(item for item in found if item.severity is not Severity.HABIT),
@@ -357,9 +366,9 @@ class Examination:
             end_ns=max((end_ns for _, end_ns in spans), default=case.end_ns),
             capture=capture,
             case=case if keep else None,
-            balance=tuple(balance(case)) if len(case.rows) else (),
+            balance=(*(balance(case) if len(case.rows) else ()), *sample_rows(capture)),
             unnamed=tuple(unnamed(case.prepared.flows)),
-            left_out=self._recorder.left_out + case.prepared.foreign + capture.cut - followed - frames,
+            left_out=self._recorder.left_out + case.prepared.foreign + capture.cut - followed - frames - made,
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
             missing=tuple(missing(case)) if self.listing and len(case.rows) else (),
         )

@@ -12,6 +12,7 @@ from fprime_session import space
 from pdus import eof, finished, metadata, nak, pdu, piece, with_crc
 from places import CAPTURES, ROOT
 from rewriting import Udp, datagrams, write
+from rtps import PREFIX, announced, data, made, message
 from streams import ACK, CLIENT, SERVER, Segment, sbn_message, sbn_messages, segments_of, write_segments
 from transfer_frames import Maker, space_packet
 
@@ -28,6 +29,7 @@ from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.wire import cfe, envelope, sbn
 from edoras_tools.wire.cfdp import Directive
+from edoras_tools.wire.rtps.headers import SubmessageKind
 
 IDS = [rule.ID for rule in RULES]
 HABITS = {"checksum", "subscription_storm", "proto_storm", "superseded"}
@@ -678,6 +680,88 @@ def fprime_packets_lost(lab, tmp_path, msg_id):
     found = lab.examine([item for number, item in enumerate(every) if number not in {5, 6, 12}])
     (told,) = found.verdicts
     assert told.reason == "F Prime APID 2 from F Prime: 3 packets lost of 20"
+    return found
+
+
+WRITING, READING = Endpoint("10.0.0.1", 40001), Endpoint("10.0.0.2", 40002)
+NODE = made(SubmessageKind.INFO_DST, guid_prefix=PREFIX)
+
+
+def samples(lab, *payloads, drops=0):
+    """Examine RTPS messages, a second after each other, behind the announcement of their writer."""
+    sent = [
+        lab.at(
+            second, *((READING, WRITING) if payload.find(OTHER_PREFIX) == 8 else (WRITING, READING)), payload
+        )
+        for second, payload in enumerate([announced(), *payloads])
+    ]
+    return lab.examine(sent, drops=drops)
+
+
+OTHER_PREFIX = bytes(range(100, 112))
+
+
+def sample(number):
+    return message(data(number, b"\0\1\0\0" + bytes(48)))
+
+
+def beat(first, last, count=1):
+    return message(made(SubmessageKind.HEARTBEAT, first=first, last=last, count=count))
+
+
+def acknack(base, missing=()):
+    words = [0] * (max((item - base for item in missing), default=-1) // 32 + 1)
+    for item in missing:
+        words[(item - base) // 32] |= 1 << 31 - (item - base) % 32
+    tail = struct.pack(f"<{len(words)}II", *words, 1)
+    bits = max((item - base + 1 for item in missing), default=0)
+    told = made(SubmessageKind.ACKNACK, tail=tail, base=base, num_bits=bits)
+    return message(NODE, told, prefix=OTHER_PREFIX)
+
+
+@case
+def dds_lost(lab, tmp_path, msg_id):
+    given_up = samples(
+        lab, sample(1), beat(1, 2), acknack(1), acknack(2, [2]), sample(3), beat(3, 3), acknack(4)
+    )
+    (told,) = given_up.verdicts
+    assert told.reason.startswith("1 of 3 samples of /cmd_vel lost: 1 were asked for"), told
+    (row,) = given_up.balance
+    assert (row.came, row.out, dict(row.lost), row.adds_up) == (3, 2, {"given_up": 1}, True)
+    assert not samples(lab, *map(sample, (4, 5, 6))).verdicts
+    found = samples(lab, *map(sample, (4, 5, 8, 7)))
+    (row,) = found.balance
+    assert (row.came, row.out, dict(row.lost), row.adds_up) == (5, 4, {"before_capture": 1}, True)
+    assert found.bad
+    return found
+
+
+@case
+def dds_not_captured(lab, tmp_path, msg_id):
+    dropped = samples(lab, *map(sample, (4, 6)), drops=3)
+    assert [item.rule for item in dropped.verdicts] == ["dds_not_captured"]
+    assert dropped.bad
+    found = samples(lab, sample(1), acknack(2), sample(4), beat(1, 5), acknack(5))
+    (row,) = found.balance
+    assert (row.came, row.out, row.not_captured, row.waiting, row.adds_up) == (5, 2, 2, 1, True)
+    assert not found.bad
+    return found
+
+
+@case
+def dds_resent(lab, tmp_path, msg_id):
+    beats = beat(1, 4)
+    found = samples(
+        lab, sample(1), sample(2), sample(4), beats, acknack(2, [2, 3]), sample(2), sample(3), acknack(5)
+    )
+    (told,) = found.verdicts
+    assert (
+        told.reason == "2 of 4 samples of /cmd_vel were asked for again, and came or were acknowledged then"
+    )
+    assert told.evidence[1].startswith("1 had been captured by then")
+    open_ = samples(lab, sample(1), sample(2), beats, acknack(2, [2, 3]))
+    assert not open_.verdicts
+    assert [(row.came, row.out, row.waiting) for row in open_.balance] == [(4, 2, 2)]
     return found
 
 

@@ -23,6 +23,9 @@ from edoras_tools.diagnosis.rules import (
     clock_jump,
     crossing_loss,
     cut_frames,
+    dds_lost,
+    dds_not_captured,
+    dds_resent,
     duplicated,
     event_squelch,
     event_suppression,
@@ -89,6 +92,8 @@ OF_FILES: Final[tuple[ModuleType, ...]] = (
     file_pieces_resent,
 )
 """Those about files that CFDP transfers: a capture may hold nothing else."""
+OF_SAMPLES: Final[tuple[ModuleType, ...]] = (dds_lost, dds_not_captured, dds_resent)
+"""Those about samples of DDS: a capture may hold nothing else."""
 RULES: Final[tuple[ModuleType, ...]] = (
     not_examined,
     capture_drops,
@@ -156,6 +161,7 @@ RULES: Final[tuple[ModuleType, ...]] = (
     superseded,
     cfs_errors,
     *OF_FILES,
+    *OF_SAMPLES,
 )
 
 SINGLE: Final[frozenset[str]] = frozenset(

@@ -6,8 +6,8 @@ The rules that this file keeps:
    could have sent it: header, time, one DATA. It has the time, number and endpoints of the datagram with its
    last fragment; its ``original_length`` is -1.
 2. A sample is put together once; fragments that come again are left out.
-3. Memory does not grow: at most ``MOST_BYTES`` of samples that are not whole are kept, and so many of them;
-   the oldest give way. A sample that claims more than ``LARGEST_SAMPLE`` is left out.
+3. Memory does not grow: of samples that are not whole at most ``MOST_FRAGMENT_BYTES`` are kept, and
+   ``MOST_OPEN``; the oldest give way. A sample that claims more than ``LARGEST_SAMPLE`` is left out.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode import ColumnDecoder
     from edoras_tools.model import PacketBatch
 
-MOST_BYTES: Final = 64 << 20
+MOST_FRAGMENT_BYTES: Final = 64 << 20
 MOST_OPEN: Final = 1 << 10
 LARGEST_SAMPLE: Final = 32 << 20
 
@@ -161,7 +161,7 @@ class FragmentedSamples:
         return None
 
     def _make_room(self) -> None:
-        while len(self._open) > 1 and (self._bytes > MOST_BYTES or len(self._open) > MOST_OPEN):
+        while len(self._open) > 1 and (self._bytes > MOST_FRAGMENT_BYTES or len(self._open) > MOST_OPEN):
             _, oldest = self._open.popitem(last=False)
             self._bytes -= len(oldest.data)
             self.given_up += 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -297,3 +297,100 @@ def rtps_summary(decoded: Decoded) -> str:
     return ", ".join(told[:_MOST_TOLD]) + (f", ... {more} more" if more > 0 else "") or str(
         decoded.stop or ""
     )
+
+
+class UserSubmessages(NamedTuple):
+    """What is said of writers that are not built in: DATA, HEARTBEAT, GAP and ACKNACK, in their order.
+
+    Attributes:
+        writers: GUIDs.
+        readers: GUIDs.
+        writer: i64, which writer.
+        reader: i64, which reader.
+        kind: i64, a ``SubmessageKind``.
+        time_ns: i64, capture time.
+        first: i64, the sample's number; the first one that there is (HEARTBEAT), that will not come (GAP),
+            that is not acknowledged (ACKNACK).
+        last: i64, the sample's number; the last one that was written (HEARTBEAT), the base of the set (GAP,
+            ACKNACK).
+        bits: i64, of the set.
+        set_at: i64, where its words start in ``data``.
+        end: i64, one past the submessage.
+        little: bool, byte order.
+        data: u8, what they point into.
+    """
+
+    writers: list[bytes]
+    readers: list[bytes]
+    writer: NDArray[np.int64]
+    reader: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    bits: NDArray[np.int64]
+    set_at: NDArray[np.int64]
+    end: NDArray[np.int64]
+    little: NDArray[np.bool_]
+    data: NDArray[np.uint8]
+
+    def of(self, writer: int) -> UserSubmessages:
+        """Return those of one writer."""
+        chosen = self.writer == writer
+        shared = {"writers", "readers", "data"}
+        return self._replace(
+            **{name: getattr(self, name)[chosen] for name in self._fields if name not in shared}
+        )
+
+    def numbers(self, index: int) -> list[int]:
+        """Return the numbers of a set whose bits are set."""
+        at, end = int(self.set_at[index]), int(self.end[index])
+        words = self.data[at:end].tobytes()
+        base, bits = int(self.last[index]), int(self.bits[index])
+        return sequence_set(words, 0, len(words), little=bool(self.little[index]), base=base, bits=bits)
+
+
+_FOLLOWED: Final = {
+    SubmessageKind.DATA: ("writer_sn", "writer_sn"),
+    SubmessageKind.HEARTBEAT: ("first", "last"),
+    SubmessageKind.GAP: ("gap_start", "base"),
+    SubmessageKind.ACKNACK: ("base", "base"),
+}
+
+
+def user_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> UserSubmessages:
+    """Return what is said of writers that are not built in.
+
+    Args:
+        batch: the datagrams.
+        rows: those that hold RTPS.
+    """
+    found = rtps_messages(batch, rows).submessages
+    parts: list[tuple[NDArray[Any], ...]] = []
+    for kind, names in _FOLLOWED.items():
+        at = np.flatnonzero((found.kind == kind) & found.whole)
+        own = found.take(at)
+        fields = SubmessageFields(batch.data, own, kind)
+        guids = fields.guid("writer_id")
+        users = (guids.view(np.uint8).reshape(-1, GUID_BYTES)[:, -1] & BUILT_IN_KIND) != BUILT_IN_KIND
+        sets = kind in WITH_SEQUENCE_SET
+        columns = (
+            at,
+            guids,
+            fields.guid("reader_id"),
+            np.full(len(at), int(kind)),
+            batch.time_ns[rows[own.row]],
+            *(fields.sequence_number(name) for name in names),
+            fields.number("num_bits") if sets else np.zeros(len(at), np.int64),
+            own.start + SUBMESSAGE_LAYOUTS[kind].little.size,
+            own.end,
+            own.little,
+        )
+        parts.append(tuple(column[users] for column in columns))
+    joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.argsort(joined[0], kind="stable")
+    _, guids, reader_guids, *rest = (column[order] for column in joined)
+    columns_of = dict(zip(UserSubmessages._fields[4:-1], rest, strict=True))
+    writers, writer = distinct_guids(guids)
+    readers, reader = distinct_guids(reader_guids)
+    return UserSubmessages(writers, readers, writer, reader, **columns_of, data=batch.data)

@@ -34,6 +34,8 @@ CAUSES: Final = {
     "away": "peer away",
     "sbn_socket": "SBN's socket full",
     "to_socket": "Telemetry Output's socket failed",
+    "before_capture": "before the capture",
+    "given_up": "given up by its reader",
     "proxy": "dropped on purpose by the proxy",
 }
 """Text for the cause of a loss; other causes are rules, and are shown by their ids."""

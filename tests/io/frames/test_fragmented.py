@@ -107,7 +107,7 @@ def test_a_sample_that_changes_its_size_keeps_the_first():
 
 
 def test_what_never_ends_gives_way(monkeypatch):
-    monkeypatch.setattr(fragmented, "MOST_BYTES", 1000)
+    monkeypatch.setattr(fragmented, "MOST_FRAGMENT_BYTES", 1000)
     body = bytes(300)
     raws = [fragment(body, 1, 1, 10, sequence=number) for number in range(1, 101)]
     _, samples = put_together([batch_of(*raws)])

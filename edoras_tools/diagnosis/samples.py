@@ -1,0 +1,45 @@
+"""The balance of the samples of DDS: what each writer wrote, what was captured of it, and what is missing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.diagnosis.balance import Row
+from edoras_tools.links.rtps.link import RTPS
+from edoras_tools.model import NO_ROUTE
+from edoras_tools.wire.rtps.messages import guid_text
+
+if TYPE_CHECKING:
+    from edoras_tools.diagnosis.case import Capture
+
+SAMPLE_HOP: Final = "DDS"
+_COUNTED: Final = {"in": "sequence numbers and HEARTBEATs", "out": "samples in the capture"}
+
+
+def sample_rows(capture: Capture) -> list[Row]:
+    """Return a row for each writer, in the order of the capture."""
+    rows = []
+    for item in capture.samples:
+        writer, fates = item.writer, item.writer.fates()
+        unseen = fates["missing"]
+        lost = {"given_up": fates["given_up"] + fates["lost_behind"]}
+        # Where the capture itself lost frames, what did not come may be among them.
+        lost["before_capture"] = 0 if capture.drops else unseen
+        rows.append(
+            Row(
+                NO_ROUTE,
+                RTPS.label,
+                None,
+                guid_text(writer.guid),
+                SAMPLE_HOP,
+                writer.written,
+                writer.captured - fates["lost_behind"],
+                lost={cause: number for cause, number in lost.items() if number},
+                waiting=fates["waiting"],
+                not_captured=fates["not_captured"] + (unseen if capture.drops else 0),
+                unaccounted=fates["unclear"],
+                counted=_COUNTED,
+                topic=item.topic,
+            )
+        )
+    return rows

@@ -1,0 +1,343 @@
+"""What became of the samples of each DDS writer, from what a capture has of its sequence numbers.
+
+The rules that this file keeps:
+
+1. A sample is known by its writer and its sequence number, and counted once: copies (sent again, or to
+   several readers) are counted apart. Endpoints that are built in are left out.
+2. A writer is counted from the first sample that was captured on, up to the last that was captured or that a
+   HEARTBEAT tells of. What a GAP takes out was never to come.
+3. A number in between that never came is
+   ``given_up``, if a reader asked for it in vain and went on when the writer did not have it any more (its
+   HEARTBEATs began behind it, or a GAP took it out);
+   ``unclear``, if a reader went on so without having asked;
+   ``not_captured``, if a reader acknowledged it: it came on another way, or while nothing was captured;
+   ``waiting``, if the writer is reliable and no reader has acknowledged it yet;
+   ``missing``, if the writer is best effort: lost before the place of the capture, or not captured.
+4. A sample that a reader asked for (ACKNACK) was lost at first: ``behind``, if it had been captured by then:
+   between that place and the reader; else ``before``. If it was captured again it was sent again; if the
+   reader went on without it, and the writer did not have it any more, it is ``given_up``.
+5. Memory is bounded: writers, ranges of numbers and open questions are limited in number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.links.protocol import MOST_ENDPOINTS
+from edoras_tools.links.rtps.link import RTPS
+from edoras_tools.links.rtps.reader import UserSubmessages, user_submessages
+from edoras_tools.sessions.ranges import KnownRanges
+from edoras_tools.wire.rtps.headers import SubmessageKind
+from edoras_tools.wire.rtps.messages import guid_text
+from edoras_tools.wire.rtps.names import ros_topic
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.protocol import Endpoints
+    from edoras_tools.model import Columns, PacketBatch
+
+PRESENCE: Final = "ros_discovery_info"
+"""Topic on which each node of ROS tells of its topics."""
+MOST_READERS: Final = 1 << 10
+"""Of a writer; what others acknowledge is not followed."""
+MOST_ASKED: Final = 1 << 14
+"""Samples of a writer that a reader waits for; more are not followed."""
+_HIGHEST: Final = 1 << 62
+"""Numbers above are no sound sequence numbers."""
+_FARTHEST: Final = 1 << 32
+"""A number so far ahead of the others is not believed."""
+
+
+@dataclass(slots=True, eq=False)
+class SampleWriter:
+    """One writer, and what became of its samples.
+
+    Attributes:
+        guid: of the writer.
+        first_ns: time of its first captured sample; 0 before.
+        last_ns: time of its last one.
+        first: the first number that was captured, which need not be the lowest; None before.
+        last: the last number that is known to be written.
+        seen: numbers of samples that were captured whole.
+        irrelevant: numbers that will not come, as GAPs say.
+        copies: captured samples whose number had come before.
+        available: the first number that the writer still has, as its HEARTBEATs say.
+        reliable: whether it sends HEARTBEATs, or is sent ACKNACKs.
+        acknowledged: by reader the number before which that one needs nothing.
+        asked: numbers that readers asked for.
+        behind: how many of these had been captured by then.
+        open: reader and number of what was asked for and was not captured since; the answer is open.
+        given_up: numbers that a reader asked for, and went on without.
+        unclear: numbers that a reader went on without, and that it had not asked for.
+    """
+
+    guid: bytes
+    first_ns: int = 0
+    last_ns: int = 0
+    first: int | None = None
+    last: int = 0
+    seen: KnownRanges = field(default_factory=KnownRanges)
+    irrelevant: KnownRanges = field(default_factory=KnownRanges)
+    copies: int = 0
+    available: int = 0
+    reliable: bool = False
+    acknowledged: dict[bytes, int] = field(default_factory=dict)
+    asked: KnownRanges = field(default_factory=KnownRanges)
+    behind: int = 0
+    open: dict[int, set[bytes]] = field(default_factory=dict)
+    given_up: KnownRanges = field(default_factory=KnownRanges)
+    unclear: KnownRanges = field(default_factory=KnownRanges)
+
+    def _holes(self) -> list[tuple[int, int]]:
+        """Return the ranges of numbers that never came, and are not irrelevant."""
+        if self.first is None:
+            return []
+        return [
+            part
+            for start, end in self.seen.missing(self.first, self.last + 1)
+            for part in self.irrelevant.missing(start, end)
+        ]
+
+    @property
+    def written(self) -> int:
+        """Samples from the first captured one on, without those that are irrelevant."""
+        return self.captured + sum(end - start for start, end in self._holes())
+
+    @property
+    def captured(self) -> int:
+        """Samples that were captured, from the first one on."""
+        if self.first is None:
+            return 0
+        return self.last + 1 - self.first - _size(self.seen.missing(self.first, self.last + 1))
+
+    @property
+    def resent(self) -> int:
+        """Samples that a reader asked for, and that were captured or acknowledged then."""
+        return (
+            _size(_within(self.asked, self.first or 0, self.last + 1)) - self._asked_in_vain - len(self.open)
+        )
+
+    @property
+    def _asked_in_vain(self) -> int:
+        start, end = self.first or 0, self.last + 1
+        return sum(_size(_within(self.given_up, low, high)) for low, high in _within(self.asked, start, end))
+
+    def fates(self) -> dict[str, int]:
+        """Return what became of what did not come (rule 3), and of what was captured: ``lost_behind``."""
+        names = ("given_up", "unclear", "not_captured", "waiting", "missing", "lost_behind")
+        found = dict.fromkeys(names, 0)
+        sure = max(self.acknowledged.values(), default=0)
+        for start, end in self._holes():
+            for low, high in self.given_up.missing(start, end):
+                found["unclear"] += _size(_within(self.unclear, low, high))
+                for first, last in self.unclear.missing(low, high):
+                    known = max(0, min(last, sure) - first)
+                    found["not_captured"] += known
+                    found["waiting" if self.reliable else "missing"] += last - first - known
+            found["given_up"] += _size(_within(self.given_up, start, end))
+        if self.first is not None:
+            for start, end in _within(self.given_up, self.first, self.last + 1):
+                found["lost_behind"] += _size(_within(self.seen, start, end))
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class TopicWriter:
+    """A writer and its topic.
+
+    Attributes:
+        topic: its ROS name; the GUID of the writer where it was not announced.
+        writer: what became of its samples.
+    """
+
+    topic: str
+    writer: SampleWriter
+
+
+def _size(ranges: list[tuple[int, int]]) -> int:
+    return sum(end - start for start, end in ranges)
+
+
+def _within(ranges: KnownRanges, start: int, end: int) -> list[tuple[int, int]]:
+    """Return the parts of a range that are known."""
+    found, at = [], start
+    for low, high in [*ranges.missing(start, end), (end, end)] if start < end else []:
+        if at < low:
+            found.append((at, low))
+        at = high
+    return found
+
+
+class SampleFollower:
+    """Follows the samples of every writer.
+
+    Attributes:
+        writers: by GUID, in order of what was first captured of them.
+        datagrams: of RTPS, as they were captured.
+        made: rows that were put together from fragments.
+        left_out: submessages of writers beyond the limit.
+    """
+
+    def __init__(self) -> None:
+        self.writers: dict[bytes, SampleWriter] = {}
+        self.datagrams = self.made = self.left_out = 0
+
+    def named(self, endpoints: Endpoints) -> tuple[TopicWriter, ...]:
+        """Return the writers of which samples were captured, but those by which ROS tells of its nodes.
+
+        Args:
+            endpoints: what was announced.
+        """
+        found = []
+        for guid, writer in self.writers.items():
+            told = endpoints.find(guid)
+            if writer.first is not None and (told is None or told.topic != PRESENCE):
+                topic = ros_topic(told.topic) if told and told.topic else f"writer {guid_text(guid)}"
+                found.append(TopicWriter(topic, writer))
+        return tuple(found)
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take a batch, with the samples that were put together from fragments."""
+        rows = np.flatnonzero(columns.link == RTPS)
+        if not len(rows):
+            return
+        made = int(np.count_nonzero(batch.original_length[rows] < 0))
+        self.made += made
+        self.datagrams += len(rows) - made
+        self._follow(batch, rows)
+
+    def _follow(self, batch: PacketBatch, rows: NDArray[np.intp]) -> None:
+        found = user_submessages(batch, rows)
+        for index, guid in enumerate(found.writers):
+            if guid not in self.writers and len(self.writers) >= MOST_ENDPOINTS:
+                self.left_out += int(np.count_nonzero(found.writer == index))
+                continue
+            writer = self.writers.setdefault(guid, SampleWriter(guid))
+            _Pass(writer, found.of(index)).run()
+
+
+class _Pass:
+    """Takes what a batch has of one writer.
+
+    Args:
+        writer: its state.
+        found: in the order they were captured.
+    """
+
+    def __init__(self, writer: SampleWriter, found: UserSubmessages) -> None:
+        self._writer, self._found = writer, found
+
+    def run(self) -> None:
+        """Take all of it."""
+        writer, found = self._writer, self._found
+        sound = (found.first > 0) & (found.first < _HIGHEST) & (found.last < _HIGHEST)
+        kind = np.where(sound | (found.kind == SubmessageKind.ACKNACK), found.kind, 0)
+        data = np.flatnonzero(kind == SubmessageKind.DATA)
+        beats = np.flatnonzero(kind == SubmessageKind.HEARTBEAT)
+        gaps = np.flatnonzero(kind == SubmessageKind.GAP)
+        acks = np.flatnonzero(kind == SubmessageKind.ACKNACK)
+        if writer.first is None and len(data):  # what was said before the first sample is not counted
+            beats, acks = beats[beats > data[0]], acks[acks > data[0]]
+        numbers = found.first[data]
+        before = writer.seen if not len(acks) else _copied(writer.seen)
+        if len(data):
+            self._samples(data, numbers)
+        if writer.first is not None:
+            ends = [writer.last, *found.last[beats].tolist()]
+            writer.last = max(item for item in ends if item <= writer.last + _FARTHEST)
+        writer.reliable = writer.reliable or bool(len(beats) or len(acks))
+        for at in gaps.tolist():
+            self._gap(at)
+        had = writer.available
+        offered = np.maximum.accumulate(found.first[beats]) if len(beats) else np.zeros(0, np.int64)
+        if len(acks) and writer.first is not None:
+            self._acknowledge(acks, before, (beats, offered, had))
+        writer.available = max(had, int(offered[-1]) if len(offered) else 0)
+
+    def _samples(self, data: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
+        writer, times = self._writer, self._found.time_ns[data]
+        if writer.first is None:
+            writer.first, writer.last = int(numbers[0]), int(numbers[0])
+            writer.first_ns = int(times[0])
+        near = numbers <= writer.last + _FARTHEST
+        fresh = writer.seen.fresh(numbers[near])
+        writer.copies += int(np.count_nonzero(~fresh))
+        writer.last = max(writer.last, int(numbers[near].max(initial=0)))
+        writer.last_ns = max(writer.last_ns, int(times[-1]))
+        if writer.open:
+            for number in set(numbers.tolist()) & writer.open.keys():
+                del writer.open[number]
+
+    def _gap(self, at: int) -> None:
+        found, writer = self._found, self._writer
+        start, base = int(found.first[at]), int(found.last[at])
+        if start < base:
+            writer.irrelevant.add(start, base)
+        for number in found.numbers(at):
+            writer.irrelevant.add(number, number + 1)
+
+    def _acknowledge(
+        self,
+        acks: NDArray[np.int64],
+        before: KnownRanges,
+        beats: tuple[NDArray[np.int64], NDArray[np.int64], int],
+    ) -> None:
+        """Take ACKNACKs in order: what a reader asks for, and what it needs no more.
+
+        Args:
+            acks: indices of the ACKNACKs.
+            before: samples that were captured in earlier batches.
+            beats: indices of the HEARTBEATs, from which number on each says that there are samples, and what
+                those before said.
+        """
+        found, writer = self._found, self._writer
+        first_at: dict[int, int] = {}
+        last_at: dict[int, int] = {}
+        for at in np.flatnonzero(found.kind == SubmessageKind.DATA).tolist():
+            first_at.setdefault(int(found.first[at]), at)
+            last_at[int(found.first[at])] = at
+        places, offered, had = beats
+        for at in acks.tolist():
+            base, reader = int(found.first[at]), found.readers[int(found.reader[at])]
+            low = writer.acknowledged.get(reader)
+            if low is None and len(writer.acknowledged) >= MOST_READERS:
+                continue
+            if low is not None and low < base <= writer.last + 1:
+                told = int(np.searchsorted(places, at))
+                self._went_on(reader, low, base, int(offered[told - 1]) if told else had)
+            if base <= writer.last + 1:
+                writer.acknowledged[reader] = max(base, low or 0)
+            for number in found.numbers(at):
+                if not (writer.first or 0) <= number <= writer.last:
+                    continue
+                captured = first_at.get(number, at) < at or not before.missing(number, number + 1)
+                if writer.asked.fresh(np.array([number])).any():
+                    writer.behind += captured
+                if last_at.get(number, -1) < at and len(writer.open) < MOST_ASKED:
+                    writer.open.setdefault(number, set()).add(reader)
+
+    def _went_on(self, reader: bytes, low: int, base: int, available: int) -> None:
+        """Note what a reader needs no more, from ``low`` up to ``base``."""
+        writer = self._writer
+        for number in [item for item, readers in writer.open.items() if item < base and reader in readers]:
+            writer.open[number].discard(reader)
+            if not writer.open[number]:
+                del writer.open[number]
+            if number < available or not writer.irrelevant.missing(number, number + 1):
+                writer.given_up.add(number, number + 1)
+        for start, end in writer.seen.missing(max(low, writer.first or 0), min(base, available)):
+            for first, last in writer.irrelevant.missing(start, end):
+                for one, other in writer.given_up.missing(first, last):
+                    writer.unclear.add(one, other)
+
+
+def _copied(ranges: KnownRanges) -> KnownRanges:
+    """Return ranges that do not change when others do."""
+    copy = KnownRanges()
+    for start, end in ranges:
+        copy.add(start, end)
+    return copy
