@@ -1,28 +1,19 @@
 """Yamcs itself: it loads our XTCE, receives a sample's telemetry from ``replay``, and sends a command."""
 
-import json
 import socket
-import urllib.request
 from contextlib import suppress
 
 import pytest
 from places import CAPTURES, MISSIONS, ROOT
 from rewriting import datagrams
 from waiting import HOST, PATIENCE_S, Program, free_ports, until
+from yamcs_server import HERE, WHY, api, asked, yamcs
 
 from edoras_tools.pipelines.sending.topics import Encoder
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.pipelines.xtce import describe_packets
 
-YAMCS = ROOT / ".yamcs"
-ABSENT = YAMCS / "absent"
-WHY = ABSENT.read_text().strip() if ABSENT.exists() else "Yamcs is not installed: make yamcs"
 MISSION = MISSIONS / "rover_ground.yaml"
-SERVER = """
-services: [{{class: org.yamcs.http.HttpServer, args: {{port: {http}, address: 127.0.0.1}}}}]
-instances: [edoras]
-dataDir: {folder}/data
-"""
 INSTANCE = """
 services:
   - {{class: org.yamcs.archive.XtceTmRecorder}}
@@ -43,40 +34,26 @@ streamConfig:
   param: [pp_realtime]
   cmdHist: [cmdhist_realtime]
 """
-PROCESSOR = """
-realtime:
-  services:
-    - {class: org.yamcs.StreamTmPacketProvider}
-    - {class: org.yamcs.StreamTcCommandReleaser}
-  config: {subscribeAll: true, persistParameters: false}
-"""
 
 
-@pytest.mark.skipif(not (YAMCS / ".installed").exists(), reason=WHY)
+@pytest.mark.skipif(not HERE, reason=WHY)
 def test_yamcs_reads_and_sends_what_we_do(tmp_path):
     http, telemetry = free_ports(2)
     bench = Settings([MISSION]).workbench()
     made = describe_packets(bench)
     (tmp_path / "rover.xml").write_bytes(made.text)
-    (tmp_path / "etc").mkdir()
-    (jars,) = YAMCS.glob("lib/python*/site-packages/fprime_yamcs_bundle/lib")
-    api = f"http://{HOST}:{http}/api/processors/edoras/realtime"
+    realtime = f"{api(http)}/processors/edoras/realtime"
     poses = [item.payload for item in datagrams(CAPTURES / "a_rover.pcap") if item.payload[:2] == b"\x08\x27"]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ci:
         ci.bind((HOST, 0))
         ci.settimeout(PATIENCE_S)
-        ports = {"http": http, "telemetry": telemetry, "commands": ci.getsockname()[1], "folder": tmp_path}
-        (tmp_path / "etc/yamcs.yaml").write_text(SERVER.format(**ports))
-        (tmp_path / "etc/yamcs.edoras.yaml").write_text(INSTANCE.format(**ports))
-        (tmp_path / "etc/processor.yaml").write_text(PROCESSOR)
-        words = ("-cp", f"{jars}/*", "org.yamcs.YamcsServer", "--etc-dir", tmp_path / "etc")
-        with Program(YAMCS / "bin/java", *words, cwd=tmp_path) as server:
-            server.until(lambda: any("Yamcs started" in line for line in server.err.lines + server.out.lines))
+        ports = {"telemetry": telemetry, "commands": ci.getsockname()[1], "folder": tmp_path}
+        with yamcs(tmp_path, http, INSTANCE.format(**ports)):
             replay(telemetry)
 
             def value(name):
                 with suppress(OSError, KeyError):
-                    found = asked(f"{api}/parameters/edoras/telemetry_pose_{name}")["engValue"]
+                    found = asked(f"{realtime}/parameters/edoras/telemetry_pose_{name}")["engValue"]
                     return next(item for key, item in found.items() if key != "type")
                 return None
 
@@ -87,7 +64,8 @@ def test_yamcs_reads_and_sends_what_we_do(tmp_path):
                 last["pose"]["position"].values()
             )
             asked(
-                f"{api}/commands/edoras/cmd_vel", {"args": {**dict.fromkeys(ARGUMENTS, 0), "linear_x": 0.5}}
+                f"{realtime}/commands/edoras/cmd_vel",
+                {"args": {**dict.fromkeys(ARGUMENTS, 0), "linear_x": 0.5}},
             )
             (route,) = (item for item in bench.mission.routes if item.topic == "/cmd_vel")
             cdr = bench.types.encode(route.type, {"linear": {"x": 0.5}})
@@ -101,9 +79,3 @@ def replay(port):
     words = ("replay", CAPTURES / "a_rover.pcap", "--to", "ground", "--target", f"{HOST}:{port}")
     with Program(ROOT / ".venv/bin/edoras", *words, "--speed", "50", "--no-listen", "-q") as program:
         assert program.process.wait(PATIENCE_S) == 0
-
-
-def asked(address, body=None):
-    data = None if body is None else json.dumps(body).encode()
-    with urllib.request.urlopen(urllib.request.Request(address, data), timeout=PATIENCE_S) as answer:
-        return json.load(answer)
