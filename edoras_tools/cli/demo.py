@@ -166,7 +166,7 @@ def _tour(output: Path | None, duration: int | None, *, force: bool) -> None:
     if not force and folder.is_dir() and any(folder.iterdir()):
         raise ConfigError(f"{folder}: not an empty folder; name a new one, or --force replaces a tour in it")
     guide = Guide(sys.stdout, look(sys.stdout))
-    guide.begin(seconds)
+    guide.begin(seconds, folder)
     result = tour(folder, seconds, show=guide.packet, notice=guide.notice, replace=force)
     guide.end(result.live.summary(), result.real.summary(), result.folder)
 

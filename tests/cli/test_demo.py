@@ -62,3 +62,17 @@ def test_it_tells_what_happened_and_what_to_do_next(call, tmp_path, monkeypatch)
         assert part in result.out
     quiet = call("demo", "rover", "--duration", "100ms", "-q")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", [])
+
+
+def test_the_commands_of_the_tour_name_files_that_are_there(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = call("demo", "-o", "tour", "--duration", "600ms")
+    assert result.code == 0
+    lines = [line.strip() for line in result.out.splitlines()]
+    commands = [line.split()[2:] for line in lines if line.startswith("$ edoras ")]
+    assert [words[0] for words in commands] == ["sniff", "decode", "info", "record"]
+    named = [word for words in commands for word in words if word.startswith("tour/")]
+    assert len(named) == 7
+    assert [name for name in named if not (tmp_path / name).is_file()] == []
+    for words in commands[1:3]:
+        assert call(*words).code == 0

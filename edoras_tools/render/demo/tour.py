@@ -35,13 +35,14 @@ class Guide:
         self._seen: set[tuple[object, ...]] = set()
         self._command: Decoded | None = None
 
-    def begin(self, seconds: float) -> None:
-        """Print the introduction."""
+    def begin(self, seconds: float, folder: Path) -> None:
+        """Print the introduction: how long the link runs, and where its files will be."""
         self._title(
             1,
             f"A live link, {seconds:g} s of it: emulated cFS, two rovers, both bridges; one of each kind",
         )
-        self._say("$ edoras sniff -i lo -c two_rovers_ground.yaml -c two_rovers_flight.yaml")
+        rovers = f"{folder}/missions/two_rovers"
+        self._say(f"$ edoras sniff -i lo -c {rovers}_ground.yaml -c {rovers}_flight.yaml")
         self._line(self._list.header())
 
     def notice(self, text: str) -> None:
@@ -77,7 +78,10 @@ class Guide:
         self._say(f"$ edoras info {folder}/two_rovers.mcap")
         console.print(capture_summary(live, explain=False))
         self._title(4, "A capture of a real cFS")
-        self._say(f"$ edoras record -r {folder}/a_rover.pcap -c rover_ground.yaml -o {folder}/a_rover.mcap")
+        self._say(
+            f"$ edoras record -r {folder}/a_rover.pcap -c {folder}/missions/rover_ground.yaml "
+            f"-o {folder}/a_rover.mcap"
+        )
         console.print(capture_summary(real))
         self._title(5, "What to do next")
         for line in (
