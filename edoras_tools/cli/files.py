@@ -31,10 +31,14 @@ def files(
     Names of files that would lie outside DIR are refused.
     """
     from edoras_tools.pipelines.export.files import take_out
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
 
-    limits = part.limits(inputs.named())
-    source, bench = open_input(InputOptions(inputs), decoding.settings())
-    report = take_out(source, bench, output, selection=chosen.selection(), limits=limits)
+    paths = inputs.named()
+    limits, quiet = part.limits(paths), printing.quiet or printing.json
+    with FileProgress(", ".join(map(str, paths)), console=error_console(), quiet=quiet) as bar:
+        source, bench = open_input(InputOptions(inputs), decoding.settings())
+        report = take_out(source, bench, output, selection=chosen.selection(), limits=limits, progress=bar)
     no_datagrams(source)
     if printing.json:
         print_json(report.summary())

@@ -262,7 +262,8 @@ def run(made: typer.Typer) -> NoReturn:
         code = error.exit_code
         told = error.format_message().replace("Value error, ", "")  # the prefix of typer's own checks
         command = error.ctx.command_path if error.ctx else made.info.name
-        _say(f"{told.removesuffix('.')}; see {command} -h" if told else "", "usage")
+        see = " See" if told.endswith("?") else "; see"
+        _say(f"{told.removesuffix('.')}{see} {command} -h" if told else "", "usage")
     except SystemExit as error:
         # click ends this way at a broken pipe: the reader of the output, such as `head`, has closed it.
         code = 0 if isinstance(error.__context__, BrokenPipeError) else error.code

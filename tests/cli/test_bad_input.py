@@ -182,7 +182,8 @@ def test_outputs(options, code, words, call, place):
 
 
 USAGE = [
-    ("frobnicate", 2, "No such command 'frobnicate'"),
+    ("frobnicate", 2, "No such command 'frobnicate'; see edoras -h"),
+    ("recrod", 2, "? See edoras -h"),
     ("sniff --frobnicate", 2, "No such option: --frobnicate"),
     ("sniff -r", 2, "Option '-r' requires an argument"),
     ("sniff", 2, "name one input: FILE..., -i IFACE, or --listen PORT"),

@@ -4,6 +4,7 @@ import json
 import random
 import time
 from contextlib import ExitStack
+from types import SimpleNamespace
 
 import cfdp as peer
 import pytest
@@ -14,7 +15,8 @@ from places import ROOT
 from rewriting import Udp, write
 from waiting import HOST, Program, free_ports, until
 
-from edoras_tools.pipelines.export.files import safe_path
+from edoras_tools.pipelines.export.files import safe_path, take_out
+from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfdp import Directive
 
@@ -256,3 +258,11 @@ def test_a_folder_that_is_not_empty_is_left_alone(call, capture, tmp_path):
 
 def test_a_capture_without_a_transaction(call):
     assert call("files", ROOT / "samples/captures/a_rover.pcap").out == "no CFDP transaction\n"
+
+
+def test_progress_is_told_while_it_is_read():
+    source = open_files([ROOT / "samples/captures/a_rover.pcap"])
+    read = []
+    progress = SimpleNamespace(read=lambda item: read.append(item.statistics.datagrams))
+    take_out(source, Settings().workbench(source.info), progress=progress)
+    assert read[-1] == 1827

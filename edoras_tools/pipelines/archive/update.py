@@ -260,11 +260,11 @@ class _Run:
                 future = self._client.submit(examine_group, task := waiting.popleft(), pure=False)
                 self._tasks[future.key] = task
                 coming.add(future)
+            if progress is not None:  # before the wait: the first capture may take minutes
+                progress.step("captures", of - self._report.left, of)
             batch = [next(coming), *_more(coming)]
             self._watch()
             self._write(batch, waiting)
-            if progress is not None:
-                progress.step("captures", of - self._report.left, of)
 
     def _watch(self) -> None:
         """Tell of workers that are no longer there."""

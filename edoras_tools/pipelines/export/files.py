@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.run import Progress
 
 _LONGEST: Final = 255
 """Bytes of a part of a path, on all usual file systems."""
@@ -122,6 +123,7 @@ def take_out(
     *,
     selection: Selection | None = None,
     limits: Limits = Limits(),  # noqa: B008  frozen
+    progress: Progress | None = None,
 ) -> FilesReport:
     """Follow the CFDP transactions of an input, and write their files; the input is closed.
 
@@ -131,6 +133,7 @@ def take_out(
         folder: where files go, new or empty; None to write none.
         selection: which datagrams.
         limits: when to end.
+        progress: shows how far the input is read.
 
     Raises:
         ConfigError: something is in the folder, or the selection has an error.
@@ -143,6 +146,8 @@ def take_out(
         follower = Follower(spool.keep if spool else None, bench.mission.pdu_msg_ids)
         for rows in loop:
             follower.add(*rows.alone())
+            if progress is not None:
+                progress.read(source)
         report.left_out, report.corrupt = follower.left_out, follower.corrupt
         for item in follower.transactions:
             taken = TakenFile(item, item.checksum_right)

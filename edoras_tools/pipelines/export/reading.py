@@ -53,7 +53,8 @@ class TopicTable:
 
     def __repr__(self) -> str:
         names = ", ".join(item.name for item in self.columns)
-        return f"<{len(self):,} rows of {self.topic}, {self.type}: {names}>"
+        told = f"{self.topic}, {self.type}" if self.type else self.topic
+        return f"<{len(self):,} rows of {told}: {names}>"
 
     def to_numpy(self) -> dict[str, NDArray[Any]]:
         """Return an array for each column.

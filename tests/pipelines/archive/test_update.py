@@ -262,9 +262,10 @@ class Hook:
     def __init__(self, act):
         self.act = act
 
-    def step(self, *_arguments):
-        self.act, act = (lambda: None), self.act
-        act()
+    def step(self, _what, done, _of):
+        if done:
+            self.act, act = (lambda: None), self.act
+            act()
 
 
 def test_a_lost_worker_changes_nothing(folder, updated, scheduler):
@@ -276,6 +277,13 @@ def test_a_lost_worker_changes_nothing(folder, updated, scheduler):
         client.wait_for_workers(2)
     assert found.tables == whole.tables
     assert found.report.read == 2
+
+
+def test_progress_is_shown_before_the_first_capture_is_read(folder, updated):
+    steps = []
+    updated(folder / "z.duckdb", folder, progress=SimpleNamespace(step=lambda *item: steps.append(item)))
+    assert steps[0] == ("captures", 0, 2)
+    assert [done for _, done, _ in steps] == sorted(done for _, done, _ in steps)
 
 
 def test_what_loses_workers_is_read_alone_then_listed(folder):
@@ -304,8 +312,9 @@ from edoras_tools.pipelines.archive.update import Update, bring_up_to_date
 from edoras_tools.pipelines.workbench import Settings
 
 class Progress:
-    def step(self, *arguments):
-        os.kill(os.getpid(), signal.SIGKILL)
+    def step(self, what, done, of):
+        if done:
+            os.kill(os.getpid(), signal.SIGKILL)
 
 index, scheduler, folder, mission = sys.argv[1:]
 with open_index(Path(index), write=True) as opened:

@@ -25,6 +25,11 @@ def test_a_topic_as_arrays(rover):
     assert rover["/cmd_vel"] is table, "it is read once"
 
 
+def test_a_table_says_what_it_is(rover):
+    assert repr(rover["cmd_vel"]).startswith("<600 rows of /cmd_vel, geometry_msgs/msg/Twist: time, ")
+    assert repr(rover.lost).startswith("<92 rows of /edoras/lost: time, "), "which has no ROS type"
+
+
 def test_topics_have_counts(rover):
     assert rover.topics["/cmd_vel"] == 600
     assert rover.topics["/telemetry_pose"] == 63
