@@ -277,7 +277,8 @@ def summed(rows: Iterable[Row]) -> tuple[Row, ...]:
 def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
     """Return the rows of what goes into cFS: to CI, over the software bus, through the application."""
     stream = fate.stream
-    counted = any(stream.link.only_to_cfs and stream.receiver == item.endpoint for item in case.ingests)
+    accounts = [item for item in case.ingests if item.endpoint == stream.receiver]
+    by = "the kernel's counter of its socket" if any(item.by_kernel for item in accounts) else "0x884"
     rows: list[Row] = []
     whose = case.receiver_label(stream)
 
@@ -306,7 +307,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
         before = {kind: lost[kind] for kind in _BEFORE_CI if lost[kind]}
         gone = sum(before.values()) + fate.queued + fate.uncounted
         late = min(fate.late + fate.unsure, at - gone)
-        told = {"in": _SEEN, "out": "0x884" if counted else "not counted: no 0x884 of this CI is here"}
+        told = {"in": _SEEN, "out": by if accounts else "not counted: no 0x884 of this CI is here"}
         at = add(
             CI_HOP,
             at,

@@ -15,7 +15,7 @@ from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.accounting.bus import Telemetry
 from edoras_tools.diagnosis.accounting.claims import Counts
 from edoras_tools.diagnosis.accounting.commands import Commands, Refused
-from edoras_tools.diagnosis.accounting.ingest import Ingest, Sources, ingests
+from edoras_tools.diagnosis.accounting.ingest import Ingest, Sources, ingests, kernel_accounts
 from edoras_tools.diagnosis.accounting.losses import Known, Loss
 from edoras_tools.diagnosis.accounting.stops import Outage, outages
 from edoras_tools.diagnosis.accounting.unheard import Unheard, unheard
@@ -245,7 +245,7 @@ class Case:
             self.network,
             self.hops,
             self.profile,
-            {item.endpoint: item.system for item in self.ingests},
+            {item.endpoint: item.system for item in self.ingests if not item.by_kernel},
             self.proxied,
             self.away,
         )
@@ -263,9 +263,14 @@ class Case:
                     known = first_out.setdefault(hop.into.receiver, hop.first)
                     first_out[hop.into.receiver] = min(known, hop.first)
         times = {endpoint: np.sort(np.concatenate(parts)) for endpoint, parts in arrived.items()}
-        return ingests(
-            Sources(self.rows, self.payloads, self.instances, self.endpoints, self.profile, times, first_out)
+        sources = Sources(
+            self.rows, self.payloads, self.instances, self.endpoints, self.profile, times, first_out
         )
+        counted = ingests(sources)
+        return [
+            *counted,
+            *kernel_accounts(sources, self.host.by_port, {item.endpoint for item in counted}),
+        ]
 
     @cached_property
     def telemetry(self) -> Telemetry:

@@ -96,6 +96,18 @@ def test_every_lost_message_is_listed_once(name, diagnosis):
     assert end.plain.startswith(f"{found.lost:,} message")
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_the_table_of_routes_tells_what_the_balance_tells(name, diagnosis):
+    found = diagnosis(name).as_json()
+    by_route, by_row = Counter(), Counter()
+    for route in found["routes"]:
+        by_route[route["link"], route["msg_id"]] += route["lost"]
+    for row in found["balance"]:
+        by_row[row["link"], row["msg_id"]] += row["lost"]
+    for key in by_route:
+        assert by_route[key] == by_row[key], key
+
+
 @pytest.mark.parametrize("name", TRUTH)
 def test_what_was_lost_and_why_is_what_was_counted(name, diagnosis):
     found = diagnosis(name)

@@ -872,18 +872,33 @@ def test_an_application_that_does_not_run_is_started_by_a_command_to_paste(lab, 
     assert {item.remedy for item in found} == {remedy}
 
 
+@pytest.mark.parametrize("telemetry", [True, False])
+def test_what_the_kernel_dropped_at_ci_is_lost_there_unless_ci_has_counted(lab, telemetry):
+    sent, _ = lab.simulate(seconds=20)
+    kept = sent if telemetry else only(sent, 1234)
+    found = lab.examine(kept, host=readings(sent, {1234: 5}))
+    (chain,) = [item for item in found.chains if item.msg_id == 0x1827]
+    (ci,) = [hop for hop in chain.hops if hop.hop == "CI"]
+    lost = 0 if telemetry else 5
+    assert (ci.lost, ci.out, found.lost) == (lost, ci.came - lost - sum(ci.rest.values()), lost)
+    assert [row for row in found.balance if not row.adds_up] == []
+    assert sum(item.lost or 0 for item in found.verdicts) == found.lost
+    (route,) = [item for item in found.routes if (item["link"], item["msg_id"]) == ("ci", "0x1827")]
+    assert route["lost"] == lost
+
+
 def test_what_the_kernel_dropped_is_told_by_socket_and_host(lab):
     sent, _ = lab.simulate(seconds=20)
     counted = readings(sent, {1234: 5, 2234: 0, 9999: 2}, reassembly_failures=4, interface_drops=11)
     found = [item for item in lab.examine(sent, host=counted).verdicts if item.rule == "host_drops"]
     to_ci = sum(item.destination.port == 1234 for item in sent)
     assert [(item.lost, item.of, item.hop) for item in found] == [
-        (5, to_ci, "socket of UDP port 1234"),
         (2, None, "socket of UDP port 9999"),
+        (None, to_ci, "socket of UDP port 1234"),  # CI's own count has all of them
         (None, None, "host"),
         (None, None, "host"),
     ]
-    assert found[0].reason.startswith(f"5 datagrams of {to_ci} dropped in CI's socket (UDP port 1234)")
+    assert found[1].reason.startswith(f"5 datagrams of {to_ci} dropped in CI's socket (UDP port 1234)")
     assert [item.reason.split()[0] for item in found[2:]] == ["1", "2"]
     unchanged = readings(sent, {1234: 0})
     assert not [item for item in lab.examine(sent, host=unchanged).verdicts if item.rule == "host_drops"]

@@ -145,6 +145,8 @@ class BeforeCi:
 
     def _before_evidence(self, account: Ingest, before: Before) -> list[str]:
         taken = account.taken
+        if account.by_kernel:
+            return [f"/edoras/host: {before.lost:,} of {len(account.rows):,} datagrams dropped in its socket"]
         text = f"0x884: CI took {taken:,} of {taken + account.lost + account.waiting:,} datagrams sent to it"
         evidence = [text, f"{before.lost:,} of them lost between two of its counts"]
         if account.unsure:

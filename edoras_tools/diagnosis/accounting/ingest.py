@@ -32,7 +32,7 @@ from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -102,6 +102,7 @@ class Ingest:
             its first count does not tell which of those just sent it has.
         older_until_ns: it read as fast as it can when the capture began: until then it may have read what was
             sent before.
+        by_kernel: it has no count here; what its socket dropped, the kernel of its host counted.
     """
 
     endpoint: int
@@ -116,6 +117,7 @@ class Ingest:
     not_captured: int = 0
     unsure: int = 0
     older_until_ns: int = 0
+    by_kernel: bool = False
 
     def add(self, loss: Before) -> None:
         """Take a loss; what the network goes on losing is one."""
@@ -179,6 +181,34 @@ def ingests(sources: Sources) -> list[Ingest]:
                 # What a slow network explains altogether is no loss: rule 8.
                 account = account if late.lost_on_network else late
             found.append(account)
+    return found
+
+
+def kernel_accounts(sources: Sources, drops: Mapping[int, int], counted: Collection[int]) -> list[Ingest]:
+    """Return the account of every CI without a count here, of whose socket the kernel counted drops.
+
+    Args:
+        sources: of the accounts.
+        drops: datagrams that full sockets dropped, by UDP port.
+        counted: endpoints of the CIs that have a count.
+    """
+    rows = sources.rows
+    to_ci = np.flatnonzero(among(rows.link, lambda link: link.only_to_cfs) & (rows.length > 0))
+    places = np.unique(rows.destination[to_ci]).tolist()
+    ports = Counter(sources.endpoints[item].port for item in places)
+    found = []
+    for endpoint in places:
+        port = sources.endpoints[endpoint].port
+        # Of two hosts' sockets nothing tells which one the counter is of.
+        if endpoint in counted or ports[port] > 1 or not drops.get(port):
+            continue
+        mine = to_ci[rows.destination[to_ci] == endpoint]
+        mine = mine[np.argsort(rows.time_ns[mine], kind="stable")]
+        first_ns, last_ns = int(rows.time_ns[mine[0]]), int(rows.time_ns[mine[-1]])
+        lost = min(drops[port], len(mine))
+        before = Before("socket", lost, first_ns, last_ns)
+        taken = len(mine) - lost
+        found.append(Ingest(endpoint, NOBODY, mine, first_ns, last_ns, taken, [before], by_kernel=True))
     return found
 
 

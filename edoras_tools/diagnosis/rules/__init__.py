@@ -178,6 +178,7 @@ SINGLE: Final[frozenset[str]] = frozenset(
         wrong_protocol_version,
         unknown_peer,
         wrong_type,
+        host_drops,
     )
 )
 """Rules about messages that come to nothing by what they are; asked first: the balance has their figures."""

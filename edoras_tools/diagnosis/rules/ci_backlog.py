@@ -51,6 +51,8 @@ def judge(case: Case) -> Iterator[Verdict]:
 
 def _counted(case: Case) -> Iterator[str]:
     """Yield what the kernel of the recording host counted in CI's sockets, if it was recorded."""
+    if any(account.by_kernel for account in case.ingests):
+        return  # the losses themselves are told by it
     for port in sorted(case.host.ports):
         if case.context.ports[CI][port] and not case.context.ports[TO][port]:
             count = case.host.by_port.get(port, 0)

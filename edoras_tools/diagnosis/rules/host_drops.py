@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.links.ci import CI
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -20,12 +19,15 @@ _LARGER: Final = "sudo sysctl -w net.core.rmem_default=4194304, then start that 
 
 
 def judge(case: Case) -> Iterator[Verdict]:
-    """Name each socket that was full, fragments that did not come, and frames that interfaces dropped."""
-    told = any(loss.kind == "socket" for loss in case.losses)
+    """Name each socket that was full, fragments that did not come, and frames that interfaces dropped.
+
+    ``ci_backlog`` tells of CI's socket: its own count is nearer, and the kernel's is evidence beside it.
+    """
     for port, count in case.host.by_port.items():
         link = _link(case, port)
-        if told and link == CI.label:
-            continue  # ci_backlog says it, with this count as evidence
+        ingests = [item for item in case.ingests if case.endpoints[item.endpoint].port == port]
+        if any(loss.cause == "socket" for item in ingests for loss in item.losses):
+            continue
         sent = _sent_to(case, port)
         of = f" of {sent:,}" if sent >= count else ""
         whose = f"{link.upper()}'s socket" if link else "the socket"
@@ -36,7 +38,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             "the kernel counted them",
             link=link or None,
             hop=f"socket of UDP port {port}",
-            lost=count,
+            lost=None if ingests else count,
             of=sent if sent >= count else None,
             start_ns=case.start_ns,
             end_ns=case.end_ns,

@@ -37,6 +37,7 @@ CAUSES: Final = {
     "before_capture": "before the capture",
     "given_up": "given up by its reader",
     "proxy": "dropped on purpose by the proxy",
+    "host_drops": "socket full (kernel's counter)",
 }
 """Text for the cause of a loss; other causes are rules, and are shown by their ids."""
 FIGURES: Final = ("in", "duplicated", "out", "lost", "superseded", "waiting", "not_captured", "unaccounted")
