@@ -16,10 +16,13 @@ from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import print_json
 from edoras_tools.cli.snapshots import SnapshotOptions
 from edoras_tools.errors import ConfigError
+from edoras_tools.io.formats.table import FILE_SUFFIXES, WRITTEN, written_as
+from edoras_tools.io.outputs import STDOUT
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
+    from edoras_tools.io.formats.table import Format
     from edoras_tools.pipelines.capture.record import Target
     from edoras_tools.pipelines.capture.snapshot import SnapshotPlan
     from edoras_tools.pipelines.reading import Limits
@@ -27,11 +30,34 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
 
 
+_FORMATS = ", ".join(suffix[1:] for suffix in FILE_SUFFIXES)
+
+
+def stream_format(text: str) -> str:
+    """Read the name of a recording's format."""
+    if f".{text}" not in FILE_SUFFIXES:
+        raise typer.BadParameter(f"{text!r} is not a format of recordings; use {_FORMATS}")
+    return text
+
+
 class TargetOptions(NamedTuple):
     """The files of a recording."""
 
-    output: recordings.Output = None
+    output: Annotated[
+        Path | None,
+        options.output(
+            parser=recordings.recording_path,
+            help=f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time; "
+            "- is stdout.",
+        ),
+    ] = None
     force: recordings.Force = False
+    stream: Annotated[
+        str | None,
+        typer.Option(
+            "--format", metavar="FORMAT", parser=stream_format, help=f"Of -o -, standard output: {_FORMATS}."
+        ),
+    ] = None
     rosbag2: Annotated[bool, typer.Option("--rosbag2", help="Write a rosbag2 directory.")] = False
     tf: Annotated[
         bool,
@@ -109,6 +135,7 @@ def record(
     target = Target(
         path,
         rosbag2=files.rosbag2,
+        stream=_stream(files, printing),
         split_bytes=files.split_size or 0,
         split_ns=files.split_time or 0,
         split_count=files.split_count or 0,
@@ -125,7 +152,8 @@ def record(
     if files.tf and target.format is not None and not target.format.messages:
         raise ConfigError(f"{path}: --tf writes a topic, and {target.format.name} has none: use .mcap")
     check_output(target, given.paths, snapshots=plan is not None)
-    source, bench = open_input(given, decoding.settings(), every_port=every, messages=True, output=path)
+    written = None if target.stream else path
+    source, bench = open_input(given, decoding.settings(), every_port=every, messages=True, output=written)
     if plan and bench.mission.recorded:
         source.close()
         raise ConfigError(
@@ -134,7 +162,7 @@ def record(
     if plan:
         _record_snapshots(source, bench, target, plan, snapshots, chosen.selection(), limits, printing)
         return
-    with watcher(source, path, quiet=printing.quiet or printing.json, live=live) as watch:
+    with watcher(source, written, quiet=printing.quiet or printing.json, live=live) as watch:
         report = run(
             source,
             bench,
@@ -157,6 +185,23 @@ def record(
 
         sys.stderr.write(recorded(report.summary(), report.outputs, report.keep) + "\n")
     finish(report, live=live)
+
+
+def _stream(files: TargetOptions, printing: options.PrintOptions) -> Format | None:
+    """Return the format of what goes to standard output; None if a file is written.
+
+    Raises:
+        ConfigError: standard output is a terminal, or is needed for the report.
+    """
+    if files.output != STDOUT:
+        if files.stream:
+            raise ConfigError("--format is for -o -, standard output; a file's suffix sets its format")
+        return None
+    if printing.json:
+        raise ConfigError("-o - writes the recording where --json prints its report: leave one of them out")
+    if sys.stdout.isatty():
+        raise ConfigError("-o - writes the recording to a pipe or a file, and this is a terminal")
+    return written_as(Path(f"x.{files.stream or 'mcap'}"))
 
 
 def _fire(path: Path) -> None:

@@ -21,6 +21,8 @@ from edoras_tools.errors import CaptureError, ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+STDOUT: Final = Path("-")
+"""Stands for standard output, as the path of an ``OutputFile``."""
 _PIECES: Final = 1024
 """Most buffers in one write, Linux's IOV_MAX."""
 _WRITE: Final = os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
@@ -250,7 +252,8 @@ class OutputFile:
 
     It is locked (``flock``), so that a second writer is refused and nothing is lost. Where a file with
     contents has the name, that one is locked too and stays as it is until ``finish``: until then the new one
-    has a free name beside it (``path_beside``). A pipe or device (``/dev/null``) is only written.
+    has a free name beside it (``path_beside``). A pipe or device (``/dev/null``) and ``STDOUT`` are only
+    written.
 
     Args:
         path: the file; an existing one is replaced by ``finish``.
@@ -273,9 +276,9 @@ class OutputFile:
         self.size = 0
         self._held = -1
         self._truncated = False
-        self._fileno = opener(str(path), _WRITE)
+        self._fileno = os.dup(1) if path == STDOUT else opener(str(path), _WRITE)
         status = os.fstat(self._fileno)
-        self._regular = stat.S_ISREG(status.st_mode)
+        self._regular = path != STDOUT and stat.S_ISREG(status.st_mode)
         self._own = False
         try:
             if self._regular:
@@ -387,6 +390,11 @@ class OutputFile:
                 if (there.st_dev, there.st_ino) == self._inode and not there.st_size:
                     self.path.unlink()
         os.close(fileno)
+
+
+def output_name(path: Path) -> str:
+    """Return what an output is called in messages."""
+    return "standard output" if path == STDOUT else str(path)
 
 
 def path_beside(path: Path) -> Path:

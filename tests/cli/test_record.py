@@ -1,6 +1,8 @@
 """The main job: captures into recordings and back, judged by readers that are not ours."""
 
 import json
+import signal
+import socket
 import struct
 import subprocess
 
@@ -9,6 +11,7 @@ from places import ROOT
 from rewriting import Udp, write
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
+from waiting import Program
 
 from edoras_tools.model import Peer
 from edoras_tools.wire import cfe, envelope, sbn
@@ -310,3 +313,83 @@ def test_bytes_that_rmw_leaves_behind_a_message_are_a_note(edoras, missions, rec
             assert (message.name, list(message.position), list(message.velocity)) == (["a"], [1.0], [])
     verdicts = json.loads(edoras("doctor", "--json", pcap, *mission).stdout)["verdicts"]
     assert not {"wrong_type", "bad_command"} & {item["rule"] for item in verdicts}
+
+
+@pytest.mark.parametrize("kind", ["mcap", "pcapng", "pcap"])
+def test_standard_output_gets_what_a_file_does(kind, edoras, captures, missions, tmp_path):
+    words = ["record", "-q", captures("a_rover"), *missions("rover_ground"), "-o"]
+    assert edoras(*words, tmp_path / f"x.{kind}").returncode == 0
+    done = edoras(*words, "-", *(["--format", kind] if kind != "mcap" else []))
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout == (tmp_path / f"x.{kind}").read_bytes()
+    read = edoras("info", "-", "--json", input=done.stdout)
+    assert json.loads(read.stdout)["datagrams"] == 1827
+    if kind == "pcap":
+        assert done.stdout == captures("a_rover").read_bytes()
+
+
+def test_standard_input_may_be_a_file(edoras, captures, tmp_path):
+    path = tmp_path / "x.mcap"
+    assert edoras("record", "-q", captures("a_rover"), "-o", path).returncode == 0
+    with path.open("rb") as file:
+        assert json.loads(edoras("info", "-", "--json", stdin=file).stdout)["datagrams"] == 1827
+
+
+@pytest.mark.parametrize("kind", ["mcap", "pcap"])
+@pytest.mark.parametrize("how", ["INT", "KILL"])
+def test_a_live_stream_on_standard_output(kind, how, command, edoras, missions, tmp_path):
+    """What a reader gets of a recorder that is killed is as readable as a killed file."""
+    path = tmp_path / "stream"
+    packet = bytes.fromhex("1827 0000 0045 01 00") + struct.pack("<QQ", 52, 52)
+    packet += bytes.fromhex("00010000") + bytes(48)
+    words = ["record", "--listen", "127.0.0.1:0", *missions("rover_ground"), "-o", "-", "--format", kind]
+    with Program("sh", "-c", 'exec "$@" >"$0"', path, command, *words) as program:
+        port = int(program.line(program.err).split()[2].rstrip(";").rpartition(":")[2])
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for _ in range(3):
+                before = path.stat().st_size
+                sender.sendto(packet, ("127.0.0.1", port))
+                program.until(lambda at=before: path.stat().st_size > at)
+        number = getattr(signal, f"SIG{how}")
+        program.end(number, code=-number if how == "KILL" else 0)
+    read = edoras("info", "-", "--json", "--port", f"ci:{port}", input=path.read_bytes())
+    assert read.returncode == (1 if how == "KILL" and kind == "mcap" else 0)
+    assert json.loads(read.stdout)["datagrams"] == 3
+
+
+def test_a_reader_that_ends_is_told(command, captures, tmp_path):
+    words = f"{command} record -q {captures('a_rover')} -o - | head -c 1000 >{tmp_path}/head"
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {words}"], capture_output=True, text=True, check=False
+    )
+    told = "edoras: standard output: cannot be written: Broken pipe; what was written can be read\n"
+    assert (done.returncode, done.stderr) == (1, told)
+    assert (tmp_path / "head").stat().st_size == 1000
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["-o", "-", "--json"], "-o - writes the recording where --json prints its report"),
+        (["-o", "-", "--force"], "leave the options about files out"),
+        (["-o", "-", "--split-time", "1m"], "leave the options about files out"),
+        (["-o", "-", "--rosbag2"], "leave the options about files out"),
+        (["-o", "-", "--sync=1s"], "leave the options about files out"),
+        (["-o", "-", "--format", "csv"], "'csv' is not a format of recordings; use mcap, pcapng, pcap"),
+        (["-o", "x.mcap", "--format", "pcap"], "--format is for -o -"),
+    ],
+)
+def test_options_that_standard_output_does_not_take(words, told, call, captures, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = call("record", captures("a_rover"), *words)
+    (line,) = [json.loads(result.err[0])["error"]["message"]] if "--json" in words else result.err
+    assert result.code == 2
+    assert told in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_terminal_gets_no_recording(call, captures, monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    result = call("record", captures("a_rover"), "-o", "-")
+    assert (result.code, result.out) == (2, "")
+    assert "this is a terminal" in result.err[0]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, ClassVar
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.outputs import OutputFile
+from edoras_tools.io.outputs import OutputFile, output_name
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,7 +43,7 @@ class CaptureFileSink:
         self._lent: BinaryIO | None = None
         self._closed = False
         if isinstance(path_or_file, str | Path):
-            self.name = str(path_or_file)
+            self.name = output_name(Path(path_or_file))
             try:
                 self.output = OutputFile(Path(path_or_file))
             except (OSError, ValueError) as error:

@@ -116,7 +116,7 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
 
 
 def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:
-    """Open a recording; of one from a pipe, or packed, a temporary copy: its index is at its end.
+    """Open a recording; of one from standard input, or packed, a temporary copy: its index is at its end.
 
     ``head`` is what was read of a stream that has to be copied, else empty.
     """

@@ -45,6 +45,7 @@ class Target:
     Attributes:
         path: the file, or the rosbag2 directory.
         rosbag2: write a rosbag2 directory.
+        stream: the format of what goes to standard output, where ``path`` is ``outputs.STDOUT``.
         split_bytes: start a new file at this size; 0: never.
         split_ns: start a new file after this time; 0: never.
         split_count: start a new file after so many datagrams; 0: never.
@@ -60,6 +61,7 @@ class Target:
 
     path: Path
     rosbag2: bool = False
+    stream: Format | None = None
     split_bytes: int = 0
     split_ns: int = 0
     split_count: int = 0
@@ -74,6 +76,8 @@ class Target:
     @property
     def format(self) -> Format | None:
         """The requested format; None if the suffix names no format."""
+        if self.stream is not None:
+            return self.stream
         return ROSBAG2 if self.rosbag2 else written_as(self.path)
 
 
@@ -167,6 +171,12 @@ def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = Fa
     if target.format is None:
         raise ConfigError(f"{target.path}: unknown suffix; use {', '.join(FILE_SUFFIXES)}, or --rosbag2")
     split = bool(target.split_bytes or target.split_ns or target.split_count)
+    if target.stream is not None:
+        if split or snapshots or target.rosbag2 or target.sync_ns or target.replace:
+            raise ConfigError(
+                "-o - writes one stream to standard output: leave the options about files out, as --force"
+            )
+        return
     if (target.keep_files or target.keep_bytes) and not (split or snapshots):
         raise ConfigError("--keep and --keep-size delete the oldest files: split too, e.g. --split-time 10m")
     if 0 < target.keep_bytes < target.split_bytes:

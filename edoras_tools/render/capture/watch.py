@@ -7,6 +7,7 @@ from contextlib import contextmanager, nullcontext
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+from edoras_tools.io.outputs import output_name
 from edoras_tools.render import units
 from edoras_tools.render.terminal.run import size_of
 from edoras_tools.render.terminal.terminal import look
@@ -139,5 +140,5 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | N
         words.append(units.size(written))
     if keep and keep.deleted:
         words.append(f"{plural(keep.deleted, 'older file')} with {plural(keep.datagrams, what)} deleted")
-    name = str(outputs[0]) if len(outputs) == 1 else f"{outputs[0]} to {outputs[-1].name}"
+    name = output_name(outputs[0]) if len(outputs) == 1 else f"{outputs[0]} to {outputs[-1].name}"
     return f"{clean(name)}: {', '.join(words)}"

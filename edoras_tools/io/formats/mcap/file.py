@@ -31,7 +31,7 @@ from mcap.records import (
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.heads import CHUNK_HEAD, CHUNK_INDEX_HEAD, RECORD_HEAD, ChunkHead
-from edoras_tools.io.outputs import OutputFile
+from edoras_tools.io.outputs import STDOUT, OutputFile, output_name
 from edoras_tools.io.topics.names import MAGIC
 from edoras_tools.wire.arrays.crc import crc32
 
@@ -329,8 +329,10 @@ class McapFile:
 
     def _failure(self, error: OSError) -> CaptureError:
         repair = f"`edoras recover {self.path}` repairs the file"
+        if self.path == STDOUT:
+            repair = "what was written can be read"
         what = repair if self.size else "name another file with -o or make room"
-        return CaptureError(f"{self.path}: cannot be written: {error.strerror or error}; {what}")
+        return CaptureError(f"{output_name(self.path)}: cannot be written: {error.strerror or error}; {what}")
 
 
 def _chunk_start(head: ChunkHead) -> bytes:
