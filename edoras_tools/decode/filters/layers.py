@@ -10,6 +10,7 @@ import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, FilterField
+from edoras_tools.decode.filters.samples import sample_fields
 from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
@@ -60,6 +61,7 @@ def layer_fields(context: Context) -> Iterator[FilterField]:
     )
     yield from map(_of_any_format, _header(DEFAULT.layout, None))
     yield from _header(ENCAPSULATION, _encapsulation)
+    yield from sample_fields()
     yield from _others(context.msg_ids)
 
 

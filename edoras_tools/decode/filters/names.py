@@ -12,6 +12,8 @@ from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, MESSAGE_C
 from edoras_tools.decode.filters.layers import layer_fields
 from edoras_tools.decode.filters.messages import MessageFieldFinder, structs_of
 from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.decode.samples import known_samples
+from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Endpoint, Finding
 from edoras_tools.ros.types.schema import full_name
 from edoras_tools.structs.packets import OWN_LAYERS
@@ -379,9 +381,15 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
         for bound, members, fits in context.structs.split(found):
             owner.append(members.row[fits])
             values.append(np.full(len(owner[-1]), len(routed) + context.structs.all.index(bound)))
+        table = [*texts]
+        own = np.flatnonzero(rows.column("link") == RTPS)
+        for item in known_samples(context.types, context.endpoints, rows.batch, rows.indices()[own]):
+            owner.append(np.searchsorted(rows.indices(), item.row[item.valid]))
+            values.append(np.full(len(owner[-1]), len(table)))
+            table.append(getattr(item, name))
         owners = np.concatenate(owner)
         order = np.argsort(owners, kind="stable")
-        return Series(len(rows), np.concatenate(values)[order], owners[order], table=texts)
+        return Series(len(rows), np.concatenate(values)[order], owners[order], table=table)
 
     return FilterField(
         name,

@@ -394,3 +394,42 @@ def user_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> UserSubmessa
     writers, writer = distinct_guids(guids)
     readers, reader = distinct_guids(reader_guids)
     return UserSubmessages(writers, readers, writer, reader, **columns_of, data=batch.data)
+
+
+class NamedSubmessages(NamedTuple):
+    """Submessages that are about one writer, in their order; of one length.
+
+    Attributes:
+        row: i64, which of the rows.
+        writers: GUIDs.
+        writer: i64, which writer.
+        number: i64, of the sample; 0 where it is about several.
+        numbered: bool, whether it is about one sample.
+    """
+
+    row: NDArray[np.int64]
+    writers: list[bytes]
+    writer: NDArray[np.int64]
+    number: NDArray[np.int64]
+    numbered: NDArray[np.bool_]
+
+
+def named_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> NamedSubmessages:
+    """Return the submessages that are about a writer.
+
+    Args:
+        batch: the datagrams.
+        rows: those that hold RTPS.
+    """
+    found = rtps_messages(batch, rows).submessages
+    parts: list[tuple[NDArray[Any], ...]] = []
+    for kind, names in _NUMBERS.items():
+        at = np.flatnonzero((found.kind == kind) & found.whole)
+        fields = SubmessageFields(batch.data, found.take(at), kind)
+        single = names == ("writer_sn",)
+        number = fields.sequence_number("writer_sn") if single else np.zeros(len(at), np.int64)
+        parts.append((at, fields.guid("writer_id"), number, np.full(len(at), single)))
+    at, guids, number, numbered_ = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(at, kind="stable")
+    writers, writer = distinct_guids(guids[order])
+    return NamedSubmessages(found.row[at[order]], writers, writer, number[order], numbered_[order])

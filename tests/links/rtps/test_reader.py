@@ -169,6 +169,10 @@ def test_several_samples_in_one_datagram():
         "rtps_data.writer_sn_low < 2": [0, 1],
         "rtps.vendor_id == 0x0110": [0, 1, 2],
         "rtps_heartbeat": [],
+        "rtps.writer_sn == 3": [1],
+        "rtps.writer_sn > 1": [1, 2],
+        f"rtps.writer == '{PREFIX.hex()}.{WRITER.hex()}'": [1, 2],
+        "rtps.topic == '/cmd_vel'": [1, 2],
         "rtps_data_big": [],
     }.items():
         fast = Where(text, context).mask(batch, columns)
