@@ -49,8 +49,8 @@ PUT_OFF = {
     "middleware/dds/raw.py": ("cyclonedds", "a part of its inside, which may not be there"),
     "mission/tree.py": ("yaml", "9 ms, and only where there is a mission file"),
     "pipelines/capture/record.py": (
-        "edoras_tools.pipelines.capture.host",
-        "4 ms, and only where a link is captured live",
+        "edoras_tools.pipelines.capture.host edoras_tools.sessions.dds",
+        "4 ms each, and only where a link is captured live, or there is RTPS",
     ),
     "pipelines/demo/router.py": ("zenoh", "an extra"),
     "pipelines/reading.py": ("edoras_tools.io.frames.fragmented", "5 ms, and only where there is RTPS"),

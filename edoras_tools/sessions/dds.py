@@ -22,7 +22,7 @@ The rules that this file keeps:
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from edoras_tools.links.rtps.reader import UserSubmessages, user_submessages
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.wire.rtps.headers import SubmessageKind
 from edoras_tools.wire.rtps.messages import guid_text
-from edoras_tools.wire.rtps.names import ros_topic
+from edoras_tools.wire.rtps.names import ros_name, ros_topic
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -151,11 +151,25 @@ class TopicWriter:
 
     Attributes:
         topic: its ROS name; the GUID of the writer where it was not announced.
+        type: its ROS name; empty where it was not announced.
         writer: what became of its samples.
     """
 
     topic: str
+    type: str
     writer: SampleWriter
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``info --json``."""
+        writer = self.writer
+        return {
+            "topic": self.topic,
+            "type": self.type or None,
+            "writer": guid_text(writer.guid),
+            "count": writer.captured,
+            "missing": writer.written - writer.captured,
+            "copies": writer.copies,
+        }
 
 
 def _size(ranges: list[tuple[int, int]]) -> int:
@@ -197,7 +211,7 @@ class SampleFollower:
             told = endpoints.find(guid)
             if writer.first is not None and (told is None or told.topic != PRESENCE):
                 topic = ros_topic(told.topic) if told and told.topic else f"writer {guid_text(guid)}"
-                found.append(TopicWriter(topic, writer))
+                found.append(TopicWriter(topic, ros_name(told.type) if told else "", writer))
         return tuple(found)
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:

@@ -9,6 +9,7 @@ from rtps import CAPTURES, PREFIX, TRUTH, WRITER, data, made, message
 from rtps_batches import batch_of
 
 from edoras_tools.decode import ColumnDecoder, Context
+from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.dds import MOST_ASKED, SampleFollower
@@ -50,6 +51,17 @@ def test_every_sample_is_accounted_for(path):
     # At the sender's end all had been captured before a reader asked; at the receiver's none had.
     assert twists.behind == (twists.resent if end == "sender" else 0)
     assert (twists.copies > 0) == (end == "sender")
+
+
+def test_info_counts_each_sample_once():
+    path = next(item for item in CAPTURES if item.name.startswith("cyclone_sender"))
+    source = open_files([path])
+    found = inspect(source, Settings().workbench(source.info)).summary()
+    rows = {row["topic"]: row for row in found["samples"]}
+    assert {topic: row["count"] for topic, row in rows.items()} == TRUTH["cyclone"]["written"]
+    assert {row["missing"] for row in rows.values()} == {0}
+    assert rows["/cmd_vel"]["type"] == "geometry_msgs/msg/Twist"
+    assert rows["/cmd_vel"]["copies"] == 12
 
 
 def follow(follower, *payloads, size=3):

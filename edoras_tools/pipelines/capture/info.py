@@ -36,7 +36,10 @@ class Counting:
     """
 
     def __init__(self, source: Source, bench: Workbench) -> None:
-        self.report = CaptureReport(Ledger(bench.mission), source, notes=bench.columns.context.notes)
+        context = bench.columns.context
+        self.report = CaptureReport(
+            Ledger(bench.mission), source, notes=context.notes, endpoints=context.endpoints
+        )
         self._once = Once()
         self._structs = bench.columns.context.structs
 
@@ -49,6 +52,7 @@ class Counting:
         keep[loop.conversations.left_out()] = False
         kept = rows.take(np.flatnonzero(keep[rows.chosen]))
         self.report.ledger.add(*kept.alone())
+        self.report.follow_samples(*kept.alone())
         table = self._structs.dictionary
         if table is not None:
             found = table.whole(payloads(self._structs, kept.column, kept.datagram, kept.batch.data))

@@ -16,6 +16,7 @@ from edoras_tools.io.formats.split import SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import Keep, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
+from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, QUIET_NS, Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.jobs import jobs_for
@@ -30,12 +31,14 @@ if TYPE_CHECKING:
     from edoras_tools.io import Sink, Source
     from edoras_tools.io.formats.capture_file import CaptureFileSink
     from edoras_tools.io.formats.watched import FileSink, OutputLoss
+    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.mission.fprime import Entry
     from edoras_tools.model import Columns, HostCounters, PacketBatch
     from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.sessions.dds import SampleFollower
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +99,7 @@ class CaptureReport:
         losses: outputs that were removed while they were written.
         keep: how many of the oldest files were deleted because no more were to be kept.
         entries: how often each entry of an F Prime dictionary was seen whole; ``info`` counts them.
+        endpoints: of DDS, as they are announced; None: their samples are not followed.
     """
 
     ledger: Ledger
@@ -108,6 +112,8 @@ class CaptureReport:
     losses: list[OutputLoss] = field(default_factory=list)
     keep: Keep = field(default_factory=Keep)
     entries: Counter[Entry] = field(default_factory=Counter)
+    endpoints: Endpoints | None = None
+    _samples: SampleFollower | None = None
 
     @property
     def lost(self) -> int:
@@ -137,6 +143,7 @@ class CaptureReport:
             "outages": [outage.as_json() for outage in statistics.outages],
             "routes": self.ledger.routes(),
             **({"entries": self._entries()} if self.entries else {}),
+            **({"samples": self._writers()} if self._samples is not None else {}),
             "findings": dict(sorted(self.ledger.findings.items())),
             "warnings": [
                 *self.ledger.mission.warnings,
@@ -147,6 +154,22 @@ class CaptureReport:
                 *map(str, self.losses),
             ],
         }
+
+    def follow_samples(self, batch: PacketBatch, columns: Columns) -> None:
+        """Count the samples of DDS in a batch."""
+        if self.endpoints is None or not (columns.link == RTPS).any():
+            return
+        if self._samples is None:
+            from edoras_tools.sessions.dds import SampleFollower
+
+            self._samples = SampleFollower()
+        self._samples.add(batch, columns)
+
+    def _writers(self) -> list[dict[str, Any]]:
+        """Return the writers of DDS, and how many of their samples were captured."""
+        if self._samples is None or self.endpoints is None:
+            return []
+        return [item.as_json() for item in self._samples.named(self.endpoints)]
 
     def _entries(self) -> list[dict[str, Any]]:
         """Return the entries of a dictionary, and how often each was seen."""
@@ -342,7 +365,10 @@ def pour(
         CaptureError: the sink cannot be written.
     """
     source, bench = loop.source, loop.bench
-    report = CaptureReport(Ledger(bench.mission, sequences), source, notes=bench.columns.context.notes)
+    context = bench.columns.context
+    report = CaptureReport(
+        Ledger(bench.mission, sequences), source, notes=context.notes, endpoints=context.endpoints
+    )
     live = not source.statistics.total_bytes  # without flushes, a file always gives the same recording
     flushing = Flushing(sink, loop.limits.clock, time_ns if isinstance(source, DeviceSource) else None)
     host = None
@@ -369,6 +395,7 @@ def pour(
             if len(batch):
                 if by_route:
                     report.ledger.add(batch, columns)
+                    report.follow_samples(batch, columns)
                 else:
                     report.ledger.tally(batch)
                 if tap is not None:

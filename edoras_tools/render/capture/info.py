@@ -50,6 +50,9 @@ class _CaptureSummary:
         if self.summary.get("entries"):
             yield Text()
             yield _entries(self.summary["entries"])
+        if self.summary.get("samples"):
+            yield Text()
+            yield _writers(self.summary["samples"])
         if self.summary.get("findings"):
             yield Text()
             yield findings(self.summary["findings"], self.summary.get("datagrams", 0), meaning=self.explain)
@@ -64,6 +67,19 @@ def _entries(rows: Sequence[Mapping[str, Any]]) -> Table:
     for row in rows:
         grid.add_row(row["is"], row["id"], plain(row["entry"]), f"{row['count']:,}")
     grid.columns[3].justify = "right"
+    return grid
+
+
+def _writers(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of the writers of DDS."""
+    grid = Table.grid(padding=(0, 2))
+    heads = ("DDS", "Type", "Samples", "Missing", "Copies")
+    grid.add_row(*(plain(name, palette.STRONG) for name in heads))
+    for row in rows:
+        counts = (f"{row[name]:,}" for name in ("count", "missing", "copies"))
+        grid.add_row(plain(row["topic"], palette.STRONG), plain(row["type"] or units.NONE), *counts)
+    for column in grid.columns[2:]:
+        column.justify = "right"
     return grid
 
 

@@ -130,6 +130,8 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | N
     messages = sum(row.get("count", 0) for row in topics)
     over = f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}"
     on = f"{plural(messages, 'message')} on {plural(len(topics), 'topic')}"
+    if samples := summary.get("samples"):
+        on += f", {plural(sum(row['count'] for row in samples), 'sample')} of DDS"
     if "messages" in summary:  # of a recording without datagrams
         what, words = "message", [on + over * bool(messages)]
     else:
