@@ -145,10 +145,31 @@ def one_and_two_processes(folder: Path, packets: int) -> dict[str, object]:
             results[f"{name}_{count}_job_s"] = round(times[-1], 2)
             results[f"{name}_{count}_job_mib"] = round(peak_memory(whole, Path(f"{made}.mcap")))
         results[f"{name}_times_one"] = round(times[0] / times[1], 2)
+    results |= two_recordings(folder, capture)
     if shutil.which("zstd"):
         pack = ["zstd", "-q", "-f", "-1", str(capture), "-o", f"{made}.zst"]
         results["zstd_1_s"] = round(timed(pack, rounds=1), 2)
     return results
+
+
+def two_recordings(folder: Path, capture: Path) -> dict[str, object]:
+    """Two recordings at once without ``--jobs``, beside one: how many times as much is done in a second."""
+    made = [folder / f"at_once_{number}.mcap" for number in range(2)]
+    commands = [[EDORAS, "record", "-q", *TWO_ROVERS, "-r", str(capture), "-o", str(path)] for path in made]
+    one = {
+        "one_job": timed([*commands[0], "--jobs", "1"], rounds=1, makes=made[0]),
+        "alone": timed(commands[0], rounds=1, makes=made[0]),
+    }
+    made[0].unlink()
+    began = time.perf_counter()
+    running = [subprocess.Popen(command) for command in commands]
+    if sum(process.wait() for process in running):
+        sys.exit("one of two recordings failed")
+    both = time.perf_counter() - began
+    return {
+        "two_records_s": round(both, 2),
+        **{f"two_records_times_{name}": round(2 * seconds / both, 2) for name, seconds in one.items()},
+    }
 
 
 def memory_of_a_large_file(folder: Path, packets: int) -> dict[str, object]:
