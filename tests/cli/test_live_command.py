@@ -198,7 +198,7 @@ def test_a_proxy_is_looked_at_while_it_relays(command, missions):
         (("--sim", "rover", "--no-wait"), "can only be used with a recording"),
         (("a.pcap", "--paused", "--no-wait"), "use one of them"),
         (("nowhere.pcap",), "nowhere.pcap: "),
-        (("-",), "-: playback reads it several times"),
+        (("-",), "-: "),
         (("--sim", "rover", "--allow-publish", "/nowhere"), "'/nowhere' matches no topic that goes to cFS"),
         (("--sim", "rover", "--topic", "/nowhere"), "no configured topic matches '/nowhere'"),
         (("--sim", "rover", "--host", "192.0.2.1"), "192.0.2.1:0: cannot listen"),

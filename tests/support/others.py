@@ -8,7 +8,7 @@ import struct
 import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 BEGIN = 1_790_000_000_000_000_000
@@ -69,9 +69,12 @@ def messages(count=100, begin=BEGIN):
             yield now + 4_000_000, "/tf_static", kind[TOPICS["/tf_static"]]([stamped])
 
 
-def write_bag(path, plugin=StoragePlugin.MCAP, count=100, begin=BEGIN):
+def write_bag(path, plugin=StoragePlugin.MCAP, count=100, begin=BEGIN, packed=None):
     """Write a rosbag2 directory with rosbags; return its path."""
-    with Writer(path, version=9, storage_plugin=plugin) as writer:
+    writer = Writer(path, version=9, storage_plugin=plugin)
+    if packed is not None:
+        writer.set_compression(packed, CompressionFormat.ZSTD)
+    with writer:
         topics = {name: writer.add_connection(name, kind, typestore=STORE) for name, kind in TOPICS.items()}
         for time_ns, topic, value in messages(count, begin):
             writer.write(topics[topic], time_ns, STORE.serialize_cdr(value, TOPICS[topic]))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.errors import CaptureError, NoDatagramsError
 from edoras_tools.io.formats.cfe import CFE_MAGIC
 from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
-from edoras_tools.io.formats.settled import settled_file
+from edoras_tools.io.formats.settled import SettledFile, settled_file
 from edoras_tools.io.formats.stream import ByteStream, CompressedStream, FileStream, Window
 from edoras_tools.io.formats.table import CFE, MCAP, PCAPNG, READABLE, TOPIC_READERS
 
@@ -113,6 +113,26 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
     if head.startswith(_DATABASE):
         raise _database(stream, path, b"" if there else head)
     raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")
+
+
+def kept_recording(path: Path) -> SettledFile:
+    """Return a recording that comes through a pipe as a file, which can be opened again.
+
+    Raises:
+        CaptureError: it cannot be read, or is a capture, which need not have an end.
+    """
+    stream: ByteStream = FileStream(_open(path), str(path))
+    try:
+        head = _head(stream)
+        kind = next((kind for magic, kind in _COMPRESSED.items() if head.startswith(magic)), "")
+        if kind:
+            stream = CompressedStream(stream, kind, head)
+            head = _head(stream)
+        if not head.startswith((_MCAP, _DATABASE)):
+            raise CaptureError(f"{path}: playback reads a capture several times; save it to a file first")
+        return settled_file(stream, path, head)
+    finally:
+        stream.close()
 
 
 def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import follow_streams
+from edoras_tools.io.formats.open import kept_recording
+from edoras_tools.io.formats.settled import SettledFile
 from edoras_tools.io.foxglove.playback import PlaybackState
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
@@ -86,13 +87,18 @@ def open_recording(
         ConfigError: the mission has errors.
     """
     for path in paths:
-        if str(path) == "-" or path.is_fifo() or path.is_char_device():
+        if path.is_fifo() or path.is_char_device():
             raise CaptureError(f"{path}: playback reads it several times; save it to a file first")
-    source, bench = open_inputs(paths, settings)
+    kept = [kept_recording(path) if str(path) == "-" else SettledFile(path, str(path)) for path in paths]
+    source, bench = open_inputs([item.path for item in kept], settings)
     source.close()
-    if bench.mission.recorded:
-        return source.info, bench, lambda: open_inputs(paths, settings)[0]
-    return source.info, bench, partial(open_files, paths)
+    info = replace(source.info, name=", ".join(item.name for item in kept))
+
+    def reopen() -> Source:  # it also keeps the temporary copies
+        again = [item.path for item in kept]
+        return open_inputs(again, settings)[0] if bench.mission.recorded else open_files(again)
+
+    return info, bench, reopen
 
 
 class RecordingPlayer:

@@ -255,13 +255,29 @@ def test_a_recording_that_is_cut_off_is_played_as_far_as_it_goes(tmp_path):
         assert player.end > player.start
 
 
-def test_what_cannot_be_read_twice_cannot_be_played(tmp_path):
+def test_what_cannot_be_read_twice_cannot_be_played(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
-    for path in (Path("-"), tmp_path / "pipe"):
-        with pytest.raises(CaptureError, match="playback reads it several times"):
-            open_recording([path], SETTINGS)
+    with pytest.raises(CaptureError, match="playback reads it several times"):
+        open_recording([tmp_path / "pipe"], SETTINGS)
+    with ROVER.open("rb") as piped:
+        monkeypatch.setattr("sys.stdin", piped)
+        with pytest.raises(CaptureError, match="playback reads a capture several times"):
+            open_recording([Path("-")], SETTINGS)
     with pytest.raises(CaptureError):
         open_recording([tmp_path / "nothing.pcap"], SETTINGS)
+
+
+def test_a_recording_through_a_pipe_is_kept_and_opened_again(tmp_path, monkeypatch):
+    path = tmp_path / "a.mcap"
+    record(open_files([ROVER]), SETTINGS.workbench(), Target(path))
+    with path.open("rb") as piped:
+        monkeypatch.setattr("sys.stdin", piped)
+        info, _, reopen = open_recording([Path("-")], SETTINGS)
+    assert info.name == "-"
+    for _ in range(2):
+        source = reopen()
+        assert sum(map(len, source.batches())) == 1827
+        source.close()
 
 
 def test_times_that_step_back_are_played_in_the_order_they_were_captured(tmp_path):

@@ -17,6 +17,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import zstandard
 from mcap.records import Channel, Schema
 
 from edoras_tools.errors import CaptureError
@@ -30,7 +31,7 @@ from edoras_tools.io.formats.mcap.messages import (
 from edoras_tools.io.formats.rosbag2.reader import query, readable, storage_of
 from edoras_tools.mission.model import RecordedTopic
 from edoras_tools.model import RECORDED, PacketBatch, SourceInfo, SourceStatistics
-from edoras_tools.wire.arrays.window import PADDING, copy_rows
+from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -43,6 +44,9 @@ _BATCH_BYTES: Final = 4 << 20
 _ROWS: Final = 8192
 """Rows of a database that are read at once."""
 _MOST_HELD: Final = 128 << 20
+_LARGEST: Final = 256 << 20
+"""Bytes of a message at the most that is compressed on its own."""
+_ZSTD: Final = b"\x28\xb5\x2f\xfd"
 _MOST_TOPICS: Final = 32767
 """A row's topic has 15 bits."""
 
@@ -108,7 +112,7 @@ class MessageSource:
         number, done = 1, 0
         for file in self._files:
             try:
-                for found in file.messages():
+                for found in map(_unpacked, file.messages()):
                     batch = _batch(found, file.numbers, number)
                     number += len(batch)
                     self.statistics.datagrams += len(batch)
@@ -328,6 +332,31 @@ def _compact(found: SelectedMessages) -> SelectedMessages:
     data = np.zeros(int(found.length.sum()) + PADDING, np.uint8)
     copy_rows(data, offset, found.data, found.offset, found.length)
     return found._replace(data=data, offset=offset)
+
+
+def _unpacked(found: SelectedMessages) -> SelectedMessages:
+    """Unpack the messages that rosbag2 compressed one by one: CDR never begins as they do.
+
+    Raises:
+        CaptureError: one is damaged.
+    """
+    head = gather(found.data, found.offset, len(_ZSTD)).view("<u4").reshape(-1)
+    packed = np.flatnonzero((head == int.from_bytes(_ZSTD, "little")) & (found.length > len(_ZSTD)))
+    if not len(packed):
+        return found
+    unpacker, messages = zstandard.ZstdDecompressor(), []
+    for row in packed.tolist():
+        start = int(found.offset[row])
+        try:
+            data = found.data[start : start + int(found.length[row])].tobytes()
+            messages.append(unpacker.decompress(data, max_output_size=_LARGEST))
+        except zstandard.ZstdError as error:
+            raise CaptureError(f"a message that is compressed on its own is damaged: {error}") from None
+    offset, length = found.offset.copy(), found.length.copy()
+    length[packed] = [len(data) for data in messages]
+    offset[packed] = len(found.data) + np.cumsum(length[packed]) - length[packed]
+    added = np.frombuffer(b"".join((*messages, bytes(PADDING))), np.uint8)
+    return found._replace(data=np.concatenate([found.data, added]), offset=offset, length=length)
 
 
 def _batch(found: SelectedMessages, numbers: Mapping[int, int], first: int) -> PacketBatch:

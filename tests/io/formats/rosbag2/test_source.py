@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from others import STORE, read_bag, studio_message, write_bag, write_studio
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from edoras_tools.errors import CaptureError, NoDatagramsError
 from edoras_tools.io.formats.open import open_file
@@ -66,6 +66,15 @@ def test_rows_are_what_rosbags_reads(plugin, tmp_path):
     found, failure = rows(path)
     assert (found, failure) == (read_bag(path), None)
     assert len(found) == 100 + 50 + 50 + 4 + 1
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_what_rosbag2_compressed_is_unpacked(plugin, mode, tmp_path):
+    path = write_bag(tmp_path / "bag", plugin, packed=mode)
+    found, failure = rows(path)
+    assert (found, failure) == (rows(write_bag(tmp_path / "plain", plugin))[0], None)
+    assert len(found) == 205
 
 
 @pytest.mark.parametrize("compression", CompressionType)
