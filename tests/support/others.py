@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 import struct
+import tempfile
+from pathlib import Path
 
 import numpy as np
 from mcap.writer import CompressionType
@@ -138,3 +141,14 @@ def studio_message(topic, number):
     if topic == "/outer":
         return b"\0\1\0\0" + struct.pack("<diI2fI3s", number / 2, number, 2, 1.5, 2.5, 3, b"hi\0")
     return b"\0\1\0\0some"
+
+
+def write_sample(path):
+    """Write ``samples/recordings/robot.mcap`` again: the file of a directory that rosbags wrote."""
+    with tempfile.TemporaryDirectory() as folder:
+        bag = write_bag(Path(folder) / "bag", count=60)
+        shutil.copy(next(bag.glob("*.mcap")), path)
+
+
+if __name__ == "__main__":
+    write_sample(Path(__file__).parents[2] / "samples/recordings/robot.mcap")

@@ -121,6 +121,6 @@ def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
                 break
     finally:
         source.close()
-    unit = "message" if bench.mission.recorded else "datagram"
+    word, unit = ("message", "message") if bench.mission.recorded else ("packet", "datagram")
     what = "is not a UDP datagram" if number <= last else f"does not exist: the last {unit} is number {last}"
-    raise CaptureError(f"{source.info.name}: packet {number} {what}")
+    raise CaptureError(f"{source.info.name}: {word} {number} {what}")

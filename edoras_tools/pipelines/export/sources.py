@@ -56,6 +56,7 @@ class TopicSource(ABC):
     Attributes:
         name: of the input.
         topics: every topic that it can contain, with its type.
+        unread: other topics of a recording, and why their messages cannot be read.
         source: where its datagrams come from; None if it has none.
         zero_ns: the time that its times count from; -1 until it is known.
         last_ns: latest time that was read; -1 before.
@@ -71,6 +72,7 @@ class TopicSource(ABC):
     def __init__(self, name: str, scope: Scope | None) -> None:
         self.name = name
         self.topics: dict[str, str] = {}
+        self.unread: dict[str, str] = {}
         self.zero_ns = self.last_ns = -1
         self.left_out = self.unnamed = 0
         self.failure: EdorasError | None = None
@@ -272,7 +274,6 @@ class BagTopics(TopicSource):
         super().__init__(source.info.name, scope)
         self._messages, self._bench = source, bench
         self._places: dict[int, str] = {}
-        self._left_out: list[str] = []
         for place, (route, recorded) in enumerate(
             zip(bench.mission.routes, bench.mission.recorded, strict=True)
         ):
@@ -280,7 +281,7 @@ class BagTopics(TopicSource):
             if not why and route.topic in self.topics:
                 why = f"some messages are {route.type}, others {self.topics[route.topic]}"
             if why:
-                self._left_out.append(f"{route.topic} is left out: {why}")
+                self.unread[route.topic] = why
             else:
                 self.topics[route.topic] = route.type
                 self._places[place] = route.topic
@@ -288,7 +289,8 @@ class BagTopics(TopicSource):
     @property
     def notes(self) -> list[str]:
         """Notes on the input for the user."""
-        return [*self._left_out, *self._bench.columns.context.notes]
+        left_out = [f"{topic} is left out: {why}" for topic, why in self.unread.items()]
+        return [*left_out, *self._bench.columns.context.notes]
 
     def types(self, _: str) -> TypeStore:
         """Return the types that include a topic's."""

@@ -91,6 +91,9 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
         source.look()
     for pattern in patterns:
         if not any(fits_topic(topic, pattern) for topic in source.topics):
+            for topic, why in source.unread.items():
+                if fits_topic(topic, pattern):
+                    raise RouteError(f"{topic} of {source.name}: {why}")
             near = did_you_mean(f"/{pattern.removeprefix('/')}", source.topics)
             hint = near or f"there are {', '.join(source.topics)}"
             raise RouteError(f"no topic of {source.name} matches {pattern!r}; {hint}")

@@ -53,11 +53,12 @@ def open_folder(path: Path, open_part: Callable[[Path], Source]) -> Source | Non
         NoDatagramsError: it is another tool's, and holds topics only.
     """
     files = files_of(path)
-    if not files:
+    whole = (path / METADATA).exists()
+    if not files or not (whole or len(files) == 1):
         return None
     with ExitStack() as opened:
         parts = [opened.enter_context(closing(part)) for part in _parts(path, files, open_part)]
-        if not (path / METADATA).exists():
+        if not whole:
             return None
         opened.pop_all()
     return FolderSource(path, parts)
