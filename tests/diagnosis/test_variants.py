@@ -391,6 +391,26 @@ def test_two_builds_on_one_host_one_after_the_other_lose_each_its_own(tmp_path, 
     assert (found.lost, found.unaccounted) == (TRUTH[one] + TRUTH[other], 0)
 
 
+def test_a_telemetry_output_that_may_have_been_told_to_stop_lost_nothing(tmp_path):
+    """It was told to send nothing for 15 s; in a capture of telemetry alone nothing tells that it was."""
+    kept = [item for item in captured("n1_to_remove_all") if item.destination[1] == 1235]
+    found = diagnosed(write(tmp_path / "x.pcap", kept), "n1_to_remove_all")
+    assert [row for row in found.balance if not row.adds_up] == []
+    assert (found.lost, found.unaccounted) == (0, 30)
+    told = [item for item in found.verdicts if item.rule == "unexplained_gap"]
+    assert len(told) == 2
+    assert all("no command to cFS is in the capture" in item.reason for item in told)
+    assert all("Command Ingest" in item.remedy for item in told)
+
+
+def test_what_a_peer_sends_unseen_is_no_ground_for_a_cause(tmp_path):
+    """Two cFS that hand on each other's packets, their SBN not captured: its pipes lost some, no network."""
+    kept = [item for item in captured("d3_cpu1_cpu2") if item.destination[1] == 1235]
+    found = diagnosed(write(tmp_path / "x.pcap", kept), "d3_cpu1_cpu2")
+    assert [row for row in found.balance if not row.adds_up] == []
+    assert not {item.rule for item in found.verdicts} & {"no_subscriber", "lost_after_cfs"}
+
+
 @pytest.mark.parametrize("link", UNNAMED)
 def test_a_port_that_is_not_named_is_said_first(tmp_path, link):
     change, remedy = UNNAMED[link]

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.diagnosis.accounting.claims import Claim, Counts, grouped, settle
-from edoras_tools.diagnosis.accounting.closed import closed_at, silenced_at, silences_of
+from edoras_tools.diagnosis.accounting.closed import closed_at, silenced_at, silences_of, unled_silences
 from edoras_tools.diagnosis.accounting.losses import (
     BEHIND,
     COUNTER_NAMES,
@@ -90,6 +90,7 @@ class Part:
         outside: how many may be missing before the first count or behind the last.
         closed: whether the way out was closed: nobody would have sent them.
         silenced: whether Telemetry Output as a whole was silent until it was enabled.
+        unled: whether it was silent as a whole, and what it was told is not in the capture.
         among: which they are.
     """
 
@@ -104,6 +105,7 @@ class Part:
     outside: int = 0
     closed: bool = False
     silenced: bool = False
+    unled: bool = False
     evidence: list[str] = field(default_factory=list)
 
 
@@ -119,7 +121,8 @@ class Telemetry:
         away: id of a stream to those that are missing while the capturing interface was away.
         silences: sender of telemetry to the times in which that was so.
         proxied: id of a stream to messages that are missing because a proxy dropped them on purpose.
-        untold: id of a stream to counts that are missing where cut frames do not tell whose they are.
+        untold: id of a stream to counts that are missing where cut frames do not tell whose they are, or
+            nothing tells whether Telemetry Output was to send them.
     """
 
     def __init__(self, known: Known, counts: dict[int, Counts]) -> None:
@@ -128,6 +131,7 @@ class Telemetry:
         self.closed: dict[int, int] = {}
         self.proxied: dict[int, int] = {}
         self.untold: dict[int, int] = {}
+        self._unled: dict[int, list[tuple[int, int]]] = {}
         self.silenced: dict[int, int] = {}
         self.silent: list[tuple[int, Among]] = []
         self.away: dict[int, int] = {}
@@ -195,13 +199,15 @@ class Telemetry:
         counts = self._counts.get(owner)
         if stream.link.only_from_cfs and stream.sender not in self.silences:
             self.silences[stream.sender] = silences_of(known, stream.sender)
+            self._unled[stream.sender] = unled_silences(known, stream.sender)
         silenced = silenced_at(known, stream, at, self.silences.get(stream.sender, ()))
+        unled = silenced_at(known, stream, at, self._unled.get(stream.sender, ()) if hop is None else ())
         behind = np.minimum(at + 1, len(stream) - 1)
         away = known.away(known.rows.time_ns[own[at]], known.rows.time_ns[own[behind]])
         if away.any():
             self.away[id(stream)] = int(number[away].sum())
         at, number, from_ns, until_ns = at[~away], number[~away], from_ns[~away], until_ns[~away]
-        silenced, absent = silenced[~away], absent[~away]
+        silenced, unled, absent = silenced[~away], unled[~away], absent[~away]
 
         def among(chosen: NDArray[Any]) -> Among:
             if hop is not None:
@@ -210,12 +216,13 @@ class Telemetry:
 
         closed = closed_at(known, stream, at)
         silenced &= ~closed
-        closed |= silenced
+        unled &= ~(closed | silenced)
+        closed |= silenced | unled
         for index in np.flatnonzero(closed).tolist():
             part = self._closed_part(
                 stream, int(at[index]), owner, int(number[index]), among(np.array([index]))
             )
-            part.silenced = bool(silenced[index])
+            part.silenced, part.unled = bool(silenced[index]), bool(unled[index])
             if counts is not None and stream.link.only_from_cfs:
                 # A pipe that nobody empties fills up: what the software bus counts then is lost.
                 low, high = counts.seconds(np.array([from_ns[index], until_ns[index]])).tolist()
@@ -287,7 +294,7 @@ class Telemetry:
             ]
             self.losses.append(self._loss(part, kind, number, part.missing, "medium"))
         rest = part.missing - sum(part.taken.values())
-        where = self.silenced if part.silenced else self.closed
+        where = self.silenced if part.silenced else self.untold if part.unled else self.closed
         where[id(part.stream)] = where.get(id(part.stream), 0) + rest
         if part.silenced:
             self.silent.append((rest, part.among))
@@ -359,6 +366,12 @@ class Telemetry:
             return
         kind: LossKind = "after" if part.watched else "unknown"
         handed_on = part.stream.link.only_from_cfs and part.stream.instance != part.owner
+        if kind == "after" and self._known.peers_unseen:
+            part.evidence.append(
+                "several cFS are here, and what they send each other over SBN is not in the capture: it may "
+                "have been lost there"
+            )
+            kind = "unknown"
         if kind == "after" and handed_on and self._known.upstream(part.stream) is None:
             part.evidence.append(
                 f"it came over SBN from {self._known.label(part.stream.instance)}, and that link is not in "

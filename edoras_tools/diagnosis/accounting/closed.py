@@ -57,18 +57,37 @@ def silenced_at(
     return out
 
 
-def silences_of(known: Known, sender: int) -> list[tuple[int, int]]:
-    """Return when the Telemetry Output behind an endpoint sent nothing, until it was enabled."""
+def unled_silences(known: Known, sender: int) -> list[tuple[int, int]]:
+    """Return when the Telemetry Output behind an endpoint sent nothing, where no command to cFS was captured.
+
+    Whether it was told to send nothing then, cannot be seen.
+    """
+    rows = known.rows
+    if among(rows.link, lambda link: link.only_to_cfs).any():
+        return []
+    times = _sent_by(known, sender)
+    silent = np.flatnonzero(np.diff(times) > _SILENT_WAKES * known.profile.to_wake_ns)
+    return [(int(times[at]), int(times[at + 1])) for at in silent.tolist()]
+
+
+def _sent_by(known: Known, sender: int) -> NDArray[np.int64]:
+    """Return when the Telemetry Output behind an endpoint sent something."""
     rows, output = known.rows, known.instances.output
     sent = among(rows.link, lambda link: link.only_from_cfs)
     mine = [port for port in np.unique(rows.source[sent]).tolist() if sender in {port, output(port)}]
+    times: NDArray[np.int64] = rows.time_ns[sent & np.isin(rows.source, mine)]
+    return times
+
+
+def silences_of(known: Known, sender: int) -> list[tuple[int, int]]:
+    """Return when the Telemetry Output behind an endpoint sent nothing, until it was enabled."""
+    rows = known.rows
     enabled = [
         int(rows.time_ns[item.row])
         for item in known.payloads.output
         if item.function_code == telemetry_output.ENABLE
     ]
-    times = rows.time_ns[sent & np.isin(rows.source, mine)]
-    return silences(times, enabled, known.profile.to_wake_ns)
+    return silences(_sent_by(known, sender), enabled, known.profile.to_wake_ns)
 
 
 def silences(sent_ns: NDArray[np.int64], enabled_ns: Sequence[int], wake_ns: int) -> list[tuple[int, int]]:

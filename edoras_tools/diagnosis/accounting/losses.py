@@ -16,6 +16,7 @@ from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays.proxied import UNTOUCHED
 from edoras_tools.diagnosis.matching.spans import Comb, Span, comb, spans
+from edoras_tools.links.table import among
 from edoras_tools.model import Peer
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -143,6 +144,7 @@ class Known:
     """What a proxy did on purpose to the datagrams of a MsgId, on a link, one way."""
     outages: Sequence[tuple[int, int]] = ()
     """From when to when the capturing interface was away."""
+    _unseen: list[bool] = field(default_factory=list)
     _spans: dict[int, list[Span]] = field(default_factory=dict)
     _captured: dict[int, NDArray[np.int64]] = field(default_factory=dict)
     _times: dict[tuple[Any, ...], NDArray[np.int64]] = field(default_factory=dict)
@@ -175,6 +177,18 @@ class Known:
         """Return what a proxy did on purpose to the datagrams of a stream."""
         to_cfs = stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
         return self.proxied.get((stream.link.code, to_cfs, stream.msg_id), UNTOUCHED)
+
+    @property
+    def peers_unseen(self) -> bool:
+        """Whether a cFS hands on what another one made, and how that came to it was not captured."""
+        if not self._unseen:
+            on_sbn = among(self.rows.link, lambda link: link.peers).any()
+            handed_on = (
+                stream.link.only_from_cfs and stream.instance not in {NOBODY, self.owner(stream)}
+                for stream in self.streams
+            )
+            self._unseen.append(not on_sbn and any(handed_on))
+        return self._unseen[0]
 
     def upstream(self, stream: Stream) -> Hop | None:
         """Return the hop by which a stream's packets came unchanged, if they did."""

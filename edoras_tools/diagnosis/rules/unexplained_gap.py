@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.table import among
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -50,9 +51,7 @@ def judge(case: Case) -> Iterator[Verdict]:
             yield Verdict(
                 ID,
                 Severity.WARNING,
-                f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: the capture cut off "
-                "when packets were made, so nothing tells whether they were lost, not sent, or are another "
-                "cFS's",
+                f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: {_why(case)}",
                 msg_id=stream.msg_id,
                 topic=case.topic(stream.msg_id),
                 link=stream.link.label,
@@ -60,6 +59,24 @@ def judge(case: Case) -> Iterator[Verdict]:
                 start_ns=int(case.rows.time_ns[stream.rows[0]]),
                 end_ns=int(case.rows.time_ns[stream.rows[-1]]),
                 evidence=case.drops_text(),
-                remedy="capture whole frames, without -s or with -s 0",
+                remedy="capture what is sent to Command Ingest, too"
+                if _no_commands(case)
+                else "capture whole frames, without -s or with -s 0",
                 confidence="low",
             )
+
+
+def _no_commands(case: Case) -> bool:
+    return not among(case.rows.link, lambda link: link.only_to_cfs).any()
+
+
+def _why(case: Case) -> str:
+    if _no_commands(case):
+        return (
+            "Telemetry Output sent nothing at all then, and no command to cFS is in the capture, so nothing "
+            "tells whether they were lost or it was told not to send"
+        )
+    return (
+        "the capture cut off when packets were made, so nothing tells whether they were lost, not sent, or "
+        "are another cFS's"
+    )
