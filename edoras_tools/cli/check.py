@@ -115,7 +115,7 @@ def _draft(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    from edoras_tools.io.outputs import check_new, write_bytes
+    from edoras_tools.io.outputs import check_new, unless_standard, write_bytes
     from edoras_tools.pipelines.check.draft import draft
     from edoras_tools.pipelines.doctor.doctor import profile_with
     from edoras_tools.render.terminal.console import error_console
@@ -125,7 +125,7 @@ def _draft(
         raise ConfigError("--init only drafts expectations: --junit and --json cannot be used with it")
     if any(given.live) or not given.paths:
         raise ConfigError("--init drafts from a recording: edoras check --init FILE...")
-    path = task.output
+    path = unless_standard(task.output)
     if path is not None:
         check_new(path, given.paths, force=task.force)
     with FileProgress(", ".join(map(str, given.paths)), console=error_console(), quiet=printing.quiet) as bar:

@@ -48,10 +48,10 @@ def decode(
     from edoras_tools.render.capture.watch import Followed
 
     *files, last = arguments
-    number = options.counted(last)
     paths = [*(read or ()), *map(Path, files)]
     if not paths:
         raise ConfigError("name the file and the packet's number: edoras decode FILE N")
+    number = options.counted(last)
     source, bench = open_input(InputOptions(FileOptions(paths)), decoding.settings(), messages=True)
     decoded = decode_packet(Followed(source, quiet=json), bench, number)
     for note in bench.columns.context.notes:

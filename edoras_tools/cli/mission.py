@@ -40,13 +40,13 @@ def draft(
 
     What -c names is left out. The names of topics are made from MsgIds: edit them.
     """
-    from edoras_tools.io.outputs import check_new, write_bytes
+    from edoras_tools.io.outputs import check_new, unless_standard, write_bytes
     from edoras_tools.pipelines.mission import draft_mission
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
     from edoras_tools.words import plural
 
-    paths = files.named()
+    paths, output = files.named(), unless_standard(output)
     if output is not None:
         check_new(output, paths, force=force)
     with FileProgress(", ".join(map(str, paths)), console=error_console(), quiet=quiet) as bar:

@@ -38,10 +38,11 @@ def xtce(
     Of the missions that -c names: telemetry of Telemetry Output and of cFE itself, field by field; commands
     to Command Ingest of fixed size.
     """
-    from edoras_tools.io.outputs import check_new, write_bytes
+    from edoras_tools.io.outputs import check_new, unless_standard, write_bytes
     from edoras_tools.pipelines.xtce import describe_packets
     from edoras_tools.words import plural
 
+    output = unless_standard(output)
     if output is not None:
         check_new(output, force=force)
     made = describe_packets(decoding.settings().workbench(), system, for_cosmos=form is GroundForm.COSMOS)

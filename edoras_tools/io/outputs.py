@@ -221,11 +221,18 @@ def check_new(path: Path, inputs: Iterable[Path] = (), *, force: bool) -> None:
         force: what exists may be replaced, if it is no input.
 
     Raises:
-        ConfigError: it would be written over.
+        ConfigError: it would be written over, or is ``-``: no file is called that by accident.
     """
+    if str(path) == "-":
+        raise ConfigError("-: this is not written to standard output; name a file")
     refuse_input(path, inputs)
     if not force:
         refuse_existing(in_the_way(path))
+
+
+def unless_standard(path: Path | None) -> Path | None:
+    """Return a path, and None for ``-``: what is not given goes to standard output."""
+    return None if path is not None and str(path) == "-" else path
 
 
 def to_disk(path: Path) -> None:

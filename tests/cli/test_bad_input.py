@@ -163,7 +163,6 @@ OUTPUTS = [
     ("-o full.pcapng", 1, "full.pcapng: cannot be written: No space left on device"),
     ("-o x.wav", 2, "x.wav: unknown suffix"),
     ("-o x", 2, "x: unknown suffix"),
-    ("-o -", 2, "-: unknown suffix"),
     ("-o x.pcap --keep 3", 2, "--keep and --keep-size delete the oldest files: split too"),
     ("-o x.pcap --split-size 2M --keep-size 1M", 2, "--keep-size is smaller than --split-size"),
     ("-o x.mcap --split-count 0", 2, "0 is less than 1"),
@@ -204,7 +203,7 @@ USAGE = [
     ("inject es-noop --expect TO_HKK", 1, "did you mean TO_HK?"),
     ("inject es-noop --expect-within 5s", 2, "name what is expected"),
     ("inject es-noop --max-loss 1% --no-listen", 2, "need answers"),
-    ("decode ok.pcap", 2, "Missing argument 'N'"),
+    ("decode ok.pcap", 2, "name the file and the packet's number: edoras decode FILE N"),
     ("decode ok.pcap 99999", 1, "ok.pcap: packet 99999 does not exist: the last datagram is number 1827"),
     ("decode ok.pcap 0", 2, "0 is less than 1"),
     ("decode ok.pcap x", 2, "'x' is not a whole number"),
@@ -258,7 +257,11 @@ USAGE = [
     ("sim nothing", 2, "'nothing' is not one of 'rover'"),
     ("sim --hz 0", 2, "--hz"),
     ("sim --host 192.0.2.1 --duration 1", 1, "192.0.2.1"),
-    ("demo -o ok.pcap/x --duration 1", 1, "ok.pcap/x: Not a directory"),
+    (
+        "demo -o ok.pcap/x --duration 1",
+        1,
+        "ok.pcap/x/missions/rover_ground.yaml: cannot be written: Not a directory",
+    ),
 ]
 
 
@@ -266,10 +269,34 @@ USAGE = [
 def test_usage(line, code, words, call, place):
     done = call(*line.split())
     assert done.code == code
-    assert len(done.err) == 1
-    assert words in done.err[0]
-    assert done.err[0].startswith("edoras: ")
+    *setup, told = done.err
+    assert bool(setup) == line.endswith(" -v"), "which says first what it works with"
+    assert words in told
+    assert told.startswith("edoras: ")
     assert not (place / "x.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "mission draft ok.pcap",
+        "check --init ok.pcap",
+        "xtce -c samples/missions/rover_ground.yaml",
+        "report ok.pcap",
+        "sweep 0x827 --dry-run --svg -",
+    ],
+)
+def test_no_file_is_called_as_standard_output_is(line, call, place):
+    before = sorted(item.name for item in place.iterdir())
+    done = call(
+        *line.replace("samples", str(ROOT / "samples")).split(), *["-o", "-"] * ("-" not in line.split())
+    )
+    assert sorted(item.name for item in place.iterdir()) == before
+    if line.startswith(("report", "sweep")):
+        assert (done.code, done.out) == (2, "")
+        assert "-: this is not written to standard output; name a file" in done.err[-1]
+    else:
+        assert done.out.startswith(("# ", "<?xml"))
 
 
 def test_a_port_in_use(call):
