@@ -79,7 +79,7 @@ KEPT = {
 """Options that name a file that is neither only read nor written anew."""
 READS = {
     *("FILE", "[FILE]...", "GOOD", "BAD", "--read", "--config", "--msg-path", "--structs", "--include"),
-    *("--against", "--bag", "--scenario", "FILE... FIELD...", "DIR|URL..."),
+    *("--against", "--bag", "--scenario", "FILE... FIELD...", "FILE... N", "DIR|URL..."),
 }
 """Arguments and options that name what is read."""
 
