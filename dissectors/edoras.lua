@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "2a9903128b2921d1"
+local DIGEST = "6097944429891cbf"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1191,7 +1191,27 @@ D.sbn = {
 	ident = "$Id: dccf6239093d99c4c9351e140c15b61a95d8fc37 $",
 	ident_bytes = 48,
 }
-D.racs2 = {subprotocol = "example-protocol"}
+D.racs2 = {
+	subprotocol = "example-protocol",
+	values = {
+		[1] = {name = "bool_data", kind = "bool"},
+		[2] = {name = "float_data", kind = "float"},
+		[3] = {name = "double_data", kind = "double"},
+		[4] = {name = "int32_data", kind = "int64"},
+		[5] = {name = "int64_data", kind = "int64"},
+		[6] = {name = "string_data", kind = "string"},
+		[7] = {name = "uint32_data", kind = "uint64"},
+		[8] = {name = "uint64_data", kind = "uint64"},
+		[9] = {name = "float32_array_data", kind = "float", array = true},
+		[10] = {name = "float64_array_data", kind = "double", array = true},
+		[11] = {name = "int32_array_data", kind = "int64", array = true},
+		[12] = {name = "int64_array_data", kind = "int64", array = true},
+		[13] = {name = "uint32_array_data", kind = "uint64", array = true},
+		[14] = {name = "uint64_array_data", kind = "uint64", array = true},
+	},
+}
+D.pdu_name = "CFDP_PDU"
+D.pdu_msg_ids = {}
 D.msg_id = {event = 2056, software_bus = 2051}
 D.msg_id_names = {
 	[2048] = "ES_HK",
@@ -2983,6 +3003,7 @@ local function begin(s, link, pinfo, number, listed)
 	W.layers, W.findings, W.entries, W.spacecraft, W.processor, W.bare = 0, 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
 	W.route, W.message, W.envelope, W.padding, W.known = nil, nil, nil, nil, nil
+	W.values, W.pdu = nil, nil
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -3074,7 +3095,7 @@ local function identify(spacecraft, processor, trusted)
 		known = {spacecraft = spacecraft, processor = processor, since = W.number}
 		place[port] = known
 	end
-	if known and known.since <= W.number
+	if known and known.since < W.number
 		and (known.spacecraft ~= spacecraft or known.processor ~= processor)
 		and not (identities[processor] and identities[processor][spacecraft]) then
 		note("sbn_id_mismatch")
@@ -3170,7 +3191,9 @@ local function read_headers(s, link)
 	return link.packets and at or nil
 end
 
--- Read the header of a RACS2 message: a MsgId, or the name of a topic.
+local body_values  -- below, in body.lua
+
+-- Read a RACS2 message: a MsgId, or the name of a topic; then the values of its body.
 local function racs2(s)
 	local to_cfs = byte(s, 1) * 256 <= D.limits.highest_msg_id
 	if not take(to_cfs and L.racs2_message or L.racs2_topic, 0) then return nil end
@@ -3183,11 +3206,109 @@ local function racs2(s)
 		end
 		W.summary = format("%s: %d bytes", target, #s - L.racs2_message.size)
 	end
+	W.values = body_values(s, L.racs2_message.size)
 	return nil
 end
 
 -- Links whose headers hang on what they hold read them by themselves.
 local HEADER_READERS = {sbn = software_bus_network, racs2 = racs2}
+
+-- The body of a RACS2 message, where it is a RACS2Bridge_std_msgs (Protocol Buffers), as the public examples have.
+
+local VALUES = {}  -- by field number
+for number, item in pairs(D.racs2.values) do
+	local format_of = ({int64 = base.DEC, uint64 = base.DEC})[item.kind]
+	VALUES[number] = {
+		kind = item.kind, array = item.array, width = ({float = 4, double = 8})[item.kind],
+		record = new_field("racs2", "racs2.body." .. item.name, item.kind, item.name, format_of),
+	}
+end
+
+-- Read a varint at a place (from 1) of a string: its low and high 32 bits, and the place behind it; nil where it is cut.
+local function varint(s, p, last)
+	local low, high, shift = 0, 0, 0
+	while p <= last and shift < 70 do
+		local octet = byte(s, p)
+		local bits = octet % 128
+		for index = 0, 6 do
+			local place = shift + index
+			if math.floor(bits / 2 ^ index) % 2 == 1 then
+				if place < 32 then low = low + 2 ^ place elseif place < 64 then high = high + 2 ^ (place - 32) end
+			end
+		end
+		p, shift = p + 1, shift + 7
+		if octet < 128 then return low, high, p end
+	end
+	return nil
+end
+
+-- Add the values of one field's bytes to a list; tell whether they are of its kind.
+local function take_values(found, field, s, p, last)
+	if field.kind == "string" then
+		local text = s:sub(p, last)
+		found[#found + 1] = {field = field, at = p - 1, size = last - p + 1, value = text}
+		return utf8_text(text) == text
+	elseif field.width then
+		if (last - p + 1) % field.width ~= 0 or not (field.array or last - p + 1 == field.width) then return false end
+		for at = p, last, field.width do
+			found[#found + 1] = {field = field, at = at - 1, size = field.width}
+		end
+		return true
+	end
+	local first = p
+	while p <= last do
+		local low, high, behind = varint(s, p, last)
+		if not low then return false end
+		local value = field.kind == "bool" and low + high > 0
+		if field.kind ~= "bool" then value = (field.kind == "int64" and Int64 or UInt64).new(low, high) end
+		found[#found + 1] = {field = field, at = p - 1, size = behind - p, value = value}
+		p = behind
+	end
+	return field.array or (#found > 0 and found[#found].at == first - 1)
+end
+
+-- Return the values from a place (from 0) to the end, or nil where the bytes are something else. Zeros end them.
+function body_values(s, at)
+	local found, p, last = {}, at + 1, #s
+	while p <= last and any_nonzero(s, p, last) do
+		local key, _, behind = varint(s, p, last)
+		if not key then return nil end
+		local kind, field = key % 8, VALUES[math.floor(key / 8)]
+		if not field then return nil end
+		p = behind
+		local stop
+		if kind == 0 then
+			local _, _, next_place = varint(s, p, last)
+			stop = not (field.width or field.kind == "string") and next_place and next_place - 1
+		elseif kind == 2 then
+			local size, _, start = varint(s, p, last)
+			if not size then return nil end
+			p, stop = start, start + size - 1
+		elseif kind == 1 or kind == 5 then
+			stop = p + (kind == 1 and 8 or 4) - 1
+		end
+		if not stop or stop > last or not take_values(found, field, s, p, stop) then return nil end
+		p = stop + 1
+	end
+	return #found > 0 and found or nil
+end
+
+-- Add the values of a message, the last of each that is no array.
+local function show_body(tree, tvb, visible)
+	local newest = {}
+	for _, item in ipairs(W.values) do newest[item.field] = item end
+	for _, item in ipairs(W.values) do
+		local field = item.field
+		if (field.array or newest[field] == item) and (visible or field.record.on) then
+			local range = item.size > 0 and cut(tvb, item.at, item.size) or cut(tvb, item.at - 1, 1)
+			if field.width then
+				add_le(tree, field.record.field, range)
+			else
+				add(tree, field.record.field, range, item.value)
+			end
+		end
+	end
+end
 
 -- Space packets: the primary header, cFE's headers, what cFE itself sends, and the EDORAS envelope.
 
@@ -3231,7 +3352,7 @@ end
 -- What is known of a MsgId on a link: its name, the routes that may claim it, its commands.
 local function look_up(link, msg_id)
 	local exact, any_link, id = D.exact[link], D.any_link[msg_id], known_id(msg_id)
-	local commands, name = D.commands[id], D.msg_id_names[id]
+	local commands, name = D.commands[id], D.pdu_msg_ids[msg_id] and D.pdu_name or D.msg_id_names[id]
 	if not commands and any_link and id % 8192 >= 4096 then commands = D.route_commands end
 	return {
 		claims = exact and exact[msg_id] or any_link, commands = commands,
@@ -3377,6 +3498,10 @@ end
 -- Read what lies behind the cFE header: an event, housekeeping, or a route's envelope.
 local function payload(msg_id, start, header, code)
 	local at, s = start + header, W.s
+	if D.pdu_msg_ids[msg_id] then
+		W.pdu = at
+		return
+	end
 	local claims = W.known.claims
 	if claims then
 		if #s - start > header then return envelope(claims, at) end
@@ -3801,7 +3926,7 @@ local function show_facts(node, visible)
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
 end
 
-local CDR, SUBSCRIPTIONS = L.cdr, L.sbn_sub
+local CDR, SUBSCRIPTIONS, CFDP = L.cdr, L.sbn_sub, Dissector.get("cfdp")
 
 -- Add every layer, outermost first; return where findings belong.
 local function show(tree, tvb, visible)
@@ -3814,6 +3939,8 @@ local function show(tree, tvb, visible)
 			local header = show_layout(tree, layout, tvb, at, visible)
 			if layout == CDR then
 				show_message(header, tvb, visible)
+			elseif W.values and layout.protocol == "racs2" then
+				show_body(header, tvb, visible)
 			elseif layout == SUBSCRIPTIONS then
 				for entry = 0, W.entries - 1 do
 					show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
@@ -3846,12 +3973,13 @@ local function dissect(tvb, pinfo, tree)
 	if start then space_packet(start) end
 	if reported_len(tvb) > #s then forgive() end
 
+	show_findings(wanted and show(tree, tvb, visible) or tree, visible)
+	if W.pdu and W.pdu < #s then CFDP:call(cut(tvb, W.pdu):tvb(), pinfo, tree) end  -- it fills columns, too
 	if W.listed then
 		local columns = pinfo.cols
 		columns.protocol = link.name
 		columns.info = info()
 	end
-	show_findings(wanted and show(tree, tvb, visible) or tree, visible)
 	return #s
 end
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.cfs import limits, names
 from edoras_tools.dissectors.lua_text import literal, quoted
+from edoras_tools.links.cfdp import PDU_NAME
 from edoras_tools.links.protocol import BY_ADDRESS, BY_CONTENT, LARGEST_DOUBLE, SMALLEST_DOUBLE
 from edoras_tools.wire import ccsds, cdr, cfe, racs2, sbn
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
@@ -48,7 +49,7 @@ LAYOUTS: Final[dict[str, tuple[Layout, Place]]] = {
 """Headers by what the engine calls them; those of links and the envelopes in each format come to them."""
 
 ENGINE: Final = (
-    *("base", "fields", "links", "cdr", "words", "sequence", "network", "packet", "show", "message"),
+    *("base", "fields", "links", "cdr", "words", "sequence", "network", "body", "packet", "show", "message"),
     "dissector",
 )
 """The parts of the engine, in the order in which they need each other."""
@@ -106,6 +107,7 @@ class Knowledge:
         extended_header: packets carry cFE's extended header.
         telemetry_header: 16 or 12.
         msg_id_version: how MsgIds are built, 1 or 2; 2 has the extended header.
+        pdu_msg_ids: of packets that hold a CFDP PDU each, which Wireshark's own dissector reads.
         note: what the head of the file says of where the routes are from.
     """
 
@@ -123,6 +125,7 @@ class Knowledge:
     telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES
     msg_id_version: int = 1
     stream_ports: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    pdu_msg_ids: Sequence[int] = ()
     note: str = ""
 
 
@@ -186,7 +189,15 @@ def _data(knowledge: Knowledge) -> str:
             "ident": sbn.IDENT,
             "ident_bytes": sbn.IDENT_BYTES,
         },
-        "racs2": {"subprotocol": racs2.SUBPROTOCOL},
+        "racs2": {
+            "subprotocol": racs2.SUBPROTOCOL,
+            "values": {
+                number: {"name": name, "kind": kind, "array": array or None}
+                for name, (number, kind, array) in racs2.BODY_KINDS.items()
+            },
+        },
+        "pdu_name": PDU_NAME,
+        "pdu_msg_ids": dict.fromkeys(knowledge.pdu_msg_ids, True),
         "msg_id": {"event": cfe.EVENT_MSG_ID, "software_bus": cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID},
         "msg_id_names": names.MSG_ID_NAMES,
         "commands": {

@@ -189,7 +189,7 @@ local function show_facts(node, visible)
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
 end
 
-local CDR, SUBSCRIPTIONS = L.cdr, L.sbn_sub
+local CDR, SUBSCRIPTIONS, CFDP = L.cdr, L.sbn_sub, Dissector.get("cfdp")
 
 -- Add every layer, outermost first; return where findings belong.
 local function show(tree, tvb, visible)
@@ -202,6 +202,8 @@ local function show(tree, tvb, visible)
 			local header = show_layout(tree, layout, tvb, at, visible)
 			if layout == CDR then
 				show_message(header, tvb, visible)
+			elseif W.values and layout.protocol == "racs2" then
+				show_body(header, tvb, visible)
 			elseif layout == SUBSCRIPTIONS then
 				for entry = 0, W.entries - 1 do
 					show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
@@ -234,12 +236,13 @@ local function dissect(tvb, pinfo, tree)
 	if start then space_packet(start) end
 	if reported_len(tvb) > #s then forgive() end
 
+	show_findings(wanted and show(tree, tvb, visible) or tree, visible)
+	if W.pdu and W.pdu < #s then CFDP:call(cut(tvb, W.pdu):tvb(), pinfo, tree) end  -- it fills columns, too
 	if W.listed then
 		local columns = pinfo.cols
 		columns.protocol = link.name
 		columns.info = info()
 	end
-	show_findings(wanted and show(tree, tvb, visible) or tree, visible)
 	return #s
 end
 

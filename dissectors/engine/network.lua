@@ -16,6 +16,7 @@ local function begin(s, link, pinfo, number, listed)
 	W.layers, W.findings, W.entries, W.spacecraft, W.processor, W.bare = 0, 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
 	W.route, W.message, W.envelope, W.padding, W.known = nil, nil, nil, nil, nil
+	W.values, W.pdu = nil, nil
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -107,7 +108,7 @@ local function identify(spacecraft, processor, trusted)
 		known = {spacecraft = spacecraft, processor = processor, since = W.number}
 		place[port] = known
 	end
-	if known and known.since <= W.number
+	if known and known.since < W.number
 		and (known.spacecraft ~= spacecraft or known.processor ~= processor)
 		and not (identities[processor] and identities[processor][spacecraft]) then
 		note("sbn_id_mismatch")
@@ -203,7 +204,9 @@ local function read_headers(s, link)
 	return link.packets and at or nil
 end
 
--- Read the header of a RACS2 message: a MsgId, or the name of a topic.
+local body_values  -- below, in body.lua
+
+-- Read a RACS2 message: a MsgId, or the name of a topic; then the values of its body.
 local function racs2(s)
 	local to_cfs = byte(s, 1) * 256 <= D.limits.highest_msg_id
 	if not take(to_cfs and L.racs2_message or L.racs2_topic, 0) then return nil end
@@ -216,6 +219,7 @@ local function racs2(s)
 		end
 		W.summary = format("%s: %d bytes", target, #s - L.racs2_message.size)
 	end
+	W.values = body_values(s, L.racs2_message.size)
 	return nil
 end
 

@@ -40,7 +40,7 @@ end
 -- What is known of a MsgId on a link: its name, the routes that may claim it, its commands.
 local function look_up(link, msg_id)
 	local exact, any_link, id = D.exact[link], D.any_link[msg_id], known_id(msg_id)
-	local commands, name = D.commands[id], D.msg_id_names[id]
+	local commands, name = D.commands[id], D.pdu_msg_ids[msg_id] and D.pdu_name or D.msg_id_names[id]
 	if not commands and any_link and id % 8192 >= 4096 then commands = D.route_commands end
 	return {
 		claims = exact and exact[msg_id] or any_link, commands = commands,
@@ -186,6 +186,10 @@ end
 -- Read what lies behind the cFE header: an event, housekeeping, or a route's envelope.
 local function payload(msg_id, start, header, code)
 	local at, s = start + header, W.s
+	if D.pdu_msg_ids[msg_id] then
+		W.pdu = at
+		return
+	end
 	local claims = W.known.claims
 	if claims then
 		if #s - start > header then return envelope(claims, at) end

@@ -240,8 +240,10 @@ class _Columns:
                 after = same[np.logical_or.accumulate(trusted[same])]
                 if not len(after):
                     continue
+                first_identity = int(identity[after[0]])
                 introduction = int(batch.number[rows[after[0]]])
-                known = peers.introduce(key, divmod(int(identity[after[0]]), 1 << 32), introduction)
+                after = same[batch.number[rows[same]] > introduction]
+                known = peers.introduce(key, divmod(first_identity, 1 << 32), introduction)
             else:
                 after = same
             foreign[after] = identity[after] != np.uint64(known[0] << 32 | known[1])

@@ -55,6 +55,17 @@ _NAMES: Final = {
 _SIGNED: Final = (4, 5, 11, 12)
 _FIXED: Final = {2: "<f", 3: "<d", 9: "<f", 10: "<d"}
 _TEXT: Final = 6
+BODY_KINDS: Final = {
+    name: (
+        number,
+        {1: "bool", 2: "float", 3: "double", 6: "string", 9: "float", 10: "double"}.get(
+            number, "int64" if number in _SIGNED else "uint64"
+        ),
+        number >= 9,
+    )
+    for number, name in _NAMES.items()
+}
+"""Of each field its number, what its values are, and whether it has many."""
 _FIRST_ARRAY: Final = 9
 _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
 

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import struct
+
 import pytest
+from effort import examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from racs2_peer import Talk, to_cfs, to_ros
 from scapy.layers.l2 import Ether
 from streams import frames, sbn_messages, segments_of, write_segments
@@ -10,6 +15,7 @@ from streams import frames, sbn_messages, segments_of, write_segments
 from edoras_tools.decode import Context, Dissector
 from edoras_tools.dissectors import scapy_layers
 from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.wire import racs2
 
 
 def capture_of(segments, path):
@@ -56,6 +62,103 @@ def test_racs2_messages(deflate, subprotocol, tshark, tmp_path):
     assert topics == [item["topic_name"] for item in values if "topic_name" in item]
     assert [int(item, 0) for item in ids] == [item["msg_id"] for item in values if "msg_id" in item]
     assert len(topics) == len(ids) == 20
+
+
+BODIES = [
+    {"string_data": "hello é", "bool_data": True},
+    {"int32_data": -5, "int64_data": -(1 << 62), "uint32_data": 0xFFFFFFFF, "uint64_data": (1 << 64) - 1},
+    {
+        "float_data": 0.5,
+        "double_data": -2.25,
+        "float64_array_data": [1.0, 1e300],
+        "float32_array_data": [0.25],
+    },
+    {"int32_array_data": [1, -150, 3], "uint64_array_data": [0, 1 << 63], "int64_array_data": [-1]},
+]
+
+
+def encoded(values):
+    """Write values as Protocol Buffers has them; by its specification, not with ours."""
+
+    def varint(number):
+        number &= (1 << 64) - 1
+        out = bytearray()
+        while number > 127:
+            out.append(number & 127 | 128)
+            number >>= 7
+        return bytes([*out, number])
+
+    body = b""
+    for name, value in values.items():
+        number = racs2.BODY_KINDS[name][0]
+        items = value if isinstance(value, list) else [value]
+        if name.startswith(("float64", "double", "float")):
+            raw = struct.pack(f"<{len(items)}{'d' if '64' in name or 'double' in name else 'f'}", *items)
+        else:
+            raw = items[0].encode() if name == "string_data" else b"".join(map(varint, items))
+        kind = 2 if isinstance(value, (list, str)) else {"float_data": 5, "double_data": 1}.get(name, 0)
+        body += varint(number << 3 | kind) + (varint(len(raw)) if kind == 2 else b"") + raw
+    return body
+
+
+def test_values_in_racs2_bodies(tshark, tmp_path):
+    talk = Talk()
+    for values in BODIES:
+        talk.cfs.send_binary(to_ros("/topic", encoded(values)))
+        talk.pass_on()
+    talk.ros.send_binary(to_cfs(0x1894, b"\x32\x7fcut"))
+    talk.ros.send_binary(to_cfs(0x1895, b"\x15" + bytes(4)))
+    talk.pass_on()
+    ours = capture_of(talk.segments, tmp_path / "racs2.pcap")
+    names = list(racs2.BODY_KINDS)
+    theirs = dict(
+        zip(names, said(tshark, tmp_path / "racs2.pcap", *(f"racs2.body.{n}" for n in names)), strict=True)
+    )
+    read = {name: [] for name in names}
+    for item in ours:
+        for name, value in (item.layers[0].values() if item.layers else {}).items():
+            if name in read:
+                read[name] += value if isinstance(value, list) else [value]
+    for name in names:
+        want = (
+            [item for values in BODIES for item in values.get(name, ())]
+            if "array" in name
+            else [values[name] for values in BODIES if name in values]
+        )
+        want += [0.0] * (name == "float_data")
+        assert read[name] == want
+        if name == "string_data":
+            assert theirs[name] == want
+        else:
+            truth = {"True": 1, "1": 1, "False": 0, "0": 0}
+            assert [truth[item] if name == "bool_data" else float(item) for item in theirs[name]] == [
+                float(item) for item in want
+            ], name
+
+
+@given(st.lists(st.binary(max_size=40), min_size=1, max_size=30))
+@settings(max_examples=examples(3))
+def test_both_tell_which_bodies_are_values(tshark, tmp_path_factory, bodies):
+    path = tmp_path_factory.mktemp("racs2") / "racs2.pcap"
+    talk = Talk()
+    started = [
+        bytes([8 * (1 + number % 14) | (0, 2, 1, 5)[number % 4]]) + item for number, item in enumerate(bodies)
+    ]
+    for item in started:
+        talk.ros.send_binary(to_cfs(0x1894, item))
+        talk.pass_on()
+    ours = capture_of(talk.segments, path)
+    names = list(racs2.BODY_KINDS)
+    counted = {
+        name: len(values)
+        for name, values in zip(names, said(tshark, path, *(f"racs2.body.{n}" for n in names)), strict=True)
+    }
+    read = dict.fromkeys(names, 0)
+    for item in ours:
+        for name, value in (item.layers[0].values() if item.layers else {}).items():
+            if name in read and name != "string_data":
+                read[name] += len(value) if isinstance(value, list) else 1
+    assert read | {"string_data": 0} == counted | {"string_data": 0}
 
 
 def test_foxglove_and_other_text_on_the_port_are_left_to_wireshark(tshark, tmp_path):

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import fuzz_inputs
+import fuzz_links
 import fuzz_traffic
 import numpy as np
 from mcap.reader import NonSeekingReader, make_reader
@@ -350,4 +351,5 @@ TARGETS: dict[str, Callable[[bytes], Hashable]] = {
     "session": session,
     "diagnosis": diagnosis,
     **fuzz_inputs.TARGETS,
+    **fuzz_links.TARGETS,
 }

@@ -13,6 +13,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+import fuzz_links
 import zstandard
 from fuzz_inputs import BAG, SPLIT
 from fuzz_targets import LINK_TYPES, MESSAGES, ROOMS, ROOT, SCENARIOS, TYPES
@@ -402,6 +403,7 @@ def main(folder: Path = SEEDS) -> None:
         "scenario": scenarios(),
         "rosbag2": bags(scratch),
         "doctor": {name: data for name, data in captures(scratch).items() if not name.startswith("pcap_")},
+        **fuzz_links.seeds(),
     }.items():
         (folder / target).mkdir()
         for name, data in files.items():

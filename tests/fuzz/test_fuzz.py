@@ -42,6 +42,9 @@ def test_seeds_and_what_once_broke(name):
         ("scenario", 400),
         ("rosbag2", 200),
         ("doctor", 60),
+        ("stream", 150),
+        ("datagrams", 150),
+        ("dictionary", 150),
     ],
 )
 def test_for_a_little_while(name, executions):

@@ -212,6 +212,11 @@ def test_the_lua_leaves_the_ports_to_wireshark_and_both_say_the_same(rows, captu
     bench, found = rows
     script = tmp_path / "edoras.lua"
     script.write_text(dissector(Settings())[0])
+    assert agreed(bench, found, script, capture) > 40
+
+
+def agreed(bench, found, script, capture):
+    """Hold what tshark says of PDUs, a packet each, to our reading; return how many values were compared."""
     fields = [part for name in SAME for part in ("-e", f"cfdp.{name}")]
     command = ["tshark", "-n", "-X", f"lua_script:{script}", "-r", capture, "-T", "fields", *fields]
     lines = subprocess.run(command, capture_output=True, check=True, timeout=60, text=True).stdout
@@ -225,7 +230,7 @@ def test_the_lua_leaves_the_ports_to_wireshark_and_both_say_the_same(rows, captu
             if name in ours:
                 assert (value if name.endswith("_name") else int(value, 0)) == ours[name], name
                 compared += 1
-    assert compared > 40
+    return compared
 
 
 @given(
@@ -299,6 +304,42 @@ def test_each_kind_in_space_packets(packets):
             assert " of 1:77" in decoded.summary
     (name,) = {bench.columns.context.name(int(item)) for item in found.column("msg_id")}
     assert name == "CFDP_PDU"
+
+
+def test_wireshark_reads_pdus_in_packets_of_a_missions_msg_ids(tmp_path):
+    config = tmp_path / "cf.yaml"
+    config.write_text("cf: {ros__parameters: {cfdp: {msg_ids: [0x18C8, 0x8C2]}}}")
+    made = []
+    for number, (pdu, _) in enumerate(KINDS):
+        raw = bytes(pdu.pack())
+        packet = (
+            cfe.emit_command(0x18C8, 0, raw),
+            cfe.emit_telemetry(0x8C2, raw, seconds=1, sequence_count=number),
+        )
+        ends = ("127.0.0.1", 40000), ("127.0.0.1", (1234, 1235)[number % 2])
+        made.append(Udp(number, *ends, packet[number % 2]))
+    capture = write(tmp_path / "x.pcap", made)
+    bench = Settings([config]).workbench()
+    with closing(open_file(capture)) as source:
+        (batch,) = (batch for batch in source.batches() if len(batch))
+    script = tmp_path / "edoras.lua"
+    script.write_text(dissector(Settings([config]))[0])
+    found = ColumnRows(bench.columns.context, 0, batch, bench.columns.decode(batch))
+    assert agreed(bench, found, script, capture) > 40
+    command = [
+        "tshark",
+        "-n",
+        "-X",
+        f"lua_script:{script}",
+        "-r",
+        capture,
+        "-T",
+        "fields",
+        "-e",
+        "edoras.name",
+    ]
+    names = subprocess.run(command, capture_output=True, check=True, timeout=60, text=True).stdout.split()
+    assert names == ["CFDP_PDU"] * len(KINDS)
 
 
 def test_filters_find_the_fields_of_pdus_in_packets(packets):

@@ -111,6 +111,7 @@ def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
         extended_header=headers.extended,
         telemetry_header=headers.telemetry_bytes,
         msg_id_version=headers.msg_ids.version,
+        pdu_msg_ids=sorted({int(item) for context in contexts for item in context.pdu_msg_ids}),
     )
 
 
