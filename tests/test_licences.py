@@ -34,6 +34,7 @@ LICENCES = {
     "Apache-2.0": (
         "deprecation ghp-import junitparser pyarrow requests rosbags sortedcontainers spacepackets "
         "types-pyyaml tzdata watchdog aiohttp aiosignal frozenlist importlib-metadata lazy-importer msgpack "
+        "async-timeout "  # on Python 3.10
         "multidict propcache tornado yarl"
     ),
     "Apache-2.0 or BSD": "cryptography packaging",

@@ -191,6 +191,21 @@ def test_a_second_run_changes_no_byte_of_a_first(call, folder, writer):
     assert {path: (path.stat().st_mtime_ns, data) for path, data in contents(folder).items()} == before
 
 
+@pytest.mark.parametrize("writer", [name for name in WRITERS if name.split()[0] not in {"recover", "sweep"}])
+def test_where_no_file_can_be_is_one_line(call, folder, writer):
+    """A file is in the place of the folder: this is as if nobody might write there."""
+    name, words = WRITERS[writer]
+    (folder / "file").write_bytes(b"precious")
+    before = contents(folder)
+    result = call(*words, option_of(writer), f"file/{name}")
+    assert result.code == 1
+    told = [
+        line for line in result.err if f"file/{name}: cannot be" in line or "file: the folder cannot" in line
+    ]
+    assert len(told) == 1
+    assert contents(folder) == before
+
+
 def test_what_is_no_archive_stays_as_it_is(call, folder):
     (folder / "notes").write_bytes(b"precious" * 1000)
     before = contents(folder)

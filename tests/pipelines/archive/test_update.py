@@ -359,7 +359,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 try:
     with open_index(path, write=True) as opened:
         for number in range(3000):
-            rows = [{"capture": str(number), "text": f"{number} {place}"} for place in range(50)]
+            rows = [{"capture": str(number), "text": f"{number} {place} {'x' * 200}"} for place in range(50)]
             opened.replace([], [{"warnings": TABLES["warnings"].arrow(rows)}])
             print(number, flush=True)
 except CaptureError as error:
