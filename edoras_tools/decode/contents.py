@@ -3,8 +3,8 @@
 The rules that this file keeps:
 
 1. Both ways give the same, of every packet; ``tests/decode/test_agreement.py`` compares them.
-2. From columns come packets that are read to their end. A packet of another kind is dissected: one with a
-   finding that ends its decoding, or without a space packet.
+2. From columns come packets that are read to their end. A packet of another kind, one with a finding that
+   ends its decoding or without a space packet, is dissected unless columns tell what is asked all the same.
 3. What is said of a datagram without a space packet depends on its bytes alone and is kept: heartbeats and
    subscriptions come again and again.
 """

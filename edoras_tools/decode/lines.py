@@ -1,7 +1,8 @@
 """What a line shows of a packet: from its layers, or of many packets from their columns.
 
 From columns come packets whose message has single values and lists of them, and whose layers have no text of
-their own; :mod:`edoras_tools.decode.contents` says which of them are dissected, too.
+their own, and packets that end before their message; :mod:`edoras_tools.decode.contents` says which of them
+are dissected, too.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ import numpy as np
 from edoras_tools.decode.contents import Contents, endpoints, links_of, message_rows, read_whole
 from edoras_tools.decode.recorded import recorded_topic
 from edoras_tools.decode.summary import LAYER_TEXTS, message_texts, packet_text
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
-from edoras_tools.wire import cfe
+from edoras_tools.errors import TruncatedError
+from edoras_tools.links.table import among
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Finding
+from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:
@@ -32,6 +36,10 @@ _LAYERS: Final = {
     cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
 }
 """Packets whose layer has a text of its own, by MsgId of version 1."""
+_ENDED: Final = Finding.TRUNCATED | Finding.ENVELOPE_OVERRUN | Finding.CDR_INVALID | Finding.HEADER_ONLY
+"""Findings of packets that may end before their message."""
+_OTHERWISE: Final = Finding.CAPTURE_CUT | Finding.SBN_LEGACY_HEADER
+"""Findings of packets whose columns do not tell what is there."""
 
 
 class PacketLine(NamedTuple):
@@ -170,7 +178,8 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
     for owner, topic, _, texts in _messages(rows, easy):
         told.update(zip(owner.tolist(), ((topic, text) for text in texts), strict=True))
     kinds, codes = _kinds(rows), rows.column("function_code").tolist()
-    ids = msg_id.tolist()
+    ids, lengths = msg_id.tolist(), rows.datagram("length").tolist()
+    header = rows.column("header_length").tolist()
     names_of = {value: context.name(value) for value in set(msg_id[easy].tolist())}
     routed = (rows.routes() != NO_ROUTE).tolist()
     for row in np.flatnonzero(easy).tolist():
@@ -184,7 +193,45 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
             code = codes[row] if context.msg_ids.is_command(value) else None
             text = packet_text(context.msg_ids.known(value), code)
         out[row] = _Content(kinds[row], value, name, text)
+    for row in np.flatnonzero(_without_message(rows)).tolist():
+        value = ids[row]
+        command = context.msg_ids.is_command(value)
+        headless = header[row] == ccsds.PRIMARY.size
+        text = packet_text(context.msg_ids.known(value), codes[row] if command and not headless else None)
+        text = text or (_cut_header(rows, row, command=command) if headless else "")
+        if text:  # else it is what ended the decoding
+            out[row] = _Content(kinds[row], value, context.name(value), text)
+    for row in np.flatnonzero(rows.column("link") == OTHER).tolist():
+        out[row] = _Content("", NO_MSG_ID, "", f"{lengths[row]} bytes")
     return out
+
+
+def _cut_header(rows: ColumnRows, row: int, *, command: bool) -> str:
+    """Return how the dissection of a packet ends whose cFE header is not whole."""
+    headers = cfe.HEADERS[int(rows.column("headers")[row])]
+    whole = headers.command_bytes if command else headers.telemetry_bytes
+    at = int(rows.column("packet_offset")[row] - rows.datagram("offset")[row]) + ccsds.PRIMARY.size
+    have = int(rows.datagram("length")[row]) - at
+    layer = "cfe_command" if command else "cfe_telemetry"
+    return str(TruncatedError(layer, at, whole - ccsds.PRIMARY.size, have))
+
+
+def _without_message(rows: ColumnRows) -> NDArray[np.bool_]:
+    """Tell which rows hold a packet that ends, or is wrong, before its message: the header alone is shown."""
+    findings, context = rows.column("findings"), rows.context
+    headless = rows.column("header_length") == ccsds.PRIMARY.size
+    invalid = (findings & np.uint32(Finding.CDR_INVALID)) != 0
+    unread = (rows.routes() != NO_ROUTE) & ((rows.column("cdr_length") == 0) | invalid)
+    if context.msg_ids is VERSION_1:
+        unread |= headless
+    else:
+        unread &= ~headless
+    # Telemetry of the length of a command may be a struct without members.
+    command = context.msg_ids.is_command(rows.column("msg_id"))
+    unread &= command | ((findings & np.uint32(Finding.HEADER_ONLY)) == 0)
+    unread &= ~among(rows.column("link"), lambda link: link.dictionary)
+    unread &= (rows.column("packet_offset") >= 0) & ((findings & np.uint32(_OTHERWISE)) == 0)
+    return np.asarray(unread & ((findings & np.uint32(_ENDED)) != 0))
 
 
 def _kinds(rows: ColumnRows) -> list[str]:
