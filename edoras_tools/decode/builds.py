@@ -181,11 +181,11 @@ class Builds:
         """Return the headers of the space packet in a datagram."""
         if not self.several:
             return cfe.HEADERS[self.usual]
-        found = self._found[_conversation(datagram)]
+        found = int(self._found[_conversation(datagram)])
         if found & (found - 1):
             head = np.frombuffer(packet[:LOOKED_AT].ljust(LOOKED_AT, b"\0"), np.uint8)[None]
-            return cfe.HEADERS[int(self._each(head, np.array([len(packet)]), np.array([found]))[0])]
-        return cfe.HEADERS[int(found) >> 1 if found else self.usual]
+            return cfe.HEADERS[int(self._each(head, np.array([len(packet)]), np.array([found], np.uint8))[0])]
+        return cfe.HEADERS[found >> 1 if found else self.usual]
 
     def _each(
         self, head: NDArray[np.uint8], length: NDArray[np.int64], found: NDArray[np.uint8]

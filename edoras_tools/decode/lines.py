@@ -265,6 +265,8 @@ def _messages(
             fields, form = LAYER_TEXTS[layer.name]
             values = [np.asarray(messages.fields[name]).tolist() for name in fields]
             texts = list(map(form.format, *values))
+            # In ROS's strings a byte that is not ASCII is a question mark.
+            plain &= np.array(["?" not in text for text in texts], np.bool_)
             plain &= rows.column("packet_length")[owner] - rows.column("header_length")[owner] >= layer.size
         else:
             texts = []
