@@ -108,11 +108,12 @@ class ColumnDecoder:
     def __init__(self, context: Context) -> None:
         self.context = context
         self._variants = Variants(context)
+        self._nothing = Columns(**_blank(0))
 
     def decode(self, batch: PacketBatch) -> Columns:
         """Read a batch; nothing in it can make this raise."""
         if not len(batch):  # live sources give many
-            return Columns(**_blank(0))
+            return self._nothing
         if batch.recorded is not None:
             return recorded_columns(batch, _blank(len(batch)), self.context)
         return self.finish(batch, self.begin(batch))
@@ -166,39 +167,43 @@ class _Pass:
         self.context = context
         self.batch = batch
         self.out = out
+        self.present: set[int] = set()
+        """The links that there are."""
 
     def begin(self) -> NDArray[np.int32]:
         """Read the outer layers; return what ``locate`` does."""
         link, length = self.out["link"], self.batch.length
+        self.present = set(np.flatnonzero(np.bincount(link)).tolist())
         for item in self.context.links:
-            if item.receive_buffer:
+            if item.receive_buffer and int(item) in self.present:
                 self.mark(item.over_receive_buffer, (link == item) & (length > item.receive_buffer))
         return self.locate()
 
     def finish(self, start: NDArray[np.int32]) -> Columns:
         """Read the space packets and what is in them."""
         self.space_packet(start)
-        cut = (self.batch.capture_findings & Finding.CAPTURE_CUT) != 0
-        self.out["findings"][cut] &= np.uint32(~UNKNOWABLE & 0xFFFFFFFF)
+        cut = (self.batch.capture_findings & np.uint32(Finding.CAPTURE_CUT)) != 0
+        if np.count_nonzero(cut):
+            self.out["findings"][cut] &= np.uint32(~UNKNOWABLE & 0xFFFFFFFF)
         return Columns(**self.out)
 
     def flag(self, finding: Finding, rows: NDArray[np.intp], chosen: NDArray[np.bool_]) -> None:
         """Set a finding's bit in those of ``rows`` that are chosen."""
-        if chosen.any():
+        if np.count_nonzero(chosen):  # a third of the time of ``any``
             self.out["findings"][rows[chosen]] |= np.uint32(finding)
 
     def mark(self, finding: Finding, chosen: NDArray[np.bool_]) -> None:
         """Set a finding's bit in the rows of a mask over the whole batch."""
-        if chosen.any():
+        if np.count_nonzero(chosen):
             self.out["findings"] |= chosen * np.uint32(finding)
 
     def locate(self) -> NDArray[np.int32]:
         """Read the links' own headers; return where each space packet starts, -1 where none does."""
         start = np.zeros(len(self.batch), np.int32)
         for link in self.context.with_headers:
-            rows = np.flatnonzero(self.out["link"] == link)
-            if not len(rows):
+            if int(link) not in self.present:
                 continue
+            rows = np.flatnonzero(self.out["link"] == link)
             found = link.locate(self.batch, rows, self.context)
             start[rows] = found.start
             self.out["findings"][rows] |= found.findings
@@ -252,7 +257,7 @@ class _Pass:
         build = self.context.builds.of_batch(self.batch, offset, length)
         self.out["headers"] = np.full(len(packet), build, np.uint8)
         self._secondary(packet, head, total, command, build)
-        for name in _PACKET_COLUMNS:
+        for name in _PACKET_COLUMNS if len(absent) else ():
             self.out[name][absent] = _BLANK.get(name, 0)
         if len(self.context.pdu_msg_ids):
             self._pdus()

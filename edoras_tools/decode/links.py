@@ -13,6 +13,7 @@ import numpy as np
 from edoras_tools.links import table
 from edoras_tools.links.frames import FRAMES, frame_rows, is_frame
 from edoras_tools.model import OTHER, Finding, Link
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
@@ -99,9 +100,10 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
     """Return the link of every datagram of a batch, u8 (n,). Fragments without a payload belong to none."""
     claim = context.claim[batch.destination_port]
     link = context.decided[claim]
-    for index in np.flatnonzero(context.decided == 0).tolist():
-        rows = np.flatnonzero(claim == index)
-        if context.claimants[index] and len(rows):
+    undecided = np.flatnonzero(link == 0)
+    for index, members in by_value(claim[undecided]):
+        if context.claimants[index]:
+            rows = undecided[members]
             seen, best = _Rows(batch, rows, context), np.zeros(len(rows), np.int8)
             for item in context.claimants[index]:
                 sure = np.asarray(item.recognise(seen))

@@ -178,6 +178,11 @@ def among(column: NDArray[np.integer[Any]], meant: Callable[[Link], bool]) -> ND
     Returns:
         bool, of the column's shape.
     """
-    accepted = np.zeros(1 << 8, np.bool_)
-    accepted[[code for code, item in _by_code().items() if meant(item)]] = True
-    return np.asarray(accepted[column])
+    return np.asarray(accepted(meant)[column])
+
+
+def accepted(meant: Callable[[Link], bool]) -> NDArray[np.bool_]:
+    """Return which codes are of a link that a test accepts, bool (256,)."""
+    table = np.zeros(1 << 8, np.bool_)
+    table[[code for code, item in _by_code().items() if meant(item)]] = True
+    return table

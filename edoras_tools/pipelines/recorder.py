@@ -143,6 +143,7 @@ class _Writer:
             self._write(page.datagrams)
         if page.faults:
             self._sink.write_faults(page.faults)
+            self._flushing.noted()
         self._flushing.look()
 
     def close(self, kernel_drops: int) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.links.table import among
+from edoras_tools.links.table import accepted, among
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.fprime import read_ground_frames
 
@@ -45,6 +46,15 @@ class StructPayloads(NamedTuple):
         return StructPayloads(*(np.concatenate(pair) for pair in pairs))
 
 
+_NOTHING: Final = StructPayloads(
+    np.zeros(0, np.intp),
+    np.zeros(0, np.int32),
+    np.zeros(0, np.int32),
+    np.zeros(0, np.int64),
+    np.zeros(0, np.int32),
+)
+
+
 def payloads(
     structs: Structs,
     columns: Callable[[str], NDArray[Any]],
@@ -60,7 +70,10 @@ def payloads(
         data: u8, what they point into.
     """
     key = columns("msg_id")
-    rows = np.flatnonzero(structs.has[key])
+    held, bare = structs.has[key], _last_hops()[columns("link")]
+    if structs.dictionary is None and not np.count_nonzero(held) and not np.count_nonzero(bare):
+        return _NOTHING  # as in most small batches of a live link
+    rows = np.flatnonzero(held)
     rows = rows[columns("header_length")[rows] > ccsds.PRIMARY.size]
     header = columns("header_length")[rows]
     found = StructPayloads(
@@ -76,9 +89,14 @@ def payloads(
         packets = read_ground_frames(data, offset, size, checked=False).packets
         entries = structs.dictionary.payloads(data, packets)
         found = found.join(entries._replace(row=described[entries.row]))
-    bare = np.flatnonzero(among(columns("link"), lambda link: link.last_hop))
-    if not len(bare):
+    told = np.flatnonzero(bare)
+    if not len(told):
         return found
-    length = datagrams("length")[bare]
-    ports = structs.of_port(datagrams("destination_port")[bare])
-    return found.join(StructPayloads(bare, ports, length, datagrams("offset")[bare], length))
+    length = datagrams("length")[told]
+    ports = structs.of_port(datagrams("destination_port")[told])
+    return found.join(StructPayloads(told, ports, length, datagrams("offset")[told], length))
+
+
+@cache
+def _last_hops() -> NDArray[np.bool_]:
+    return accepted(lambda link: link.last_hop)

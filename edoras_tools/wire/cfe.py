@@ -197,7 +197,7 @@ def known_ids(msg_id: NDArray[np.int32], headers: NDArray[np.uint8]) -> NDArray[
         headers: u8, place in ``HEADERS`` of the headers of each.
     """
     second = headers == _SECOND
-    return np.where(second, VERSION_2.known(msg_id), msg_id) if second.any() else msg_id
+    return np.where(second, VERSION_2.known(msg_id), msg_id) if np.count_nonzero(second) else msg_id
 
 
 def checksum(packet: bytes | memoryview) -> int:

@@ -35,15 +35,11 @@ if TYPE_CHECKING:
 
 _AT_ONCE = 4 << 20
 """Maximum bytes of one batch, or one read of the device if that is more."""
-_FEW = 64 << 10
-"""Bytes; while fewer wait, frames may gather for ``quiet_s``."""
 _GATHER_S = 0.06
 _STEP_S = 0.1
-"""How often at least to check, while frames gather, whether enough of them wait."""
-_CHECK_S = 0.1
+"""How long ``discard`` waits for the thread at a time."""
+_CHECK_S = 0.2
 """How often at least to check, while frames gather in the device, whether it can hold more."""
-_AHEAD_S = 0.03
-"""How long before a batch is due to read for it."""
 _SILENCE_S = 0.1
 """A frame that comes this long after the last one comes after a silence,"""
 _SOON_S = 0.005
@@ -106,18 +102,18 @@ class DeviceSource:
         device: is closed by ``close``.
         ready: called once, when ``batches`` starts or its interface is there for the first time.
         told: called by ``batches`` for every interface that goes away, and again when it is back.
-        idle_s: without traffic, an empty batch is yielded this often, or every ``gather_s`` if that is
-            longer, so that sinks flush and displays refresh.
+        idle_s: see the attribute.
         queue_bytes: maximum bytes that wait for a slow consumer.
 
     Attributes:
         info: information on the source.
         statistics: the counts so far.
         started: set when ``batches`` starts.
+        idle_s: without traffic, an empty batch is yielded this often, or every ``gather_s`` if that is
+            longer, so that sinks flush and displays refresh.
         gather_s: minimum time between two batches, unless a few MiB wait: a batch of one datagram costs as
-            much as one of a thousand. The first frames after a silence do not wait. The device is read just
-            before a batch is due, and more often if it cannot hold so much.
-        quiet_s: the same while little arrives, if that is longer.
+            much as one of a thousand. The first frames after a silence do not wait. The device is read when
+            a batch is due, and more often if it cannot hold so much.
     """
 
     def __init__(
@@ -133,13 +129,12 @@ class DeviceSource:
         self.statistics = SourceStatistics(outages=device.outages)
         self.started = threading.Event()
         self.gather_s = _GATHER_S
-        self.quiet_s = 0.0
         self._handed = -math.inf  # not 0: a monotonic clock may begin there
         self._device = device
         self._ready = ready
         self._told = told
         self._news = 0
-        self._idle_s = idle_s
+        self.idle_s = idle_s
         self._queue_bytes = queue_bytes
         self._demux = Demux()
         # None ends the queue, an exception ends it with an error. Signal handlers may use a SimpleQueue.
@@ -147,6 +142,8 @@ class DeviceSource:
         self._queued = 0  # written by the thread only
         self._taken = 0  # written by the consumer only
         self._room = threading.Event()
+        # Told while frames gather, when that is to end.
+        self._enough: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._stopping = False
         self._deadline = 0.0  # while stopping: when to stop reading the device
         self._turns = 0  # and how often it was read since
@@ -169,7 +166,6 @@ class DeviceSource:
             if self._ready is not None and (not self._device.outages or self._device.outages[0].end_ns):
                 self._ready()
                 self._ready = None
-            self._gather()
             frames, end = self._waiting()
             self.statistics.kernel_drops = self._device.drops
             if frames:
@@ -191,18 +187,9 @@ class DeviceSource:
         """Read the TCP streams of these ports, and no others; call it before the first batch."""
         self._demux.framings = framings
 
-    @property
-    def _longest_s(self) -> float:
-        return max(self.gather_s, self.quiet_s)
-
-    @property
-    def _step_s(self) -> float:
-        return min(self._longest_s / 4, _STEP_S)
-
     def _due_s(self) -> float:
         """Return in how many seconds a batch is due; none or less: now."""
-        few = self._queued - self._taken < _FEW
-        return self._handed + (self._longest_s if few else self.gather_s) - time.monotonic()
+        return self._handed + self.gather_s - time.monotonic()
 
     def _gather(self) -> None:
         """Let frames gather after the last batch."""
@@ -210,7 +197,8 @@ class DeviceSource:
             left = self._due_s()
             if left <= 0:
                 return
-            time.sleep(min(left, self._step_s))
+            with suppress(queue.Empty):
+                self._enough.get(timeout=left)
 
     def _waiting(self) -> tuple[list[FrameBatch], BaseException | EllipsisType | None]:
         """Take what waits, at most a few MiB: large batches cost less, so a slow consumer can catch up.
@@ -220,7 +208,7 @@ class DeviceSource:
         """
         taken: list[FrameBatch] = []
         size = 0
-        idle_s = max(self._idle_s, self._longest_s)
+        idle_s = max(self.idle_s, self.gather_s)
         while size < _AT_ONCE:
             try:
                 item = self._queue.get_nowait() if taken else self._queue.get(timeout=idle_s)
@@ -228,6 +216,8 @@ class DeviceSource:
                 break
             if item is None or isinstance(item, BaseException):
                 return taken, item
+            if not taken:
+                self._gather()
             taken.append(item)
             size += item.data.size
             self._taken += item.data.size
@@ -237,6 +227,7 @@ class DeviceSource:
     def stop(self) -> None:
         """End ``batches`` after what has arrived; for any thread or signal handler, any number of times."""
         self._stopping = True
+        self._enough.put(None)
         try:
             self._waker.send(b"\0")
         except OSError:  # full: it wakes up anyway; closed: nothing to wake up
@@ -321,8 +312,12 @@ class DeviceSource:
             if self._deadline and (device.drained() or self._late()):
                 break
             if not more and (self._deadline or not failure):
-                ready = poll.poll(5 if self._deadline else 1000 * max(device.look_s, self._step_s))
                 silent = time.monotonic() - came > _SILENCE_S
+                # Where much may gather, more comes in the time of a batch, and is read then.
+                ready: object = not silent and device.linger_s > _SOON_S
+                if not ready or self._deadline:
+                    ready = poll.poll(5 if self._deadline else 1000 * max(device.look_s, self.gather_s / 2))
+                    silent = time.monotonic() - came > _SILENCE_S
                 left = min(device.linger_s, _SOON_S if silent else self._until_read_s())
                 if not self._deadline and (ready or not silent):
                     while left > 0 and not pause.poll(1000 * min(left, _CHECK_S)) and not device.pressed():
@@ -331,15 +326,20 @@ class DeviceSource:
             raise CaptureError(failure)
 
     def _until_read_s(self) -> float:
-        """Return in how many seconds to read for the next batch: before it is due, or frames wait for two."""
-        left = max(self._due_s() - min(_AHEAD_S, self.gather_s / 4), 0)
-        return left if left > self.gather_s / 2 else left + self._longest_s
+        """Return in how many seconds to read for the next batch: when it is due, or frames wait for two.
+
+        What decodes it then runs right behind: there is one wake-up of each for a batch.
+        """
+        left = max(self._due_s(), 0)
+        return left if left > self.gather_s / 2 else left + self.gather_s
 
     def _drain(self) -> bool:
         """Queue what the device holds; return whether to continue at once, because there may be more."""
         while (frames := self._device.read()) is not None:
             self._queued += frames.data.size
             self._queue.put(frames)
+            if self._queued - self._taken >= _AT_ONCE and self._enough.empty():
+                self._enough.put(None)
             self._wait_for_room()
             if self._closed or self._late() or (self._stopping and not self._deadline):
                 return True
@@ -348,7 +348,7 @@ class DeviceSource:
     def _wait_for_room(self) -> None:
         """Wait while the queue is full; this time does not count for the device's deadline."""
         while self._queued - self._taken > self._queue_bytes and not self._closed:
-            self._room.wait(self._idle_s)
+            self._room.wait(self.idle_s)
             self._room.clear()
             if self._deadline:
                 self._deadline = time.monotonic() + _DRAIN_S

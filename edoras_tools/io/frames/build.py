@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW, FrameBatch
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows
 
 if TYPE_CHECKING:
@@ -43,6 +44,8 @@ _COLUMNS: Final = ("time_ns", "_offset", "_length", "_ends")
 """The arrays of a page with an element for each datagram."""
 _TIME_TO_LIVE: Final = 64
 _UDP: Final = 17
+_LEAST_ROWS: Final = 16
+_LEAST_BYTES: Final = 1 << 12
 _ROWS: Final = 256
 _BYTES: Final = 1 << 16
 
@@ -123,6 +126,8 @@ class FramePage:
 
     def part(self, rows: NDArray[np.int64]) -> FramePage:
         """Return a page of some rows, in this order."""
+        if not len(rows):
+            return FramePage(max(self.rows, _LEAST_ROWS), max(self.used, _LEAST_BYTES))
         page, ends = FramePage(), self._ends[rows].view(ENDS)
         start = self._offset[rows] + _HEADER_BYTES[ends["version"]]
         page.add(self._data, start, self._length[rows], self.time_ns[rows], ends)
@@ -142,9 +147,11 @@ class FramePage:
             self._length[chosen],
             self._ends[chosen].view(ENDS),
         )
-        for version in np.unique(ends["version"]).tolist():
-            of = np.flatnonzero(ends["version"] == version)
-            _write_headers(data, version, offset[of], length[of], ends[of])
+        for version, of in by_value(ends["version"]):
+            one = len(of) == len(offset)
+            _write_headers(
+                data, version, *((offset, length, ends) if one else (offset[of], length[of], ends[of]))
+            )
         whole = length + _HEADER_BYTES[ends["version"]].astype(np.int32)
         return FrameBatch(
             data=data,

@@ -26,6 +26,8 @@ _READ_BYTES: Final = 1 << 20
 """Approximate bytes of payloads per read, divided among the sockets."""
 _RECEIVE_BUFFER: Final = 16 << 20
 _LINGER_S, _BUSY_LINGER_S = 0.4 if LINUX else 0.05, 0.01
+_LOOK_S: Final = 1.0
+"""A socket tells of every datagram by itself."""
 _FULL: Final = 16
 """A read comes soon enough to empty no more than this part of a receive buffer, as fast as it fills now."""
 _CHARGED: Final = 600
@@ -65,7 +67,7 @@ class Sockets:
     def __init__(self, endpoints: Iterable[Endpoint], receive_buffer: int = _RECEIVE_BUFFER) -> None:
         self.drops = 0
         self.linger_s = _LINGER_S
-        self.look_s = 0.1
+        self.look_s = _LOOK_S
         self.outages: list[InterfaceOutage] = []
         self._bound: list[_Bound] = []
         self._buffer = make_buffer()

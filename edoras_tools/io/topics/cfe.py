@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.cfs.executive_services import NAME
-from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record
+from edoras_tools.io.topics.rows import CDR_LE_WORD, NO_MESSAGES, RECORD, Messages, fill_record
 from edoras_tools.links.resets import RESETS
 from edoras_tools.links.table import among
 from edoras_tools.wire import cfe, cfe_file
@@ -87,6 +87,8 @@ def software_bus_messages(
         published: i64, publish time, ns since 1970.
     """
     rows, payload = _telemetry(batch, columns, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, _HOUSEKEEPING)
+    if not len(rows):
+        return NO_MESSAGES
     heads = np.zeros(len(rows), dtype=_SOFTWARE_BUS)
     log_time = batch.time_ns[rows]
     fill_record(heads, channel_id, 0, columns.sequence_count[rows], log_time, published[rows])
@@ -118,6 +120,8 @@ def event_messages(
         published: i64, publish time, ns since 1970.
     """
     rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, _EVENT)
+    if not len(rows):
+        return NO_MESSAGES
     heads = np.zeros(len(rows), dtype=_LOG)
     data, offset, length = _log_strings(payload, heads.itemsize)
     log_time = batch.time_ns[rows]
@@ -193,6 +197,8 @@ def _telemetry(
 ) -> tuple[NDArray[np.int64], NDArray[np.void]]:
     """Find cFE telemetry of one MsgId that is long enough, and gather its payloads."""
     rows = np.flatnonzero(cfe.known_ids(columns.msg_id, columns.headers) == msg_id)
+    if not len(rows):
+        return rows, np.zeros(0, payload)
     link, header = columns.link[rows], columns.header_length[rows].astype(np.int64)
     rows = rows[
         among(link, lambda item: item.from_cfs and item.packets)

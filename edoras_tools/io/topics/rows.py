@@ -102,10 +102,14 @@ def bodies_of(bodies: Sequence[bytes], times_ns: Sequence[int], channel_id: int)
     time_ns = np.array(times_ns, dtype=np.int64)
     fill_record(heads, channel_id, length, 0, time_ns, time_ns)
     heads["encapsulation"] = CDR_LE_WORD
-    pool = np.frombuffer(b"".join(bodies), dtype=np.uint8)
+    pool = np.frombuffer(b"".join(bodies) or b"\0", dtype=np.uint8)
     offset = np.cumsum(length) - length
     rows = np.arange(len(bodies))
     return Messages(rows, channel_id, time_ns, heads.itemsize, heads.__getitem__, pool, offset, length)
+
+
+NO_MESSAGES = bodies_of([], [], 0)
+"""What most small batches have of most kinds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

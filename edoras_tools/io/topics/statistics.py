@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.io.topics.cfe import stamp
-from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record
+from edoras_tools.io.topics.rows import CDR_LE_WORD, NO_MESSAGES, RECORD, Messages, fill_record
 from edoras_tools.links import table
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.wire.arrays.order import order_by
@@ -126,6 +126,8 @@ class LinkStatistics:
     def _write(
         self, groups: NDArray[np.void], rows: NDArray[np.int64], time_ns: NDArray[np.int64], channel_id: int
     ) -> Messages:
+        if not len(groups):
+            return NO_MESSAGES
         flows, which = np.unique(groups["flow"], return_inverse=True)
         names = [self._name(flow) for flow in flows.tolist()]
         length = np.array([len(name) for name in names], dtype=np.int64)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.model import Columns, concatenate
 from edoras_tools.wire.arrays.window import copy_rows
 
 if TYPE_CHECKING:
-    from edoras_tools.model import Columns, PacketBatch
+    from collections.abc import Sequence
+
+    from edoras_tools.model import PacketBatch
 
 OFFSETS: Final = ("packet_offset", "cdr_offset")
 """The columns that point into the buffer of their batch."""
@@ -44,3 +47,22 @@ def compact(batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]
         for column in (getattr(columns, name),)
     }
     return replace(batch, data=data, frame_offset=starts, offset=offset), replace(columns, **moved)
+
+
+def join(parts: Sequence[tuple[PacketBatch, Columns]]) -> tuple[PacketBatch, Columns]:
+    """Put batches and their columns end to end into one; the buffers are copied.
+
+    Args:
+        parts: at least one.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    shifts = np.cumsum([0, *(len(batch.data) for batch, _ in parts[:-1])]).tolist()
+    whole = {}
+    for item in fields(Columns):
+        values = [getattr(columns, item.name) for _, columns in parts]
+        if item.name in OFFSETS:
+            pairs = zip(values, shifts, strict=True)
+            values = [np.where(value >= 0, value + shift, value) for value, shift in pairs]
+        whole[item.name] = np.concatenate(values)
+    return concatenate([batch for batch, _ in parts]), Columns(**whole)

@@ -4,7 +4,8 @@ Rules that it keeps:
 
 1. A datagram's age counts from its capture: who is behind flushes after every batch, not a while later.
 2. What is measured with two clocks can be wrong by a step of one of them: age moves a flush forward only.
-3. With nothing to write there are flushes too: sinks look at their files then.
+3. With nothing to write there are flushes too, once a second: sinks look at their files then.
+4. What waited for more is flushed as soon as it is written.
 """
 
 from __future__ import annotations
@@ -12,18 +13,55 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.pipelines.capture.compact import join
+from edoras_tools.units import SECOND
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from edoras_tools.io import Sink
-    from edoras_tools.model import PacketBatch
+    from edoras_tools.model import Columns, PacketBatch
 
 FLUSH_NS: Final = 200_000_000
 """How old what is not in the file may get; a fifth of the promise, so that there is time to write it."""
-QUIET_NS: Final = 400_000_000
-"""The same while little arrives, for a recorder that nobody looks at: each batch costs milliseconds."""
+_QUIET_NS: Final = 350_000_000
+"""How long small batches may wait for each other, of which the first may be ``FLUSH_NS`` old."""
+_SMALL: Final = 256 << 10
+"""Bytes of batches that wait, at the most."""
 _SWIFT: Final = 16 << 20
 """Bytes in that time from where on flushing is left out: it waits, and chunks fill by themselves."""
+
+
+class Waiting:
+    """Batches that are written as one: each costs a millisecond, however small it is.
+
+    Args:
+        patient: whether batches wait for each other while little arrives, for a recorder that nobody watches.
+        clock: monotonic time in ns.
+    """
+
+    def __init__(self, *, patient: bool, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self._patient, self._clock = patient, clock
+        self._parts: list[tuple[PacketBatch, Columns]] = []
+        self._bytes = self._since = 0
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take a batch of at least one row."""
+        if not self._parts:
+            self._since = self._clock()
+        self._parts.append((batch, columns))
+        self._bytes += len(batch.data)
+
+    @property
+    def due(self) -> bool:
+        """Whether what waits is to be written now."""
+        waits = self._patient and self._bytes < _SMALL and self._clock() - self._since < _QUIET_NS
+        return bool(self._parts) and not waits
+
+    def take(self) -> tuple[PacketBatch, Columns] | None:
+        """Return what waits, as one batch; None where nothing does."""
+        parts, self._parts, self._bytes = self._parts, [], 0
+        return join(parts) if parts else None
 
 
 class Flushing:
@@ -54,8 +92,12 @@ class Flushing:
         """Note what the sink has taken."""
         if len(batch):
             age = max(0, self._wall() - int(batch.time_ns[0])) if self._wall else 0
-            self._due = min(self._due, self._clock() + FLUSH_NS - age)
+            self.noted(age)
             self._bytes += int(batch.frame_length.sum())
+
+    def noted(self, age_ns: int = 0) -> None:
+        """Note that the sink has taken something that is so old."""
+        self._due = min(self._due, self._clock() + FLUSH_NS - age_ns)
 
     def look(self) -> None:
         """Flush if it is time.
@@ -66,4 +108,4 @@ class Flushing:
         if self._clock() >= self._due:
             if self._bytes < _SWIFT:
                 self._sink.flush()
-            self._due, self._bytes = self._clock() + FLUSH_NS, 0
+            self._due, self._bytes = self._clock() + SECOND, 0

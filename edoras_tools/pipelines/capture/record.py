@@ -17,7 +17,7 @@ from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, PCAPNG, ROSBAG2, 
 from edoras_tools.io.formats.watched import Keep, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
 from edoras_tools.links.rtps.link import RTPS
-from edoras_tools.pipelines.capture.flushing import FLUSH_NS, QUIET_NS, Flushing
+from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing, Waiting
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.jobs import jobs_for
 from edoras_tools.pipelines.reading import Limits, reading
@@ -330,14 +330,20 @@ def record(
     """
     check_recorded(source, bench, target)
     with reading(source, bench, selection, limits, keeps_failure=True) as loop:
-        if isinstance(source, DeviceSource) and not (watcher or tap or limits.count or limits.duration_ns):
-            source.quiet_s = QUIET_NS / 1e9
         sequences = SequenceCounts()
         topics = loop.selection.places() if bench.mission.recorded else None
         sink = open_sink(
             target, source, bench, chosen=str(loop.selection), sequences=sequences, topics=topics
         )
-        report = pour(loop, sink, watcher=watcher, tap=tap, by_route=by_route, sequences=sequences)
+        report = pour(
+            loop,
+            sink,
+            watcher=watcher,
+            tap=tap,
+            by_route=by_route,
+            sequences=sequences,
+            patient=isinstance(source, DeviceSource) and watcher is None and tap is None,
+        )
     report.outputs, report.losses, report.keep = list(sink.paths), sink.losses, sink.keep
     return report
 
@@ -350,6 +356,7 @@ def pour(
     tap: Callable[[PacketBatch, Columns], None] | None = None,
     by_route: bool = True,
     sequences: SequenceCounts | None = None,
+    patient: bool = False,
 ) -> CaptureReport:
     """Write everything from a loop to an open sink; the source and the sink are closed. See ``record``.
 
@@ -360,6 +367,7 @@ def pour(
         tap: see ``record``.
         by_route: see ``record``.
         sequences: shared with the sink, see ``RecordingOptions``.
+        patient: see ``Waiting``.
 
     Raises:
         CaptureError: the sink cannot be written.
@@ -374,34 +382,49 @@ def pour(
     host = None
     if isinstance(source, DeviceSource):
         source.gather_s = FLUSH_NS / 1e9
+        source.idle_s = 2 * source.gather_s if patient else source.gather_s
         from edoras_tools.pipelines.capture.host import HostWatch
 
         host = HostWatch(set(bench.columns.context.capture_ports()))
     note: Callable[[HostCounters], None] | None = getattr(sink, "write_host", None)
     wrote = ended = False
+    waiting = Waiting(patient=patient, clock=loop.limits.clock)
+
+    def write(taken: tuple[PacketBatch, Columns] | None, counters: HostCounters | None) -> None:
+        nonlocal wrote
+        if taken is not None:
+            wrote = True
+            sink.write(*taken)
+            flushing.took(taken[0])
+        if note and counters:
+            note(counters)
+            flushing.noted()
+        if live:
+            flushing.look()  # first, because the rest can wait
+        if taken is not None:
+            if by_route:
+                report.ledger.add(*taken)
+                report.follow_samples(*taken)
+            else:
+                report.ledger.tally(taken[0])
+            if tap is not None:
+                tap(*taken)
+
     try:
         if host and note:
             note(host.now())
         for rows in loop:
-            batch, columns = rows.alone()
-            if len(batch):
-                wrote = True
-                sink.write(batch, columns)
-                flushing.took(batch)
-            if host and note and (counters := host.due()):
-                note(counters)
-            if live:
-                flushing.look()  # first, because the rest can wait
-            if len(batch):
-                if by_route:
-                    report.ledger.add(batch, columns)
-                    report.follow_samples(batch, columns)
-                else:
-                    report.ledger.tally(batch)
-                if tap is not None:
-                    tap(batch, columns)
+            if len(rows):
+                waiting.add(*rows.alone())
+            counters = host.due() if host and note else None
+            if waiting.due or counters:
+                write(waiting.take(), counters)
+            elif live:
+                flushing.look()
             if watcher is not None:
                 watcher.update(report)
+        if (rest := waiting.take()) is not None:
+            write(rest, None)
         if host and note:
             note(host.now())
         report.interrupted, report.failure = loop.interrupted, loop.failure

@@ -7,18 +7,17 @@ a result, so that the list grows from its top while the filter runs.
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.model import Columns, PacketBatch, concatenate
-from edoras_tools.pipelines.capture.compact import OFFSETS, ROW_BYTES
+from edoras_tools.pipelines.capture.compact import ROW_BYTES, join
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.model import Datagram
+    from edoras_tools.model import Columns, Datagram, PacketBatch
 
     Shown = range | NDArray[np.int64]
     """Rows of a block, in order."""
@@ -214,16 +213,10 @@ class Store:
 
 def join_blocks(first: PacketBlock, second: PacketBlock) -> PacketBlock:
     """Join two blocks; the filter has run on both, or on neither."""
-    shift = len(first.batch.data)
-    columns: dict[str, Any] = {}
-    for item in fields(Columns):
-        left, right = getattr(first.columns, item.name), getattr(second.columns, item.name)
-        if item.name in OFFSETS:
-            right = np.where(right >= 0, right + shift, right)
-        columns[item.name] = np.concatenate([left, right])
     shown: Shown | None = None
     if isinstance(first.shown, range) and isinstance(second.shown, range):
         shown = range(len(first) + len(second))
     elif first.shown is not None and second.shown is not None:
         shown = np.concatenate([np.asarray(first.shown), np.asarray(second.shown) + len(first)])
-    return PacketBlock(concatenate([first.batch, second.batch]), Columns(**columns), shown)
+    batch, columns = join([(first.batch, first.columns), (second.batch, second.columns)])
+    return PacketBlock(batch, columns, shown)

@@ -74,8 +74,8 @@ def gather(data: NDArray[np.uint8], offset: NDArray[np.int64], width: int) -> ND
     if last < 0:
         data, last = np.concatenate([data, np.zeros(-last, np.uint8)]), 0
     rows = at_every_byte(data, width)[np.minimum(offset, last)].view(np.uint8).reshape(len(offset), width)
-    late = np.flatnonzero(offset > last)
-    if len(late):
+    if len(offset) and int(offset.max()) > last:
+        late = np.flatnonzero(offset > last)
         tail = np.concatenate([data[last:], np.zeros(width, np.uint8)])
         rows[late] = gather(tail, offset[late] - last, width)
     return rows

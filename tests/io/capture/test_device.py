@@ -171,21 +171,6 @@ def test_frames_gather_until_many_wait_or_the_end(source_of, later, ends):
     assert len(got) > (1 if ends else 60)
 
 
-@pytest.mark.parametrize("few", [True, False], ids=["few", "many"])
-def test_only_few_frames_gather_for_longer(source_of, few):
-    """Nobody waits for the longer time here: many do not, and few are given at the end."""
-    device = Fake(frames(b"first", 1))
-    source = source_of(device)
-    source.gather_s, source.quiet_s = 0.01, 3600.0
-    batches = source.batches()
-    assert payloads([first(batches)]) == [b"first"]
-    device.items += [frames(b"x" * (10 if few else 70_000), number) for number in (2, 3)]
-    until(lambda: not device.items)
-    if few:
-        source.stop()
-    assert len(payloads([first(batches)])) == 2
-
-
 def test_the_device_is_read_before_a_batch_is_due(source_of):
     """What is read in time is in that batch: it does not wait for the one after."""
     device = Fake(frames(b"first", 1))

@@ -1,11 +1,13 @@
 """Nothing that was taken waits long for the file, whoever is behind."""
 
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing
+from edoras_tools.model import Columns
+from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing, Waiting
 
 MS = 1_000_000
 
@@ -40,7 +42,7 @@ def clocks():
 def test_what_comes_in_time_is_flushed_together(clocks):
     for clocks.now in range(0, 1001 * MS, 10 * MS):
         clocks.take()
-    assert clocks.flushed == [200, 400, 600, 800, 1000]
+    assert clocks.flushed == [200, 410, 620, 830]
 
 
 @pytest.mark.parametrize("behind_ms", [200, 900, 60_000])
@@ -66,9 +68,19 @@ def test_a_clock_set_back_delays_nothing(clocks):
 
 
 def test_it_is_flushed_with_nothing_to_write_too(clocks):
-    for clocks.now in range(0, 550 * MS, 50 * MS):
+    for clocks.now in range(0, 2550 * MS, 50 * MS):
         clocks.flushing.look()
-    assert clocks.flushed == [200, 400]
+    assert clocks.flushed == [200, 1200, 2200]
+
+
+def test_what_has_no_packets_is_flushed_as_soon(clocks):
+    clocks.now = 200 * MS
+    clocks.flushing.look()
+    for clocks.now in range(250 * MS, 1000 * MS, 50 * MS):
+        if clocks.now == 300 * MS:
+            clocks.flushing.noted()
+        clocks.flushing.look()
+    assert clocks.flushed == [200, 500]
 
 
 def test_swift_traffic_fills_chunks_by_itself(clocks):
@@ -82,3 +94,31 @@ def test_of_files_no_age_is_taken(clocks):
     clocks.take(10**9)
     assert clocks.flushed == []
     assert clocks.flushing.wait_s == 0.2
+
+
+@pytest.mark.parametrize(
+    ("patient", "step_ms", "size", "written"),
+    [
+        (True, 200, 10, [3, 3]),
+        (True, 100, 10, [5]),
+        (True, 200, 300_000, [1] * 8),
+        (False, 200, 10, [1] * 8),
+    ],
+    ids=["quiet", "quick", "much", "watched"],
+)
+def test_small_batches_wait_for_each_other(patient, step_ms, size, written, batches):
+    """For 0.35 s from the first on; none is older than a second when the next one is written."""
+    now, taken = 0, []
+    waiting = Waiting(patient=patient, clock=lambda: now)
+    one = batches[0].take(slice(0, 2))
+    one = replace(one, data=np.zeros(size, np.uint8))
+    for _ in range(8):
+        waiting.add(one, Columns(**{item.name: np.zeros(2, int) for item in fields(Columns)}))
+        if waiting.due:
+            taken.append(len(waiting.take()[0]) // 2)
+        now += step_ms * MS
+    assert taken == written
+    assert waiting.due is False or patient
+    left = waiting.take()
+    assert (len(left[0]) // 2 if left else 0) == 8 - sum(written)
+    assert waiting.take() is None
