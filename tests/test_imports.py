@@ -40,7 +40,10 @@ PUT_OFF = {
         "websockets, an extra: when the first client comes",
     ),
     "links/racs2.py": ("edoras_tools.links.streams", "2 ms, and only where there are its streams"),
-    "links/rtps/link.py": ("edoras_tools.links.rtps", "5 ms, and only where there is RTPS"),
+    "links/rtps/link.py": (
+        "edoras_tools.links.rtps edoras_tools.wire.rtps",
+        "5 ms, and only where there is RTPS",
+    ),
     "links/table.py": ("importlib.metadata", "11 ms, and only where a package adds a link"),
     "middleware/dds/joining.py": (
         "edoras_tools.middleware.dds",

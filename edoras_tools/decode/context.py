@@ -196,7 +196,7 @@ class Context:
         self.ports = self._ports()
         self._settle_ports()
         self._settle_streams()
-        self.with_headers = tuple(link for link in self.links if link.layouts or not link.packets)
+        self.with_headers = tuple(link for link in self.links if not link.packets or link.layouts)
         self.header_bytes = np.zeros(256, np.int64)
         self.against = np.zeros((2, 256), bool)
         for link in self.links:

@@ -8,7 +8,8 @@ import numpy as np
 from places import ROOT
 
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.wire.rtps.headers import RTPS_MAGIC, SUBMESSAGE_LAYOUTS, SubmessageKind
+from edoras_tools.wire.rtps import RTPS_MAGIC
+from edoras_tools.wire.rtps.headers import SUBMESSAGE_LAYOUTS, SubmessageKind
 
 FOLDER = ROOT / "samples/rtps"
 CAPTURES = sorted(FOLDER.glob("*.pcap.gz"))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen, Site
 from edoras_tools.model import Decoded, PacketBatch, Transport
-from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT, RTPS_HEADER, RTPS_MAGIC
+from edoras_tools.wire.rtps import RTPS_MAGIC
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,15 +27,23 @@ class PublishSubscribeLink(LinkProtocol):
     transport = Transport(first="either")
     to_cfs = True
     from_cfs = True
-    layouts = EVERY_RTPS_LAYOUT
     port_decides = False
     magic = RTPS_MAGIC
     several = True
     samples = True
     wireshark = "rtps"
 
+    @property
+    def layouts(self) -> tuple[Layout, ...]:  # type: ignore[override]
+        """Its headers, of each submessage in both byte orders; made when they are asked for."""
+        from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT
+
+        return EVERY_RTPS_LAYOUT
+
     def recognise(self, seen: Seen) -> Any:
         """Recognise the four letters that begin every message."""
+        from edoras_tools.wire.rtps.headers import RTPS_HEADER
+
         version = seen.field(RTPS_HEADER, "version_major")
         letters = seen.field(RTPS_HEADER, "magic") == int.from_bytes(RTPS_MAGIC, "big")
         return BY_CONTENT * (letters & (version >= 0))

@@ -15,7 +15,6 @@ from edoras_tools.wire.layout import Field, Layout
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-RTPS_MAGIC: Final = b"RTPS"
 PREFIX_BYTES: Final = 12
 ENTITY_BYTES: Final = 4
 GUID_BYTES: Final = PREFIX_BYTES + ENTITY_BYTES
