@@ -12,8 +12,10 @@ from contextlib import closing
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 import fuzz_links
+import rtps
 import zstandard
 from fuzz_inputs import BAG, SPLIT
 from fuzz_targets import LINK_TYPES, MESSAGES, ROOMS, ROOT, SCENARIOS, TYPES
@@ -33,6 +35,7 @@ from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.envelope import EnvelopeFormat
+from edoras_tools.wire.rtps import RTPS_MAGIC
 
 SEEDS = Path(__file__).parent / "seeds"
 CAPTURES = ROOT / "samples/captures"
@@ -67,6 +70,23 @@ def captured():
                     if key not in seen and len(payload) <= 1500:
                         seen[key] = room(ports[decoded.link]) + payload
     return {f"{link}_{kind & 0xFFFF:04x}_{findings:x}": data for (link, kind, findings), data in seen.items()}
+
+
+def dds():
+    """A message of RTPS with each set of submessages in the samples, and one that tells its topic itself."""
+    found = {}
+    for path in sorted((ROOT / "samples/rtps").glob("*.gz")):
+        with closing(open_file(path)) as source:
+            packets = [
+                item for batch in source.batches() for item in map(batch.__getitem__, range(len(batch)))
+            ]
+        for item in packets:
+            if item.payload.startswith(RTPS_MAGIC) and len(item.payload) < 1000:
+                layers = Dissector(Context(types=TYPES)).dissect(item).layers
+                name = "_".join(layer.name.removeprefix("rtps_") for layer in layers)[:60]
+                found.setdefault(f"rtps_{name}", room(8080) + item.payload)
+    found["rtps_topic"] = room(8080) + rtps.announced() + rtps.data(1, b"\0\1\0\0" + bytes(48))
+    return found
 
 
 def made():
@@ -389,7 +409,7 @@ def main(folder: Path = SEEDS) -> None:
     scratch = folder / "scratch"
     scratch.mkdir(parents=True)
     for target, files in {
-        "packet": captured() | made(),
+        "packet": captured() | made() | dds(),
         "frames": frames(),
         "capture": captures(scratch),
         "recover": recordings(scratch),

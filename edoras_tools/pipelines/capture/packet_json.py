@@ -10,6 +10,7 @@ differ. The rules that this file keeps:
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import groupby, pairwise
 from json import dumps
 from typing import TYPE_CHECKING, Any, Final
@@ -76,11 +77,7 @@ def as_json(decoded: Decoded) -> dict[str, Any]:
         "source": None if recorded else str(decoded.datagram.source),
         "destination": None if recorded else str(decoded.datagram.destination),
         "length": len(decoded.datagram.payload),
-        "layers": {
-            layer.name: json_value(layer.values(), octets=bytes.hex)
-            for layer in decoded.layers
-            if layer.name not in {"ros", "cfs", RECORDED_LAYER}
-        },
+        "layers": _layers(decoded),
         "msg_id": f"0x{packet.values()['msg_id']:04x}" if packet else None,
         "topic": topic or None,
         "type": type_ or None,
@@ -89,6 +86,19 @@ def as_json(decoded: Decoded) -> dict[str, Any]:
         "findings": decoded.findings.labels,
         "stop": str(decoded.stop) if decoded.stop else None,
     }
+
+
+def _layers(decoded: Decoded) -> dict[str, Any]:
+    """Return the fields of each layer by its name; of those of DDS a second one is ``rtps_data#2``."""
+    found: dict[str, Any] = {}
+    count: Counter[str] = Counter()
+    for layer in decoded.layers:
+        if layer.name not in {"ros", "cfs", RECORDED_LAYER}:
+            count[layer.name] += 1
+            again = decoded.link.samples and count[layer.name] > 1
+            name = f"{layer.name}#{count[layer.name]}" if again else layer.name
+            found[name] = json_value(layer.values(), octets=bytes.hex)
+    return found
 
 
 def _message(message: RosMessage) -> dict[str, Any]:
