@@ -400,7 +400,17 @@ def test_a_telemetry_output_that_may_have_been_told_to_stop_lost_nothing(tmp_pat
     told = [item for item in found.verdicts if item.rule == "unexplained_gap"]
     assert len(told) == 2
     assert all("no command to cFS is in the capture" in item.reason for item in told)
-    assert all("Command Ingest" in item.remedy for item in told)
+    assert all("sent to CI" in item.remedy for item in told)
+
+
+def test_a_peer_that_may_not_have_been_connected_missed_nothing(tmp_path):
+    """The bridge was killed and came back; of SBN only what cFS sends was captured."""
+    kept = [item for item in captured("f_sbn_disconnect") if item.destination[1] != 2234]
+    found = diagnosed(write(tmp_path / "x.pcap", kept), "f_sbn_disconnect")
+    assert [row for row in found.balance if not row.adds_up] == []
+    assert (found.lost, found.unaccounted) == (0, 11)
+    (told,) = [item for item in found.verdicts if item.rule == "unexplained_gap"]
+    assert "nothing that the peer sends is in the capture" in told.reason
 
 
 def test_what_a_peer_sends_unseen_is_no_ground_for_a_cause(tmp_path):

@@ -131,7 +131,7 @@ class Telemetry:
         self.closed: dict[int, int] = {}
         self.proxied: dict[int, int] = {}
         self.untold: dict[int, int] = {}
-        self._unled: dict[int, list[tuple[int, int]]] = {}
+        self._unled: dict[tuple[int, int], list[tuple[int, int]]] = {}
         self.silenced: dict[int, int] = {}
         self.silent: list[tuple[int, Among]] = []
         self.away: dict[int, int] = {}
@@ -199,9 +199,11 @@ class Telemetry:
         counts = self._counts.get(owner)
         if stream.link.only_from_cfs and stream.sender not in self.silences:
             self.silences[stream.sender] = silences_of(known, stream.sender)
-            self._unled[stream.sender] = unled_silences(known, stream.sender)
         silenced = silenced_at(known, stream, at, self.silences.get(stream.sender, ()))
-        unled = silenced_at(known, stream, at, self._unled.get(stream.sender, ()) if hop is None else ())
+        way = stream.sender, stream.receiver
+        if way not in self._unled:
+            self._unled[way] = unled_silences(known, stream)
+        unled = silenced_at(known, stream, at, self._unled[way] if hop is None else ())
         behind = np.minimum(at + 1, len(stream) - 1)
         away = known.away(known.rows.time_ns[own[at]], known.rows.time_ns[own[behind]])
         if away.any():

@@ -8,6 +8,7 @@ import numpy as np
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.links.table import among
+from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -57,15 +58,27 @@ def silenced_at(
     return out
 
 
-def unled_silences(known: Known, sender: int) -> list[tuple[int, int]]:
-    """Return when the Telemetry Output behind an endpoint sent nothing, where no command to cFS was captured.
+def one_sided(known: Known, stream: Stream) -> bool:
+    """Tell whether nothing was captured of what tells cFS whether to send a stream.
 
-    Whether it was told to send nothing then, cannot be seen.
+    Telemetry Output does what commands to cFS tell it, SBN sends to a peer that is connected.
     """
     rows = known.rows
-    if among(rows.link, lambda link: link.only_to_cfs).any():
+    if stream.link.peers:
+        return not ((rows.source == stream.receiver) & (rows.destination == stream.sender)).any()
+    return not among(rows.link, lambda link: link.only_to_cfs).any()
+
+
+def unled_silences(known: Known, stream: Stream) -> list[tuple[int, int]]:
+    """Return when nothing at all came on a stream's way, where nothing tells whether it was to be sent."""
+    if not one_sided(known, stream):
         return []
-    times = _sent_by(known, sender)
+    if stream.link.peers:
+        rows = known.rows
+        there = (rows.source == stream.sender) & (rows.destination == stream.receiver)
+        times = rows.time_ns[there & (rows.msg_id != NO_MSG_ID)]
+    else:
+        times = _sent_by(known, stream.sender)
     silent = np.flatnonzero(np.diff(times) > _SILENT_WAKES * known.profile.to_wake_ns)
     return [(int(times[at]), int(times[at + 1])) for at in silent.tolist()]
 

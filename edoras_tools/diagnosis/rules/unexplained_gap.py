@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.accounting.budget import limit
+from edoras_tools.diagnosis.accounting.closed import one_sided
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.links.table import among
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.streams import Stream
 
 ID = "unexplained_gap"
 
@@ -51,7 +52,8 @@ def judge(case: Case) -> Iterator[Verdict]:
             yield Verdict(
                 ID,
                 Severity.WARNING,
-                f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: {_why(case)}",
+                f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: "
+                f"{_why(case, stream)}",
                 msg_id=stream.msg_id,
                 topic=case.topic(stream.msg_id),
                 link=stream.link.label,
@@ -59,24 +61,29 @@ def judge(case: Case) -> Iterator[Verdict]:
                 start_ns=int(case.rows.time_ns[stream.rows[0]]),
                 end_ns=int(case.rows.time_ns[stream.rows[-1]]),
                 evidence=case.drops_text(),
-                remedy="capture what is sent to Command Ingest, too"
-                if _no_commands(case)
-                else "capture whole frames, without -s or with -s 0",
+                remedy=_remedy(case, stream),
                 confidence="low",
             )
 
 
-def _no_commands(case: Case) -> bool:
-    return not among(case.rows.link, lambda link: link.only_to_cfs).any()
-
-
-def _why(case: Case) -> str:
-    if _no_commands(case):
+def _why(case: Case, stream: Stream) -> str:
+    if not one_sided(case.known, stream):
         return (
-            "Telemetry Output sent nothing at all then, and no command to cFS is in the capture, so nothing "
-            "tells whether they were lost or it was told not to send"
+            "the capture cut off when packets were made, so nothing tells whether they were lost, not sent, "
+            "or are another cFS's"
+        )
+    if stream.link.peers:
+        return (
+            "SBN sent that peer no message at all then, and nothing that the peer sends is in the capture, "
+            "so nothing tells whether they were lost or it was not connected"
         )
     return (
-        "the capture cut off when packets were made, so nothing tells whether they were lost, not sent, or "
-        "are another cFS's"
+        "Telemetry Output sent nothing at all then, and no command to cFS is in the capture, so nothing "
+        "tells whether they were lost or it was told not to send"
     )
+
+
+def _remedy(case: Case, stream: Stream) -> str:
+    if not one_sided(case.known, stream):
+        return "capture whole frames, without -s or with -s 0"
+    return "capture what the peer sends, too" if stream.link.peers else "capture what is sent to CI, too"
