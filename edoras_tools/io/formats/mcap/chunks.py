@@ -163,7 +163,7 @@ class ChunkWriter:
             self.flush()
         self._put_made()
         workers = self._workers
-        if workers is not None and (last or workers.crowded):
+        if workers is not None and (last or workers.crowded()):
             workers = None
         if workers is not None:
             workers.start()

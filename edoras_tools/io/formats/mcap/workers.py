@@ -52,6 +52,7 @@ class Workers:
 
     def __init__(self, count: int, work: Callable[..., Any], path: Path, *, yields: bool = False) -> None:
         self._path, self._yields = path, yields
+        self._crowds = 0
         self._tasks = _SLOTS * count
         self._used = [0] * (self._tasks + 1)
         """The number of the last task that used each room, from 1."""
@@ -99,13 +100,16 @@ class Workers:
             return bool(select.select([self._next], [], [], 0)[0])
         return bool(self._results)
 
-    @property
     def crowded(self) -> bool:
-        """Whether the processes yield, and others run on all processors: a task is done no sooner here."""
+        """Look whether the processes yield, and others run on all processors: a task is done no sooner here.
+
+        Something short may run just now: only a second look in a row that finds no processor tells so.
+        """
         if not self._yields:
             return False
         works = self._answered < self._asked and not select.select([self._next], [], [], 0)[0]
-        return spare_processors() < (0 if works else 1)
+        self._crowds = self._crowds + 1 if spare_processors() < (0 if works else 1) else 0
+        return self._crowds > 1
 
     @property
     def _next(self) -> socket.socket:
