@@ -211,6 +211,23 @@ def test_ctrl_c_while_it_writes_loses_nothing(number, bench, batches, made_up, s
     assert (report.interrupted, report.ledger.datagrams) == (True, 100)
 
 
+def test_ctrl_c_while_it_reads_a_file_leaves_the_older_recording(bench, tmp_path):
+    path, told = tmp_path / "x.pcap", []
+    path.write_bytes(b"precious")
+    report = record(
+        open_files([CAPTURE]),
+        bench,
+        Target(path, replace=True, told=told.append),
+        tap=lambda *_: os.kill(os.getpid(), signal.SIGINT),
+    )
+    assert report.interrupted
+    assert path.read_bytes() == b"precious"
+    assert report.outputs == [tmp_path / "x_1.pcap"]
+    assert told == [f"{path} is as it was; the new recording is {tmp_path / 'x_1.pcap'}"]
+    with closing(open_files(report.outputs)) as source:
+        assert sum(map(len, source.batches())) == report.ledger.datagrams > 0
+
+
 def test_ctrl_c_of_a_live_source_takes_what_arrived(bench, batches, made_up, sink):
     """A live source is told to stop, and goes on until it has handed over everything."""
     opened, source = sink(), made_up([])
