@@ -22,7 +22,7 @@ class PublishSubscribeLink(LinkProtocol):
     code = 8
     name = "RTPS"
     label = "rtps"
-    colour = "bright_magenta"
+    colour = "yellow"
     doc = "between DDS participants, as ROS 2 nodes are: RTPS messages, on any port"
     transport = Transport(first="either")
     to_cfs = True
