@@ -50,7 +50,7 @@ def decode(
     *files, last = arguments
     paths = [*(read or ()), *map(Path, files)]
     if not paths:
-        raise ConfigError("name the file and the packet's number: edoras decode FILE N")
+        raise ConfigError("name the file and the packet's number: edoras decode FILE N, or -r FILE N")
     number = options.counted(last)
     source, bench = open_input(InputOptions(FileOptions(paths)), decoding.settings(), messages=True)
     decoded = decode_packet(Followed(source, quiet=json), bench, number)

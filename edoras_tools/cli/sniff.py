@@ -39,7 +39,7 @@ def sniff(
     from edoras_tools.pipelines.capture.sniff import sniff as packets
     from edoras_tools.render.capture import packet
     from edoras_tools.render.capture import tree as tree_view
-    from edoras_tools.render.capture.packet_list import COLUMNS, MESSAGE_COLUMNS, PacketList
+    from edoras_tools.render.capture.packet_list import COLUMNS, LEAST_WITH_TYPE, MESSAGE_COLUMNS, PacketList
     from edoras_tools.render.capture.watch import Followed
     from edoras_tools.render.severity import NOTABLE
     from edoras_tools.render.terminal.palette import Paint
@@ -91,6 +91,7 @@ def sniff(
         ended(shown)
         return
     bench.dissector.detail = view.tree or view.hexdump
+    typed = recorded and terminal.width >= LEAST_WITH_TYPE
     packet_list = PacketList(
         terminal.width,
         colour=terminal.colour,
@@ -98,7 +99,7 @@ def sniff(
         names=MSG_ID_NAMES,
         verbose=verbose,
         shown=MESSAGE_COLUMNS if recorded else COLUMNS,
-        added=[(f"{'Type':<12}", False)] if recorded else (),
+        added=[(f"{'Type':<12}", False)] if typed else (),
     )
     taken = read, bench, selection, limits, packet_list.count_from
 
@@ -115,10 +116,7 @@ def sniff(
         blocks = ([text(decoded)] for decoded in packets(*taken))
     else:
         blocks = (
-            [
-                packet_list.line(line, values=(line.type.rpartition("/")[2],) if recorded else ())
-                for line in some
-            ]
+            [packet_list.line(line, values=(line.type.rpartition("/")[2],) if typed else ()) for line in some]
             for some in lines(*taken)
         )
     header = "" if view.json or view.hexdump or view.tree else packet_list.header()

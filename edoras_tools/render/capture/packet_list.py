@@ -39,6 +39,8 @@ COLUMNS: Final = ("time", "ports", "packet", "msg_id", "topic", "bytes")
 """The columns that can be left out; the number and the message are always there."""
 MESSAGE_COLUMNS: Final = ("time", "topic", "bytes")
 """Those that messages without datagrams have."""
+LEAST_WITH_TYPE: Final = 64
+"""Cells from which on there is room for a message's type, too."""
 _ADDED_CELLS: Final = (8, 24)
 """Cells of an added column, at least and at most."""
 _TIME_CELLS: Final = {
@@ -60,7 +62,8 @@ def _widths(width: int, time_format: TimeFormat, shown: tuple[str, ...], added: 
     narrow, medium, wide = _TIME_CELLS[time_format]
     columns = (7, wide, _FULL, 14, 6, 28, 5)
     if width < 64:
-        columns = (5, narrow if width >= 48 else 0, 0, 7, 0, 0, 0)
+        topic = 0 if "packet" in shown else 14  # else it is told by nothing but its topic
+        columns = (5, narrow if width >= 48 else 0, 0, 7, 0, topic, 0)
     elif width < 100:
         columns = (5, narrow, 0, _KIND_CELLS, 6, width // 6 - 1, 4)
     elif width < 150:
@@ -182,8 +185,9 @@ class PacketList:
         summary = clip(summary, room - taken)
         if not self._paint.colour:
             return f"{before}{middle}{after}{size.gap}{badge}{summary}".rstrip()
+        colour = palette.layer("ros") if packet.type else packet.link.colour
         return (
-            f"{paint(before, palette.DIM)}{paint(middle, packet.link.colour)}"
+            f"{paint(before, palette.DIM)}{paint(middle, colour)}"
             f"{paint(after, palette.DIM)}{size.gap}{badge}{summary}"
         ).rstrip()
 

@@ -128,15 +128,16 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | N
     """
     topics = [row for row in summary.get("routes", ()) if row.get("topic")]
     messages = sum(row.get("count", 0) for row in topics)
-    over = f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}"
+    counted = summary.get("messages") or summary.get("datagrams")
+    over = f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}" if counted else ""
     on = f"{plural(messages, 'message')} on {plural(len(topics), 'topic')}"
     if samples := summary.get("samples"):
         on += f", {plural(sum(row['count'] for row in samples), 'sample')} of DDS"
     if "messages" in summary:  # of a recording without datagrams
-        what, words = "message", [on + over * bool(messages)]
+        what, words = "message", [on + over]
     else:
         what, words = "datagram", [plural(summary.get("datagrams", 0), "datagram"), on]
-        words[0] += over * bool(summary.get("datagrams"))
+        words[0] += over
     written = sum(map(size_of, outputs))
     if written:
         words.append(units.size(written))
