@@ -5,11 +5,14 @@ import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import ROOT
 from rtps import CAPTURES, PREFIX, TRUTH, WRITER, data, made, message
 from rtps_batches import batch_of
+from schema import check, published
 
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.pipelines.capture.info import inspect
+from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.dds import MOST_ASKED, SampleFollower
@@ -62,6 +65,24 @@ def test_info_counts_each_sample_once():
     assert {row["missing"] for row in rows.values()} == {0}
     assert rows["/cmd_vel"]["type"] == "geometry_msgs/msg/Twist"
     assert rows["/cmd_vel"]["copies"] == 12
+
+
+def test_what_is_beside_dds_is_judged_as_before():
+    rover, config = ROOT / "samples/captures/a_rover.pcap", ROOT / "samples/missions/rover_ground.yaml"
+    dds = next(item for item in CAPTURES if item.name.startswith("cyclone_receiver"))
+
+    def judged(*paths):
+        source = open_files(paths)
+        return examine(source, Settings([config]).workbench(source.info)).diagnosis.as_json()
+
+    alone, beside = judged(rover), judged(rover, dds)
+    check(beside | {"schema": 1, "source": "", "warnings": []}, published("doctor"))
+    own = {"dds_lost", "dds_resent"}
+    assert alone["routes"] == beside["routes"]
+    assert alone["balance"] == [row for row in beside["balance"] if row["link"] != "rtps"]
+    assert alone["verdicts"] == [item for item in beside["verdicts"] if item["rule"] not in own]
+    assert {item["rule"] for item in beside["verdicts"]} >= own
+    assert beside["examined"] - alone["examined"] == 298
 
 
 def follow(follower, *payloads, size=3):

@@ -24,6 +24,8 @@ import numpy as np
 
 from edoras_tools.decode.filters.field import MESSAGE_COST, FilterField
 from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.decode.samples import known_samples
+from edoras_tools.links.table import among
 from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.ros.types import grammar, schema
 from edoras_tools.structs.bound import Encoded, Held
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
+    from edoras_tools.decode.samples import KnownSamples
     from edoras_tools.model import Decoded
     from edoras_tools.ros.cdr.columns import MessageColumns
     from edoras_tools.ros.types.schema import Definition
@@ -182,7 +185,7 @@ class MessageFieldFinder:
         self, path: str, name: str, routes: tuple[int, ...], steps: list[_Step], bound: Bound | None = None
     ) -> FilterField:
         messages = partial(_messages, name, routes) if bound is None else partial(held_messages, bound)
-        scope = (lambda rows: np.isin(rows.routes(), routes)) if bound is None else partial(_holds, bound)
+        scope = partial(_may_hold, routes) if bound is None else partial(_holds, bound)
         last = steps[-1].field.type
         dtype = np.dtype(schema.PRIMITIVES.get(last, "q"))
         kind = (
@@ -278,9 +281,29 @@ def _messages(name: str, routes: tuple[int, ...], rows: ColumnRows) -> Owned:
         owner = np.flatnonzero(np.isin(rows.routes(), routes) & (rows.column("cdr_length") > 0))
         offset, length = rows.column("cdr_offset")[owner], rows.column("cdr_length")[owner]
         assert rows.context.types is not None, "messages have types"
+        for item in samples_of(rows):
+            if schema.full_name(item.type) == schema.full_name(name):
+                row = np.searchsorted(rows.indices(), item.row[item.valid])
+                owner = np.concatenate([owner, row])
+                offset = np.concatenate([offset, item.offset[item.valid]])
+                length = np.concatenate([length, item.length[item.valid]])
+        order = np.argsort(owner, kind="stable")
+        owner, offset, length = owner[order], offset[order], length[order]
         return owner, rows.context.types.columns(name, rows.batch.data, offset, length)
 
     found: Owned = rows.once(("messages", name), make)
+    return found
+
+
+def samples_of(rows: ColumnRows) -> list[KnownSamples]:
+    """Return the samples of DDS in some rows, by topic and type."""
+
+    def make() -> list[KnownSamples]:
+        own = np.flatnonzero(among(rows.column("link"), lambda link: link.samples))
+        context = rows.context
+        return list(known_samples(context.types, context.endpoints, rows.batch, rows.indices()[own]))
+
+    found: list[KnownSamples] = rows.once("samples", make)
     return found
 
 
@@ -312,6 +335,11 @@ def held_messages(bound: Bound, rows: ColumnRows) -> Owned:
 
     found: Owned = rows.once(("struct", bound.topic), make)
     return found
+
+
+def _may_hold(routes: tuple[int, ...], rows: ColumnRows) -> NDArray[np.bool_]:
+    """Tell which rows may hold messages of some routes' types: theirs, and samples of DDS."""
+    return np.isin(rows.routes(), routes) | among(rows.column("link"), lambda link: link.samples)
 
 
 def _holds(bound: Bound, rows: ColumnRows) -> NDArray[np.bool_]:

@@ -10,10 +10,8 @@ import numpy as np
 
 from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, MESSAGE_COST, FilterField
 from edoras_tools.decode.filters.layers import layer_fields
-from edoras_tools.decode.filters.messages import MessageFieldFinder, structs_of
+from edoras_tools.decode.filters.messages import MessageFieldFinder, samples_of, structs_of
 from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
-from edoras_tools.decode.samples import known_samples
-from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Endpoint, Finding
 from edoras_tools.ros.types.schema import full_name
 from edoras_tools.structs.packets import OWN_LAYERS
@@ -382,8 +380,7 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
             owner.append(members.row[fits])
             values.append(np.full(len(owner[-1]), len(routed) + context.structs.all.index(bound)))
         table = [*texts]
-        own = np.flatnonzero(rows.column("link") == RTPS)
-        for item in known_samples(context.types, context.endpoints, rows.batch, rows.indices()[own]):
+        for item in samples_of(rows):
             owner.append(np.searchsorted(rows.indices(), item.row[item.valid]))
             values.append(np.full(len(owner[-1]), len(table)))
             table.append(getattr(item, name))

@@ -114,4 +114,5 @@ def read_announcement(data: bytes) -> Announcement | None:
 
 def _text(value: bytes, order: Literal["big", "little"]) -> str:
     size = min(int.from_bytes(value[:4], order), LONGEST_TEXT)
-    return value[4 : 4 + size].split(b"\0", 1)[0].decode("utf-8", "replace")
+    text = value[4 : 4 + size].split(b"\0", 1)[0].decode("utf-8", "replace")
+    return text if text.isprintable() else "".join(item if item.isprintable() else "?" for item in text)

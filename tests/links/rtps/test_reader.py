@@ -8,6 +8,7 @@ import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import ROOT
 from rtps import CAPTURES, PREFIX, TRUTH, WRITER, announced, batches, data, message
 from rtps_batches import batch_of
 
@@ -18,6 +19,7 @@ from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.links.protocol import MOST_ENDPOINTS, Endpoints
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.table import protocol
+from edoras_tools.mission import load
 from edoras_tools.model import Finding
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT
@@ -174,6 +176,25 @@ def test_several_samples_in_one_datagram():
         f"rtps.writer == '{PREFIX.hex()}.{WRITER.hex()}'": [1, 2],
         "rtps.topic == '/cmd_vel'": [1, 2],
         "rtps_data_big": [],
+    }.items():
+        fast = Where(text, context).mask(batch, columns)
+        assert np.flatnonzero(fast).tolist() == hits, text
+        assert [bool(Where(text, context).judge([item])[0]) for item in packets] == fast.tolist(), text
+
+
+def test_fields_of_messages_are_those_of_samples_too():
+    mission = load([ROOT / "samples/missions/rover_ground.yaml"])
+    context = Context(mission, TYPES)
+    several = [data(number, b"\0\1\0\0" + np.full(6, number, "<f8").tobytes()) for number in (1, 5)]
+    batch = batch_of(announced(), message(*several), message(several[1]))
+    columns = ColumnDecoder(context).decode(batch)
+    packets = [Dissector(context).dissect(batch[row]) for row in range(len(batch))]
+    for text, hits in {
+        "linear.x > 3": [1, 2],
+        "linear.x == 1": [1],
+        "angular": [1, 2],
+        "topic == '/cmd_vel'": [1, 2],
+        "type == Twist": [1, 2],
     }.items():
         fast = Where(text, context).mask(batch, columns)
         assert np.flatnonzero(fast).tolist() == hits, text

@@ -37,6 +37,8 @@ def test_long_names_and_endless_lists_end():
     long = parameter(0x5A, bytes(16)) + parameter(5, text("x" * 5000))
     assert len(read_announcement(b"\0\3\0\0" + long).topic) <= LONGEST_TEXT
     assert len(list(read_parameters(b"\0\3\0\0" + parameter(0, b"") * 100_000))) == MOST_PARAMETERS_READ
+    odd = parameter(0x5A, bytes(16)) + parameter(5, text("rt/\x1b[31m\n"))
+    assert read_announcement(b"\0\3\0\0" + odd).topic == "rt/?[31m?"
     assert not list(read_parameters(b"\0\3\0\0" + struct.pack("<HH", 5, 0xFFFF) + bytes(100)))
 
 
