@@ -120,12 +120,13 @@ class Peers:
         return self._first.setdefault(endpoint, (identity, number))[0]
 
     def known(self, endpoint: tuple[str, int], number: int) -> tuple[int, int] | None:
-        """Return the identity an endpoint was known by before a datagram came, or None.
+        """Return the identity an endpoint was known by when a datagram came, or None.
 
-        Messages of one TCP segment have one number, so what is beside the first identity is not judged by it.
+        Messages of one TCP segment have one number: ask for the number before it, so that what is beside the
+        first identity is not judged by it, whichever comes first.
         """
-        identity, since = self._first.get(endpoint, ((0, 0), number))
-        return identity if since < number else None
+        identity, since = self._first.get(endpoint, ((0, 0), number + 1))
+        return identity if since <= number else None
 
 
 class Endpoints:

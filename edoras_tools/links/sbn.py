@@ -231,10 +231,11 @@ class _Columns:
         )
         endpoint |= batch.ip_version[rows]
         foreign = np.zeros(len(rows), bool)
+        streams = np.zeros(len(rows), bool) if batch.streams is None else batch.streams[rows]
         for _, same in by_value(endpoint):
             first = int(rows[same[0]])
             key = (batch.address(int(batch.source_address[first]), first), int(batch.source_port[first]))
-            known = peers.known(key, int(batch.number[first]))
+            known = peers.known(key, int(batch.number[first]) - int(streams[same[0]]))
             if known is None:
                 # An identity is unknown only after the endpoint has sent another one.
                 after = same[np.logical_or.accumulate(trusted[same])]
@@ -242,7 +243,7 @@ class _Columns:
                     continue
                 first_identity = int(identity[after[0]])
                 introduction = int(batch.number[rows[after[0]]])
-                after = same[batch.number[rows[same]] > introduction]
+                after = after[~streams[after] | (batch.number[rows[after]] > introduction)]
                 known = peers.introduce(key, divmod(first_identity, 1 << 32), introduction)
             else:
                 after = same
@@ -356,7 +357,7 @@ class _Message:
         source = (datagram.source.address, datagram.source.port)
         if trusted:
             peers.introduce(source, identity, datagram.number)
-        known = peers.known(source, datagram.number)
+        known = peers.known(source, datagram.number - datagram.stream)
         if known is not None and known != identity and identity not in self.site.identities:
             self.reading.findings |= Finding.SBN_ID_MISMATCH
 
