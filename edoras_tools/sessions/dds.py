@@ -16,11 +16,14 @@ The rules that this file keeps:
 4. A sample that a reader asked for (ACKNACK) was lost at first: ``behind``, if it had been captured by then:
    between that place and the reader; else ``before``. If it was captured again it was sent again; if the
    reader went on without it, and the writer did not have it any more, it is ``given_up``.
-5. Memory is bounded: writers, ranges of numbers and open questions are limited in number.
+5. Memory is bounded: writers, ranges of numbers and open questions are limited in number. Where the captured
+   numbers of a writer are more than ``_MANY`` ranges, the older half is judged for good: what of it comes
+   later is a copy.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
@@ -29,7 +32,7 @@ import numpy as np
 from edoras_tools.links.protocol import MOST_ENDPOINTS
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.rtps.reader import UserSubmessages, user_submessages
-from edoras_tools.sessions.ranges import KnownRanges
+from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 from edoras_tools.wire.rtps.headers import SubmessageKind
 from edoras_tools.wire.rtps.messages import guid_text
 from edoras_tools.wire.rtps.names import ros_name, ros_topic
@@ -46,6 +49,9 @@ MOST_READERS: Final = 1 << 10
 """Of a writer; what others acknowledge is not followed."""
 MOST_ASKED: Final = 1 << 14
 """Samples of a writer that a reader waits for; more are not followed."""
+FATES: Final = ("given_up", "unclear", "not_captured", "waiting", "missing", "lost_behind")
+_MANY: Final = MOST_RANGES // 2
+"""With so many ranges of captured numbers, the older half is judged for good."""
 _HIGHEST: Final = 1 << 62
 """Numbers above are no sound sequence numbers."""
 _FARTHEST: Final = 1 << 32
@@ -73,6 +79,8 @@ class SampleWriter:
         open: reader and number of what was asked for and was not captured since; the answer is open.
         given_up: numbers that a reader asked for, and went on without.
         unclear: numbers that a reader went on without, and that it had not asked for.
+        floor: the numbers below it are judged for good.
+        settled: what became of these.
     """
 
     guid: bytes
@@ -91,58 +99,71 @@ class SampleWriter:
     open: dict[int, set[bytes]] = field(default_factory=dict)
     given_up: KnownRanges = field(default_factory=KnownRanges)
     unclear: KnownRanges = field(default_factory=KnownRanges)
+    floor: int = 0
+    settled: Counter[str] = field(default_factory=Counter)
 
-    def _holes(self) -> list[tuple[int, int]]:
-        """Return the ranges of numbers that never came, and are not irrelevant."""
+    def _judged(self, start: int, end: int) -> Counter[str]:
+        """Count what became of a range of numbers: ``captured``, ``asked``, ``resent``, and ``fates``."""
+        found: Counter[str] = Counter()
+        sure = max(self.acknowledged.values(), default=0)
+        never = self.seen.missing(start, end)
+        found["captured"] = end - start - _size(never)
+        for low, high in (part for hole in never for part in self.irrelevant.missing(*hole)):
+            found["given_up"] += _size(_within(self.given_up, low, high))
+            for first, last in self.given_up.missing(low, high):
+                found["unclear"] += _size(_within(self.unclear, first, last))
+                for one, other in self.unclear.missing(first, last):
+                    known = max(0, min(other, sure) - one)
+                    found["not_captured"] += known
+                    found["waiting" if self.reliable else "missing"] += other - one - known
+        for low, high in _within(self.given_up, start, end):
+            found["lost_behind"] += _size(_within(self.seen, low, high))
+        for low, high in _within(self.asked, start, end):
+            found["asked"] += high - low
+            found["resent"] += high - low - _size(_within(self.given_up, low, high))
+        return found
+
+    def _total(self) -> Counter[str]:
         if self.first is None:
-            return []
-        return [
-            part
-            for start, end in self.seen.missing(self.first, self.last + 1)
-            for part in self.irrelevant.missing(start, end)
-        ]
+            return Counter()
+        return self.settled + self._judged(self.floor, self.last + 1)
+
+    def settle(self) -> None:
+        """Judge the older half of the numbers for good where they have become too many ranges."""
+        if self.first is None or self.seen.count < _MANY:
+            return
+        cut = max(self.floor, self.seen.start_of(self.seen.count // 2))
+        self.settled += self._judged(self.floor, cut)
+        self.floor = cut
+        for ranges in (self.seen, self.irrelevant, self.asked, self.given_up, self.unclear):
+            ranges.forget(cut)
+        for number in [item for item in self.open if item < cut]:
+            del self.open[number]
 
     @property
     def written(self) -> int:
         """Samples from the first captured one on, without those that are irrelevant."""
-        return self.captured + sum(end - start for start, end in self._holes())
+        return self.captured + sum(number for fate, number in self.fates().items() if fate != "lost_behind")
 
     @property
     def captured(self) -> int:
         """Samples that were captured, from the first one on."""
-        if self.first is None:
-            return 0
-        return self.last + 1 - self.first - _size(self.seen.missing(self.first, self.last + 1))
+        return self._total()["captured"]
+
+    @property
+    def asked_for(self) -> int:
+        """Samples that a reader asked for."""
+        return self._total()["asked"]
 
     @property
     def resent(self) -> int:
         """Samples that a reader asked for, and that were captured or acknowledged then."""
-        return (
-            _size(_within(self.asked, self.first or 0, self.last + 1)) - self._asked_in_vain - len(self.open)
-        )
-
-    @property
-    def _asked_in_vain(self) -> int:
-        start, end = self.first or 0, self.last + 1
-        return sum(_size(_within(self.given_up, low, high)) for low, high in _within(self.asked, start, end))
+        return self._total()["resent"] - len(self.open)
 
     def fates(self) -> dict[str, int]:
         """Return what became of what did not come (rule 3), and of what was captured: ``lost_behind``."""
-        names = ("given_up", "unclear", "not_captured", "waiting", "missing", "lost_behind")
-        found = dict.fromkeys(names, 0)
-        sure = max(self.acknowledged.values(), default=0)
-        for start, end in self._holes():
-            for low, high in self.given_up.missing(start, end):
-                found["unclear"] += _size(_within(self.unclear, low, high))
-                for first, last in self.unclear.missing(low, high):
-                    known = max(0, min(last, sure) - first)
-                    found["not_captured"] += known
-                    found["waiting" if self.reliable else "missing"] += last - first - known
-            found["given_up"] += _size(_within(self.given_up, start, end))
-        if self.first is not None:
-            for start, end in _within(self.given_up, self.first, self.last + 1):
-                found["lost_behind"] += _size(_within(self.seen, start, end))
-        return found
+        found = self._total()
+        return {name: found[name] for name in FATES}
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,12 +296,17 @@ class _Pass:
     def _samples(self, data: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
         writer, times = self._writer, self._found.time_ns[data]
         if writer.first is None:
-            writer.first, writer.last = int(numbers[0]), int(numbers[0])
+            writer.first = writer.floor = writer.last = int(numbers[0])
             writer.first_ns = int(times[0])
-        near = numbers <= writer.last + _FARTHEST
-        fresh = writer.seen.fresh(numbers[near])
-        writer.copies += int(np.count_nonzero(~fresh))
-        writer.last = max(writer.last, int(numbers[near].max(initial=0)))
+        for at in range(0, len(numbers), _MANY // 2):
+            some = numbers[at : at + _MANY // 2]
+            some = some[some <= writer.last + _FARTHEST]
+            new = np.full(len(some), writer.floor == writer.first) | (some >= writer.floor)
+            writer.copies += int(np.count_nonzero(~new))
+            fresh = writer.seen.fresh(some[new])
+            writer.copies += int(np.count_nonzero(~fresh))
+            writer.last = max(writer.last, int(some.max(initial=0)))
+            writer.settle()
         writer.last_ns = max(writer.last_ns, int(times[-1]))
         if writer.open:
             for number in set(numbers.tolist()) & writer.open.keys():
@@ -326,7 +352,7 @@ class _Pass:
             if base <= writer.last + 1:
                 writer.acknowledged[reader] = max(base, low or 0)
             for number in found.numbers(at):
-                if not (writer.first or 0) <= number <= writer.last:
+                if not writer.floor <= number <= writer.last:
                     continue
                 captured = first_at.get(number, at) < at or not before.missing(number, number + 1)
                 if writer.asked.fresh(np.array([number])).any():
@@ -343,7 +369,7 @@ class _Pass:
                 del writer.open[number]
             if number < available or not writer.irrelevant.missing(number, number + 1):
                 writer.given_up.add(number, number + 1)
-        for start, end in writer.seen.missing(max(low, writer.first or 0), min(base, available)):
+        for start, end in writer.seen.missing(max(low, writer.floor), min(base, available)):
             for first, last in writer.irrelevant.missing(start, end):
                 for one, other in writer.given_up.missing(first, last):
                     writer.unclear.add(one, other)

@@ -35,6 +35,22 @@ class KnownRanges:
         """How many are known."""
         return sum(self._ends) - sum(self._starts)
 
+    @property
+    def count(self) -> int:
+        """How many ranges there are."""
+        return len(self._starts)
+
+    def start_of(self, index: int) -> int:
+        """Return the first number of a range."""
+        return self._starts[index]
+
+    def forget(self, before: int) -> None:
+        """Forget all numbers below one."""
+        at = bisect_right(self._ends, before)
+        del self._starts[:at], self._ends[:at]
+        if self._starts:
+            self._starts[0] = max(self._starts[0], before)
+
     def missing(self, start: int, end: int) -> list[tuple[int, int]]:
         """Return the parts of a range that are not known."""
         found = []

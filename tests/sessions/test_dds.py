@@ -16,6 +16,7 @@ from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.dds import MOST_ASKED, SampleFollower
+from edoras_tools.sessions.ranges import MOST_RANGES
 from edoras_tools.wire.rtps.headers import SubmessageKind
 
 OTHER = bytes(range(100, 112))
@@ -50,7 +51,7 @@ def test_every_sample_is_accounted_for(path):
         assert fates["missing"] == (len(seen) - len(heard) if end == "receiver" else 0)
         assert not writer.reliable
     twists = found["/cmd_vel"]
-    assert twists.asked.size == twists.resent > 10
+    assert twists.asked_for == twists.resent > 10
     # At the sender's end all had been captured before a reader asked; at the receiver's none had.
     assert twists.behind == (twists.resent if end == "sender" else 0)
     assert (twists.copies > 0) == (end == "sender")
@@ -134,6 +135,20 @@ def test_any_order_adds_up(events, size):
     # The size of batches changes nothing that does not depend on what was captured later in them.
     other = follow(SampleFollower(), *map(payload, events), size=len(events)).writers[PREFIX + WRITER]
     assert (other.written, other.captured, other.copies) == (writer.written, writer.captured, writer.copies)
+
+
+def test_more_holes_than_are_kept_are_all_counted():
+    numbers = np.arange(1, 60_001)
+    kept = numbers[(numbers * 7919 % 10 < 6) | (numbers == 1)].tolist()
+    payloads = [
+        message(*(data(number, b"") for number in kept[at : at + 500])) for at in range(0, len(kept), 500)
+    ]
+    (writer,) = follow(SampleFollower(), *payloads, payloads[0], size=30).writers.values()
+    assert writer.seen.count < MOST_RANGES
+    assert writer.captured == len(kept)
+    assert writer.written == kept[-1]
+    assert writer.fates()["missing"] == kept[-1] - len(kept)
+    assert writer.copies == 500
 
 
 def test_numbers_that_cannot_be_and_floods_are_bounded():

@@ -25,6 +25,18 @@ def test_what_is_fresh(batches):
         assert gaps == set(range(61)) - known
 
 
+@settings(max_examples=examples(100), deadline=None)
+@given(NUMBERS, st.integers(0, 61))
+def test_what_is_forgotten(numbers, before):
+    ranges = KnownRanges()
+    ranges.fresh(np.array(numbers, np.int64))
+    ranges.forget(before)
+    assert {number for start, end in ranges for number in range(start, end)} == {
+        number for number in numbers if number >= before
+    }
+    assert ranges.count == len(list(ranges))
+
+
 def test_ranges_are_limited():
     ranges = KnownRanges()
     assert ranges.fresh(np.arange(0, 4 * MOST_RANGES, 2)).all()

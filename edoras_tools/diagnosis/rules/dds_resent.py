@@ -24,7 +24,7 @@ def judge(case: Case) -> Iterator[Verdict]:
         writer = item.writer
         if not writer.resent:
             continue
-        before = writer.asked.size - writer.behind
+        before = writer.asked_for - writer.behind
         yield Verdict(
             ID,
             Severity.NOTE,
