@@ -95,7 +95,8 @@ class Frame:
     def seconds(self) -> list[str]:
         """Return the marks of the time axis."""
         letters = len(f"{self.begin + self.x_most:.0f} s")
-        step = ticks(self.x_most, max(3, min(7, 42 // letters)))[1]
+        marks = ticks(self.x_most, max(3, min(7, 42 // letters)))
+        step = marks[1] if len(marks) > 1 else self.x_most or 1.0  # of few, the first may be beyond the end
         first, last = ceil(self.begin / step), floor((self.begin + self.x_most) / step)
         return [
             f'<text class="{"mid" if index * step > self.begin else "first"}" '
