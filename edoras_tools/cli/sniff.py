@@ -15,6 +15,7 @@ from edoras_tools.cli.inputs import InputOptions, open_input
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from edoras_tools.decode.lines import PacketLine
     from edoras_tools.model import Decoded
 
 
@@ -44,6 +45,7 @@ def sniff(
     from edoras_tools.render.severity import NOTABLE
     from edoras_tools.render.terminal.palette import Paint
     from edoras_tools.render.terminal.terminal import look
+    from edoras_tools.render.terminal.text import clean
 
     view.check(verbose=verbose)
     limits = stop.limits(given.paths)
@@ -110,13 +112,19 @@ def sniff(
             shown = tree_view.tree_lines(decoded, terminal.width, Paint(terminal.colour))
         return "\n".join([*shown, ""])
 
+    def named(line: PacketLine) -> tuple[str]:
+        return (clean(line.type.rpartition("/")[2]),)
+
     if view.json:
         blocks: Iterator[list[str]] = packet_texts(*taken)
     elif view.hexdump or view.tree:
         blocks = ([text(decoded)] for decoded in packets(*taken))
     else:
         blocks = (
-            [packet_list.line(line, values=(line.type.rpartition("/")[2],) if typed else ()) for line in some]
+            [
+                packet_list.line(line, values=(clean(line.type.rpartition("/")[2]),) if typed else ())
+                for line in some
+            ]
             for some in lines(*taken)
         )
     header = "" if view.json or view.hexdump or view.tree else packet_list.header()

@@ -11,6 +11,7 @@ import threading
 
 import pytest
 import zstandard
+from mcap.writer import Writer
 from others import BEGIN, read_bag, write_bag, write_studio
 from rosbags.rosbag2 import StoragePlugin
 
@@ -238,3 +239,28 @@ def test_nothing_chosen_is_told(bag, call):
     done = call("sniff", bag, "--where", "linear.x > 1000")
     assert (done.code, done.out) == (0, "")
     assert done.err == ["edoras: none of the 205 messages was selected"]
+
+
+def test_what_a_recording_holds_moves_no_terminal(folder, call):
+    """Names and texts with control characters, in topics that are read and in those that are not."""
+    with (folder / "x.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("", "")
+        for encoding, kind, text, data in (
+            ("cdr", "my\x1b[31m/msg/Red", b"int32 a\n", bytes(8)),
+            ("cdr", "std_msgs/msg/String", b"string data\n", b"\0\1\0\0\6\0\0\0\x1b[31m\0"),
+            ("json", "J\x1b[1m", b"{}", b'{"k\\u001b[31m": "\\u001b[31m"}'),
+        ):
+            schema = writer.register_schema(kind, "ros2msg", text)
+            channel = writer.register_channel(f"/{encoding}{len(text)}\x1b[31m\nline", encoding, schema)
+            writer.add_message(channel, 0, data, 0)
+        writer.finish()
+    for words in (
+        ["info"], ["sniff"], ["sniff", "-V"], ["sniff", "-x"], ["sniff", "--json"], ["sniff", "--stat", "routes"],
+        ["sniff", "--topic", "nope"], ["record", "-o", "y.mcap"], ["check", "--init"], ["export", "-o", "y/"],
+        ["plot"], ["decode", "3"],
+    ):  # fmt: skip
+        done = call(words[0], "x.mcap", *words[1:])
+        shown = "\n".join((done.out, *done.err))
+        assert "\x1b" not in shown, words
+        assert not any(line.startswith("line") for line in shown.splitlines()), words

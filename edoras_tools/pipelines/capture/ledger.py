@@ -13,6 +13,7 @@ import numpy as np
 from edoras_tools.cfs.names import message_name
 from edoras_tools.links import table
 from edoras_tools.links.fprime import FPRIME
+from edoras_tools.mission.report import printable
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding
 from edoras_tools.sessions.ground_counts import GroundCounts
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, Link, PacketBatch
 
 
+LONGEST_NOTE: Final = 300
+"""Characters of a note on a topic that cannot be read."""
 _TOLD_NS: Final = MILLISECOND
 """When several processors capture, packets that are some microseconds apart may come in any order."""
 
@@ -198,7 +201,10 @@ class Ledger:
     def unread(self) -> list[str]:
         """How many messages of a recording cannot be read, and why, a line for each topic."""
         return [
-            f"{self.mission.routes[account.route].topic}: {plural(account.count, 'message')}: {why}"
+            printable(
+                f"{self.mission.routes[account.route].topic}: {plural(account.count, 'message')}: {why}",
+                LONGEST_NOTE,
+            )
             for account in self.accounts.values()
             if self.mission.recorded and (why := self.mission.recorded[account.route].unread)
         ]

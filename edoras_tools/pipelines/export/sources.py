@@ -18,8 +18,10 @@ from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.rows import RECORD_BYTES, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, Streams
+from edoras_tools.mission.report import printable
 from edoras_tools.model import Finding
 from edoras_tools.pipelines.ahead import read_ahead
+from edoras_tools.pipelines.capture.ledger import LONGEST_NOTE
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.block import TopicBlock
@@ -289,7 +291,9 @@ class BagTopics(TopicSource):
     @property
     def notes(self) -> list[str]:
         """Notes on the input for the user."""
-        left_out = [f"{topic} is left out: {why}" for topic, why in self.unread.items()]
+        left_out = [
+            printable(f"{topic} is left out: {why}", LONGEST_NOTE) for topic, why in self.unread.items()
+        ]
         return [*left_out, *self._bench.columns.context.notes]
 
     def types(self, _: str) -> TypeStore:
