@@ -256,7 +256,8 @@ def test_what_a_recording_holds_moves_no_terminal(folder, call):
             writer.add_message(channel, 0, data, 0)
         writer.finish()
     for words in (
-        ["info"], ["sniff"], ["sniff", "-V"], ["sniff", "-x"], ["sniff", "--json"], ["sniff", "--stat", "routes"],
+        ["info"], ["sniff"], ["sniff", "-V"], ["sniff", "-x"], ["sniff", "--json"],
+        ["sniff", "--stat", "routes"],
         ["sniff", "--topic", "nope"], ["record", "-o", "y.mcap"], ["check", "--init"], ["export", "-o", "y/"],
         ["plot"], ["decode", "3"],
     ):  # fmt: skip
