@@ -10,7 +10,7 @@ from edoras_tools.decode.samples import known_samples
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
 from edoras_tools.links.protocol import MOST_ENDPOINTS
 from edoras_tools.links.rtps.link import RTPS
-from edoras_tools.sessions.ranges import KnownRanges
+from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows
 
@@ -43,6 +43,8 @@ class SampleMessages:
     def __init__(self, types: TypeStore, taken: Collection[str], endpoints: Endpoints) -> None:
         self._types, self._taken, self._endpoints = types, frozenset(taken), endpoints
         self._known: dict[bytes, KnownRanges] = {}
+        self._floor: dict[bytes, int] = {}
+        """By writer the number below which a sample is taken for a copy: so far back it is not known."""
         self._names: dict[tuple[str, str], str] = {}
 
     def messages(
@@ -79,8 +81,13 @@ class SampleMessages:
         new = np.ones(len(item.row), bool)
         for writer, at in by_value(item.writer):
             guid = item.writers[writer]
-            if guid in self._known or len(self._known) < MOST_ENDPOINTS:
-                new[at] = self._known.setdefault(guid, KnownRanges()).fresh(item.sequence_number[at])
+            if guid not in self._known and len(self._known) >= MOST_ENDPOINTS:
+                continue
+            known, floor = self._known.setdefault(guid, KnownRanges()), self._floor.get(guid, 0)
+            new[at] = known.fresh(item.sequence_number[at]) & (item.sequence_number[at] >= floor)
+            if known.count >= MOST_RANGES // 2:
+                self._floor[guid] = known.start_of(known.count // 2)
+                known.forget(self._floor[guid])
         return new
 
     def _of(

@@ -4,10 +4,16 @@ from collections import Counter
 
 import pytest
 from rosbags.highlevel import AnyReader
-from rtps import CAPTURES, TRUTH
+from rtps import CAPTURES, PREFIX, TRUTH, TWIST, WRITER, data, message
+from rtps_batches import batch_of
 
+from edoras_tools.decode import ColumnDecoder, Context
+from edoras_tools.io.topics.carried.samples import SampleMessages
+from edoras_tools.links.protocol import Endpoints
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.ros import TypeStore
+from edoras_tools.wire.rtps.parameters import Announcement
 
 
 def recorded(path, target, **options):
@@ -19,6 +25,20 @@ def recorded(path, target, **options):
             for item, time_ns, raw in reader.messages()
             if not item.topic.startswith("/edoras/")
         ]
+
+
+def test_copies_are_known_over_any_number_of_holes():
+    endpoints = Endpoints()
+    endpoints.learn(Announcement(PREFIX + WRITER, "rt/cmd_vel", TWIST), 0)
+    samples, decoder = SampleMessages(TypeStore(), (), endpoints), ColumnDecoder(Context())
+    cdr = b"\0\1\0\0" + bytes(48)
+    written = []
+    for first in range(1, 20_001, 400):
+        payload = message(*(data(number, cdr) for number in range(first, first + 400, 2)))
+        batch = batch_of(payload, payload)
+        made = samples.messages(batch, decoder.decode(batch), lambda *_: 7)
+        written += [int(item) for part in made for item in part.heads(slice(None))["sequence"]]
+    assert written == list(range(1, 20_001, 2))
 
 
 @pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.name.partition(".")[0])
