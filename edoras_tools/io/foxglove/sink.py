@@ -8,7 +8,7 @@ from edoras_tools.io.foxglove.diagnostics import DIAGNOSTICS, Diagnostics
 from edoras_tools.io.foxglove.link_state import LinkState
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.faults import fault_messages
-from edoras_tools.io.topics.rows import NO_MESSAGES, lay_out
+from edoras_tools.io.topics.rows import lay_out
 from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, TRANSFORMS, Streams, Topic
 
 if TYPE_CHECKING:
@@ -96,9 +96,7 @@ class FoxgloveSink:
         )
         own = {item.channel_id: item for item in streams if isinstance(item.channel_id, int)}
         streams.append(self._diagnostics.messages(batch, columns, self._places[DIAGNOSTICS.name]))
-        counts, events = (
-            own.get(self._places[name], NO_MESSAGES) for name in (STATISTICS_TOPIC, EVENTS_TOPIC)
-        )
+        counts, events = (own[self._places[name]] for name in (STATISTICS_TOPIC, EVENTS_TOPIC))
         self._link.add(batch, counts, events, self._diagnostics.latest)
         if self.server.clients:
             self.server.publish(lay_out(streams, len(batch)))

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 
 _READ_BYTES: Final = 1 << 20
 """Approximate bytes of payloads per read, divided among the sockets."""
-_RECEIVE_BUFFER: Final = 16 << 20
+_RECEIVE_BUFFER: Final = 64 << 20
+"""Bytes to ask for: a second of 100,000 small datagrams, as the kernel counts them. A recorder that may not
+exceed the limit of the system gets less; they are used only while it is behind."""
 _LINGER_S, _BUSY_LINGER_S = 0.4 if LINUX else 0.05, 0.01
 _LOOK_S: Final = 1.0
 """A socket tells of every datagram by itself."""

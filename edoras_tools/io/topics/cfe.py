@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.cfs.executive_services import NAME
-from edoras_tools.io.topics.rows import CDR_LE_WORD, NO_MESSAGES, RECORD, Messages, fill_record
+from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record, no_messages
 from edoras_tools.links.resets import RESETS
 from edoras_tools.links.table import among
 from edoras_tools.wire import cfe, cfe_file
@@ -88,7 +88,7 @@ def software_bus_messages(
     """
     rows, payload = _telemetry(batch, columns, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, _HOUSEKEEPING)
     if not len(rows):
-        return NO_MESSAGES
+        return no_messages(channel_id, _SOFTWARE_BUS)
     heads = np.zeros(len(rows), dtype=_SOFTWARE_BUS)
     log_time = batch.time_ns[rows]
     fill_record(heads, channel_id, 0, columns.sequence_count[rows], log_time, published[rows])
@@ -121,7 +121,7 @@ def event_messages(
     """
     rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, _EVENT)
     if not len(rows):
-        return NO_MESSAGES
+        return no_messages(channel_id, _LOG)
     heads = np.zeros(len(rows), dtype=_LOG)
     data, offset, length = _log_strings(payload, heads.itemsize)
     log_time = batch.time_ns[rows]

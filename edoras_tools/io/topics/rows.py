@@ -102,14 +102,27 @@ def bodies_of(bodies: Sequence[bytes], times_ns: Sequence[int], channel_id: int)
     time_ns = np.array(times_ns, dtype=np.int64)
     fill_record(heads, channel_id, length, 0, time_ns, time_ns)
     heads["encapsulation"] = CDR_LE_WORD
-    pool = np.frombuffer(b"".join(bodies) or b"\0", dtype=np.uint8)
+    pool = np.frombuffer(b"".join(bodies), dtype=np.uint8)
     offset = np.cumsum(length) - length
     rows = np.arange(len(bodies))
     return Messages(rows, channel_id, time_ns, heads.itemsize, heads.__getitem__, pool, offset, length)
 
 
-NO_MESSAGES = bodies_of([], [], 0)
-"""What most small batches have of most kinds."""
+_NOWHERE = np.zeros(0, np.int64)
+_NOTHING = np.zeros(1, np.uint8)
+
+
+def no_messages(channel_id: int, head: np.dtype[np.void]) -> Messages:
+    """Return no message of a kind, as most small batches have of most kinds.
+
+    Args:
+        channel_id: MCAP channel.
+        head: the record that each would begin with.
+    """
+    heads = np.zeros(0, head)
+    return Messages(
+        _NOWHERE, channel_id, _NOWHERE, head.itemsize, heads.__getitem__, _NOTHING, _NOWHERE, _NOWHERE
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.io.topics.cfe import stamp
-from edoras_tools.io.topics.rows import CDR_LE_WORD, NO_MESSAGES, RECORD, Messages, fill_record
+from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record, no_messages
 from edoras_tools.links import table
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.wire.arrays.order import order_by
@@ -127,7 +127,7 @@ class LinkStatistics:
         self, groups: NDArray[np.void], rows: NDArray[np.int64], time_ns: NDArray[np.int64], channel_id: int
     ) -> Messages:
         if not len(groups):
-            return NO_MESSAGES
+            return no_messages(channel_id, _LINK_STATISTICS)
         flows, which = np.unique(groups["flow"], return_inverse=True)
         names = [self._name(flow) for flow in flows.tolist()]
         length = np.array([len(name) for name in names], dtype=np.int64)
