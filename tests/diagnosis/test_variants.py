@@ -421,6 +421,17 @@ def test_what_a_peer_sends_unseen_is_no_ground_for_a_cause(tmp_path):
     assert not {item.rule for item in found.verdicts} & {"no_subscriber", "lost_after_cfs"}
 
 
+def test_what_two_cfs_tell_of_one_loss_is_counted_once(tmp_path):
+    """Gaps behind one, counters of the other: without SBN nothing tells that they are the same messages."""
+    kept = [item for item in captured("d3_cpu1_cpu2") if item.destination[1] in {1234, 1235}]
+    found = diagnosed(write(tmp_path / "x.pcap", kept), "d3_cpu1_cpu2")
+    lost = Counter()
+    for item in found.verdicts:
+        lost[item.rule] += item.lost or 0
+    assert (lost["unexplained_gap"], lost["unattributed_loss"]) == (2118, 2218 - 2118)
+    assert [row for row in found.balance if not row.adds_up] == []
+
+
 @pytest.mark.parametrize("link", UNNAMED)
 def test_a_port_that_is_not_named_is_said_first(tmp_path, link):
     change, remedy = UNNAMED[link]

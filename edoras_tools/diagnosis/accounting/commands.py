@@ -103,7 +103,7 @@ class Commands:
         for fate in fates:
             self._rest(fate)
         older_ns = {item.endpoint: item.older_until_ns for item in accounts}
-        leftover = Leftover(known, counts, self.fates, pipes, older_ns)
+        leftover = Leftover(known, counts, self.fates, pipes, older_ns, telemetry.losses)
         leftover.share()
         self.uncaptured = leftover.uncaptured
         for fate in fates:

@@ -28,7 +28,7 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.diagnosis.accounting.claims import Counts
     from edoras_tools.diagnosis.accounting.fates import Fate
@@ -112,6 +112,7 @@ class Leftover:
         fates: id of a stream to what became of its messages.
         pipes: tells losses at pipes.
         older_ns: endpoint of a CI to until when it may have read what was sent before the capture.
+        gaps: losses behind cFS; another cFS may have counted those of which nothing tells where.
 
     Attributes:
         uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
@@ -125,7 +126,10 @@ class Leftover:
         fates: Mapping[int, Fate],
         pipes: Pipes,
         older_ns: Mapping[int, int],
+        gaps: Sequence[Loss],
     ) -> None:
+        self._unplaced = {at: loss.lost for at, loss in enumerate(gaps) if loss.kind == "unknown"}
+        self._gaps = gaps
         self._known, self._counts, self.fates, self._pipes = known, counts, fates, pipes
         self._older_ns, self.losses = older_ns, pipes.losses
         self.uncaptured: dict[int, int] = {}
@@ -280,6 +284,10 @@ class Leftover:
     def _unknown(
         self, instance: int, kind: PipeKind, number: int, counts: Counts, seconds: list[int]
     ) -> None:
+        start_ns, end_ns = int(counts.times[seconds[0]]), int(counts.times[seconds[-1] + 1])
+        number -= self._elsewhere(instance, kind, number, start_ns, end_ns)
+        if not number:
+            return
         self.losses.append(
             Loss(
                 kind="unknown",
@@ -290,9 +298,28 @@ class Leftover:
                 span=None,
                 lost=number,
                 of=None,
-                start_ns=int(counts.times[seconds[0]]),
-                end_ns=int(counts.times[seconds[-1] + 1]),
+                start_ns=start_ns,
+                end_ns=end_ns,
                 confidence="low",
                 evidence=[f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"],
             )
         )
+
+    def _elsewhere(self, instance: int, kind: PipeKind, number: int, start_ns: int, end_ns: int) -> int:
+        """Return how many are missing behind another cFS at that time, which are told there.
+
+        What one cFS loses on the way to another leaves a gap behind that one: one loss, not two.
+        """
+        told = 0
+        for at, left in self._unplaced.items():
+            gap = self._gaps[at]
+            apart = gap.start_ns - LEAD_NS > end_ns or gap.end_ns + TAIL_NS < start_ns
+            share = 0 if apart or gap.instance == instance else min(left, number - told)
+            if share:
+                self._unplaced[at] -= share
+                told += share
+                gap.evidence.append(
+                    f"0x803 of {self._known.label(instance)}: {COUNTER_NAMES[kind]} +{share:,} that nothing "
+                    "else explains, which may be these"
+                )
+        return told
