@@ -316,7 +316,7 @@ class DeviceSource:
                 # Where much may gather, more comes in the time of a batch, and is read then.
                 ready: object = not silent and device.linger_s > _SOON_S
                 if not ready or self._deadline:
-                    ready = poll.poll(5 if self._deadline else 1000 * max(device.look_s, self.gather_s / 2))
+                    ready = poll.poll(5 if self._deadline else 1000 * max(device.look_s, self.gather_s / 3))
                     silent = time.monotonic() - came > _SILENCE_S
                 left = min(device.linger_s, _SOON_S if silent else self._until_read_s())
                 if not self._deadline and (ready or not silent):
