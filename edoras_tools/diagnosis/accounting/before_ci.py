@@ -146,7 +146,8 @@ class BeforeCi:
     def _before_evidence(self, account: Ingest, before: Before) -> list[str]:
         taken = account.taken
         if account.by_kernel:
-            return [f"/edoras/host: {before.lost:,} of {len(account.rows):,} datagrams dropped in its socket"]
+            of = f"{before.lost:,} of {len(account.rows):,} datagrams"
+            return [f"/edoras/host: {of} dropped in its socket (the kernel's counter)"]
         text = f"0x884: CI took {taken:,} of {taken + account.lost + account.waiting:,} datagrams sent to it"
         evidence = [text, f"{before.lost:,} of them lost between two of its counts"]
         if account.unsure:
