@@ -66,14 +66,13 @@ def known_samples(
         return
     writers, found = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
     groups: dict[tuple[str, str], list[int]] = {}
-    since = np.full(len(writers), np.iinfo(np.int64).max)
     for index, guid in enumerate(writers):
-        announced = endpoints.announced.get(guid)
-        if announced is not None and announced[0].topic and types.has(ros_name(announced[0].type)):
-            since[index] = announced[1]
-            key = ros_topic(announced[0].topic), ros_name(announced[0].type)
+        announced = endpoints.find(guid)
+        if announced is not None and announced.topic and types.has(ros_name(announced.type)):
+            key = ros_topic(announced.topic), ros_name(announced.type)
             groups.setdefault(key, []).append(index)
-    plain = _is_plain(batch.data, found) & (batch.number[rows[found.row]] >= since[found.writer])
+    known = batch.number[rows[found.row]] >= endpoints.since(writers)[found.writer]
+    plain = _is_plain(batch.data, found) & known
     for (topic, type_name), members in groups.items():
         chosen = np.flatnonzero(plain & np.isin(found.writer, members))
         if not len(chosen):

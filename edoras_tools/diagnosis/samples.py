@@ -2,18 +2,39 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.balance import Row
+from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.wire.rtps.messages import guid_text
 
 if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Capture
+    from edoras_tools.sessions.dds import TopicWriter
 
 SAMPLE_HOP: Final = "DDS"
 _COUNTED: Final = {"in": "sequence numbers and HEARTBEATs", "out": "samples in the capture"}
+
+
+def sample_verdict(
+    rule: str, severity: Severity, item: TopicWriter, reason: str, remedy: str, **about: Any
+) -> Verdict:
+    """Return a verdict on the samples of one writer; ``about`` has more of its attributes."""
+    writer = item.writer
+    return Verdict(
+        rule,
+        severity,
+        reason,
+        topic=item.topic,
+        link=RTPS.label,
+        hop=SAMPLE_HOP,
+        start_ns=writer.first_ns,
+        end_ns=writer.last_ns,
+        remedy=remedy,
+        **about,
+    )
 
 
 def sample_rows(capture: Capture) -> list[Row]:

@@ -20,7 +20,7 @@ from edoras_tools.wire import ccsds
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from collections.abc import Set as AbstractSet
 
     from numpy.typing import NDArray
@@ -163,6 +163,12 @@ class Endpoints:
         """Return what an endpoint announced before a datagram came, or at any time; None: nothing."""
         found = self.announced.get(guid)
         return found[0] if found and (number is None or found[1] <= number) else None
+
+    def since(self, guids: Sequence[bytes]) -> NDArray[np.int64]:
+        """Return from which datagram on the topic of each endpoint is known, i64; the largest where never."""
+        never = np.iinfo(np.int64).max
+        told = [self.announced.get(guid) for guid in guids]
+        return np.array([item[1] if item and item[0].topic else never for item in told], np.int64)
 
 
 class Site(Protocol):

@@ -72,13 +72,10 @@ def _writers(rows: ColumnRows) -> Series:
 
 def _topics(rows: ColumnRows) -> Series:
     found = _found(rows)
-    since, texts = np.full(len(found.writers), np.iinfo(np.int64).max), []
-    for index, guid in enumerate(found.writers):
-        told = rows.context.endpoints.announced.get(guid)
-        texts.append(ros_topic(told[0].topic) if told else "")
-        if told and told[0].topic:
-            since[index] = told[1]
-    known = rows.datagram("number")[found.row] >= since[found.writer]
+    endpoints = rows.context.endpoints
+    told = map(endpoints.find, found.writers)
+    texts = [ros_topic(item.topic) if item else "" for item in told]
+    known = rows.datagram("number")[found.row] >= endpoints.since(found.writers)[found.writer]
     return Series(len(rows), found.writer[known].astype(INDEX_DTYPE), found.row[known], table=texts)
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.samples import SAMPLE_HOP
-from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.links.rtps.link import RTPS
+from edoras_tools.diagnosis.samples import sample_verdict
+from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.wire.rtps.messages import guid_text
 from edoras_tools.words import plural
 
@@ -14,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.verdict import Verdict
 
 ID = "dds_lost"
 
@@ -31,18 +31,14 @@ def judge(case: Case) -> Iterator[Verdict]:
             ways.append(f"{unseen:,} did not come to the capture: nothing sends them again")
         if given_up:
             ways.append(f"{given_up:,} were asked for, and the writer did not have them any more")
-        yield Verdict(
+        yield sample_verdict(
             ID,
             Severity.ERROR,
+            item,
             f"{unseen + given_up:,} of {plural(writer.written, 'sample')} of {item.topic} lost: "
             f"{'; '.join(ways)}",
-            topic=item.topic,
-            link=RTPS.label,
-            hop=SAMPLE_HOP,
             lost=unseen + given_up,
             of=writer.written,
-            start_ns=writer.first_ns,
-            end_ns=writer.last_ns,
             evidence=(
                 f"writer {guid_text(writer.guid)}, sequence numbers {writer.first} to {writer.last}",
                 f"{writer.captured:,} captured, {writer.copies:,} copies of them left out",

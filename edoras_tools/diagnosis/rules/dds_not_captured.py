@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.samples import SAMPLE_HOP
-from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.links.rtps.link import RTPS
+from edoras_tools.diagnosis.samples import sample_verdict
+from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.wire.rtps.messages import guid_text
 from edoras_tools.words import plural
 
@@ -14,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.verdict import Verdict
 
 ID = "dds_not_captured"
 
@@ -25,16 +25,12 @@ def judge(case: Case) -> Iterator[Verdict]:
         missing = fates["not_captured"] + (fates["missing"] if case.capture.drops else 0)
         if not missing:
             continue
-        yield Verdict(
+        yield sample_verdict(
             ID,
             Severity.NOTE,
+            item,
             f"{missing:,} of {plural(writer.written, 'sample')} of {item.topic} are not in the capture: they "
             "are not known to be lost",
-            topic=item.topic,
-            link=RTPS.label,
-            hop=SAMPLE_HOP,
-            start_ns=writer.first_ns,
-            end_ns=writer.last_ns,
             evidence=(
                 f"writer {guid_text(writer.guid)}",
                 f"{fates['not_captured']:,} were acknowledged by a reader",

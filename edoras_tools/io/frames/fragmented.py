@@ -13,11 +13,12 @@ The rules that this file keeps:
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.io.frames.behind import order_behind, packets_behind
 from edoras_tools.links.protocol import MOST_ENDPOINTS
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.rtps.reader import distinct_guids, rtps_messages
@@ -26,6 +27,7 @@ from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows
+from edoras_tools.wire.rtps import RTPS_MAGIC
 from edoras_tools.wire.rtps.headers import (
     GUID_BYTES,
     PREFIX_BYTES,
@@ -117,7 +119,8 @@ class FragmentedSamples:
             if end is not None:
                 last = int(chosen[end])
                 body = self._finished(key)
-                raw = _message(key, body, int(own.time_ns[last]), key_only=bool(own.flags[last] & 4))
+                key_only = bool(own.flags[last] & SubmessageFlag.FRAGMENT_KEY)
+                raw = _message(key, body, int(own.time_ns[last]), key_only=key_only)
                 made.append((int(rows[own.row[last]]), raw))
         if not made:
             return batch, columns
@@ -182,7 +185,7 @@ def _message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_only: boo
     little = int(SubmessageFlag.LITTLE_ENDIAN)
     head = RTPS_HEADER.emit(
         {
-            "magic": int.from_bytes(b"RTPS", "big"),
+            "magic": int.from_bytes(RTPS_MAGIC, "big"),
             "version_major": 2,
             "version_minor": 5,
             "guid_prefix": guid[:PREFIX_BYTES],
@@ -212,34 +215,13 @@ def _with_messages(
 ) -> tuple[PacketBatch, Columns]:
     """Return a batch and its columns with made messages behind their rows."""
     row = np.array([at for at, _ in made])
-    length = np.array([len(raw) for _, raw in made], np.int32)
-    offset = len(batch.data) + np.cumsum(length, dtype=np.int64) - length
+    length = np.array([len(raw) for _, raw in made], np.int64)
     data = np.frombuffer(b"".join(raw for _, raw in made) + bytes(PADDING), np.uint8)
-    whole = replace(batch, data=np.concatenate([batch.data, data]))
-    own = whole.take(row)
-    zero = np.zeros(len(row), np.int64)
-    own = replace(
-        own,
-        offset=offset,
-        length=length,
-        frame_length=zero.astype(np.int32),
-        original_length=(zero - 1).astype(np.int32),
-        capture_findings=zero.astype(np.uint32),
-    )
-    more = decoder.decode(own)
-    source = np.concatenate([np.arange(len(batch)), row])
-    order = np.argsort(source, kind="stable")
-
-    def woven(one: Any, other: Any) -> Any:
-        return None if one is None else np.concatenate([one, other])[order]
-
-    shared = {"data", "ipv6"}
-    rows = {
-        item.name: woven(getattr(whole, item.name), getattr(own, item.name))
-        for item in fields(batch)
-        if item.name not in shared
-    }
+    whole = packets_behind(batch, data, row, np.cumsum(length) - length, length)
+    order = order_behind(len(batch), row)
+    more = decoder.decode(whole.take(np.flatnonzero(order >= len(batch))))
     joined = {
-        item.name: woven(getattr(columns, item.name), getattr(more, item.name)) for item in fields(Columns)
+        item.name: np.concatenate([getattr(columns, item.name), getattr(more, item.name)])[order]
+        for item in fields(Columns)
     }
-    return replace(whole, **rows), Columns(**joined)
+    return whole, Columns(**joined)

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.io.frames.behind import packets_behind
 from edoras_tools.links.frames import frame_rows, framed_ports
 from edoras_tools.model import NO_MSG_ID, Columns, Finding
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
@@ -320,7 +321,7 @@ class Unframer:
             channel.idle_packets += int(np.count_nonzero(own & idle))
             channel.packets += int(np.count_nonzero(own & ~idle))
             channel.other_packets += int(np.count_nonzero(frames.channel[laid.others()] == index))
-        return _with_packets(
+        return packets_behind(
             batch, laid.buffer, frames.row[owner[~idle]], laid.start[~idle], laid.length[~idle]
         )
 
@@ -482,27 +483,3 @@ def _followed(
         if stream != _NONE:
             channels[index].counts = counts.streams[stream]
     return told.duplicates > 0
-
-
-def _with_packets(
-    batch: PacketBatch,
-    buffer: NDArray[np.uint8],
-    row: NDArray[np.int64],
-    start: NDArray[np.int64],
-    length: NDArray[np.int64],
-) -> PacketBatch:
-    """Return a batch with packets behind the rows in which they end (rule 1)."""
-    if not len(row):
-        return batch
-    source = np.concatenate([np.arange(len(batch)), row])
-    order = np.argsort(source, kind="stable")
-    own, count = order >= len(batch), len(batch)
-    place = order[own] - count
-    out = batch.take(source[order])
-    out.frame_length[own] = out.capture_findings[own] = 0
-    out.original_length[own] = -1
-    if out.streams is not None:
-        out.streams[own] = False
-    out.offset[own] = len(batch.data) + start[place]
-    out.length[own] = length[place]
-    return replace(out, data=np.concatenate([batch.data, buffer]))

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.reading import Reading
     from edoras_tools.model import Decoded, Link, PacketBatch
     from edoras_tools.wire.layout import Layout
+    from edoras_tools.wire.rtps.messages import SampleData
 
 _ANNOUNCING: Final = (OF_PARTICIPANTS, OF_PUBLICATIONS, OF_SUBSCRIPTIONS)
 _PLAIN: Final = (CDR_BE, CDR_LE)
@@ -97,14 +98,10 @@ def topic_samples(data: NDArray[np.uint8], found: Submessages) -> tuple[list[byt
         data: u8, what the submessages point into.
         found: all submessages of some messages.
     """
-    samples = read_samples(data, found, SubmessageKind.DATA)
-    samples = samples.take(samples.fits & ((found.flags[samples.which] & SubmessageFlag.DATA) != 0))
-    own = found.take(samples.which)
+    samples, own = _whole_samples(data, found)
     fields = SubmessageFields(data, own, SubmessageKind.DATA)
     guids = fields.guid("writer_id")
-    users = np.flatnonzero(
-        (guids.view(np.uint8).reshape(-1, GUID_BYTES)[:, -1] & BUILT_IN_KIND) != BUILT_IN_KIND
-    )
+    users = np.flatnonzero(_of_users(guids))
     writers, which = distinct_guids(guids[users])
     return writers, TopicSamples(
         own.row[users],
@@ -114,6 +111,20 @@ def topic_samples(data: NDArray[np.uint8], found: Submessages) -> tuple[list[byt
         samples.end[users],
         own.time_ns[users],
     )
+
+
+def _whole_samples(data: NDArray[np.uint8], found: Submessages) -> tuple[SampleData, Submessages]:
+    """Return the samples in DATA that are there whole, and their submessages."""
+    samples = read_samples(data, found, SubmessageKind.DATA)
+    samples = samples.take(samples.fits & ((found.flags[samples.which] & SubmessageFlag.DATA) != 0))
+    return samples, found.take(samples.which)
+
+
+def _of_users(guids: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Tell which endpoints are not built in."""
+    kind = guids.view(np.uint8).reshape(-1, GUID_BYTES)[:, -1]
+    users: NDArray[np.bool_] = (kind & BUILT_IN_KIND) != BUILT_IN_KIND
+    return users
 
 
 def distinct_guids(guids: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.int64]]:
@@ -153,10 +164,7 @@ def learn(
         number: i64, of the datagram of each message.
         endpoints: is added to.
     """
-    samples = read_samples(data, found, SubmessageKind.DATA)
-    keep = samples.fits & ((found.flags[samples.which] & SubmessageFlag.DATA) != 0)
-    samples = samples.take(keep)
-    own = found.take(samples.which)
+    samples, own = _whole_samples(data, found)
     head = SubmessageFields(data, own, SubmessageKind.DATA).guid("writer_id")
     entity = head.view(np.uint8).reshape(-1, GUID_BYTES)[:, PREFIX_BYTES:]
     word = np.ascontiguousarray(entity).view(">u4")[:, 0]
@@ -372,7 +380,7 @@ def user_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> UserSubmessa
         own = found.take(at)
         fields = SubmessageFields(batch.data, own, kind)
         guids = fields.guid("writer_id")
-        users = (guids.view(np.uint8).reshape(-1, GUID_BYTES)[:, -1] & BUILT_IN_KIND) != BUILT_IN_KIND
+        users = _of_users(guids)
         sets = kind in WITH_SEQUENCE_SET
         columns = (
             at,
