@@ -112,20 +112,14 @@ def sniff(
             shown = tree_view.tree_lines(decoded, terminal.width, Paint(terminal.colour))
         return "\n".join([*shown, ""])
 
-    def named(line: PacketLine) -> tuple[str]:
-        return (clean(line.type.rpartition("/")[2]),)
+    def named(line: PacketLine) -> tuple[str, ...]:
+        return (clean(line.type.rpartition("/")[2]),) if typed else ()
 
     if view.json:
         blocks: Iterator[list[str]] = packet_texts(*taken)
     elif view.hexdump or view.tree:
         blocks = ([text(decoded)] for decoded in packets(*taken))
     else:
-        blocks = (
-            [
-                packet_list.line(line, values=(clean(line.type.rpartition("/")[2]),) if typed else ())
-                for line in some
-            ]
-            for some in lines(*taken)
-        )
+        blocks = ([packet_list.line(line, values=named(line)) for line in some] for some in lines(*taken))
     header = "" if view.json or view.hexdump or view.tree else packet_list.header()
     ended(views.print_packets(read.printed(blocks), header, flush=waits))

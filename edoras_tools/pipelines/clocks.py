@@ -149,7 +149,8 @@ def open_aligned(
         CaptureError: one cannot be read.
         ConfigError: a mission file has mistakes.
     """
-    paths = sorted(paths, key=lambda path: is_cfe_file(path) + _holds_resets(path))  # to captures' clocks
+    resets = {path for path in paths if _holds_resets(path)}
+    paths = sorted(paths, key=lambda path: is_cfe_file(path) + (path in resets))  # to captures' clocks
     tables = [_recorded(path, settings, progress) for path in paths]
     sources: list[Source] = [open_file(paths[0])]
     alone: list[Source] = []
@@ -158,7 +159,7 @@ def open_aligned(
     for at, (path, table) in enumerate(zip(paths[1:], tables[1:], strict=True), 1):
         if progress is not None:
             progress.step("aligning clocks", at, len(paths))
-        if _holds_resets(path):
+        if path in resets:
             source, note = _placed(path, paths, tables, set_back)
             sources.append(source)
             notes.append(note)
