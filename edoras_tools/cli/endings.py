@@ -50,9 +50,7 @@ def nothing_shown(source: Source, shown: int, context: Context, *, live: bool, e
     """Print why a list is empty, what was recognised from the bytes, and what the capture lost.
 
     Args:
-        source: what was read.
         shown: how many packets were shown.
-        context: knows what was recognised.
         live: the source has no end.
         every: datagrams of no link were shown too.
 
@@ -119,7 +117,6 @@ def topics_read(source: TopicSource, result: str) -> None:
     """End a command that read the topics of an input.
 
     Args:
-        source: the input.
         result: what was made of it, e.g. ``the tables contain``.
 
     Raises:

@@ -106,8 +106,6 @@ def open_input(
     A live capture prints a line on stderr when it is ready: no packet sent after that is missed.
 
     Args:
-        given: the inputs that were named.
-        settings: missions, types and options.
         every_port: capture all UDP, not only the ports of the links.
         aligned: align the clocks of several files by their content, and take datagrams that several captured
             only once.

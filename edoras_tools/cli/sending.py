@@ -237,9 +237,6 @@ def carry_out(
     """Send, or print what would be sent, and report the result.
 
     Args:
-        transmission: what is sent.
-        bench: compiles the filters of faults.
-        faults: the faults to inject.
         ending: where to record the traffic, whether to send at all, and what to print.
         inputs: files that are read and must not be overwritten.
 

@@ -119,7 +119,6 @@ class ViewOptions(NamedTuple):
         """Refuse what a recording without datagrams cannot show; the source is then closed.
 
         Args:
-            source: the recording.
             every: whether ``-a`` is given.
 
         Raises:

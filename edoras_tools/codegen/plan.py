@@ -160,9 +160,7 @@ def plan_messages(types: TypeStore, wanted: Iterable[str], bounds: Bounds) -> CL
     """Plan the messages for some types, and for all that they nest.
 
     Args:
-        types: knows them.
         wanted: type names in full.
-        bounds: of sequences and strings.
 
     Raises:
         RouteError: a type is not known.

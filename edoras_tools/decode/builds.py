@@ -41,8 +41,6 @@ class Fitting:
     """Which packets the headers of one build explain: known content starts behind them.
 
     Args:
-        structs: the C structs that packets hold.
-        commands: what apps take.
         head: u8 (n, 48), first bytes of each space packet, whose length field is right.
         length: i64 (n,), bytes of each.
     """
@@ -120,8 +118,6 @@ class Builds:
     """The headers of each conversation.
 
     Args:
-        structs: the C structs that packets hold.
-        commands: what apps take.
         usual: the headers of the source as a whole.
 
     Attributes:
@@ -163,7 +159,6 @@ class Builds:
         """Return the headers of each space packet of a batch, u8; one number where all have the same.
 
         Args:
-            batch: the datagrams.
             offset: where in their data each packet starts.
             length: the bytes of each.
         """

@@ -380,7 +380,6 @@ class _Pass:
             offset: (n,) where the envelope starts in the batch's data.
             have: (n,) bytes from there to the end of the packet.
             head: (n, 20) those bytes.
-            envelope: the format.
         """
         size = envelope.size
         whole = have >= size

@@ -42,9 +42,7 @@ def recorded_columns(batch: PacketBatch, made: dict[str, NDArray[Any]], context:
     """Return the columns of messages.
 
     Args:
-        batch: the messages.
         made: columns of which each holds its "none".
-        context: its mission has their topics.
     """
     assert batch.recorded is not None, "they are messages"
     made["route"] = batch.recorded["topic"].astype(np.int16)

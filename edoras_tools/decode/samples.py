@@ -58,8 +58,6 @@ def known_samples(
 
     Args:
         types: the types; None: none is known.
-        endpoints: what was announced so far.
-        batch: the datagrams.
         rows: those that hold RTPS.
     """
     if types is None or not len(rows):

@@ -92,8 +92,6 @@ def message_texts(messages: MessageColumns, plan: CdrPlan, *, leave_out: str = "
     """Return ``short_values`` of many messages; nothing where a type has lists of messages with lists.
 
     Args:
-        messages: the messages.
-        plan: of their type.
         leave_out: how the fields begin that are not shown.
     """
     columns = grouped_columns(messages, plan)

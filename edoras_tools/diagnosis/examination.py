@@ -227,7 +227,6 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
     Where nothing is left to judge, only those about what was left out are asked.
 
     Args:
-        case: the capture.
         progress: told how many rules were asked, of how many.
     """
     if not len(case.rows):

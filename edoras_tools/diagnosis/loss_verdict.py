@@ -38,9 +38,7 @@ def loss_verdict(
     """Return a rule's verdict on a loss, an error.
 
     Args:
-        case: the capture.
         rule: id of the rule.
-        loss: what was lost.
         reason: the sentence.
         link: label of the link that it concerns.
         remedy: what to change.

@@ -61,7 +61,6 @@ def plots(case: Case, choice: Choice | None = None) -> Plots:
     """Work out what there is to draw.
 
     Args:
-        case: the capture.
         choice: of which links and MsgIds; None for all.
     """
     seconds = max((case.end_ns - case.start_ns) / SECOND, 1e-3)

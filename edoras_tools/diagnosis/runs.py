@@ -92,8 +92,6 @@ def run_differences(
     """Return all that differs, what is worse first.
 
     Args:
-        good: the good run.
-        bad: the other one.
         tolerance: share by which rates and latencies may differ, as 0.1.
         serious: labels of the findings that are errors or warnings.
     """

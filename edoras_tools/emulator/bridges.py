@@ -138,8 +138,6 @@ class FlightBridge:
         """Start.
 
         Args:
-            scheduler: the clock.
-            endpoint: its socket.
             own: as it calls itself.
             sbn: cFS's socket.
             robots: (MsgId of the state, MsgId of the command) to the robot.

@@ -57,8 +57,6 @@ class Cfs:
         """Make it, without any application: :class:`edoras_tools.emulator.boot.Apps` starts those.
 
         Args:
-            profile: its constants.
-            scheduler: its clock and its tasks.
             send: called with source, destination and payload of each datagram that leaves.
         """
         self.profile = profile

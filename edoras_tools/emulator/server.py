@@ -53,7 +53,6 @@ def serve(
         duration: seconds to run; None for no end.
         stop: ends it when set.
         ready: called once all sockets are bound, before the first datagram leaves.
-        watch: observes every datagram.
 
     Returns:
         datagrams sent.
@@ -101,10 +100,6 @@ def serve(
 
 class Served:
     """A simulation on its sockets, in a thread of its own, for as long as a ``with`` block lasts.
-
-    Args:
-        simulation: what to serve.
-        watch: observes every datagram.
 
     Raises:
         CaptureError: a port is in use, or may not be bound; on entering.

@@ -74,7 +74,6 @@ class Simulation:
         """Boot, at ``start_ns``.
 
         Args:
-            profile: constants of the flight side.
             scenario: ``rover`` and ``arm`` have the robot behind the application, the others have two on SBN.
             start_ns: what the clock shows at start, ns since 1970.
             bridges: emulate the bridges too.

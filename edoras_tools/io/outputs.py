@@ -70,9 +70,6 @@ class NewFile:
     It is written beside, as ``.NAME.PID.part``, and renamed at the end. A pipe or device is written directly.
     As a context manager it is completed at the end of the block, and removed after an exception.
 
-    Args:
-        path: the file.
-
     Attributes:
         file: to write to.
 
@@ -181,7 +178,6 @@ def in_the_way(path: Path, *, split: bool = False) -> Path | None:
     """Return the file that writing to a path would destroy; None if there is none, or it is empty.
 
     Args:
-        path: the path.
         split: ``NAME_0.mcap``, ``NAME_1.mcap`` and so on will be written, so parts of another run count.
     """
     parts = [item for item in path.parent.glob(f"{escape(path.stem)}_*{escape(path.suffix)}") if split]
@@ -216,7 +212,6 @@ def check_new(path: Path, inputs: Iterable[Path] = (), *, force: bool) -> None:
     """Refuse to write a file over an input, or over what exists.
 
     Args:
-        path: the file.
         inputs: what is read.
         force: what exists may be replaced, if it is no input.
 

@@ -42,11 +42,7 @@ _TOLD: Final = ("virtual_channel_frame_count", "frame_sequence_number")
 
 
 class TransferFraming(Framing):
-    """Frames of one kind that follow each other in a TCP stream.
-
-    Args:
-        form: of the frames.
-    """
+    """Frames of one kind that follow each other in a TCP stream."""
 
     head = max(layout.size for layout in FRAME_LAYOUTS.values())
 

@@ -305,9 +305,7 @@ class LinkProtocol(Link):
         """Find where space packets start in many datagrams.
 
         Args:
-            batch: the datagrams.
             rows: those of this link, in the order they were captured.
-            site: what is known of the place.
         """
         del site  # the default readers do not need it
         found = Located(len(rows))
@@ -338,8 +336,6 @@ class LinkProtocol(Link):
         """Find one of ``layouts`` in decoded datagrams, for filters and tables.
 
         Args:
-            layout: the header.
-            rows: the datagrams.
             field: a field that must be present; datagrams whose header lacks it are left out.
 
         Returns:

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
 class Reading:
     """What was read of a datagram so far; an error later on does not remove it.
 
-    Args:
-        datagram: whole.
-
     Attributes:
         data: its payload.
         layers: outermost first.
@@ -33,7 +30,6 @@ class Reading:
         """Read a header, add its layer and return its values.
 
         Args:
-            layout: the header.
             at: its first byte, from the start of the payload.
             extra: fields to show in front of its own.
 

@@ -160,7 +160,6 @@ def message_kinds(columns: Columns, length: NDArray[np.int32]) -> NDArray[np.int
     """Return the link's own message type of each datagram, i16 (n,); -1 for none.
 
     Args:
-        columns: of a batch.
         length: (n,) bytes of the payloads.
     """
     kinds = columns.sbn_msg_type

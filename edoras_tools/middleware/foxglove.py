@@ -43,7 +43,6 @@ def open_graph(
     """Serve a graph.
 
     Args:
-        store: the types that are known.
         node: name of the server.
         domain: not looked at.
         options: ``host``, ``port``, ``origins`` with commas between, and ``token``.
@@ -65,7 +64,6 @@ class FoxgloveGraph:
     """A Foxglove server as a node's graph.
 
     Args:
-        store: the types that are known.
         node: name of the server.
         listen: address and port; port 0 is the system's choice.
         origins: of further web pages that may connect; see ``OriginCheck``.

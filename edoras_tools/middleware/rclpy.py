@@ -33,7 +33,6 @@ class RclpyGraph:
     """A ``Graph`` over one ``rclpy`` node, in a context of its own, spun by a thread.
 
     Args:
-        store: knows the types of all topics.
         node: name of the node, or ``/namespace/name``.
         domain: ``ROS_DOMAIN_ID``.
     """
@@ -171,7 +170,6 @@ def open_graph(
     """Join the graph as a node.
 
     Args:
-        store: knows the types of all topics.
         node: name of the node, or ``/namespace/name``.
         domain: ``ROS_DOMAIN_ID``.
         options: there are none.

@@ -131,11 +131,8 @@ def read_bridge(
     """Return the valid part of a bridge, without routes that another bridge has; mistakes go to ``report``.
 
     Args:
-        node: its parameters.
-        report: of its file.
         claims: the owner of each MsgId on each link, over all bridges; this call adds to it.
         check_type: tells what is wrong with a ROS type, None where nothing is.
-        msg_ids: the version of its MsgIds.
     """
     fields = Fields(node, report)
     flight, link = _communication(fields)

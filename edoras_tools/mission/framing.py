@@ -32,8 +32,6 @@ def read_framed_ports(node: NodeParameters, report: Mistakes, taken: dict[int, s
     """Yield the ports of one node's ``frames`` that have no mistake; mistakes go to ``report``.
 
     Args:
-        node: its parameters.
-        report: of its file.
         taken: the name of each port, over all files; this call adds to it.
     """
     fields = Fields(node, report)

@@ -30,9 +30,7 @@ def read_handling(fields: Fields, group: str, defaults: Handling) -> Handling:
     """Read the handling of topics from a group; mistakes go to the report.
 
     Args:
-        fields: the node.
         group: a topic's key, or ``HANDLING_GROUP``.
-        defaults: the values of missing keys.
     """
     keep: Any = fields.word(f"{group}.keep", ("latest", "first"))
     reliability = fields.word(f"{group}.qos.reliability", ("reliable", "best_effort"))

@@ -55,7 +55,6 @@ def load(
             it; those that are no parameter files of ROS 2, or have no bridge, are left out with a warning.
         check_type: asked for every ROS type; returns None where it is known, else what is wrong, as
             ``unknown type a/msg/B; did you mean a/msg/C?``.
-        msg_ids: the version of their MsgIds.
 
     Raises:
         ConfigError: all mistakes of all files at once.

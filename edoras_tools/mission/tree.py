@@ -77,7 +77,6 @@ def yaml_text(content: bytes, report: Mistakes, form: str) -> str | None:
 
     Args:
         content: the file's bytes, ``LARGEST_FILE`` + 1 at most.
-        report: of the file.
         form: what to give instead.
     """
     if len(content) > LARGEST_FILE:
@@ -128,7 +127,6 @@ def parse_document(content: bytes, report: Mistakes, form: str, one: str) -> Tre
 
     Args:
         content: the file.
-        report: of the file.
         form: what such a file contains, in a clause.
         one: that it is one document, in a clause.
     """

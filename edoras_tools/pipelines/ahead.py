@@ -172,8 +172,6 @@ class _Reader:
     """The other process: reads, decodes, and hands over.
 
     Args:
-        source: what is read.
-        decoder: decodes it.
         memory: rooms to read into, then slots for columns.
     """
 
@@ -265,8 +263,6 @@ def read_ahead(source: Source, decoder: ColumnDecoder, jobs: int, *, own: int = 
     """Return a source that another process reads and decodes, or the source itself where one process does it.
 
     Args:
-        source: what is read.
-        decoder: decodes it.
         jobs: how many processes share the work on a large file; 0: as many as there are free processor cores.
         own: see ``jobs_for``.
     """

@@ -38,7 +38,6 @@ class Aligned:
     """A source whose clock is corrected, and some of whose frames are left out.
 
     Args:
-        source: the source.
         lines: how far its clock is ahead of another, that of a third, and so on up to the first's.
         left_out: i64, numbers of frames, increasing.
     """
@@ -142,7 +141,6 @@ def open_aligned(
 
     Args:
         paths: the captures.
-        settings: missions and decoding options.
         progress: shows the progress of reading the clocks and comparing them.
 
     Raises:

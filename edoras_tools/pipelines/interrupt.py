@@ -98,7 +98,6 @@ def interruptible(
     """Let Ctrl-C end the batches of a source: a live one after all that has arrived, a file or pipe at once.
 
     Args:
-        source: what is read.
         patient: see ``on_interrupt``.
 
     Yields:

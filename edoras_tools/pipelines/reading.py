@@ -227,8 +227,6 @@ def reading(
     Outside the main thread, signals are not handled.
 
     Args:
-        source: where datagrams come from.
-        bench: mission, types and decoders.
         selection: which datagrams; all by default.
         limits: when to end; never by default.
         examined: see ``ReadLoop``.
@@ -260,9 +258,6 @@ def chosen(
     """Yield the selected rows of every batch that has any; the source is closed at the end.
 
     Args:
-        source: where datagrams come from.
-        bench: mission, types and decoders.
-        selection: which datagrams.
         limits: when to end; never by default.
 
     Raises:

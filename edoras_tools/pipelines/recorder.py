@@ -259,7 +259,6 @@ class RelayRecorder:
 
     Args:
         target: what to write; None: only show.
-        bench: mission, types and decoders.
         name: name of the source, for the recording's metadata.
         kind: kind of the source, likewise: ``proxy``, ``bridge``, ``demo``.
         tap: called with every batch, on the recorder's thread.
@@ -320,7 +319,6 @@ class RelayRecorder:
         """Copy datagrams from a buffer.
 
         Args:
-            buffer: contains the datagrams.
             slots: the number of slots from 0 on, or their indices.
             times: i64, ns since 1970, for every slot of the buffer.
             ends: source and destination, one value of ``ENDS``.

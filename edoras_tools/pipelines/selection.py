@@ -223,7 +223,6 @@ class Selection:
         Args:
             link: None if it is not about a single link.
             msg_id: None if it is not about a single MsgId.
-            mission: for the topics.
         """
         if self.links and link not in {item.label for item in self.links}:
             return False

@@ -30,9 +30,6 @@ _ARCHIVE: Final = b"!<arch>\n"
 class LayoutFile:
     """A layout file as a source of structs.
 
-    Args:
-        layout: the layout.
-
     Attributes:
         warnings: always empty.
     """

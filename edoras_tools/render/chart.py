@@ -111,7 +111,6 @@ def terminal(chart: Chart, width: int) -> list[Text]:
     """Draw a chart in terminal cells.
 
     Args:
-        chart: what to draw.
         width: of all, at least 40 cells.
     """
     height = _LINES
@@ -149,7 +148,6 @@ def svg(chart: Chart, subtitle: str = "") -> str:
     """Draw a chart as SVG; it loads nothing from elsewhere.
 
     Args:
-        chart: what to draw.
         subtitle: one line below the title.
     """
     end_x, end_y = chart.ends

@@ -32,8 +32,6 @@ def layout(made: StructLayout, struct: Struct, message: str) -> Iterator[str]:
     """Yield where the members of a struct lie, what fills up between them, and its message's fields.
 
     Args:
-        made: of the struct.
-        struct: the struct.
         message: the message's type in full.
     """
     packets = [str(key) for key, name in made.bindings.items() if name == struct.name]

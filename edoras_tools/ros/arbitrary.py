@@ -25,7 +25,6 @@ def arbitrary(types: TypeStore, type_name: str, dice: Random) -> dict[str, Any]:
     """Return values for every field of a type, as ``TypeStore.encode`` takes them.
 
     Args:
-        types: knows the type.
         type_name: of the message.
         dice: the random generator.
     """

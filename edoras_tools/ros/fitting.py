@@ -27,7 +27,6 @@ def types_that_fit(types: TypeStore, samples: Sequence[bytes], own: Collection[s
     """Return the types that end at the last byte of all samples, or where a writer might leave bytes behind.
 
     Args:
-        types: knows the definitions.
         samples: CDR, encapsulation included.
         own: types to try besides those of ``PACKAGES``; they come first, then the usual ones.
     """

@@ -203,7 +203,6 @@ class Follower:
         """Take the PDUs in some rows of a batch, in order; nothing in them can make this raise.
 
         Args:
-            batch: the datagrams.
             rows: those that hold a PDU.
             place: where each PDU begins, and the bytes that are there, in space packets (rule 5); None for
                 datagrams that are PDUs.

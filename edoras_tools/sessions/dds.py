@@ -222,11 +222,7 @@ class SampleFollower:
         self.datagrams = self.made = self.left_out = 0
 
     def named(self, endpoints: Endpoints) -> tuple[TopicWriter, ...]:
-        """Return the writers of which samples were captured, but those by which ROS tells of its nodes.
-
-        Args:
-            endpoints: what was announced.
-        """
+        """Return the writers of which samples were captured, but those by which ROS tells of its nodes."""
         found = []
         for guid, writer in self.writers.items():
             told = endpoints.find(guid)
@@ -259,7 +255,6 @@ class _Pass:
     """Takes what a batch has of one writer.
 
     Args:
-        writer: its state.
         found: in the order they were captured.
     """
 

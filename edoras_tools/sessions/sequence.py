@@ -489,8 +489,6 @@ class SequenceCounts:
         """Follow the counts of a batch's packets that have one; return what they say of its rows.
 
         Args:
-            batch: the packets.
-            columns: what was decoded of them.
             order: all rows, those of one link, sender and MsgId side by side as far as possible, where the
                 caller has them so already.
         """

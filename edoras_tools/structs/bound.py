@@ -44,8 +44,6 @@ class Bound:
 
     Args:
         key: which packets.
-        layout: of the struct.
-        struct: what lies in them.
         topic: where its messages go.
         type: their type, in full.
 
@@ -219,7 +217,6 @@ class Held:
     """The packets of a batch that hold one struct.
 
     Args:
-        bound: the struct.
         payloads: of these packets; at least one.
         columns: gives the decoder's by name, an element a packet of the batch.
         data: u8, what they point into.

@@ -15,11 +15,7 @@ MOST_VALUES: Final = 1 << 16
 
 
 class Counter:
-    """Counts the single copies that structs take.
-
-    Args:
-        layout: of the structs.
-    """
+    """Counts the single copies that structs take."""
 
     def __init__(self, layout: StructLayout) -> None:
         self._layout = layout

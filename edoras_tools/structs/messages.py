@@ -68,8 +68,6 @@ def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessageP
     """Return the parts of a struct's message, in the order of the declaration.
 
     Args:
-        layout: of the struct.
-        struct: the struct.
         whole: it is a packet: its header is left out, ``Payload`` is unpacked, the last array may be open.
     """
     members: Iterable[Member] = struct.members
@@ -128,8 +126,6 @@ def described(
     """Return the fields of a struct's message.
 
     Args:
-        layout: of the struct.
-        struct: the struct.
         names: types in full of the structs that it uses, and of the header, by name.
         whole: as for :func:`parts`.
     """

@@ -64,7 +64,6 @@ def payloads(
     """Return all that structs are bound to.
 
     Args:
-        structs: the structs.
         columns: gives the decoder's columns by name.
         datagrams: gives the batch's, of the same rows.
         data: u8, what they point into.

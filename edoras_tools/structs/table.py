@@ -37,7 +37,6 @@ class Structs:
 
     Args:
         layouts: in that order; None for that of what cFE itself sends, which is read once a packet needs it.
-        msg_ids: the version of their MsgIds.
 
     Attributes:
         msg_ids: as given.

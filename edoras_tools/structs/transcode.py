@@ -123,8 +123,6 @@ class StructPlan:
     """The plan for the packets of one struct and one length.
 
     Args:
-        layout: of the struct.
-        struct: what lies in the packet.
         length: bytes of the payload, header not counted.
 
     Attributes:

@@ -79,11 +79,6 @@ class ViewOptions:
 class Panes(App[None]):
     """The panes, and the keys that change their appearance.
 
-    Args:
-        source: where packets come from.
-        bench: mission, types and decoders.
-        choice: what to show, and how.
-
     Attributes:
         live: whether packets arrive live.
         store: the packets.

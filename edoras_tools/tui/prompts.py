@@ -37,9 +37,6 @@ _OFFERED: Final = 6
 class Completions(Static):
     """What the last word of a filter can become: names of fields, or the values of a field; one is chosen.
 
-    Args:
-        context: gives the fields.
-
     Attributes:
         words: what the last word can become; empty while nothing is offered.
         chosen: place of the one that Tab accepts.

@@ -26,8 +26,6 @@ def save_packets(parts: Sequence[Part], path: Path, info: SourceInfo, bench: Wor
     Args:
         parts: what ``Store.parts`` returned.
         path: the file; its suffix sets the format.
-        info: of the source of the packets.
-        bench: mission and types, for a recording.
         chosen: the filter that the packets passed; a recording stores it.
 
     Raises:

@@ -50,8 +50,6 @@ class Viewer(Navigation):
 
     Args:
         source: where packets come from; closed at the end.
-        bench: mission, types and decoders.
-        choice: what to show, and how.
 
     Attributes:
         failure: why reading ended early; empty if it did not.

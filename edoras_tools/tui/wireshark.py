@@ -35,7 +35,6 @@ def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> su
     Args:
         parts: what ``Store.parts`` returned.
         row: the packet to go to.
-        settings: missions and options, for the dissector.
 
     Returns:
         The process, which removes the file when Wireshark ends.

@@ -135,7 +135,6 @@ def holds(
     Args:
         head: (n, 20) first bytes of what may be an envelope.
         have: (n,) bytes from there to the end of the packet.
-        envelope: the format.
     """
     size = envelope.size
     length = envelope.layout.column("buffer_length", head).astype(np.uint64)

@@ -100,9 +100,6 @@ class MessageHead:
     """The part of the header that is the same in every APP datagram of one sender.
 
     It avoids a parse of the whole header for each message: links carry 20,000 a second.
-
-    Args:
-        sender: spacecraft and processor.
     """
 
     def __init__(self, sender: Peer) -> None:

@@ -68,8 +68,6 @@ class Where:
         Batches come in the order they were captured: ``time`` counts from the first datagram of the first.
 
         Args:
-            batch: datagrams.
-            columns: what was decoded from them.
             chosen: look only at these rows; the result then has one element for each of them.
         """
         if self._begin_ns is None and len(batch):

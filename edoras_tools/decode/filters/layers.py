@@ -116,7 +116,6 @@ def _header(
     """Yield a header and its fields.
 
     Args:
-        layout: the table.
         places: finds the headers of many packets; None if each packet must be dissected.
         by_field: ``places`` takes the name of the ``field``: some headers lack the last fields.
         many: a packet may have several of them.
@@ -206,8 +205,6 @@ def slot_values(layout: Layout, slot: Slot, window: NDArray[np.uint8]) -> NDArra
     """Return one field of many headers: numbers, or a list of str or bytes.
 
     Args:
-        layout: the table.
-        slot: the field.
         window: u8 (n, width of the slot), the bytes of the field.
     """
     if slot.field.kind not in {"text", "bytes"}:

@@ -26,7 +26,6 @@ class PacketRows:
     """Some packets, decoded one by one.
 
     Args:
-        context: what they were decoded with.
         begin_ns: time of the capture's first datagram.
         packets: the packets.
     """

@@ -26,7 +26,6 @@ class BeforeCi:
     """Shares out the accounts of CI.
 
     Args:
-        known: what is known.
         fates: what became of messages, as far as it is told.
         losses: takes what is lost.
     """

@@ -150,8 +150,6 @@ def loss_of(
     """Return the loss of some messages of a stream.
 
     Args:
-        known: what is known.
-        fate: of the stream.
         kind: why they were lost.
         rows: which, as indices into the stream's rows.
         evidence: what was seen.

@@ -188,7 +188,6 @@ def kernel_accounts(sources: Sources, drops: Mapping[int, int], counted: Collect
     """Return the account of every CI without a count here, of whose socket the kernel counted drops.
 
     Args:
-        sources: of the accounts.
         drops: datagrams that full sockets dropped, by UDP port.
         counted: endpoints of the CIs that have a count.
     """
@@ -248,7 +247,6 @@ def _endpoint(
     """Return where a cFS's CI listens: the only place, or that of its address and number.
 
     Args:
-        sources: of the accounts.
         to_ci: rows of datagrams to any CI.
         own: its counts.
         alone: no other cFS counts.

@@ -107,10 +107,8 @@ class Leftover:
     """Shares out what counters have left.
 
     Args:
-        known: what is known.
         counts: of each instance, less what was told of them.
         fates: id of a stream to what became of its messages.
-        pipes: tells losses at pipes.
         older_ns: endpoint of a CI to until when it may have read what was sent before the capture.
         gaps: losses behind cFS; another cFS may have counted those of which nothing tells where.
 

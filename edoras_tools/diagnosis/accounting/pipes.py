@@ -77,7 +77,6 @@ class Pipes:
     """Tells what was lost at pipes, of messages whose way out can be seen.
 
     Args:
-        known: what is known.
         counts: of each instance, less what was told of them.
         losses: takes what is lost.
     """
@@ -193,8 +192,6 @@ class Pipes:
         """Add to the loss at a pipe of a span of a stream.
 
         Args:
-            stream: of which.
-            cut: the span.
             kind: why.
             number: how many.
             instance: the cFS that counted them.
@@ -260,9 +257,6 @@ def pressed(known: Known, stream: Stream, span: Span, kind: PipeKind, missing: N
     beside it; or more of the MsgId is sent in a round, on the average, than the pipe takes.
 
     Args:
-        known: what is known.
-        stream: of what.
-        span: when.
         kind: over the MsgId's limit, or out of a full pipe.
         missing: (rows of the stream,), what is missing behind each.
     """

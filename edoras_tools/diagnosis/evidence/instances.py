@@ -65,7 +65,6 @@ class Instances:
     """The instances of a capture.
 
     Args:
-        rows: the table.
         events: what applications said.
         endpoints: what ``source`` and ``destination`` of the rows index.
 

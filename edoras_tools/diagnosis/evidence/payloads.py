@@ -196,8 +196,6 @@ class Payloads:
         """Read what a batch holds.
 
         Args:
-            batch: the datagrams.
-            columns: of the same rows.
             base: row of the table that the batch's first datagram has.
         """
         downward = among(columns.link, lambda link: link.from_cfs and link.packets)
@@ -299,8 +297,6 @@ def events_in(batch: PacketBatch, columns: Columns, base: int = 0) -> Iterator[E
     """Yield what applications say in a batch.
 
     Args:
-        batch: the datagrams.
-        columns: of the same rows.
         base: row of the table that the batch's first datagram has.
     """
     known = cfe.known_ids(columns.msg_id, columns.headers)

@@ -138,10 +138,6 @@ class Network:
         """Follow every connection.
 
         Args:
-            rows: the table.
-            payloads: subscriptions.
-            instances: the cFS instances.
-            profile: the constants of cFS.
             outages: from when to when the capturing interface was away: silence then tells nothing.
         """
         self.identity_of: dict[int, str] = {}
@@ -217,7 +213,6 @@ class Network:
         """Follow one peer's datagrams to one observer, who is there from ``alive_ns`` on.
 
         Args:
-            rows: the table.
             heard: the peer's datagrams to the observer.
             alive_ns: the observer's first datagram.
             end_ns: the last of the capture.

@@ -73,7 +73,6 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
     """Prepare what a recorder kept.
 
     Args:
-        recorder: it.
         proxied: what a proxy did on purpose.
     """
     rows, payloads, disordered = in_time_order(recorder)

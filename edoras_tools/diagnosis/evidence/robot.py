@@ -66,8 +66,6 @@ class SharedFields:
         """Return a fingerprint of each command and of each struct made of one; 0 for others.
 
         Args:
-            batch: the datagrams.
-            columns: of the same rows.
             offset: i64, first byte of each message, encapsulation included; -1 where there is none.
             length: i32, bytes of each.
         """

@@ -124,7 +124,6 @@ class Recorder:
     """Takes batches and keeps what a diagnosis needs of them.
 
     Args:
-        context: what they are decoded with.
         conversations: of all that came before, to go on with.
 
     Attributes:

@@ -101,8 +101,6 @@ def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, 
     """Find every pair of streams of which one is the other, further on; each way out has one way in.
 
     Args:
-        streams: all of them.
-        rows: the table.
         follows: tells whether one stream's receiver is the sender of another.
     """
     ways_in = [item for item in streams if item.link.to_cfs and item.link.packets]

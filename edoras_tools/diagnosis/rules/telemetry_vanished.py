@@ -140,8 +140,6 @@ def _signs(
     """Yield what happened when it stopped: a message too long, a MsgId that is garbage.
 
     Args:
-        case: what it is judged by.
-        stream: what stopped.
         span: when it did, and until when its cFS went on.
         overruns: messages that were too long for their structs.
         alike: streams of nobody's that began just then, of the same size.

@@ -92,9 +92,7 @@ class TableFile:
     (``outputs.NewFile``). A pipe or device is written directly.
 
     Args:
-        path: the file.
         make: the writer of its format.
-        head: the description of the table.
         columns: of the first block of rows.
         pool: a thread that writes while the next rows are read.
 

@@ -39,7 +39,6 @@ def settled_file(stream: ByteStream, path: Path, head: bytes) -> SettledFile:
 
     Args:
         stream: as far as it was read, ``head``.
-        path: its file.
         head: empty for a file that is there as it is.
 
     Raises:

@@ -116,7 +116,6 @@ class WatchedSink:
     """A sink that continues if its file is lost.
 
     Args:
-        path: the output.
         begin: opens a sink at a path.
         told: called with a line for each file that was lost.
         statistics: of the source, for files that are completed before the end.

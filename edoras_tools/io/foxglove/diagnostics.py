@@ -37,8 +37,6 @@ class Diagnostics:
     A status is for a route, or for a MsgId of a link: its level is the worst finding of that second.
 
     Args:
-        mission: provides the names of routes.
-        types: encodes the messages.
         name: of the source that is diagnosed.
         levels: the level of each finding: OK, WARN or ERROR.
         statistics: of the source, for losses of the capture itself.

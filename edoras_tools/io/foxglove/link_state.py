@@ -33,7 +33,6 @@ class LinkState:
     """Adds up what a sink makes of each batch; any thread may ask for the sum.
 
     Args:
-        types: decodes the events.
         statistics: of the source, for losses of the capture itself; None: it has no such counter.
     """
 
@@ -54,7 +53,6 @@ class LinkState:
         """Add a batch of at least one row.
 
         Args:
-            batch: the datagrams.
             counts: its messages on ``/edoras/link_statistics``.
             events: its messages on ``/edoras/events``.
             statuses: the latest of ``/diagnostics``, by name.

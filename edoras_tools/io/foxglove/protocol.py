@@ -238,7 +238,6 @@ def channel(place: int, topic: Topic, definition: str) -> dict[str, Any]:
 
     Args:
         place: its number.
-        topic: the topic.
         definition: the complete ``ros2msg`` text of its type, where the topic has no schema of its own.
     """
     encoding, schema = topic.schema or ("ros2msg", definition.encode())
@@ -284,7 +283,6 @@ def message_frames(
     """Return WebSocket frames with messages of topics.
 
     Args:
-        records: the messages.
         rows: i64, which messages, at least one.
         subscriptions: i64, the subscription number for each of ``rows``.
 

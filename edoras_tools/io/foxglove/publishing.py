@@ -21,7 +21,6 @@ class Publisher:
     """The topics that clients may publish.
 
     Args:
-        types: the ROS types.
         unknown: returns why a topic that was not added may not be published.
     """
 

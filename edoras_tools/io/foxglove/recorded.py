@@ -22,10 +22,8 @@ class RecordedSink:
     """Serves messages over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
 
     Args:
-        mission: has the topics.
         types: provides the schemas that the recording does not hold.
         info: of the source; gives the server its name.
-        options: how clients are served.
 
     Attributes:
         server: the server; it listens from construction on.

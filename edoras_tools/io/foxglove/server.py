@@ -111,7 +111,6 @@ class FoxgloveServer:
         name: shown by clients.
         topics: topics to offer; their indices are the channel ids of published messages.
         definition: returns the complete ``ros2msg`` text of a topic's type.
-        options: how clients are served.
 
     Attributes:
         endpoint: the address that it listens on.

@@ -30,9 +30,7 @@ class FoxgloveSink:
 
     Args:
         mission: its routes become topics.
-        types: provides the schemas.
         info: of the source; gives the server its name.
-        options: how clients are served.
         levels: the level of each finding in the diagnostics: 0 OK, 1 warning, 2 error.
         statistics: the source's, for losses of the capture itself.
         structs: C structs in packets; None: only cFE's own.

@@ -33,7 +33,6 @@ def packets_behind(
     """Return a batch with packets behind the rows in which they end; their original length is -1.
 
     Args:
-        batch: the datagrams.
         buffer: u8, what the packets point into.
         row: of each packet, in which it ends.
         start: of each packet in the buffer.

@@ -87,13 +87,7 @@ class FragmentedSamples:
     def take(
         self, batch: PacketBatch, columns: Columns, decoder: ColumnDecoder
     ) -> tuple[PacketBatch, Columns]:
-        """Return a batch and its columns with the samples that become whole in it.
-
-        Args:
-            batch: the datagrams.
-            columns: of the same rows.
-            decoder: decodes what is put together.
-        """
+        """Return a batch and its columns with the samples that become whole in it."""
         rows = np.flatnonzero(columns.link == RTPS)
         rows = rows[batch.original_length[rows] >= 0]
         found = rtps_messages(batch, rows).submessages

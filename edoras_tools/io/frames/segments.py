@@ -32,7 +32,6 @@ def cut(frames: FrameBatch, size: NDArray[np.integer[Any]], header: NDArray[np.i
     """Return frames of one datagram each; numbers continue from the first frame's.
 
     Args:
-        frames: the captured frames.
         size: integer (n,), payload bytes of each part; 0 for a frame that is not cut.
         header: integer (n,), bytes from the IP header to the UDP header whose payload is cut; in a tunnel the
             inner one, and the headers before it are repeated.

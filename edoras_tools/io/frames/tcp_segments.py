@@ -126,7 +126,6 @@ def rebuilt(
     A packet longer than an IP header can say has the length 0 there, as segmentation offload leaves it.
 
     Args:
-        segments: have the headers.
         rows: i64 (n,), which of them.
         contents: (n,), what the new segments hold.
 

@@ -108,7 +108,6 @@ class Outlet:
     Args:
         opened: the socket.
         to: the receiver; None if the socket is connected.
-        direction: its counters.
         queue_bytes: maximum size of the queue.
     """
 

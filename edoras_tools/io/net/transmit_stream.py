@@ -38,7 +38,6 @@ class StreamTransmitter:
 
     Args:
         target: who listens.
-        framing: cuts the messages that come back.
 
     Attributes:
         target: the resolved address.

@@ -81,8 +81,6 @@ def software_bus_messages(
     """Return one ``edoras_msgs/msg/SoftwareBusHousekeeping`` for every complete 0x0803 packet.
 
     Args:
-        batch: the datagrams.
-        columns: of the same rows.
         channel_id: MCAP channel.
         published: i64, publish time, ns since 1970.
     """
@@ -114,8 +112,6 @@ def event_messages(
     ``line`` the EventID, ``file`` empty.
 
     Args:
-        batch: the datagrams.
-        columns: of the same rows.
         channel_id: MCAP channel.
         published: i64, publish time, ns since 1970.
     """
@@ -140,8 +136,6 @@ def reset_messages(batch: PacketBatch, columns: Columns, channel_id: int) -> Mes
     sender and no event. How bad it is it does not say either, so the level is WARN.
 
     Args:
-        batch: the datagrams.
-        columns: of the same rows.
         channel_id: MCAP channel.
     """
     rows = np.flatnonzero(columns.link == RESETS)

@@ -40,7 +40,6 @@ class MissionClock:
 
         Args:
             time_ns: i64, capture time.
-            columns: of the same rows.
         """
         rows = np.flatnonzero(columns.mission_time_ns > 0)
         published = time_ns.copy()

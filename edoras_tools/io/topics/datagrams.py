@@ -79,8 +79,6 @@ class DatagramWriter:
         """Return the messages of a batch; their heads are made when they are requested.
 
         Args:
-            batch: the datagrams.
-            columns: of the same rows.
             published: i64, publish time, ns since 1970.
         """
         rows = np.arange(len(batch))
@@ -159,9 +157,6 @@ def without_trailing(
     C++ and JavaScript readers ignore the bytes after it; rosbags refuses more than 3.
 
     Args:
-        batch: the datagrams.
-        columns: of the same rows.
-        types: of the routes.
         routes: of the mission.
     """
     rows = np.flatnonzero((columns.route >= 0) & (columns.findings & np.uint32(_LONGER) != 0))
@@ -181,8 +176,6 @@ def ros_messages(
     """Return the ROS message of every row with a complete one on a configured topic, CDR as captured.
 
     Args:
-        batch: the datagrams.
-        columns: of the same rows.
         channel_ids: u16, MCAP channel of each of ``Mission.routes``.
         published: i64, publish time, ns since 1970.
     """

@@ -21,9 +21,6 @@ LATCHED_NAMES: Final = ("tf_static", "robot_description")
 class LatchedTopics:
     """The last message of each latched topic.
 
-    Args:
-        mission: says which topics are latched.
-
     Attributes:
         routes: their indices in ``Mission.routes``.
     """
@@ -37,12 +34,7 @@ class LatchedTopics:
         self._last: dict[int, tuple[bytes, int, int]] = {}
 
     def keep(self, columns: Columns, messages: Messages) -> None:
-        """Keep the last messages of a batch.
-
-        Args:
-            columns: of the batch.
-            messages: its ROS messages.
-        """
+        """Keep the last messages of a batch."""
         routes = columns.route[messages.rows]
         for route in self.routes:
             for at in np.flatnonzero(routes == route)[-1:].tolist():

@@ -25,7 +25,6 @@ class RecordedStreams:
     It stands in for ``Streams`` where a sink writes such messages.
 
     Args:
-        mission: has the topics.
         types: has the definitions that the recording does not hold.
         places: of the topics that are written; None: all.
     """

@@ -64,7 +64,6 @@ class LinkStatistics:
     Seconds are counted from the first datagram. If time goes back, datagrams stay in the current second.
 
     Args:
-        mission: has the names of topics.
         statistics: of the source, read for its kernel drops; None if it has no such counter.
         sequences: shared with others that see the same batches; by default its own.
     """

@@ -107,7 +107,6 @@ class Streams:
 
     Args:
         mission: its routes become topics.
-        types: has the message definitions.
         statistics: of the source, if link statistics include its kernel drops.
         datagrams: whether there is a topic with every whole datagram.
         structs: C structs in packets, each with a topic of its own; None for those of cFE itself.
@@ -199,8 +198,6 @@ class Streams:
         """Return the messages of a batch of at least one row, in their order within a row.
 
         Args:
-            batch: the datagrams.
-            columns: of the same rows.
             datagrams: whether the topic of whole datagrams is wanted now.
             statistics: whether link statistics are wanted, for this and every other batch.
             transforms: whether ``/tf`` is wanted now, if it is made at all.

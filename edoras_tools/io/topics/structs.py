@@ -30,9 +30,6 @@ def struct_messages(
     """Yield the messages of every struct in a batch.
 
     Args:
-        batch: the datagrams.
-        columns: of the same rows.
-        structs: the structs.
         channel_ids: MCAP channels by topic.
         published: i64, publish time, ns since 1970.
     """

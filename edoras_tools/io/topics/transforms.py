@@ -38,7 +38,6 @@ class Transforms:
 
     Args:
         mission: its routes with poses are taken; none if ``/tf`` is a route itself.
-        types: reads the poses.
 
     Attributes:
         frames: the frame of each such route, by the route's index: its topic without the leading ``/``.
@@ -62,8 +61,6 @@ class Transforms:
         """Yield the transforms of a batch, for each route and frame; poses without a frame have none.
 
         Args:
-            batch: the datagrams.
-            columns: of the same rows.
             channel_id: MCAP channel.
         """
         for place, child in self.frames.items():

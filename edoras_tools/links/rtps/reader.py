@@ -96,7 +96,6 @@ def topic_samples(data: NDArray[np.uint8], found: Submessages) -> tuple[list[byt
 
     Args:
         data: u8, what the submessages point into.
-        found: all submessages of some messages.
     """
     samples, own = _whole_samples(data, found)
     fields = SubmessageFields(data, own, SubmessageKind.DATA)
@@ -160,7 +159,6 @@ def learn(
 
     Args:
         data: u8, what the submessages point into.
-        found: all submessages of some messages.
         number: i64, of the datagram of each message.
         endpoints: is added to.
     """
@@ -370,7 +368,6 @@ def user_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> UserSubmessa
     """Return what is said of writers that are not built in.
 
     Args:
-        batch: the datagrams.
         rows: those that hold RTPS.
     """
     found = rtps_messages(batch, rows).submessages
@@ -426,7 +423,6 @@ def named_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> NamedSubmes
     """Return the submessages that are about a writer.
 
     Args:
-        batch: the datagrams.
         rows: those that hold RTPS.
     """
     found = rtps_messages(batch, rows).submessages

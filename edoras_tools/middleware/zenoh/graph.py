@@ -43,7 +43,6 @@ class ZenohGraph:
     Args:
         session: open; the graph closes it.
         node: as others see it.
-        types: has the types of all topics.
         hashed: put hashes of types into keys, as all distributions since Iron do.
         places: where it listens at ports that were named.
     """

@@ -91,9 +91,7 @@ class NodeTokens:
         """Return the token of a publisher or a subscription.
 
         Args:
-            kind: which of the two.
             entity: its id within the session.
-            topic: that it publishes or subscribes to.
             qos: as requested.
         """
         return "/".join(

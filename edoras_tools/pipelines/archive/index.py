@@ -68,7 +68,6 @@ class Index:
     """An open index.
 
     Args:
-        path: its file.
         connection: to DuckDB.
     """
 

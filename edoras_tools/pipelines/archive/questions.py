@@ -67,7 +67,6 @@ def list_losses(
 
     Args:
         index: open.
-        span: of captures.
         topics: patterns of topics, names or MsgIds; all if empty.
         over: only where more than this share of what was sent is missing.
     """

@@ -37,7 +37,6 @@ def rows_of(
 
     Args:
         info: its totals, in the shape of ``info --json``.
-        findings: of the doctor.
         events: what applications of cFS said.
         missions: the mission files it was read with, by name.
     """

@@ -119,8 +119,6 @@ def bring_up_to_date(
 
     Args:
         index: open for writing.
-        update: what is to be done.
-        progress: shows how many captures are read.
         told: called with lines for the user while it runs.
 
     Raises:

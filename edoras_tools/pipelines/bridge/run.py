@@ -36,8 +36,6 @@ class Bridges:
     """All bridges of one process.
 
     Args:
-        plan: the bridges.
-        request: from the command line.
         ros: the middleware.
         domain: ROS 2 domain.
         options: of the middleware.

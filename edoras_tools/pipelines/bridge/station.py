@@ -70,8 +70,6 @@ class Station:
 
     Args:
         number: its number in the inbox.
-        plan: its plan.
-        shared: what all bridges share.
 
     Attributes:
         plan: as given.

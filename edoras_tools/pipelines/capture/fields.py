@@ -28,7 +28,6 @@ def column_texts(
     joined by commas.
 
     Args:
-        rows: the packets.
         columns: what ``decode.where.fields`` returned.
         clean: makes text from packets safe for the output.
     """

@@ -68,7 +68,6 @@ class Flushing:
     """Flushes a sink in time; ``look`` is to be called several times in ``FLUSH_NS``.
 
     Args:
-        sink: what is flushed.
         clock: monotonic time in ns.
         wall: time in ns since 1970; None where datagrams were not captured just now.
     """

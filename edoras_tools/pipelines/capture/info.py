@@ -27,10 +27,6 @@ if TYPE_CHECKING:
 class Counting:
     """Counts the datagrams of a loop: only traffic of cFS, and each datagram once.
 
-    Args:
-        source: what is read.
-        bench: mission and decoders.
-
     Attributes:
         report: the counts so far.
     """
@@ -81,9 +77,7 @@ def inspect(
 
     Args:
         source: where datagrams come from; it is closed.
-        bench: mission, types and decoders.
         selection: which datagrams; all by default.
-        limits: when to end.
         watcher: called with the report after every batch.
         jobs: how many processes share the work, see ``read_ahead``; what selects is asked in one.
 

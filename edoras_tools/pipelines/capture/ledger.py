@@ -102,7 +102,6 @@ class Ledger:
     """The accounts of a whole capture.
 
     Args:
-        mission: gives topics and types their names.
         sequences: shared with others that see the same batches; by default its own.
 
     Attributes:

@@ -240,8 +240,6 @@ def open_sink(
 
     Args:
         target: what to write.
-        source: what is read.
-        bench: mission, types and decoders.
         chosen: the selection, in words.
         sequences: see ``RecordingOptions``.
         topics: see ``RecordingOptions``.
@@ -315,7 +313,6 @@ def record(
 
     Args:
         source: where datagrams come from; it is closed.
-        bench: mission, types and decoders.
         target: what to write.
         selection: which datagrams; all by default.
         limits: when to end; its clock also determines when to flush.

@@ -138,9 +138,7 @@ class SnapshotSink:
     """A sink that keeps what it is given, and writes what triggers ask for.
 
     Args:
-        plan: when what is written.
         source: what is read; a live one is read on while files are written.
-        context: for filters and rules.
         target: the output: each file has the trigger's time behind its name.
         begin: opens a sink at a path.
         triggers: of this machine: a signal, a key, a socket.
@@ -399,11 +397,8 @@ def record_snapshots(
 
     Args:
         source: where datagrams come from; it is closed.
-        bench: mission, types and decoders.
         target: what to write; its name gets the time of the trigger.
-        plan: when what is written.
         selection: which datagrams are kept, and can fire; all by default.
-        limits: when to end.
         watcher: called with the report after every batch.
         triggers: of this machine; closed by whoever opened them.
 

@@ -35,10 +35,6 @@ def sniff(
     """Yield the selected packets of a source, decoded; the source is closed at the end.
 
     Args:
-        source: where datagrams come from.
-        bench: mission, types and decoders.
-        selection: which packets.
-        limits: which part of them.
         started: called before each batch with the time of the source's first datagram, ns since 1970.
 
     Raises:
@@ -101,8 +97,6 @@ def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
     """Return one packet; everything before it is decoded first, because decoding keeps state.
 
     Args:
-        source: a file.
-        bench: mission, types and decoders.
         number: the frame's number, from 1, as ``sniff`` and Wireshark show it.
 
     Raises:

@@ -14,11 +14,7 @@ if TYPE_CHECKING:
 
 
 class Statistics:
-    """Counts the selected packets of a source.
-
-    Args:
-        bench: mission, types and decoders.
-    """
+    """Counts the selected packets of a source."""
 
     def __init__(self, bench: Workbench) -> None:
         self.ledger = Ledger(bench.mission)

@@ -90,7 +90,6 @@ def listening(keys: Keyboard | None = None, path: Path | None = None) -> Iterato
     """Open the triggers of this machine: SIGUSR1, and keys and a socket if they are given.
 
     Args:
-        keys: the keyboard.
         path: where a Unix socket is made, for this user alone; it is removed at the end.
 
     Raises:
@@ -170,7 +169,6 @@ class RuleTrigger:
     """Fires when the doctor finds something in the newest datagrams that it did not find before.
 
     Args:
-        context: what packets are decoded with.
         rules: the rules whose verdicts fire.
         any_error: any verdict fires that is an error.
         apart: judge in a thread, so that a live source is read on.

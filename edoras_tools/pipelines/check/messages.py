@@ -53,13 +53,6 @@ def count_messages(
 ) -> CountedMessages:
     """Read a recording to its end; the source is closed.
 
-    Args:
-        source: the recording.
-        bench: what reads it.
-        counting: counts the messages.
-        scope: which of them.
-        progress: updated while reading.
-
     Raises:
         RouteError: the selection names no topic.
         ConfigError: its filter has an error, or it selects datagrams.

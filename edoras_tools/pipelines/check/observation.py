@@ -117,11 +117,6 @@ class FilterCount:
 class Observation(Counting):
     """Counts datagrams, fields and events; see ``Counting``.
 
-    Args:
-        source: what is read.
-        bench: mission and decoders.
-        expected: what has to be observed.
-
     Attributes:
         subjects: what each topic of the expectations stands for, in their order.
         fields: a watch for each expectation of fields, by topic.

@@ -176,13 +176,8 @@ def check(
     """Read a source to its end and hold it against expectations; the source is closed.
 
     Args:
-        source: where datagrams come from.
-        bench: mission, types and decoders.
-        expected: the expectations.
         profile: the constants of the cFS on the link.
         scope: what is examined; expectations of topics that it leaves out are left out.
-        pace: for a live source.
-        progress: updated while reading and judging.
 
     Raises:
         ConfigError: an expectation names no topic, or a filter no field.

@@ -81,8 +81,6 @@ class GroundStation:
         commands: counts of each robot's commands.
         states: counts of each robot's states.
         rate_hz: commands per second for each robot; 0 for none.
-        types: the ROS types.
-        scheduler: runs its calls.
 
     Attributes:
         seen: what it knows about each robot.
@@ -171,16 +169,7 @@ class GroundStation:
 
 
 class RobotNode:
-    """A robot in the graph: it follows the flight bridge's commands and publishes its state at a rate.
-
-    Args:
-        lane: its topics.
-        robot: the model of the robot.
-        command: counts of its commands.
-        state: counts of its states.
-        types: the ROS types.
-        scheduler: runs its calls.
-    """
+    """A robot in the graph: it follows the flight bridge's commands and publishes its state at a rate."""
 
     def __init__(
         self, lane: Lane, robot: Robot, command: Leg, state: Leg, types: TypeStore, scheduler: CallScheduler
@@ -229,14 +218,7 @@ class RobotNode:
 
 
 class AppRobot:
-    """The ``Robot`` of the flight application, which also counts its commands and states.
-
-    Args:
-        robot: the robot.
-        command: counts of its commands.
-        state: counts of its states.
-        types: the ROS types.
-    """
+    """The ``Robot`` of the flight application, which also counts its commands and states."""
 
     def __init__(self, robot: Robot, command: Leg, state: Leg, types: TypeStore) -> None:
         self.command_type, self.state_type = robot.command_type, robot.state_type

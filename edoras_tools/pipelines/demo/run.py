@@ -98,7 +98,6 @@ class Demo:
     """A demo: the constructor starts everything, robots move during ``run``; a context manager.
 
     Args:
-        plan: what to run.
         say: called with each note for the user.
 
     Attributes:

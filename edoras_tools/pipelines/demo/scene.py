@@ -69,7 +69,6 @@ def profile(ports: Ports, states: Iterable[int]) -> SimProfile:
     """Return a cFS on these ports, with the flight bridge as its peer, and TO limits for the states.
 
     Args:
-        ports: of all links.
         states: MsgIds of the states that go to the ground.
     """
     usual = SimProfile(address=HOST).on(ports)
@@ -80,7 +79,6 @@ def write_missions(scenario: Scenario, folder: Path, ports: Ports, max_rate: flo
     """Write a demo's mission files.
 
     Args:
-        scenario: which demo.
         folder: where to write.
         ports: replace the default ports.
         max_rate: states per second that the flight bridge forwards for each robot; 0 for all.

@@ -30,7 +30,6 @@ def request_of(key: str, state: PlaybackState, start_ns: int) -> PlaybackRequest
 
     Args:
         key: from ``split_keys``.
-        state: the current one.
         start_ns: start of the recording, ns since 1970.
     """
     playing = state.status == "Playing"

@@ -108,11 +108,8 @@ class RecordingPlayer:
 
     Args:
         reopen: opens the source; called for every seek, and once in the constructor to learn its duration.
-        bench: mission, types and decoders.
         clock: monotonic time in ns.
         scope: which datagrams, and which time of them; all by default.
-        options: how playback begins and ends.
-        progress: updated while the duration is learned.
 
     Attributes:
         range_ns: when the recording starts and ends, ns since 1970.

@@ -47,8 +47,6 @@ def attach(
     """Start a server; batches passed to the sink's ``write`` are shown.
 
     Args:
-        bench: mission and types.
-        info: gives the server its name.
         listen: address and port; with port 0 the system chooses, see ``server.endpoint``.
         statistics: of the source, for losses of the capture itself.
         publisher: handles messages that clients publish; None: clients may not publish.
@@ -107,7 +105,6 @@ def live(
 
     Args:
         source: where datagrams come from; it is closed.
-        bench: mission, types and decoders.
         sink: from ``attach``; it is closed.
         selection: which datagrams; all by default.
         target: what to record at the same time.

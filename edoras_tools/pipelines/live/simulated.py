@@ -23,7 +23,6 @@ def start_simulation(
     """Boot an emulated cFS with its bridges and robots.
 
     Args:
-        scenario: which demo.
         settings: missions and types; if no mission is named, the demo's own are used.
         clock: monotonic time in ns.
 

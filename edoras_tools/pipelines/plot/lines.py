@@ -166,7 +166,6 @@ def numbers(
     """Yield the numbers of a column: the element in its list, the rows that have it, their values.
 
     Args:
-        column: the column.
         index: only this element of lists.
     """
     values = column.values

@@ -58,7 +58,6 @@ class PlotRequest:
         """Return its topics among those of an input.
 
         Args:
-            source: the input.
             narrowed: patterns; if there are any, a topic must match one of them, too.
 
         Raises:

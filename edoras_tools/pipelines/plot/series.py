@@ -242,7 +242,6 @@ def read_plot(
         asked: the requests of each panel; none for the rates of all topics.
         scope: the topics to which requests are narrowed, and the time; all else the inputs apply themselves.
         bare: without rates, losses and events beneath.
-        progress: updated while inputs are read.
 
     Raises:
         CaptureError: there is nothing to draw.

@@ -83,7 +83,6 @@ class Judge:
     """Judges the steps of one route.
 
     Args:
-        route: the route that is swept.
         profile: the constants of the cFS at the other end.
         measures: take the limit of an application's pipe from what got through, not from the profile.
     """
@@ -97,7 +96,6 @@ class Judge:
         """Judge messages to cFS.
 
         Args:
-            observer: of the step.
             before: at the start of the step.
             after: when no message was under way any more.
             sent: number of messages of the route.
@@ -142,7 +140,6 @@ class Judge:
         """Judge messages from cFS.
 
         Args:
-            observer: of the step.
             before: at the start of the step.
             after: when no message was under way any more.
             least: messages that must have been published in that time.

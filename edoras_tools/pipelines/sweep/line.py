@@ -31,7 +31,6 @@ class Line:
     """Sends and listens.
 
     Args:
-        wire: sockets, or an emulated cFS.
         name: of the other end, for the user.
         observer: records all that is sent and received.
         session: the SBN session that the traffic belongs to.

@@ -66,10 +66,6 @@ class Mark:
 class Observer:
     """Records the datagrams of a step.
 
-    Args:
-        bench: provides mission and types.
-        route: the route that is swept.
-
     Attributes:
         seen: counts of everything received since the start.
         expected: the bytes that a message of the route must have; None for any.

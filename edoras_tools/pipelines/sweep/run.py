@@ -53,8 +53,6 @@ def sweep(
     """Run a plan.
 
     Args:
-        plan: what to sweep.
-        bench: provides mission and types.
         trying: called with rate and size before each step.
         ready: called with the receiving endpoint, once it is open.
 

@@ -70,7 +70,6 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
 
     Args:
         plan: with defaults filled in.
-        mission: provides the SBN identity.
     """
     options, route, limit = plan.options, plan.route, plan.limit
     msg_ids = plan.headers.msg_ids

@@ -106,12 +106,7 @@ class _DateFrame(Frame):
 
 
 def archive_page(found: ArchiveTrends, made: Made) -> str:
-    """Return the HTML page.
-
-    Args:
-        found: what the index says.
-        made: for the footer.
-    """
+    """Return the HTML page."""
     calendar = _Calendar(found)
     sections = [
         section("Runs over time", _runs(found, calendar)),

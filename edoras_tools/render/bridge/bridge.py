@@ -30,7 +30,6 @@ def live_table(console: Console, output: Path | None = None) -> LiveTable[LiveRu
     """Return the table of bridges while they run.
 
     Args:
-        console: where to draw.
         output: the recording that grows.
     """
 

@@ -14,7 +14,6 @@ def playback_line(state: PlaybackState, range_ns: tuple[int, int], clients: int,
     """Return a line such as ``playing 0:12.3 of 1:40.0, 2x, 1 client``.
 
     Args:
-        state: of playback.
         range_ns: start and end of the recording, ns since 1970.
         clients: how many are connected.
         waiting: whether it waits for the first client.

@@ -61,7 +61,6 @@ def choose(decoded: Decoded, name: str) -> tuple[int, int]:
     """Return the bytes, from the start of the payload, that a layer or ``LAYER.FIELD`` was read from.
 
     Args:
-        decoded: the packet.
         name: as ``edoras``, ``ccsds.apid`` or ``ros.pose.position``; a group of fields is all of its fields.
 
     Raises:
@@ -97,7 +96,6 @@ def dump_lines(
         data: the bytes.
         shown: regions to colour; later ones cover earlier ones.
         width: cells that no line exceeds; 16 bytes a line from ``DUMP_WIDTH`` on, else 8.
-        paint: with or without colour.
         chosen: first byte and one past the last of the highlight: in reverse, or in
             brackets without colour.
     """

@@ -18,7 +18,6 @@ def host_lines(
     """Yield the sockets, the counters and the limits, then what to change.
 
     Args:
-        host: what the kernel counts.
         links: port to the links that use it.
         steal: share of processor time.
         advice: what to change, a line each.

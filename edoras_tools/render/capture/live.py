@@ -29,7 +29,6 @@ def live_table(title: str, console: Console, output: Path | None = None) -> Live
 
     Args:
         title: what goes on, as ``eth0 → a.mcap``.
-        console: where to draw.
         output: the file or directory that grows.
     """
     return LiveTable(lambda _, moment: view(title, moment), _counts, console, output, transient=False)

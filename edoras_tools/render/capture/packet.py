@@ -25,7 +25,6 @@ def packet_lines(
     """Return a packet's tree, its bytes and which of them are which layer.
 
     Args:
-        decoded: the packet.
         width: cells that no line exceeds, at least 44.
         colour: whether to use ANSI styles.
         chosen: a layer or ``LAYER.FIELD`` to highlight in the bytes; empty for none.

@@ -85,7 +85,6 @@ class PacketList:
     Args:
         width: columns of the terminal, at least 20.
         colour: whether to use ANSI styles.
-        time_format: format of the time column.
         names: MsgId to a name, where neither a message nor the layers have one.
         verbose: show notes too, not only warnings and errors.
         begin_ns: what relative times count from; None: the first packet shown.

@@ -75,9 +75,7 @@ def tree_lines(decoded: Decoded, width: int, paint: palette.Paint) -> list[str]:
     """Return the tree of a packet.
 
     Args:
-        decoded: the packet.
         width: cells that no line exceeds, at least 40.
-        paint: with or without colour.
     """
     width = max(40, width)
     return [line for row in rows(decoded) for line in row_lines(row, width, paint)]
@@ -163,7 +161,6 @@ def row_lines(row: TreeRow, width: int, paint: palette.Paint, *, closed: bool = 
     Args:
         row: as :func:`rows` yields it.
         width: cells that no line exceeds, at least 40.
-        paint: with or without colour.
         closed: what is under it is not shown.
     """
     match row.role:

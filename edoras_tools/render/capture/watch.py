@@ -36,7 +36,6 @@ def watcher(
     """Return what shows a run on standard error: a live table, a progress bar, or nothing.
 
     Args:
-        source: what is read.
         output: what is written, if anything is.
         quiet: show nothing; neither is anything shown where standard error is no terminal.
         live: the source is live, so there is no end for a progress bar.
@@ -62,7 +61,6 @@ class Followed:
     All else is the source's own.
 
     Args:
-        source: a file.
         quiet: show nothing.
     """
 

@@ -24,7 +24,6 @@ class Guide:
 
     Args:
         out: where to.
-        terminal: what it can show.
     """
 
     def __init__(self, out: TextIO, terminal: Terminal) -> None:

@@ -50,7 +50,6 @@ def live_table(console: Console, output: Path) -> LiveTable[_Demo]:
     """Return the view of a demo while it runs.
 
     Args:
-        console: where to draw.
         output: the recording that grows.
     """
     return LiveTable(_show, _counts, console, output)

@@ -45,11 +45,7 @@ HEADS: Final = ("In", "Twice", "Out", "Lost", "Superseded", "Waiting", "Not seen
 
 
 def shown_rows(found: Diagnosis) -> list[dict[str, Any]]:
-    """Return the rows to show: packets of cFS itself are one row if nothing is missing.
-
-    Args:
-        found: the diagnosis.
-    """
+    """Return the rows to show: packets of cFS itself are one row if nothing is missing."""
     rows = _with_ends(found, [row.as_json(found.topics.get(row.route)) for row in found.balance])
     quiet = [row for row in rows if not row["topic"] and row["name"] and row["in"] == row["out"]]
     if len(quiet) < 2:
@@ -126,7 +122,6 @@ def balance_table(found: Diagnosis, width: int) -> RenderableType:
     """Return the table, without the columns that are empty in every row.
 
     Args:
-        found: the diagnosis.
         width: of the terminal.
     """
     rows = shown_rows(found)

@@ -53,7 +53,6 @@ def diagnosis(found: Diagnosis, name: str, width: int) -> RenderableType:
     """Return the whole view: verdicts first.
 
     Args:
-        found: what the doctor found.
         name: of the source.
         width: of the terminal.
     """
@@ -305,7 +304,6 @@ def verdict_table(found: Diagnosis, title: str, height: int) -> RenderableType:
     """Return the table that a live diagnosis keeps current.
 
     Args:
-        found: the diagnosis as it is.
         title: what is watched.
         height: lines of the terminal.
     """

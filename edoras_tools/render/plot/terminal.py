@@ -32,7 +32,6 @@ def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0) -> li
     """Draw a plot.
 
     Args:
-        figure: the plot.
         width: columns of the terminal; at least 40 are used, at most 160.
         colour: whether lines can be told apart by colour; if not, each has its own panel.
         rows: lines of each panel; 0 for the usual ones.

@@ -43,7 +43,6 @@ def live_table(console: Console, output: Path | None = None, *, keys: bool = Fal
     """Return the table of a proxy while it runs.
 
     Args:
-        console: where to draw.
         output: the recording that grows.
         keys: whether keys switch faults.
     """

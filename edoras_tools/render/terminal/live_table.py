@@ -98,7 +98,6 @@ class LiveView(Generic[_T]):
 
     Args:
         show: the run, and the time in s, to what is drawn.
-        console: where to draw.
         transient: whether the view goes away at the end, as where a report takes its place; else its last
             state stays.
         clock: monotonic time in s.
@@ -163,7 +162,6 @@ class LiveTable(LiveView[_R]):
     Args:
         show: the view of a run at a moment.
         counts: a summary to the counts whose rates the view shows, by any key.
-        console: where to draw.
         output: the file or directory that grows.
         transient: as of ``LiveView``.
         clock: monotonic time in s.

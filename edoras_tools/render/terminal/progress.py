@@ -105,7 +105,6 @@ def figures(statistics: SourceStatistics, elapsed: float) -> str:
     """Return ``41%  12.4 MiB  310,000 packets/s  3.2 s left``, as far as it is known.
 
     Args:
-        statistics: of the source.
         elapsed: s since reading began, more than 0.
     """
     position, total = statistics.position, statistics.total_bytes

@@ -78,7 +78,6 @@ def columns(
 
     Args:
         name: their type.
-        plan: of that type.
         data: u8, the buffer.
         offset: i64, first byte of each message, encapsulation included; any value.
         length: i32, bytes of each message; any value.

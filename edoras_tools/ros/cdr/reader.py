@@ -86,7 +86,6 @@ def skip(plan: CdrPlan, order: int, body: bytes, position: int, times: int) -> i
     """Return the end of some elements that start at a position; None where they do not fit.
 
     Args:
-        plan: of one element.
         order: 0 for little-endian, 1 for big-endian.
         body: without the encapsulation.
         position: from the start of the body.

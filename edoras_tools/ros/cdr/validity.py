@@ -89,7 +89,6 @@ def trailing(
     """Return how many bytes follow each message's last field; -1 for those that ``reader.decode`` refuses.
 
     Args:
-        plan: of their type.
         data: u8, the buffer.
         offset: i64, first byte of each message, encapsulation included; any value.
         length: i32, bytes of each message; any value.

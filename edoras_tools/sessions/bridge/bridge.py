@@ -124,7 +124,6 @@ class BridgeSession:
         routes: to and from cFS.
         link: the session.
         writer: of packets; the session uses the same.
-        options: of writing and reading.
         sizes: type to the bytes of its messages; None where they vary.
 
     Attributes:

@@ -41,7 +41,6 @@ class GroundSession:
     """CI and TO of one cFS.
 
     Args:
-        writer: of packets.
         address: IPv4 address that Telemetry Output shall send to; None: send it no commands.
         add: MsgIds for its table, and how many of each may wait.
         now: ns.

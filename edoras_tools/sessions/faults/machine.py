@@ -100,7 +100,6 @@ class FaultPlan:
         Args:
             now: when it starts, which schedules count from; None: with the first datagram.
             where: compiles the filter expressions of scopes.
-            headers: those of the cFE.
 
         Raises:
             ConfigError: a rule has a filter expression and nothing compiles it.

@@ -54,7 +54,6 @@ class SbnConnection:
     Args:
         own: identity of this side.
         msg_ids: what this side subscribes to.
-        habits: how it behaves.
         peer: identity of the other side; None accepts any.
         now: when it starts.
 

@@ -60,9 +60,6 @@ class File(Protocol):
 class Maker:
     """Turns entries into structs, and those that they use.
 
-    Args:
-        info: their file.
-
     Attributes:
         structs: what was made, by name.
         enums: the enumerations that they use, by name.

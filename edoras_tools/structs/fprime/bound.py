@@ -33,10 +33,7 @@ class BoundEntry(Bound):
     """An entry of a dictionary, and where its values lie; see :class:`Bound`.
 
     Args:
-        entry: what the dictionary says.
         key: its place in the table of entries.
-        layout: of the struct.
-        struct: time and values.
         type: of its messages, in full.
 
     Attributes:

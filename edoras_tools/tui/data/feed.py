@@ -25,11 +25,9 @@ class Feed(threading.Thread):
 
     Args:
         source: closed by the thread when it ends.
-        bench: mission, types and decoders.
         selection: which packets to read; its filter is ignored, because the view filters.
         deliver: called with each block, in this thread.
         ended: called once, with a message if there is something to report, and whether reading failed.
-        limits: when to stop.
         size: bytes to keep; 0 for all. Not for live sources: there the view drops its oldest packets instead.
     """
 

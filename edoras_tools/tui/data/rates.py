@@ -30,7 +30,6 @@ def rate_figure(
 
     Args:
         parts: what ``Store.parts`` returned.
-        context: knows the names of MsgIds.
         begin_ns: the time that seconds count from, ns since 1970.
         given_up: asked between blocks.
     """

@@ -35,7 +35,6 @@ def matcher(text: str, context: Context, begin_ns: int | None) -> Matcher:
     Args:
         text: a comparison of the filter language; bytes, e.g. ``0x0b0c``; else a text to search in topics, in
             names of packets and findings, and in the packets' bytes, ignoring case.
-        context: how packets are decoded.
         begin_ns: time of the first packet.
     """
     try:

@@ -41,7 +41,6 @@ def sort_order(
     Args:
         parts: what ``Store.parts`` returned.
         column: one of the list's columns, or any field.
-        context: how the packets were decoded.
         reverse: the greatest first.
         given_up: asked between blocks; the result is None when it returns true.
     """
@@ -65,7 +64,6 @@ def _values(rows: ColumnRows, several: Sequence[FilterField]) -> tuple[NDArray[A
     """Return the first value of each row, numbers or texts, and which rows have one.
 
     Args:
-        rows: of a block.
         several: fields that share a name; a row has the value of the last that it has.
     """
     out, there = np.zeros(len(rows)), np.zeros(len(rows), bool)

@@ -42,9 +42,6 @@ class Packets(Lines):
     """One line per packet.
 
     Args:
-        store: the packets.
-        context: how they were decoded.
-        time_format: format of the time column.
         verbose: show notes too, not only warnings and errors.
 
     Attributes:

@@ -65,7 +65,6 @@ class Routes(Lines):
     """The routes of a ledger.
 
     Args:
-        ledger: the counts of the routes.
         live: whether packets arrive live, so that there is a current rate.
     """
 

@@ -167,7 +167,6 @@ def boot_offsets(recorder: Recorder, name: str) -> list[int]:
     """Return capture time minus mission time, in ns, of each boot of a cFS in a capture.
 
     Args:
-        recorder: the capture.
         name: of the cFS, as ``66:1``; a boot whose name nothing says may be its own.
     """
     return [item.offset_ns for item in _side(recorder).instances.items if item.name in {name, ""}]

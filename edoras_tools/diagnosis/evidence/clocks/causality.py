@@ -66,10 +66,8 @@ def relations(first: Side, second: Side, about: ClockLine | None) -> list[Ordere
     """Return what of one capture came before what of the other.
 
     Args:
-        first: one capture.
-        second: the other.
-        about: how its clock stands to the first's as far as that is known, which tells what belongs together;
-            None where unknown.
+        about: how the second's clock stands to the first's as far as that is known, which tells what belongs
+            together; None where unknown.
     """
     return [*_related(first, second, about, back=False), *_related(second, first, about, back=True)]
 

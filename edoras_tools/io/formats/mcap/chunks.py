@@ -121,7 +121,6 @@ class ChunkWriter:
     """Appends messages to a file in chunks.
 
     Args:
-        file: where the chunks go.
         press: makes them; with nothing laid out.
         work: makes chunks of a large batch, see ``append_batch``.
         workers: run ``work`` too, if there are any.
@@ -203,7 +202,6 @@ class _Part:
     """The messages of one stream while they are put into chunks.
 
     Args:
-        messages: the stream.
         positions: i64, start of each message, counted from the batch's first.
         copy: copies the bytes after the heads.
     """
@@ -221,7 +219,6 @@ class _Part:
             last: a row of the batch.
             buffer: u8, the chunk.
             shift: position in the buffer of the batch's first message.
-            index: of the chunk.
         """
         messages = self._messages
         chosen = slice(self._done, int(np.searchsorted(messages.rows, last)))

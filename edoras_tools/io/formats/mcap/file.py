@@ -78,7 +78,6 @@ class Summary:
         """Count a chunk, and keep its ChunkIndex record.
 
         Args:
-            head: of the chunk.
             place: its position in the file, and its length.
             records: where its MessageIndex records start, ``INDEX_PLACE``.
             length: bytes of these records.
@@ -181,7 +180,6 @@ def pack_chunks(
     Args:
         raw: the records of all chunks.
         packed: the records of each, compressed with zstd.
-        messages: the messages in them.
         proved: add checksums; False for records that may already be wrong.
     """
     edges = pairwise(messages.edges.tolist())

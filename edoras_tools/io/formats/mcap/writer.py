@@ -73,7 +73,6 @@ class McapSink:
     Args:
         path: the file, replaced if it exists; when split ``NAME_0.mcap``, ``NAME_1.mcap`` and so on.
         mission: its routes become channels, its files attachments.
-        types: provides the schemas.
         info: of the source, for the metadata record.
         options: the contents, and how files are split.
         statistics: the source's, if ``/edoras/link_statistics`` is to show its kernel drops live.

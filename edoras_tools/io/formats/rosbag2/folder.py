@@ -23,7 +23,6 @@ class FolderSource(MergedSource):
     """A rosbag2 directory.
 
     Args:
-        path: of the directory.
         parts: its files, in order.
     """
 
@@ -45,7 +44,6 @@ def open_folder(path: Path, open_part: Callable[[Path], Source]) -> Source | Non
     """Open a directory; None if it is not one recording: it has no metadata, or no part is there.
 
     Args:
-        path: of the directory.
         open_part: opens one of its files.
 
     Raises:

@@ -83,7 +83,6 @@ class MessageSource:
     Args:
         name: of the recording.
         files: of it.
-        table: numbers its topics.
 
     Attributes:
         info: of kind ``topics``.

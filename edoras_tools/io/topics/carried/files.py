@@ -34,7 +34,6 @@ class FileMessages:
 
     Args:
         mission: says which files belong to which topics.
-        types: the ROS types.
     """
 
     def __init__(self, mission: Mission, types: TypeStore) -> None:
@@ -83,8 +82,6 @@ class FileMessages:
         """Take a batch; return the messages of the files whose transactions finished in it.
 
         Args:
-            batch: the datagrams.
-            columns: of the same rows.
             channel: returns the MCAP channel of a topic.
         """
         self._follower.add(batch, columns)

@@ -30,8 +30,6 @@ def log_messages(
     is that of the capture, because F Prime's clock may have any epoch.
 
     Args:
-        batch: the datagrams.
-        columns: of the same rows.
         structs: has a dictionary.
         types: has the type.
         channel_id: MCAP channel.

@@ -35,7 +35,6 @@ class SampleMessages:
     """Makes messages of samples; one that comes again, or to several readers, makes one message.
 
     Args:
-        types: the ROS types.
         taken: names of topics that other messages have.
         endpoints: what is announced, as far as it was decoded.
     """
@@ -53,8 +52,6 @@ class SampleMessages:
         """Return the messages of the samples in a batch.
 
         Args:
-            batch: the datagrams.
-            columns: of the same rows.
             channel: returns the MCAP channel of a topic and a type.
         """
         rows = np.flatnonzero(columns.link == RTPS)

@@ -41,9 +41,7 @@ def page(found: Diagnosis, name: str, made: Made) -> str:
     """Return the HTML page.
 
     Args:
-        found: the diagnosis.
         name: of the source.
-        made: for the footer.
     """
     sections = [section("Links", [links_picture(found)]), _verdicts(found)]
     if found.case is not None and found.datagrams:

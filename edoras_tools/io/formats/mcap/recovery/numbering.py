@@ -111,7 +111,6 @@ class Numbering:
         """Number a channel, and write it and its schema if they are new.
 
         Args:
-            channel: the channel.
             schema: its schema, or None.
             write: write new ones.
             inside: a chunk contains it, so it is not written again.

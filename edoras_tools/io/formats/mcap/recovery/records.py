@@ -65,9 +65,6 @@ def parse(opcode: int, content: bytes) -> Any:
 class FileBytes:
     """Random access to a file whose size must not change meanwhile.
 
-    Args:
-        path: the file.
-
     Attributes:
         size: its bytes when it was opened.
 

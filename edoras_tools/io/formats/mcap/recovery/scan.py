@@ -93,7 +93,6 @@ class Scan:
     """Identifies the contents of a file.
 
     Args:
-        file: the file.
         sections: its intact summaries.
     """
 

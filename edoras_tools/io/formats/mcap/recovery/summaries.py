@@ -79,7 +79,6 @@ class FoundSummary:
         """Return the index of a chunk, if it belongs to this file; several if chunks cannot be distinguished.
 
         Args:
-            walked: the contents of the chunk.
             head: the times in its head.
             packed: its compressed size.
         """
