@@ -35,8 +35,8 @@ def xtce(
 ) -> None:
     """Describe packets for ground systems, as XTCE or for COSMOS.
 
-    Of the missions that -c names: telemetry of Telemetry Output and of cFE itself, field by field; commands
-    to Command Ingest of fixed size.
+    Of the missions that -c names and the C structs of --structs: telemetry of Telemetry Output and of cFE
+    itself, field by field; commands to Command Ingest of fixed size.
     """
     from edoras_tools.io.outputs import check_new, unless_standard, write_bytes
     from edoras_tools.pipelines.xtce import describe_packets

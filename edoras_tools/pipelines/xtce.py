@@ -10,12 +10,10 @@ from edoras_tools.codegen.ground.cosmos import cosmos
 from edoras_tools.codegen.ground.packets import PacketItem, route_packet, struct_packet
 from edoras_tools.codegen.ground.xtce import xtce
 from edoras_tools.errors import ConfigError
+from edoras_tools.structs.packets import PACKETS, UDP_KEY
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from edoras_tools.codegen.ground.packets import GroundPacket
     from edoras_tools.pipelines.workbench import Workbench
 
 
@@ -55,30 +53,26 @@ def describe_packets(
         raise ConfigError("packets are told by their APID, which MsgIds of version 2 share; use version 1")
     notes: list[str] = []
     telemetry, commands = [], []
-    for route in bench.mission.routes:
-        if route.link.peers:
+    routes = [route for route in bench.mission.routes if not route.link.peers]
+    packets = [(route_packet(route, bench.types, edoras_app.SET), route.to_cfs) for route in routes]
+    for bound in context.structs.all:
+        key = bound.key
+        if key.msg_id >= UDP_KEY:  # a robot's datagram, an entry of F Prime: no space packet of cFE
             continue
-        packet = route_packet(route, bench.types, edoras_app.SET)
-        if not packet.whole:
-            notes.append(f"{packet.doc}: described up to a field whose place varies too much")
-        if not route.to_cfs:
-            telemetry.append(packet)
-        elif all(isinstance(item, PacketItem) for item in packet.items) and packet.whole:
+        to_cfs = context.msg_ids.is_command(key.msg_id)
+        if to_cfs and key.function_code is None:
+            notes.append(f"{key}, {bound.name}: no command is described: bind {key}/CODE, its function code")
+        elif to_cfs or key.function_code is None:
+            packets.append((struct_packet(bound), to_cfs))
+    for packet, to_cfs in packets:
+        fixed = packet.whole and all(isinstance(item, PacketItem) for item in packet.items)
+        if to_cfs and fixed:
             commands.append(packet)
-        else:
+        elif to_cfs:
             notes.append(f"{packet.doc}: no command is described: its size varies")
-    routed = {packet.msg_id for packet in telemetry}
-    telemetry += [packet for packet in _structs(bench) if packet.msg_id not in routed]
+        else:
+            telemetry.append(packet)
+            if not packet.whole and packet.msg_id not in PACKETS:
+                notes.append(f"{packet.doc}: described up to a field whose place varies too much")
     text = (cosmos if for_cosmos else xtce)(name, telemetry, commands, headers)
     return GroundDescription(text, len(telemetry), len(commands), notes)
-
-
-def _structs(bench: Workbench) -> Iterator[GroundPacket]:
-    """Yield the telemetry packets that hold a known C struct, each MsgId once."""
-    seen: set[int] = set()
-    for layout in bench.columns.context.structs.layouts:
-        for key in sorted(layout.bindings):
-            if key.port is None and key.function_code is None and key.msg_id not in seen:
-                seen.add(key.msg_id)
-                if not cfe.STANDARD.msg_ids.is_command(key.msg_id):
-                    yield struct_packet(key, layout)

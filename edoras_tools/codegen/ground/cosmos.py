@@ -19,7 +19,7 @@ from edoras_tools.codegen.ground.packets import (
     REMAINDERS,
     PacketItem,
     StringItem,
-    command_parts,
+    command_header,
     header_items,
     identifier,
     telemetry_items,
@@ -28,7 +28,7 @@ from edoras_tools.wire import ccsds
 from edoras_tools.wire.cfe import EXTENDED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator
 
     from edoras_tools.codegen.ground.packets import GroundPacket, Items
     from edoras_tools.wire.cfe import Headers
@@ -42,6 +42,8 @@ _RESERVED: Final = {
 }
 """Names that COSMOS gives items of its own."""
 _NUMBERS: Final = {"uint", "int", "float"}
+_TELLING: Final = {"apid", "packet_type", "function_code"}
+"""The fields of the headers by which a command is told."""
 
 
 def cosmos(
@@ -115,17 +117,11 @@ class _Items:
     def _item(self, item: PacketItem, told_by: int | None = None) -> str:
         return self._line(item) if told_by is None else self._line(item, "ID_ITEM", f" {told_by}")
 
-    def fixed(
-        self, items: Iterable[PacketItem], values: Mapping[str, object], ids: set[str]
-    ) -> Iterator[str]:
-        """Yield parameters that always have one value."""
-        for item in items:
-            value = values[item.name]
-            if isinstance(value, bytes):
-                yield self._line(item, "PARAMETER", f" 0x{value.hex()}")
-            else:
-                kind = "ID_PARAMETER" if item.name in ids else "PARAMETER"
-                yield self._line(item, kind, f" {value} {value} {value}")
+    def constant(self, item: PacketItem, value: object, *, tells: bool = False) -> str:
+        """Return a parameter that always has one value, by which a command may be told."""
+        if isinstance(value, bytes):
+            return self._line(item, "PARAMETER", f" 0x{value.hex()}")
+        return self._line(item, "ID_PARAMETER" if tells else "PARAMETER", f" {value} {value} {value}")
 
     def argument(self, item: PacketItem) -> str:
         """Return a parameter that the operator chooses."""
@@ -159,24 +155,20 @@ def _quoted(text: str) -> str:
 
 
 def _command(target: str, packet: GroundPacket, headers: Headers) -> Iterator[str]:
-    head, *arguments = command_parts(packet, headers)
-    assert isinstance(head, bytes)
+    head = command_header(packet, headers)
     yield f"COMMAND {target} {_plain(packet.name)} LITTLE_ENDIAN {_quoted(packet.doc)}"
     made = _Items()
     at = 0
-    layouts = (ccsds.PRIMARY, *((EXTENDED,) if headers.extended else ()), headers.command)
-    for layout in layouts:
-        ids = {"apid", "packet_type"} if layout is ccsds.PRIMARY else set()
-        yield from made.fixed(header_items(layout), layout.parse(head, at), ids)
+    for layout in (ccsds.PRIMARY, *((EXTENDED,) if headers.extended else ()), headers.command):
+        values = layout.parse(head, at)
+        for item in header_items(layout):
+            yield made.constant(item, values[item.name], tells=item.name in _TELLING)
         at += layout.size
-    for item in packet.items[:3]:  # the envelope, CDR's encapsulation
-        assert isinstance(item, PacketItem)
-        raw = head[at : at + item.bits // 8]
-        value = raw if item.encoding == "bytes" else int.from_bytes(raw, "little" if item.little else "big")
-        yield from made.fixed([item], {item.name: value}, set())
-        at += item.bits // 8
-    for part in arguments:
-        if isinstance(part, bytes):
-            yield from made.fixed([PacketItem("", "bytes", 8 * len(part))], {"": part}, set())
-        else:
+    for part in packet.items:
+        assert isinstance(part, PacketItem)
+        if not part.fixed:
             yield made.argument(part)
+        elif part.encoding == "bytes":
+            yield made.constant(part, part.fixed)
+        else:
+            yield made.constant(part, int.from_bytes(part.fixed, "little" if part.little else "big"))

@@ -11,10 +11,11 @@ Rules:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 from edoras_tools.ros.cdr.plan import PrimitiveRun, Repeat, Text
+from edoras_tools.structs.messages import parts
 from edoras_tools.structs.shapes import BasicKind
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
@@ -22,12 +23,14 @@ from edoras_tools.wire.cfe import EXTENDED, emit_command
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from edoras_tools.mission import Route
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.cdr.plan import CdrPlan, PlanStep
-    from edoras_tools.structs.shapes import Key, Member, StructLayout
+    from edoras_tools.structs.bound import Bound
+    from edoras_tools.structs.messages import MessagePart
+    from edoras_tools.structs.shapes import Member, Struct, StructLayout
     from edoras_tools.wire.cfe import Headers
     from edoras_tools.wire.layout import Layout
 
@@ -60,6 +63,7 @@ class PacketItem:
         bits: its width.
         doc: one line.
         little: whether its least significant byte comes first.
+        fixed: its bytes where a command always has the same; none where they are an argument.
     """
 
     name: str
@@ -67,6 +71,7 @@ class PacketItem:
     bits: int
     doc: str = ""
     little: bool = True
+    fixed: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,37 +138,30 @@ def telemetry_items(headers: Headers) -> tuple[PacketItem, ...]:
     return (header_items(EXTENDED) if headers.extended else ()) + header_items(headers.telemetry)
 
 
-def command_parts(packet: GroundPacket, headers: Headers) -> list[bytes | PacketItem]:
-    """Return the parts of a command of fixed size: bytes that are always the same, and arguments.
-
-    The first part is all in front of the message: cFE's headers, the envelope and CDR's encapsulation.
-    """
-    items = [item for item in packet.items if isinstance(item, PacketItem)]
-    lengths, values = items[:2], items[3:]  # the envelope, CDR's encapsulation, the message
-    size = sum(item.bits for item in items) // 8
-    cdr = size - sum(item.bits for item in lengths) // 8
+def command_header(packet: GroundPacket, headers: Headers) -> bytes:
+    """Return the cFE header of a command of fixed size, checksum 0."""
+    size = sum(item.bits for item in packet.items if isinstance(item, PacketItem)) // 8
+    code = packet.function_code
     whole = emit_command(
-        packet.msg_id,
-        packet.function_code,
-        bytes(size),
-        sequence_flags=0,
-        with_checksum=False,
-        headers=headers,
+        packet.msg_id, code, bytes(size), sequence_flags=0, with_checksum=False, headers=headers
     )
-    head = [cdr.to_bytes(item.bits // 8, "little" if item.little else "big") for item in lengths]
-    encapsulation = ENCAPSULATION.emit({"representation": CDR_LE, "options": 0})
-    return [
-        whole[: headers.command_bytes] + b"".join(head) + encapsulation,
-        *(item if item.name else bytes(item.bits // 8) for item in values),
-    ]
+    return whole[: headers.command_bytes]
 
 
 def route_packet(route: Route, types: TypeStore, function_code: int) -> GroundPacket:
     """Return the packet of a route: the envelope, CDR's encapsulation, then the message's fields."""
     envelope = DEFAULT if route.envelope in {None, "auto"} else EnvelopeFormat.named(str(route.envelope))
-    head = (*header_items(envelope.layout), PacketItem("encapsulation", "bytes", 32, "of the CDR"))
     _, plan = types.plan(route.type)
     body, whole = _cdr(tuple(_steps(plan)), 0, 0)
+    cdr = ENCAPSULATION.size + sum(item.bits for item in body if isinstance(item, PacketItem)) // 8
+    representation = ENCAPSULATION.emit({"representation": CDR_LE, "options": 0})
+    head = (
+        *(
+            replace(item, fixed=cdr.to_bytes(item.bits // 8, "little" if item.little else "big"))
+            for item in header_items(envelope.layout)
+        ),
+        PacketItem("encapsulation", "bytes", 32, "of the CDR", fixed=representation),
+    )
     doc = f"{route.topic}, {route.type}"
     return GroundPacket(identifier(route.topic), doc, route.msg_id, head + body, whole, function_code)
 
@@ -199,7 +197,7 @@ def _cdr(steps: Sequence[tuple[str, PlanStep]], at: int, strings: int) -> tuple[
 
 def _padding(size: int) -> Iterator[PacketItem]:
     if size:
-        yield PacketItem("", "bytes", 8 * size, "alignment")
+        yield PacketItem("", "bytes", 8 * size, "alignment", fixed=bytes(size))
 
 
 def _run(prefix: str, run: PrimitiveRun) -> Iterator[PacketItem]:
@@ -217,39 +215,80 @@ def _run(prefix: str, run: PrimitiveRun) -> Iterator[PacketItem]:
                 yield PacketItem(f"{prefix}{leaf.name}[{place}]", encoding, 8 * leaf.size)
 
 
-def struct_packet(key: Key, layout: StructLayout) -> GroundPacket:
-    """Return the packet of a C struct; bit-fields and open arrays end it."""
-    struct = layout.structs[layout.bindings[key]]
-    items, whole = _members(layout, struct.name, "", struct.header)
-    return GroundPacket(identifier(struct.name), struct.doc or struct.name, key.msg_id, items, whole)
+def struct_packet(bound: Bound) -> GroundPacket:
+    """Return the packet of a C struct; an open array ends it."""
+    struct = bound.struct
+    items, whole = _members(bound.layout, struct, "", whole=True)
+    name, doc = identifier(bound.topic.removeprefix("/cfs/")), struct.doc or struct.name
+    return GroundPacket(name, doc, bound.key.msg_id, items, whole, bound.key.function_code or 0)
 
 
-def _members(layout: StructLayout, name: str, prefix: str, at: int = 0) -> tuple[Items, bool]:
-    struct = layout.structs[name]
+def _members(layout: StructLayout, struct: Struct, prefix: str, *, whole: bool) -> tuple[Items, bool]:
+    if struct.union:
+        return (PacketItem(prefix.removesuffix(".") or "union", "bytes", 8 * struct.size, struct.doc),), True
     items: list[PacketItem | StringItem] = []
-    for member in struct.members:
-        if member.offset < at or member.bits or (member.dims and not member.count):
+    at = 0
+    for unit in _units(parts(layout, struct, whole=whole)):
+        name, member, is_open = unit[0]
+        if is_open:
             return tuple(items), False
         items += _padding(member.offset - at)
-        some, whole = _elements(layout, member, prefix + member.name)
+        if member.bits:
+            field = _bit_fields(unit, prefix, little=layout.byte_order == "little")
+            items.append(field)
+            at = member.offset + field.bits // 8
+            continue
+        some, full = _elements(layout, member, prefix + name)
         items += some
-        if not whole:
+        if not full:
             return tuple(items), False
-        at = member.offset + layout.size(member) * (member.count if member.array else 1)
-    items += _padding(struct.size - at)
+        at = member.offset + layout.size(member) * member.count
+    items += _padding(struct.size - (struct.header if whole else 0) - at)
     return tuple(items), True
+
+
+def _units(members: Iterable[MessagePart]) -> Iterator[list[MessagePart]]:
+    """Yield each member alone, bit-fields that share bytes together."""
+    unit: list[MessagePart] = []
+    for part in members:
+        if unit and not (part.member.bits and part.member.offset < _end(unit[-1].member)):
+            yield unit
+            unit = []
+        unit.append(part)
+    if unit:
+        yield unit
+
+
+def _end(member: Member) -> int:
+    """Return the byte behind a bit-field; the first of other members."""
+    return member.offset + (member.bits and (member.bit + member.bits + 7) // 8)
+
+
+def _bit_fields(unit: Sequence[MessagePart], prefix: str, *, little: bool) -> PacketItem:
+    """Return the number that bit-fields are in: compilers let them lie across bytes."""
+    begin = unit[0].member.offset
+    size = _end(unit[-1].member) - begin
+    places = (
+        f"{part.name} {part.member.bits} from {8 * (part.member.offset - begin) + part.member.bit}"
+        for part in unit
+    )
+    doc = f"bits, the {'least' if little else 'most'} significant is 0: {', '.join(places)}"
+    encoding: Encoding = "uint" if size in {1, 2, 4, 8} else "bytes"
+    return PacketItem(prefix + "_".join(part.name for part in unit), encoding, 8 * size, doc, little)
 
 
 def _elements(layout: StructLayout, member: Member, name: str) -> tuple[Items, bool]:
     """Return the items of a member, one for each element of an array."""
-    count = member.count if member.array else 1
-    names = [f"{name}[{place}]" for place in range(count)] if member.array else [name]
+    names = [f"{name}[{place}]" for place in range(member.count)] if member.array else [name]
     basic, little = layout.basic(member), layout.byte_order == "little"
     if basic is None:
-        parts = [_members(layout, str(member.type), f"{item}.") for item in names]
-        return tuple(item for some, _ in parts for item in some), all(whole for _, whole in parts)
+        struct = layout.structs[str(member.type)]
+        inner = [_members(layout, struct, f"{item}.", whole=False) for item in names]
+        return tuple(item for some, _ in inner for item in some), all(whole for _, whole in inner)
     encoding: Encoding = "text" if member.text else _KINDS[basic.kind]
     bits = 8 * layout.size(member)
-    if count > _MOST_ELEMENTS:
-        return (PacketItem(name, "bytes", bits * count, member.doc),), True
-    return tuple(PacketItem(item, encoding, bits, member.doc, little) for item in names), True
+    if member.count > _MOST_ELEMENTS:
+        return (PacketItem(name, "bytes", bits * member.count, member.doc),), True
+    enum = layout.enumeration(member)
+    doc = member.doc or ", ".join(f"{value} {label}" for value, label in (enum.names.items() if enum else ()))
+    return tuple(PacketItem(item, encoding, bits, doc, little) for item in names), True

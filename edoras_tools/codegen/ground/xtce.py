@@ -14,7 +14,7 @@ from edoras_tools.codegen.ground.packets import (
     REMAINDERS,
     PacketItem,
     StringItem,
-    command_parts,
+    command_header,
     header_items,
     identifier,
     telemetry_items,
@@ -142,10 +142,7 @@ class _System:
             ET.SubElement(self._parameters, "Parameter", made)
 
     def _type(self, item: PacketItem) -> str:
-        order = (
-            "" if item.bits <= 8 or item.encoding in {"bytes", "text"} else "_le" if item.little else "_be"
-        )
-        name = f"{item.encoding}{item.bits}{order}"
+        name = _type_name(item)
         if name not in self._known:
             self._known.add(name)
             _data_type(self._types, "Parameter", name, item)
@@ -163,18 +160,30 @@ class _System:
             arguments = ET.SubElement(command, "ArgumentList")
             container = ET.SubElement(command, "CommandContainer", {"name": f"{packet.name}_packet"})
             entries = ET.SubElement(container, "EntryList")
-            for part in command_parts(packet, self._headers):
-                if isinstance(part, bytes):
-                    value = {"binaryValue": part.hex().upper(), "sizeInBits": str(8 * len(part))}
-                    ET.SubElement(entries, "FixedValueEntry", value)
+            _fixed(entries, command_header(packet, self._headers))
+            for part in packet.items:
+                assert isinstance(part, PacketItem)
+                if part.fixed:
+                    _fixed(entries, part.fixed)
                     continue
-                kind = f"arg_{part.encoding}{part.bits}"
+                kind = f"arg_{_type_name(part)}"
                 if kind not in known:
                     known.add(kind)
                     _data_type(types, "Argument", kind, part)
                 name = identifier(part.name)
-                ET.SubElement(arguments, "Argument", {"name": name, "argumentTypeRef": kind})
+                argument = {"name": name, "argumentTypeRef": kind, "shortDescription": part.doc or part.name}
+                ET.SubElement(arguments, "Argument", argument)
                 ET.SubElement(entries, "ArgumentRefEntry", {"argumentRef": name})
+
+
+def _fixed(entries: ET.Element, value: bytes) -> None:
+    fixed = {"binaryValue": value.hex().upper(), "sizeInBits": str(8 * len(value))}
+    ET.SubElement(entries, "FixedValueEntry", fixed)
+
+
+def _type_name(item: PacketItem) -> str:
+    order = "" if item.bits <= 8 or item.encoding in {"bytes", "text"} else "_le" if item.little else "_be"
+    return f"{item.encoding}{item.bits}{order}"
 
 
 def _length_of(string: StringItem) -> list[PacketItem]:

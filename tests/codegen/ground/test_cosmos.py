@@ -7,15 +7,24 @@ import struct
 import subprocess
 
 import pytest
-from places import CAPTURES, MISSIONS, ROOT, SUPPORT
+from ground_packets import (
+    DRIVE,
+    GROUND_SAMPLES,
+    WORD,
+    drive_payload,
+    flat,
+    health_payload,
+    sample_bench,
+    struct_bench,
+    telemetry,
+)
+from places import MISSIONS, ROOT, SUPPORT
 from waiting import PATIENCE_S
 
 from edoras_tools.codegen.ground.cosmos import cosmos
 from edoras_tools.codegen.ground.packets import PacketItem, identifier, route_packet
 from edoras_tools.decode import Options
-from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import table
-from edoras_tools.links.to import TO
 from edoras_tools.mission import Route
 from edoras_tools.pipelines.sending.topics import Encoder
 from edoras_tools.pipelines.workbench import Settings
@@ -51,18 +60,6 @@ def ask(folder, text, questions):
     return answers
 
 
-def flat(value, prefix=""):
-    """Yield (dotted name, value) of every leaf."""
-    if isinstance(value, dict):
-        for name, item in value.items():
-            yield from flat(item, f"{prefix}.{name}" if prefix else name)
-    elif isinstance(value, list):
-        for place, item in enumerate(value):
-            yield from flat(item, f"{prefix}[{place}]")
-    else:
-        yield prefix, value
-
-
 def ours(decoded):
     """Return the values of a packet by the names that they have there."""
     leaves = flat(decoded.message.values)
@@ -78,23 +75,11 @@ def ours(decoded):
 
 
 @needs_cosmos
-@pytest.mark.parametrize(
-    ("capture", "mission", "least"),
-    [
-        ("a_rover", "rover_ground", 9),
-        ("b_arm_single", "single_arm_ground", 9),
-        ("e_ci_errors", "rover_ground", 9),
-    ],
-)
-def test_cosmos_reads_the_values_that_we_do(capture, mission, least, tmp_path):
-    bench = Settings([MISSIONS / f"{mission}.yaml"]).workbench()
+@pytest.mark.parametrize("capture", GROUND_SAMPLES)
+def test_cosmos_reads_the_values_that_we_do(capture, tmp_path):
+    bench = sample_bench(capture)
     made = describe_packets(bench, "rover", for_cosmos=True)
-    batches = open_file(CAPTURES / f"{capture}.pcap").batches()
-    telemetry = [
-        item for batch in batches for item in batch if item.destination.port == TO.transport.ports[0]
-    ]
-    decoded = [bench.dissector.dissect(item) for item in telemetry]
-    known = [item for item in decoded if item.message is not None]
+    known = telemetry(capture, bench)
     answers = ask(tmp_path, made.text, [{"read": item.datagram.payload.hex()} for item in known])
     names, compared = set(), 0
     for item, answer in zip(known, answers, strict=True):
@@ -110,7 +95,7 @@ def test_cosmos_reads_the_values_that_we_do(capture, mission, least, tmp_path):
             compared += 1
         if "REST" not in theirs:  # all of it is described
             assert values.keys() <= theirs.keys(), item.message.topic
-    assert len(names) >= least
+    assert len(names) >= 9
     assert len(known) > 300
     assert compared > 10 * len(known)
 
@@ -184,6 +169,30 @@ def test_a_command_is_the_packet_that_inject_sends(options, tmp_path):
     ):
         sent = Encoder.of(route, bench).packet(bench.types.encode(route.type, twist), 0)
         assert answer["hex"] == sent.packet.hex()
+
+
+@needs_cosmos
+@pytest.mark.parametrize("order", ["little", "big"])
+def test_packets_of_c_structs_are_those_that_a_compiler_lays_out(order, tmp_path):
+    made = describe_packets(struct_bench(tmp_path, order), "rover", for_cosmos=True)
+    sent = {name.upper(): value for name, value in DRIVE.items()} | {"WORD": WORD.decode()}
+    health = cfe.emit_telemetry(0x0890, health_payload(order))
+    second, third, reset, read = ask(
+        tmp_path,
+        made.text,
+        [{"build": f"DRIVE_0X1890_{code}", "values": sent} for code in (2, 3)]
+        + [{"build": "RESET", "values": {}}, {"read": health.hex()}],
+    )
+    for code, answer in ((2, second), (3, third)):
+        expected = cfe.emit_command(0x1890, code, drive_payload(order), sequence_flags=0, with_checksum=False)
+        assert answer["hex"] == expected.hex()
+    assert reset["hex"] == "1891000000010000"
+    items = read["items"]
+    charge = 700 | 1 << 10 if order == "little" else 700 << 6 | 1 << 5
+    assert (items["COUNT"], items["CHARGE_ON"], items["MODE"], items["NAME"]) == (7, charge, 1, "rove")
+    assert [items[f"PATH_{place}_{axis}"] for place in (0, 1) for axis in "XY"] == [1.5, 2.5, 3.5, 4.5]
+    assert items["WORD"] == WORD.hex()
+    assert "REST" not in items
 
 
 def test_no_two_items_of_a_packet_share_a_name_and_texts_end_where_they_do(tmp_path):

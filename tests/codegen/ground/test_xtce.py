@@ -7,6 +7,7 @@ import warnings
 from xml.etree import ElementTree as ET
 
 import pytest
+from ground_packets import GROUND_SAMPLES, WORD, flat, health_payload, sample_bench, struct_bench, telemetry
 from places import CAPTURES, MISSIONS
 from rewriting import datagrams
 from space_packet_parser.xtce.definitions import XtcePacketDefinition
@@ -45,44 +46,22 @@ def parsed(definition, packet):
         return dict(definition.parse_bytes(packet, root_container_name="CCSDSPacket").items())
 
 
-def flat(value, prefix=""):
-    """Yield (dotted name, value) of every leaf."""
-    if isinstance(value, dict):
-        for name, item in value.items():
-            yield from flat(item, f"{prefix}.{name}" if prefix else name)
-    elif isinstance(value, list):
-        for place, item in enumerate(value):
-            yield from flat(item, f"{prefix}[{place}]")
-    else:
-        yield prefix, value
-
-
-@pytest.mark.parametrize("name", ["a_rover", "b_arm_single"])
+@pytest.mark.parametrize("name", GROUND_SAMPLES)
 def test_the_independent_reader_reads_the_values_that_we_do(name, definition):
-    mission = MISSIONS / ("single_arm_ground.yaml" if name == "b_arm_single" else "rover_ground.yaml")
-    bench = Settings([mission]).workbench()
+    bench = sample_bench(name)
     made = definition(describe_packets(bench).text)
-    routes = {
-        route.msg_id: route for route in bench.mission.routes if not route.to_cfs and not route.link.peers
-    }
-    seen = compared = 0
-    for item in datagrams(CAPTURES / f"{name}.pcap"):
-        msg_id = int.from_bytes(item.payload[:2], "big")
-        if item.destination[1] != TO_PORT or msg_id not in routes:
-            continue
-        route = routes[msg_id]
-        (length,) = struct.unpack_from("<Q", item.payload, 16)
-        ours = dict(flat(bench.types.decode(route.type, item.payload[32 : 32 + length])))
-        prefix = f"{identifier(route.topic)}_"
-        theirs = parsed(made, item.payload)
-        seen += 1
-        for field, value in ours.items():
-            known = [key for key in theirs if re.fullmatch(f"{prefix}{identifier(field)}(_[0-7])?", key)]
-            for key in known:
+    known = telemetry(name, bench)
+    compared = 0
+    for item in known:
+        prefix = f"{identifier(item.message.topic.removeprefix('/cfs/'))}_"
+        theirs = parsed(made, item.datagram.payload)
+        for field, value in flat(item.message.values):
+            names = [key for key in theirs if re.fullmatch(f"{prefix}{identifier(field)}(_[0-7])?", key)]
+            for key in names:
                 compared += 1
                 assert theirs[key] == value or (value == "" and theirs[key] == ""), field
-    assert seen > 50
-    assert compared >= 3 * seen
+    assert len(known) > 300
+    assert compared > 10 * len(known)
 
 
 @pytest.mark.parametrize("length", [0, 1, 2, 6, 7, 8, 9, 15, 63, 254])
@@ -141,6 +120,21 @@ def test_a_command_is_the_packet_that_inject_sends():
     twist = {"linear": {"x": 1.5, "y": -0.25}, "angular": {"z": math.pi}}
     sent = Encoder.of(route, bench).packet(bench.types.encode(route.type, twist), 0)
     assert data == sent.packet
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+def test_a_c_struct_is_read_as_a_compiler_lays_it_out(order, definition, tmp_path):
+    made = describe_packets(struct_bench(tmp_path, order))
+    assert made.notes == [
+        "0x1892, Any: no command is described: bind 0x1892/CODE, its function code",
+        "Upload: no command is described: its size varies",
+    ]
+    theirs = parsed(definition(made.text), cfe.emit_telemetry(0x0890, health_payload(order)))
+    charge = 700 | 1 << 10 if order == "little" else 700 << 6 | 1 << 5
+    names = ("count", "charge_on", "mode", "name", "word")
+    assert [theirs[f"Health_{name}"] for name in names] == [7, charge, 1, "rove", WORD]
+    path = [theirs[f"Health_path_{place}__{axis}"] for place in (0, 1) for axis in "xy"]
+    assert path == [1.5, 2.5, 3.5, 4.5]
 
 
 def test_msg_ids_of_version_2_are_refused():

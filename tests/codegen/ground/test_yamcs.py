@@ -4,16 +4,16 @@ import socket
 from contextlib import suppress
 
 import pytest
-from places import CAPTURES, MISSIONS, ROOT
+from ground_packets import DRIVE, WORD, drive_payload, struct_bench
+from places import CAPTURES, ROOT
 from rewriting import datagrams
 from waiting import HOST, PATIENCE_S, Program, free_ports, until
 from yamcs_server import HERE, WHY, api, asked, yamcs
 
 from edoras_tools.pipelines.sending.topics import Encoder
-from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.pipelines.xtce import describe_packets
+from edoras_tools.wire import cfe
 
-MISSION = MISSIONS / "rover_ground.yaml"
 INSTANCE = """
 services:
   - {{class: org.yamcs.archive.XtceTmRecorder}}
@@ -39,7 +39,7 @@ streamConfig:
 @pytest.mark.skipif(not HERE, reason=WHY)
 def test_yamcs_reads_and_sends_what_we_do(tmp_path):
     http, telemetry = free_ports(2)
-    bench = Settings([MISSION]).workbench()
+    bench = struct_bench(tmp_path, "big")
     made = describe_packets(bench)
     (tmp_path / "rover.xml").write_bytes(made.text)
     realtime = f"{api(http)}/processors/edoras/realtime"
@@ -70,6 +70,11 @@ def test_yamcs_reads_and_sends_what_we_do(tmp_path):
             (route,) = (item for item in bench.mission.routes if item.topic == "/cmd_vel")
             cdr = bench.types.encode(route.type, {"linear": {"x": 0.5}})
             assert ci.recv(2000) == Encoder.of(route, bench).packet(cdr, 0).packet
+            asked(f"{realtime}/commands/edoras/Drive_0x1890_3", {"args": DRIVE | {"word": WORD.hex()}})
+            drive = cfe.emit_command(0x1890, 3, drive_payload("big"), sequence_flags=0, with_checksum=False)
+            assert ci.recv(2000) == drive
+            asked(f"{realtime}/commands/edoras/Reset", {})
+            assert ci.recv(2000).hex() == "1891000000010000"
 
 
 ARGUMENTS = [f"{part}_{axis}" for part in ("linear", "angular") for axis in "xyz"]
