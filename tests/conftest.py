@@ -1,5 +1,6 @@
 """What all tests share: how they are drawn, and that none hangs."""
 
+import contextlib
 import faulthandler
 import gc
 import os
@@ -9,6 +10,7 @@ import sys
 import pytest
 from effort import LONG, examples
 from hypothesis import settings
+from namespace import enter
 
 # Machines differ and are shared: an example may take as long as it takes. The examples are the same in every
 # run, so that a change is judged by what it changes; `make explore` draws new ones.
@@ -22,6 +24,11 @@ gc.set_threshold(200_000)
 # What whoever runs the tests has set for their own terminal is not what the tests speak of.
 for name in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "COLORFGBG", "ROS_DISTRO"):
     os.environ.pop(name, None)
+
+# Each worker of a session has a network of its own, so that no test meets the traffic of another or takes its
+# port. Where that is not allowed, tests that must not run in the network of others fail, and say why.
+with contextlib.suppress(OSError):
+    enter()
 
 LIMIT_S = 600
 """What a test may take before it is taken to hang; none takes a thirtieth of it on an idle machine."""

@@ -10,10 +10,13 @@ import struct
 from contextlib import ExitStack
 
 import pytest
-from places import ROOT
+from places import MISSIONS
 from waiting import Program
 
 HEADER = bytes.fromhex("1827 0000 0045 01 00") + struct.pack("<QQ", 52, 52) + bytes.fromhex("00010000")
+
+
+GROUND = ("-c", MISSIONS / "rover_ground.yaml")
 
 
 def twist(number):
@@ -28,25 +31,14 @@ def numbers(messages):
 
 @pytest.fixture
 def link():
-    """A function that sends datagrams, and the port that they go to."""
+    """A function that sends datagrams, and the port that they go to: CI's."""
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
     ):
-        receiver.bind(("127.0.0.1", 0))
+        receiver.bind(("127.0.0.1", 1234))
         sender.connect(receiver.getsockname())
         yield sender.send, receiver.getsockname()[1]
-
-
-@pytest.fixture
-def ground(link, tmp_path):
-    """The options of a mission whose CI is at that port alone: to the usual one other programs may send."""
-    _, port = link
-    path = tmp_path / "rover_ground.yaml"
-    usual = (ROOT / "samples/missions/rover_ground.yaml").read_text()
-    assert "fsw_port: 1234" in usual
-    path.write_text(usual.replace("fsw_port: 1234", f"fsw_port: {port}"))
-    return ["-c", path]
 
 
 @pytest.fixture
@@ -79,9 +71,9 @@ def listening(where):
     return sender
 
 
-def test_sniff_shows_each_packet_as_it_comes(start, link, ground):
+def test_sniff_shows_each_packet_as_it_comes(start, link):
     send, port = link
-    options = [*ground, "--topic", "/cmd_vel", "--json"]
+    options = [*GROUND, "--topic", "/cmd_vel", "--json"]
     program, where = start("sniff", "-i", "lo", *options)
     assert where == "lo"
     for number in range(3):
@@ -92,9 +84,9 @@ def test_sniff_shows_each_packet_as_it_comes(start, link, ground):
     assert end(program) == ("", "")
 
 
-def test_record_for_a_time(start, link, ground, recording, tmp_path):
+def test_record_for_a_time(start, link, recording, tmp_path):
     send, _ = link
-    options = [*ground, "--duration", "1s"]
+    options = [*GROUND, "--duration", "1s"]
     program, _ = start("record", "-i", "lo", *options, "-o", tmp_path / "x.mcap")
     for number in range(300):
         send(twist(number))
@@ -109,10 +101,10 @@ def test_record_for_a_time(start, link, ground, recording, tmp_path):
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_record_until_interrupted(how, start, link, ground, recording, tmp_path):
+def test_record_until_interrupted(how, start, link, recording, tmp_path):
     """Everything sent before Ctrl-C is in the recording."""
     send, _ = link
-    options = ["--json", *ground]
+    options = ["--json", *GROUND]
     program, _ = start("record", "-i", "lo", *options, "-o", tmp_path / "x.mcap")
     for number in range(100):
         send(twist(number))

@@ -1,13 +1,32 @@
-"""A network namespace of a test's own, with a cable in it: two ends of a veth pair."""
+"""Network namespaces: one for a process, one of a test's own, with a cable in it: two ends of a veth pair."""
 
 import ctypes
 import socket
 import struct
 import subprocess
 import threading
+from pathlib import Path
 
 CLONE_NEWNET = 0x40000000
+OUTSIDE = Path("/proc/self/ns/net").readlink()
 ADDRESSES, IPV4 = bytes.fromhex("020000000001 020000000002"), b"\x08\x00"
+
+
+def enter():
+    """Take this thread, and what it starts, into a new one, in which only a loopback interface is.
+
+    Raises:
+        OSError: it may not; it is where it was.
+    """
+    library = ctypes.CDLL(None, use_errno=True)
+    if library.unshare(CLONE_NEWNET) != 0:
+        raise OSError(ctypes.get_errno(), "a namespace needs CAP_SYS_ADMIN")
+    ip("link", "set", "lo", "up")
+
+
+def entered():
+    """Tell whether this process is in a namespace that ``enter`` made."""
+    return Path("/proc/self/ns/net").readlink() != OUTSIDE
 
 
 def inside(work):
@@ -19,8 +38,7 @@ def inside(work):
 
     def run():
         try:
-            assert ctypes.CDLL(None).unshare(CLONE_NEWNET) == 0, "a namespace needs CAP_SYS_ADMIN"
-            ip("link", "set", "lo", "up")
+            enter()
             given.append((work(), None))
         except BaseException as error:  # noqa: BLE001  it belongs to the test's thread
             given.append((None, error))

@@ -253,16 +253,17 @@ class _Run:
     def _all(self, waiting: deque[Task], progress: Progress | None) -> None:
         of = self._report.left
         coming = as_completed([], loop=self._client.loop, raise_errors=False)
+        show = progress.step if progress else lambda *_: None
+        show("captures", 0, of)  # the first capture may take minutes
         while waiting or self._tasks:
             while waiting and len(self._tasks) < _UNDER_WAY * _count(self._client):
                 future = self._client.submit(examine_group, task := waiting.popleft(), pure=False)
                 self._tasks[future.key] = task
                 coming.add(future)
-            if progress is not None:  # before the wait: the first capture may take minutes
-                progress.step("captures", of - self._report.left, of)
             batch = [next(coming), *_more(coming)]
             self._watch()
             self._write(batch, waiting)
+            show("captures", of - self._report.left, of)
 
     def _watch(self) -> None:
         """Tell of workers that are no longer there."""

@@ -279,10 +279,10 @@ def test_a_lost_worker_changes_nothing(folder, updated, scheduler):
     assert found.report.read == 2
 
 
-def test_progress_is_shown_before_the_first_capture_is_read(folder, updated):
+def test_progress_is_shown_before_the_first_capture_is_read_and_after_the_last(folder, updated):
     steps = []
     updated(folder / "z.duckdb", folder, progress=SimpleNamespace(step=lambda *item: steps.append(item)))
-    assert steps[0] == ("captures", 0, 2)
+    assert (steps[0], steps[-1]) == (("captures", 0, 2), ("captures", 2, 2))
     assert [done for _, done, _ in steps] == sorted(done for _, done, _ in steps)
 
 
