@@ -13,7 +13,7 @@ import typer
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import INTERRUPTED, LOST, tell
 from edoras_tools.cli.main import Command, Group
-from edoras_tools.cli.output import print_csv, print_json
+from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -140,14 +140,9 @@ def index_captures(
 
     Only new and changed captures are read. Exit code 3: some cannot be read whole; the index says which.
     """
-    from edoras_tools.pipelines.archive import check_installed
-
-    check_installed()
     from edoras_tools.pipelines.archive.index import open_index
     from edoras_tools.pipelines.archive.update import Update, bring_up_to_date
     from edoras_tools.render.archive.tables import update_lines
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     if work.jobs and work.scheduler:
         raise ConfigError(
@@ -164,7 +159,7 @@ def index_captures(
     json, quiet = printing
     with (
         open_index(index, write=True) as opened,
-        FileProgress(", ".join(places), console=error_console(), quiet=quiet or json) as bar,
+        file_progress(places, quiet=quiet or json) as bar,
     ):
         report = bring_up_to_date(opened, update, bar, tell)
     summary = {"index": str(index), **report.summary()}
@@ -187,9 +182,6 @@ def list_(
     *, index: Index = _INDEX, csv: Csv = False, json: options.Json = False, chosen: SpanOptions
 ) -> None:
     """List the captures of the index: when, how many datagrams, what was lost, which are not whole."""
-    from edoras_tools.pipelines.archive import check_installed
-
-    check_installed()
     from edoras_tools.pipelines.archive.index import open_index
     from edoras_tools.pipelines.archive.questions import list_captures
 
@@ -223,9 +215,6 @@ def losses(
 
     Exit code 3: there is such.
     """
-    from edoras_tools.pipelines.archive import check_installed
-
-    check_installed()
     from edoras_tools.pipelines.archive.index import open_index
     from edoras_tools.pipelines.archive.questions import list_losses
 
@@ -244,10 +233,8 @@ def _print_rows(what: str, rows: list[dict[str, Any]], *, csv: bool, json: bool)
         print_csv(rows)
     else:
         from edoras_tools.render.archive.tables import ROW_TABLES
-        from edoras_tools.render.terminal.console import output_console
 
-        console = output_console()
-        console.print(ROW_TABLES[what](rows, console.width))
+        print_view(lambda width: ROW_TABLES[what](rows, width))
 
 
 @archive.command(cls=Command)
@@ -260,9 +247,6 @@ def query(
     json: options.Json = False,
 ) -> None:
     """Ask the index in SQL; 'edoras help archive' and docs/archive.md name its tables."""
-    from edoras_tools.pipelines.archive import check_installed
-
-    check_installed()
     from edoras_tools.pipelines.archive.index import open_index
 
     with open_index(index) as opened:
@@ -277,9 +261,8 @@ def query(
             write_csv(names, rows)
         else:
             from edoras_tools.render.archive.tables import answer_table
-            from edoras_tools.render.terminal.console import output_console
 
-            output_console().print(answer_table(names, rows))
+            print_view(answer_table(names, rows))
 
 
 @archive.command(cls=Command)
@@ -293,9 +276,6 @@ def report(
     chosen: SpanOptions,
 ) -> None:
     """Write one HTML page: runs over time, trends of losses and latencies, the worst of both."""
-    from edoras_tools.pipelines.archive import check_installed
-
-    check_installed()
     from edoras_tools.io.outputs import check_new
     from edoras_tools.pipelines.archive.index import open_index
     from edoras_tools.pipelines.archive.trends import write_archive_report
@@ -319,9 +299,6 @@ def export(
     printing: options.PrintOptions,
 ) -> None:
     """Write the index as Parquet: a folder for each table, partitioned by date, link and topic."""
-    from edoras_tools.pipelines.archive import check_installed
-
-    check_installed()
     from edoras_tools.pipelines.archive.dataset import export_dataset
     from edoras_tools.pipelines.archive.index import open_index
 

@@ -13,7 +13,7 @@ from edoras_tools.cli import options
 from edoras_tools.cli.endings import finish_relay, tell
 from edoras_tools.cli.listening import tell_reach
 from edoras_tools.cli.live import RelayOutputOptions
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.sending import Yes, confirm_targets
 from edoras_tools.errors import EdorasError
 from edoras_tools.older import StrEnum
@@ -110,7 +110,6 @@ def bridge(
     from edoras_tools.middleware.opening import distro_of_peers, usual, usual_domain
     from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
     from edoras_tools.render.bridge import bridge as view
-    from edoras_tools.render.terminal.console import output_console
 
     (json, quiet), output = printing, outputs.output
     way = graph.ros.value if graph.ros else usual()
@@ -137,8 +136,7 @@ def bridge(
         else:
             for note in plan.notes:
                 _say(note)
-            console = output_console()
-            console.print(view.plan(planned, way, output, console.width))
+            print_view(lambda width: view.plan(planned, way, output, width))
         return
     from edoras_tools.pipelines.bridge.run import Bridges
     from edoras_tools.render.terminal.terminal import look

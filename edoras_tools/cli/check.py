@@ -11,13 +11,12 @@ import typer
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import file_progress, print_json, print_view
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
-    from edoras_tools.pipelines.check.messages import CountedMessages
-    from edoras_tools.pipelines.doctor.doctor import Findings
+    from edoras_tools.pipelines.check.messages import Examined
     from edoras_tools.pipelines.doctor.scope import Scope
 
 
@@ -57,8 +56,6 @@ def check(
     from edoras_tools.pipelines.check.junit import write_junit
     from edoras_tools.pipelines.check.run import check as run
     from edoras_tools.pipelines.doctor.doctor import Pace, profile_with
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     scope, profile = part.scope(), profile_with(task.constant or ())
     if task.init:
@@ -76,9 +73,7 @@ def check(
     if task.junit is not None:
         check_new(task.junit, [*given.paths, path], force=task.force)
     expected, (json, quiet) = load_expectations(path), printing
-    with FileProgress(
-        ", ".join(map(str, given.paths)), console=error_console(), quiet=quiet or json or live
-    ) as bar:
+    with file_progress(given.paths, quiet=quiet or json or live) as bar:
         source, bench = open_input(given, decoding.settings(), aligned=True, messages=True, progress=bar)
         pace = Pace(monotonic_ns, 0, duration or 0)
         report = run(source, bench, expected, profile=profile, scope=scope, pace=pace, progress=bar)
@@ -89,9 +84,8 @@ def check(
         print_json(report.as_json())
     elif not quiet or report.failed:
         from edoras_tools.render.doctor.check import check_view
-        from edoras_tools.render.terminal.console import output_console
 
-        output_console().print(check_view(report.as_json()))
+        print_view(check_view(report.as_json()))
     _end(source, report.findings, live=live)
     if report.failed:
         raise typer.Exit(LOST)
@@ -115,29 +109,21 @@ def _draft(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    from edoras_tools.io.outputs import check_new, unless_standard, write_bytes
     from edoras_tools.pipelines.check.draft import draft
     from edoras_tools.pipelines.doctor.doctor import profile_with
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     if task.junit or printing.json:
         raise ConfigError("--init only drafts expectations: --junit and --json cannot be used with it")
     if any(given.live) or not given.paths:
         raise ConfigError("--init drafts from a recording: edoras check --init FILE...")
-    path = unless_standard(task.output)
-    if path is not None:
-        check_new(path, given.paths, force=task.force)
-    with FileProgress(", ".join(map(str, given.paths)), console=error_console(), quiet=printing.quiet) as bar:
+    path = recordings.text_output(task.output, given.paths, force=task.force)
+    with file_progress(given.paths, quiet=printing.quiet) as bar:
         source, bench = open_input(given, decoding.settings(), aligned=True, messages=True, progress=bar)
         profile = profile_with(task.constant or ())
         made = draft(source, bench, profile=profile, scope=scope, progress=bar)
     _check_whole(made.findings, live=False)
     _end(source, made.findings, live=False)
-    if path is None:
-        typer.echo(made.text, nl=False)
-    else:
-        write_bytes(path, made.text.encode(), folders=True)
+    recordings.put_text(made.text, path)
     for note in made.notes if not printing.quiet else ():
         tell(note)
     unexamined = made.findings.unnamed
@@ -147,13 +133,13 @@ def _draft(
         raise typer.Exit(LOST)
 
 
-def _check_whole(findings: Findings | CountedMessages, *, live: bool) -> None:
+def _check_whole(findings: Examined, *, live: bool) -> None:
     """Refuse to judge a part of a file."""
     if findings.interrupted and not live:
         raise KeyboardInterrupt
 
 
-def _end(source: Source, findings: Findings | CountedMessages, *, live: bool) -> None:
+def _end(source: Source, findings: Examined, *, live: bool) -> None:
     for warning in findings.warnings:
         tell(warning)
     if findings.failure is not None:

@@ -9,7 +9,7 @@ import typer
 
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import LOST, tell
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import file_progress, print_json, print_view
 
 
 @options.grouped
@@ -36,11 +36,9 @@ def compare(
     --against.
     """
     from edoras_tools.pipelines.doctor.runs import compare_runs
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     scope = part.scope()
-    with FileProgress(good.name, console=error_console(), quiet=quiet or json) as bar:
+    with file_progress([good.name], quiet=quiet or json) as bar:
         found = compare_runs(
             good, bad, decoding.settings(), tolerance=tolerance / 100, scope=scope, progress=bar
         )
@@ -48,9 +46,8 @@ def compare(
         print_json(found.as_json())
     else:
         from edoras_tools.render.doctor.runs import runs_view
-        from edoras_tools.render.terminal.console import output_console
 
-        output_console().print(runs_view(found.good, found.bad, found.changes))
+        print_view(runs_view(found.good, found.bad, found.changes))
     for run in (found.good, found.bad):
         for warning in run.info["warnings"]:
             tell(f"{run.info['source']}: {warning}")

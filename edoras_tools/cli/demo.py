@@ -12,7 +12,7 @@ import typer
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import LOST, tell
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.sim import Scenario
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.outputs import in_the_way, path_beside
@@ -175,7 +175,6 @@ def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> N
     """Run a demo and print its result."""
     from edoras_tools.pipelines.demo.run import Demo
     from edoras_tools.render.demo import view
-    from edoras_tools.render.terminal.console import output_console
     from edoras_tools.render.terminal.terminal import look
 
     json, quiet = printing
@@ -186,8 +185,7 @@ def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> N
     if json:
         print_json(summary)
     elif not quiet:
-        console = output_console()
-        console.print(view.outcome(summary, running.tracks, console.width, plan.output))
+        print_view(lambda width: view.outcome(summary, running.tracks, width, plan.output))
     if failure is not None:
         raise failure
     if summary["lost"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -12,7 +13,7 @@ import typer
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.output import print_csv, print_json
+from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.older import StrEnum
 
@@ -147,8 +148,6 @@ def _examine(
 ) -> Diagnosis:
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
     from edoras_tools.render.doctor.live import LiveVerdicts
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     json, quiet = printing
     if not (given.paths or any(given.live)):
@@ -156,8 +155,7 @@ def _examine(
     live = not given.paths
     if live and scope.period:
         raise ConfigError("--start and --end select part of a file; for live traffic use --duration")
-    name = ", ".join(map(str, given.paths))
-    with FileProgress(name, console=error_console(), quiet=quiet or json or live) as bar:
+    with file_progress(given.paths, quiet=quiet or json or live) as bar:
         source, bench = open_input(given, settings, aligned=True, progress=bar)
         with LiveVerdicts(source.info.name, quiet=quiet) if live else nullcontext() as onlooker:
             pace = Pace(monotonic_ns, _EVERY_NS if live else 0, duration_ns, onlooker, jobs)
@@ -166,10 +164,8 @@ def _examine(
         print_json(findings.summary())
     elif source.statistics.datagrams:
         from edoras_tools.render.doctor.doctor import diagnosis
-        from edoras_tools.render.terminal.console import output_console
 
-        console = output_console()
-        console.print(diagnosis(findings.diagnosis, source.info.name, console.width))
+        print_view(lambda width: diagnosis(findings.diagnosis, source.info.name, width))
     for warning in (*bench.mission.warnings, *findings.diagnosis.capture.warnings):
         tell(warning)
     if findings.failure is not None:
@@ -190,13 +186,11 @@ def _list_lost(
 ) -> None:
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
     from edoras_tools.pipelines.doctor.missing import list_missing
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     files = given.paths
     if not files or any(str(item) == "-" for item in files):
         raise ConfigError("--list-lost reads the capture twice, so it needs files, not stdin: name files")
-    with FileProgress(", ".join(map(str, files)), console=error_console(), quiet=printing.quiet) as bar:
+    with file_progress(files, quiet=printing.quiet) as bar:
         source, bench = open_input(given, settings, aligned=True, progress=bar)
         pace = Pace(monotonic_ns, jobs=jobs)
         findings = examine(source, bench, profile=profile, scope=scope, pace=pace, progress=bar, listing=True)
@@ -204,10 +198,8 @@ def _list_lost(
         found = list_missing(findings.diagnosis, again, bench, bar)
     if listing is Listing.TABLE:
         from edoras_tools.render.doctor.missing import missing_table
-        from edoras_tools.render.terminal.console import output_console
 
-        console = output_console()
-        console.print(missing_table(found, findings.diagnosis.zero_ns, console.width))
+        print_view(lambda width: missing_table(found, findings.diagnosis.zero_ns, width))
     elif listing is Listing.JSON:
         print_json({"lost": len(found), "missing": [item.as_json() for item in found]})
     else:
@@ -240,10 +232,8 @@ def _predict(settings: Settings, profile: SimProfile, scope: Scope, *, json: boo
         print_json({"routes": [item.as_json() for item in budgets]})
         return
     from edoras_tools.render.doctor.doctor import budgets as view
-    from edoras_tools.render.terminal.console import output_console
 
-    console = output_console()
-    console.print(view(budgets, console.width))
+    print_view(lambda width: view(budgets, width))
 
 
 def _compare(
@@ -251,23 +241,19 @@ def _compare(
 ) -> None:
     from edoras_tools.pipelines.doctor.compare import diff
     from edoras_tools.pipelines.workbench import open_files
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     if not files:
         raise ConfigError("--against needs two captures: edoras doctor FIRST --against SECOND")
     first = open_files(files)
     quiet = printing.quiet or printing.json
-    with FileProgress(first.info.name, console=error_console(), quiet=quiet) as bar:
+    with file_progress([first.info.name], quiet=quiet) as bar:
         found = diff(first, open_files([against]), settings.workbench(first.info), scope, bar)
     if printing.json:
         print_json(found.as_json())
     elif found.common:
         from edoras_tools.render.doctor.doctor import comparison_table
-        from edoras_tools.render.terminal.console import output_console
 
-        console = output_console()
-        console.print(comparison_table(found, console.width))
+        print_view(lambda width: comparison_table(found, width))
     if not found.common:
         names = ", ".join(map(str, files))
         raise CaptureError(
@@ -283,8 +269,6 @@ def _compare_bags(
     from edoras_tools.diagnosis.chains import Chain, chains
     from edoras_tools.pipelines.doctor.bags import against_bag, against_capture, bridge_counts
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     files = given.paths
     ways: list[Chain] = []
@@ -292,7 +276,7 @@ def _compare_bags(
         raise ConfigError("--bag needs a capture, or a second bag: edoras doctor CAPTURE --bag BAG")
     if files:
         quiet = printing.quiet or printing.json
-        with FileProgress(", ".join(map(str, files)), console=error_console(), quiet=quiet) as bar:
+        with file_progress(files, quiet=quiet) as bar:
             source, bench = open_input(given, settings, aligned=True, progress=bar)
             found = against_capture(source, bags, bench, scope, bar)
             if all(path.is_file() or path.is_dir() for path in files):  # a pipe is read only once
@@ -310,15 +294,13 @@ def _compare_bags(
     else:
         from edoras_tools.render.doctor.balance import chain_table
         from edoras_tools.render.doctor.doctor import comparison_table
-        from edoras_tools.render.terminal.console import output_console
 
-        console = output_console()
         first = ", ".join(map(str, files or bags[:1]))
         for item in found:
-            console.print(f"first: {first}, second: {item.bag}", markup=False, highlight=False)
-            console.print(comparison_table(item.found, console.width))
+            print_view(f"first: {first}, second: {item.bag}")
+            print_view(partial(comparison_table, item.found))
         if ways:
-            console.print(chain_table(ways, console.width))
+            print_view(lambda width: chain_table(ways, width))
     for item in found:
         if item.left_out:
             tell(f"{item.bag}: {item.left_out:,} messages do not fit their type and are not compared")

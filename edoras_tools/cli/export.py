@@ -14,7 +14,7 @@ import typer
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import topics_read
 from edoras_tools.cli.inputs import FileOptions
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, TimeForm
 
@@ -124,8 +124,6 @@ def _export(
     from edoras_tools.pipelines.export.sources import open_topics
     from edoras_tools.pipelines.export.tables import TableForm
     from edoras_tools.pipelines.export.trace import export_trace
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     path, files = recordings.recording_path(output), inputs.named()
     trace = export_trace(files, path, force=table.force)
@@ -141,7 +139,7 @@ def _export(
     source = open_topics(files, decoding.settings(), scope)
     source.jobs = jobs
     quiet = printing.quiet or printing.json
-    with FileProgress(source.name, console=error_console(), quiet=quiet) as bar:
+    with file_progress([source.name], quiet=quiet) as bar:
         report = write(source, target, patterns, form, bar)
     _tell(report.summary(), printing)
     topics_read(source, "the tables contain")

@@ -11,7 +11,7 @@ import typer
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import LOST, lost, no_datagrams
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import file_progress, print_json
 
 
 @options.grouped
@@ -31,12 +31,10 @@ def files(
     Names of files that would lie outside DIR are refused.
     """
     from edoras_tools.pipelines.export.files import take_out
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     paths = inputs.named()
     limits, quiet = part.limits(paths), printing.quiet or printing.json
-    with FileProgress(", ".join(map(str, paths)), console=error_console(), quiet=quiet) as bar:
+    with file_progress(paths, quiet=quiet) as bar:
         source, bench = open_input(InputOptions(inputs), decoding.settings())
         report = take_out(source, bench, output, selection=chosen.selection(), limits=limits, progress=bar)
     no_datagrams(source)

@@ -12,7 +12,7 @@ import typer
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import LOST, finish
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.errors import ConfigError
 
 
@@ -63,11 +63,10 @@ def info(
         print_json(report.summary())
     elif report.ledger.datagrams:
         from edoras_tools.render.capture.info import capture_summary
-        from edoras_tools.render.terminal.console import output_console
 
         summary = report.summary()
         warnings = () if bench.mission.recorded else summary["warnings"]  # told below
-        output_console().print(capture_summary({**summary, "warnings": warnings}))
+        print_view(capture_summary({**summary, "warnings": warnings}))
     finish(report, live=False)
 
 

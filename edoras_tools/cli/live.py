@@ -18,7 +18,7 @@ from edoras_tools.cli import options, recordings, sending
 from edoras_tools.cli.endings import finish, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.listening import tell_reach
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.cli.sim import Scenario
 from edoras_tools.errors import ConfigError
 
@@ -300,13 +300,11 @@ def _play(
     from edoras_tools.pipelines.interrupt import on_interrupt
     from edoras_tools.pipelines.live import player as playing
     from edoras_tools.render import units
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     info, bench, reopen = playing.open_recording(files, settings)
     how = playing.PlaybackOptions(playback.speed or 1.0, playback.paused, playback.wait, playback.loop)
     scope = Scope(selection, limits.period)
-    with FileProgress(info.name, console=error_console(), quiet=quiet) as bar:
+    with file_progress([info.name], quiet=quiet) as bar:
         player = playing.RecordingPlayer(
             reopen, bench, clock=monotonic_ns, scope=scope, options=how, progress=bar
         )

@@ -11,6 +11,7 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.main import Command, Group
+from edoras_tools.cli.output import file_progress
 
 mission = typer.Typer(
     name="mission",
@@ -40,22 +41,15 @@ def draft(
 
     What -c names is left out. The names of topics are made from MsgIds: edit them.
     """
-    from edoras_tools.io.outputs import check_new, unless_standard, write_bytes
     from edoras_tools.pipelines.mission import draft_mission
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
     from edoras_tools.words import plural
 
-    paths, output = files.named(), unless_standard(output)
-    if output is not None:
-        check_new(output, paths, force=force)
-    with FileProgress(", ".join(map(str, paths)), console=error_console(), quiet=quiet) as bar:
+    paths = files.named()
+    output = recordings.text_output(output, paths, force=force)
+    with file_progress(paths, quiet=quiet) as bar:
         source, bench = open_input(InputOptions(files), decoding.settings())
         made = draft_mission(source, bench, progress=bar)
-    if output is None:
-        typer.echo(made.text, nl=False)
-    else:
-        write_bytes(output, made.text.encode(), folders=True)
+    recordings.put_text(made.text, output)
     for note in () if quiet else made.notes:
         tell(note)
     if output is not None and not quiet:

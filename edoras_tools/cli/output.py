@@ -1,4 +1,4 @@
-"""JSON and CSV on standard output."""
+"""What commands print: views, JSON and CSV on standard output, progress on standard error."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Any
 from edoras_tools.cli.settings import in_effect
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from rich.console import RenderableType
+
+    from edoras_tools.render.terminal.progress import FileProgress
 
 
 def print_json(value: Mapping[str, Any]) -> None:
@@ -39,3 +43,19 @@ def write_csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
             json.dumps(value, ensure_ascii=False) if isinstance(value, dict | list) else value
             for value in row
         )
+
+
+def print_view(view: RenderableType | Callable[[int], RenderableType]) -> None:
+    """Print a view for people; one that depends on the width is made for that of the terminal."""
+    from edoras_tools.render.terminal.console import output_console
+
+    console = output_console()
+    console.print(view(console.width) if callable(view) else view)
+
+
+def file_progress(names: Iterable[object], *, quiet: bool) -> FileProgress:
+    """Return what shows how far files, whose names are given, are read and judged."""
+    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.progress import FileProgress
+
+    return FileProgress(", ".join(map(str, names)), console=error_console(), quiet=quiet)

@@ -10,7 +10,7 @@ import typer
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import topics_read
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES, READ_PACKED
 from edoras_tools.words import plural
@@ -66,8 +66,6 @@ def plot(
     from edoras_tools.io.outputs import check_new
     from edoras_tools.pipelines.plot.request import parse_request
     from edoras_tools.pipelines.plot.series import open_recordings, read_plot
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     given = arguments or []
     files = [*(read or ()), *(Path(item) for item in given if _is_file(item))]
@@ -82,7 +80,7 @@ def plot(
     names = [file.name for file in files]
     names = names if len({*names}) == len(names) else [str(file) for file in files]
     quiet = printing.quiet or printing.json
-    with FileProgress(", ".join(names), console=error_console(), quiet=quiet) as bar:
+    with file_progress(names, quiet=quiet) as bar:
         report = read_plot(sources, names, asked, scope, bare=bare, progress=bar)
     if output is not None:
         size = _write(report.figure, output)

@@ -13,7 +13,7 @@ from edoras_tools.cli import options
 from edoras_tools.cli.endings import finish_relay
 from edoras_tools.cli.listening import tell_reach
 from edoras_tools.cli.live import RelayOutputOptions, Show
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.sending import DryRun, Yes, confirm_targets, endpoint
 from edoras_tools.errors import ConfigError, EdorasError
 
@@ -123,7 +123,6 @@ def proxy(
     from edoras_tools.links.table import named
     from edoras_tools.pipelines.proxy.plan import ProxyPlan, as_relayed, limit_rule
     from edoras_tools.render.sending import proxy as view
-    from edoras_tools.render.terminal.console import output_console
 
     settings, injected = decoding.settings(), faults.plan()
     (json, quiet), output = printing, outputs.output
@@ -150,7 +149,7 @@ def proxy(
         if json:
             print_json(plan.summary())
         else:
-            output_console().print(view.plan(plan.summary(), output))
+            print_view(view.plan(plan.summary(), output))
         return
     asks = confirm_targets(*plan.targets, confirmed=yes)
     relay = _opened(plan, bench, outputs.target(), outputs.shown(bench))

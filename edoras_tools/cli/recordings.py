@@ -11,6 +11,7 @@ import typer
 from edoras_tools.cli import options
 from edoras_tools.cli.endings import tell
 from edoras_tools.io.formats.table import WRITTEN
+from edoras_tools.io.outputs import STDOUT, check_new, write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,3 +47,23 @@ def recording_target(output: Path | None, *, force: bool, inputs: Sequence[Path]
     target = Target(output, replace=force, told=tell)
     check_output(target, inputs)
     return target
+
+
+def text_output(output: Path | None, inputs: Sequence[Path] = (), *, force: bool) -> Path | None:
+    """Return where a text is written, checked before anything is read; None, also of ``-``: standard output.
+
+    Raises:
+        ConfigError: it is an input, or it exists.
+    """
+    if output is None or output == STDOUT:
+        return None
+    check_new(output, inputs, force=force)
+    return output
+
+
+def put_text(text: str, output: Path | None) -> None:
+    """Write a text where ``text_output`` says."""
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        write_bytes(output, text.encode(), folders=True)

@@ -13,7 +13,7 @@ import typer
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.io.outputs import check_new
 from edoras_tools.words import plural
 
@@ -37,14 +37,12 @@ def report(
     from edoras_tools.pipelines.doctor.doctor import examine, profile_with
     from edoras_tools.pipelines.doctor.report import write_report
     from edoras_tools.render.doctor.report import Made
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.progress import FileProgress
 
     files, scope, (json, quiet) = inputs.named(), part.scope(), printing
     profile = profile_with(constant or ())
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")
     check_new(path, files, force=force)
-    with FileProgress(", ".join(map(str, files)), console=error_console(), quiet=quiet or json) as bar:
+    with file_progress(files, quiet=quiet or json) as bar:
         source, bench = open_input(InputOptions(inputs), decoding.settings(), aligned=True, progress=bar)
         findings = examine(source, bench, profile=profile, scope=scope, progress=bar)
     if findings.failure is None:

@@ -12,7 +12,7 @@ import typer
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.endings import LOST, lost_outputs, tell
 from edoras_tools.cli.listening import tell_reach
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.errors import ConfigError, EdorasError
 
 if TYPE_CHECKING:
@@ -303,12 +303,12 @@ def carry_out(
 def _print(summary: dict[str, Any], target: str = "") -> None:
     """Print what would be sent; or what was sent to a target, once it is."""
     from edoras_tools.render.sending import replay as view
-    from edoras_tools.render.terminal.console import error_console, output_console
+    from edoras_tools.render.terminal.console import error_console
 
     if target:
         error_console().print(view.outcome(summary, target))
     else:
-        output_console().print(view.plan(summary))
+        print_view(view.plan(summary))
 
 
 def confirm_targets(*targets: Endpoint, confirmed: bool) -> bool:

@@ -9,7 +9,7 @@ import typer
 
 from edoras_tools.cli import options, recordings, sending
 from edoras_tools.cli.listening import tell_reach
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.sim import Scenario
 from edoras_tools.errors import ConfigError
 from edoras_tools.units import SECOND
@@ -207,7 +207,6 @@ def sweep(
     from edoras_tools.pipelines.sweep.run import sweep as carry_out
     from edoras_tools.render import svg
     from edoras_tools.render.sending import sweep as view
-    from edoras_tools.render.terminal.console import output_console
 
     json, quiet = printing
     steps.check(how.target)
@@ -227,7 +226,7 @@ def sweep(
         if json:
             print_json(summary)
         else:
-            output_console().print(view.plan(summary))
+            print_view(view.plan(summary))
         return
     if steps.sim is None:
         assert send_options.target is not None
@@ -240,8 +239,7 @@ def sweep(
     if json:
         print_json(summary)
     elif not quiet and (found.steps or found.failure is None):
-        console = output_console()
-        console.print(view.outcome(summary, console.width))
+        print_view(lambda width: view.outcome(summary, width))
     if found.steps:
         _draw(summary, charts)
     if found.failure is not None:

@@ -38,18 +38,12 @@ def xtce(
     Of the missions that -c names and the C structs of --structs: telemetry of Telemetry Output and of cFE
     itself, field by field; commands to Command Ingest of fixed size.
     """
-    from edoras_tools.io.outputs import check_new, unless_standard, write_bytes
     from edoras_tools.pipelines.xtce import describe_packets
     from edoras_tools.words import plural
 
-    output = unless_standard(output)
-    if output is not None:
-        check_new(output, force=force)
+    output = recordings.text_output(output, force=force)
     made = describe_packets(decoding.settings().workbench(), system, for_cosmos=form is GroundForm.COSMOS)
-    if output is None:
-        typer.echo(made.text.decode(), nl=False)
-    else:
-        write_bytes(output, made.text, folders=True)
+    recordings.put_text(made.text.decode(), output)
     if not quiet:
         for note in made.notes:
             tell(note)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 STDOUT: Final = Path("-")
-"""Stands for standard output, as the path of an ``OutputFile``."""
+"""Stands for standard output, as a path."""
 _PIECES: Final = 1024
 """Most buffers in one write, Linux's IOV_MAX."""
 _WRITE: Final = os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
@@ -218,16 +218,11 @@ def check_new(path: Path, inputs: Iterable[Path] = (), *, force: bool) -> None:
     Raises:
         ConfigError: it would be written over, or is ``-``: no file is called that by accident.
     """
-    if str(path) == "-":
+    if path == STDOUT:
         raise ConfigError("-: this is not written to standard output; name a file")
     refuse_input(path, inputs)
     if not force:
         refuse_existing(in_the_way(path))
-
-
-def unless_standard(path: Path | None) -> Path | None:
-    """Return a path, and None for ``-``: what is not given goes to standard output."""
-    return None if path is not None and str(path) == "-" else path
 
 
 def to_disk(path: Path) -> None:

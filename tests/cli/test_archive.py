@@ -223,8 +223,10 @@ def test_mistakes(arguments, told, call, index, tmp_path, monkeypatch):
 
 def test_without_the_extra(call, monkeypatch):
     find = importlib.util.find_spec
+    for name in [name for name in sys.modules if name.startswith("edoras_tools.pipelines.archive")]:
+        monkeypatch.delitem(sys.modules, name)  # it looks when it is imported
     monkeypatch.setattr(
-        "edoras_tools.pipelines.archive.find_spec",
+        "importlib.util.find_spec",
         lambda name: None if name in {"duckdb", "distributed"} else find(name),
     )
     done = call("archive", "list")

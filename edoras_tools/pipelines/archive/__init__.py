@@ -6,16 +6,9 @@ from importlib.util import find_spec
 
 from edoras_tools.errors import ConfigError
 
-
-def check_installed() -> None:
-    """Check that the libraries of the extra are there, without importing them.
-
-    Raises:
-        ConfigError: one is not.
-    """
-    missing = [name for name in ("duckdb", "distributed", "fsspec", "pyarrow") if find_spec(name) is None]
-    if missing:
-        raise ConfigError(
-            f"edoras archive needs {', '.join(missing)}, not installed here: "
-            "pip install 'edoras-tools[archive]'"
-        )
+# What imports a part of it without the libraries of the extra is told so in one line.
+_MISSING = [name for name in ("duckdb", "distributed", "fsspec", "pyarrow") if find_spec(name) is None]
+if _MISSING:
+    raise ConfigError(
+        f"edoras archive needs {', '.join(_MISSING)}, not installed here: pip install 'edoras-tools[archive]'"
+    )

@@ -18,10 +18,9 @@ from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
-from edoras_tools.pipelines.check.messages import CountedMessages, count_messages
+from edoras_tools.pipelines.check.messages import examine_or_count
 from edoras_tools.pipelines.check.observation import Subject
 from edoras_tools.pipelines.check.run import NOTABLE_FINDINGS, Figures
-from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.names import PacketKinds
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.capture.ledger import Ledger
-    from edoras_tools.pipelines.doctor.doctor import Findings
+    from edoras_tools.pipelines.check.messages import Examined
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress
@@ -54,11 +53,9 @@ class Draft:
         findings: of the doctor.
     """
 
-    def __init__(
-        self, ledger: Ledger, mission: Mission, findings: Findings | CountedMessages, name: str
-    ) -> None:
+    def __init__(self, ledger: Ledger, mission: Mission, findings: Examined, name: str) -> None:
         self.findings = findings
-        self._diagnosis = None if isinstance(findings, CountedMessages) else findings.diagnosis
+        self._diagnosis = findings.diagnosis
         self.notes: list[str] = []
         self._ledger, self._mission = ledger, mission
         self.text = "".join(f"{line}\n" for line in self._lines(name))
@@ -152,11 +149,7 @@ def draft(
 ) -> Draft:
     """Read a source to its end and draft expectations from it; the source is closed."""
     counting = Counting(source, bench)
-    findings: Findings | CountedMessages
-    if bench.mission.recorded:
-        findings = count_messages(source, bench, counting, scope, progress)
-    else:
-        findings = examine(source, bench, profile=profile, scope=scope, progress=progress, counting=counting)
+    findings = examine_or_count(source, bench, counting, profile=profile, scope=scope, progress=progress)
     return Draft(counting.report.ledger, bench.mission, findings, source.info.name)
 
 

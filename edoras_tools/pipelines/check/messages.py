@@ -1,7 +1,7 @@
-"""Counts the messages of a recording without datagrams: what can be expected of it, and what cannot.
+"""Reads what is held against expectations, and says of what they cannot be.
 
 Rates, counts, sizes, silences and fields are seen in messages. Losses, latencies, events, findings and
-verdicts are seen in datagrams alone.
+verdicts are seen in datagrams alone: a recording without them is counted, and not judged.
 """
 
 from __future__ import annotations
@@ -9,13 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.pipelines.doctor.doctor import Findings, examine
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.reading import reading
 
 if TYPE_CHECKING:
+    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.info import Counting
+    from edoras_tools.pipelines.doctor.doctor import Pace
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress
 
@@ -34,6 +37,7 @@ class CountedMessages:
         interrupted: whether Ctrl-C ended it.
         warnings: a line each.
         unnamed: nothing: a recording has no ports.
+        diagnosis: none.
     """
 
     source: Source
@@ -42,21 +46,32 @@ class CountedMessages:
     interrupted: bool = False
     warnings: list[str] = field(default_factory=list)
     unnamed: tuple[str, ...] = ()
+    diagnosis: None = None
 
 
-def count_messages(
+Examined = Findings | CountedMessages
+
+
+def examine_or_count(
     source: Source,
     bench: Workbench,
     counting: Counting,
+    *,
+    profile: SimProfile | None = None,
     scope: Scope | None = None,
+    pace: Pace | None = None,
     progress: Progress | None = None,
-) -> CountedMessages:
-    """Read a recording to its end; the source is closed.
+) -> Examined:
+    """Read a source to its end, as ``examine`` does; the messages of a recording are only counted.
 
     Raises:
         RouteError: the selection names no topic.
-        ConfigError: its filter has an error, or it selects datagrams.
+        ConfigError: its filter has an error, or it selects datagrams of a recording.
     """
+    if not bench.mission.recorded:
+        return examine(
+            source, bench, profile=profile, scope=scope, pace=pace, progress=progress, counting=counting
+        )
     scope = scope or Scope()
     with reading(source, bench, scope.selection, examined=scope.period, keeps_failure=True) as loop:
         for rows in loop:

@@ -10,9 +10,8 @@ from edoras_tools.diagnosis.balance import sent
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
-from edoras_tools.pipelines.check.messages import NOT_OBSERVABLE, CountedMessages, count_messages
+from edoras_tools.pipelines.check.messages import NOT_OBSERVABLE, examine_or_count
 from edoras_tools.pipelines.check.observation import Observation
-from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.render.severity import NOTABLE
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -27,8 +26,9 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.capture.ledger import Ledger
     from edoras_tools.pipelines.check.bounds import Tolerance
     from edoras_tools.pipelines.check.expectations import EventExpectation, Expectations, FieldExpectation
+    from edoras_tools.pipelines.check.messages import Examined
     from edoras_tools.pipelines.check.observation import FilterCount, Subject
-    from edoras_tools.pipelines.doctor.doctor import Findings, Pace
+    from edoras_tools.pipelines.doctor.doctor import Pace
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress
@@ -80,7 +80,7 @@ class CheckReport:
     file: str
     results: tuple[CheckResult, ...]
     seconds: float
-    findings: Findings | CountedMessages
+    findings: Examined
 
     @property
     def failed(self) -> int:
@@ -187,13 +187,9 @@ def check(
     except BaseException:
         source.close()
         raise
-    findings: Findings | CountedMessages
-    if bench.mission.recorded:
-        findings = count_messages(source, bench, observed, scope, progress)
-    else:
-        findings = examine(
-            source, bench, profile=profile, scope=scope, pace=pace, progress=progress, counting=observed
-        )
+    findings = examine_or_count(
+        source, bench, observed, profile=profile, scope=scope, pace=pace, progress=progress
+    )
     expected = observed.about(scope.selection.over(bench)) if scope else expected
     results = tuple(_results(expected, observed, findings))
     ledger = observed.report.ledger
@@ -201,11 +197,9 @@ def check(
     return CheckReport(source.info.name, expected.file, results, seconds, findings)
 
 
-def _results(
-    expected: Expectations, observed: Observation, findings: Findings | CountedMessages
-) -> Iterator[CheckResult]:
+def _results(expected: Expectations, observed: Observation, findings: Examined) -> Iterator[CheckResult]:
     ledger = observed.report.ledger
-    diagnosis = None if isinstance(findings, CountedMessages) else findings.diagnosis
+    diagnosis = findings.diagnosis
     if findings.failure is not None:
         yield CheckResult(_CAPTURE, "input", "read to its end", str(findings.failure), passed=False)
     if not ledger.datagrams:
