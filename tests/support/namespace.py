@@ -7,6 +7,8 @@ import subprocess
 import threading
 from pathlib import Path
 
+from with_raw_sockets import bring_up_loopback
+
 CLONE_NEWNET = 0x40000000
 OUTSIDE = Path("/proc/self/ns/net").readlink()
 ADDRESSES, IPV4 = bytes.fromhex("020000000001 020000000002"), b"\x08\x00"
@@ -19,9 +21,14 @@ def enter():
         OSError: it may not; it is where it was.
     """
     library = ctypes.CDLL(None, use_errno=True)
-    if library.unshare(CLONE_NEWNET) != 0:
-        raise OSError(ctypes.get_errno(), "a namespace needs CAP_SYS_ADMIN")
-    ip("link", "set", "lo", "up")
+    with Path("/proc/thread-self/ns/net").open() as before:
+        if library.unshare(CLONE_NEWNET) != 0:
+            raise OSError(ctypes.get_errno(), "a namespace needs CAP_SYS_ADMIN")
+        try:
+            bring_up_loopback()
+        except OSError:  # it has not CAP_NET_ADMIN
+            library.setns(before.fileno(), CLONE_NEWNET)
+            raise
 
 
 def entered():
