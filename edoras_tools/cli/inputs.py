@@ -152,7 +152,7 @@ def open_input(
 
             return open_messages(read, settings, error)
         try:
-            bench = settings.workbench(source.info)
+            bench = settings.workbench(source.info, read)
         except EdorasError:
             source.close()
             raise

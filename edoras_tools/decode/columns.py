@@ -13,7 +13,7 @@ import numpy as np
 
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.findings import UNKNOWABLE
-from edoras_tools.decode.links import link_columns
+from edoras_tools.decode.links import beginning, link_columns
 from edoras_tools.decode.recorded import recorded_columns
 from edoras_tools.decode.variants import Variants
 from edoras_tools.links.cfdp import PDU_FINDINGS, holds_pdu
@@ -144,10 +144,16 @@ class ColumnDecoder:
         whole["findings"][outside] = batch.capture_findings[outside]
         return Columns(**whole)
 
-    def learn(self, batch: PacketBatch, columns: Columns) -> None:
-        """Learn what a batch announces that another process has decoded."""
+    def learn(self, batch: PacketBatch, columns: Columns | None = None) -> None:
+        """Learn what a batch announces that is not decoded here.
+
+        Args:
+            batch: the datagrams.
+            columns: of the same rows, where another process has decoded them.
+        """
         for link in self.context.by_magic:
-            rows = np.flatnonzero(columns.link == link)
+            among = np.arange(len(batch)) if columns is None else np.flatnonzero(columns.link == link)
+            rows = beginning(batch, among, link.magic)
             if len(rows):
                 link.locate(batch, rows, self.context)
 

@@ -25,7 +25,7 @@ from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -140,6 +140,7 @@ class Context:
         structs: the C structs that packets without a route hold.
         peers: grows as datagrams are decoded, in order.
         endpoints: of DDS, as they announce themselves; grows as well.
+        look_ahead: reads the whole input for what DDS announces in it; None where that cannot be done.
         by_magic: the links that are recognised on any port.
         links: every link there is.
         frames: the CCSDS transfer frames that come to a port, by port.
@@ -190,6 +191,8 @@ class Context:
         )
         self.peers = Peers()
         self.endpoints = Endpoints()
+        self.look_ahead: Callable[[], Endpoints] | None = None
+        self._announced: Endpoints | None = None
         self.links = table.links()
         self.by_magic = tuple(link for link in self.links if link.magic)
         self.frames = {item.port: item.format for item in self.mission.frames}
@@ -257,6 +260,12 @@ class Context:
         """What was detected from the bytes and decides how packets are read, for ``take_over``."""
         place = cfe.HEADERS.index(self.headers)
         return place, tuple(self.envelopes), tuple(self.unrouted), self.builds.told
+
+    def announced_topics(self) -> dict[str, str]:
+        """Return the type of each topic of DDS that the input announces anywhere, if it can be read twice."""
+        if self.look_ahead is not None:
+            self._announced, self.look_ahead = self.look_ahead(), None
+        return (self._announced or self.endpoints).topics()
 
     def take_over(self, detected: tuple[Any, ...]) -> None:
         """Read packets as another context does, in another process."""

@@ -116,7 +116,7 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
     if context.by_sender.any():
         link = np.where(link == 0, context.by_sender[context.claim[batch.source_port]], link)
     for item in context.by_magic:
-        link[_beginning(batch, link, item.magic)] = item
+        link[beginning(batch, np.flatnonzero(link == OTHER), item.magic)] = item
     if batch.streams is not None:
         _stream_links(batch, context, link)
     link[(batch.capture_findings & Finding.FRAGMENT) != 0] = OTHER
@@ -125,9 +125,9 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
     return link
 
 
-def _beginning(batch: PacketBatch, link: NDArray[np.uint8], magic: bytes) -> NDArray[np.intp]:
-    """Return the datagrams of no link that begin with some bytes; messages of streams are not asked."""
-    rows: NDArray[np.intp] = np.flatnonzero((link == OTHER) & (batch.length >= len(magic)))
+def beginning(batch: PacketBatch, rows: NDArray[np.intp], magic: bytes) -> NDArray[np.intp]:
+    """Return those of some rows of a batch that begin with some bytes."""
+    rows = rows[batch.length[rows] >= len(magic)]
     rows = rows[batch.data[batch.offset[rows]] == magic[0]]
     if len(rows):
         begins = gather(batch.data, batch.offset[rows], len(magic))

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.links.protocol import MOST_ENDPOINTS
 from edoras_tools.links.rtps.reader import TopicSamples, rtps_messages, topic_samples
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
-from edoras_tools.wire.rtps.names import ros_name, ros_topic
+from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -66,9 +68,8 @@ def known_samples(
     groups: dict[tuple[str, str], list[int]] = {}
     for index, guid in enumerate(writers):
         announced = endpoints.find(guid)
-        if announced is not None and announced.topic and types.has(ros_name(announced.type)):
-            key = ros_topic(announced.topic), ros_name(announced.type)
-            groups.setdefault(key, []).append(index)
+        if announced is not None and announced.topic and types.has(announced.ros_type):
+            groups.setdefault((announced.ros_topic, announced.ros_type), []).append(index)
     known = batch.number[rows[found.row]] >= endpoints.since(writers)[found.writer]
     plain = _is_plain(batch.data, found) & known
     for (topic, type_name), members in groups.items():
@@ -97,3 +98,51 @@ def _is_plain(data: NDArray[np.uint8], found: TopicSamples) -> NDArray[np.bool_]
     whole = found.end - found.start >= ENCAPSULATION.size
     head = gather(data, np.where(whole, found.start, 0), ENCAPSULATION.size)
     return whole & (ENCAPSULATION.column("representation", head) <= CDR_LE)
+
+
+class LeftSamples:
+    """Counts the captured samples that have no topic, or whose type is not known."""
+
+    def __init__(self) -> None:
+        self._early: Counter[bytes] = Counter()
+        self._all: Counter[bytes] = Counter()
+
+    def add(self, batch: PacketBatch, rows: NDArray[np.intp], endpoints: Endpoints) -> None:
+        """Take a batch.
+
+        Args:
+            batch: the datagrams.
+            rows: those that hold RTPS.
+            endpoints: what was announced so far.
+        """
+        writers, found = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
+        early = batch.number[rows[found.row]] < endpoints.since(writers)[found.writer]
+        for counter, which in ((self._early, found.writer[early]), (self._all, found.writer)):
+            for writer, number in enumerate(np.bincount(which, minlength=len(writers)).tolist()):
+                if number and (writers[writer] in counter or len(counter) < MOST_ENDPOINTS):
+                    counter[writers[writer]] += number
+
+    def notes(self, types: TypeStore | None, endpoints: Endpoints) -> list[str]:
+        """Return how many there were, and why, a line each, for users."""
+        told = {guid: endpoints.find(guid) for guid in self._all}
+        named = {guid: item for guid, item in told.items() if item is not None and item.topic}
+        early = sum(number for guid, number in self._early.items() if guid in named)
+        never = {guid: number for guid, number in self._early.items() if guid not in named}
+        unread = Counter[str]()
+        for guid, item in named.items():
+            if item.ros_topic.startswith("/") and types is not None and not types.has(item.ros_type):
+                unread[item.ros_type] += self._all[guid] - self._early[guid]
+        notes = []
+        if early:
+            notes.append(
+                f"DDS: {plural(early, 'sample')} (and copies) came before the writer was announced: no topic"
+            )
+        if never:
+            samples, writers = plural(sum(never.values()), "sample"), plural(len(never), "writer")
+            notes.append(
+                f"DDS: {samples} (and copies) of {writers} that the capture does not announce: no topic"
+            )
+        if unread := +unread:
+            names, samples = listed(sorted(unread)), plural(unread.total(), "sample")
+            notes.append(f"DDS: {samples} of unknown types ({names}): only bytes; --msg-path adds types")
+        return notes

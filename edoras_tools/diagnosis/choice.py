@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable  # noqa: TC003  for readers of the signature
 from dataclasses import dataclass
+from typing import Protocol
+
+
+class Takes(Protocol):
+    """Tells whether what concerns a link's label and a MsgId, None where unknown, is shown.
+
+    Samples of DDS have a topic and no MsgId.
+    """
+
+    def __call__(self, link: str | None, msg_id: int | None, topic: str = "", /) -> bool:
+        """See the class."""
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Which links and MsgIds are shown.
+    """Which links, MsgIds and topics of DDS are shown.
 
     Attributes:
         text: how people are told of it.
-        takes: tells of a link's label and a MsgId, None where unknown, whether what concerns them is shown.
+        takes: tells what is shown.
     """
 
     text: str
-    takes: Callable[[str | None, int | None], bool]
+    takes: Takes

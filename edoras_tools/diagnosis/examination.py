@@ -171,7 +171,7 @@ class Diagnosis:
             return tuple(
                 item
                 for item in verdicts
-                if item.rule in CAPTURE_RULES or choice.takes(item.link, item.msg_id)
+                if item.rule in CAPTURE_RULES or choice.takes(item.link, item.msg_id, item.topic or "")
             )
 
         return replace(
@@ -180,7 +180,9 @@ class Diagnosis:
             habits=shown(self.habits),
             routes=[row for row in self.routes if choice.takes(row["link"], int(row["msg_id"], 0))],
             peers=self.peers if choice.takes("sbn", None) else [],
-            balance=tuple(row for row in self.balance if choice.takes(row.link or None, row.msg_id)),
+            balance=tuple(
+                row for row in self.balance if choice.takes(row.link or None, row.msg_id, row.topic)
+            ),
             choice=choice,
             whole=self,
         )

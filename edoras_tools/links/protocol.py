@@ -159,6 +159,10 @@ class Endpoints:
         elif known is not None and number < known[1]:
             self.announced[announcement.guid] = known[0], number
 
+    def topics(self) -> dict[str, str]:
+        """Return the ROS names of all topics that were announced, each with its type."""
+        return {item.ros_topic: item.ros_type for item, _ in self.announced.values() if item.topic}
+
     def find(self, guid: bytes, number: int | None = None) -> Announcement | None:
         """Return what an endpoint announced before a datagram came, or at any time; None: nothing."""
         found = self.announced.get(guid)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache
 from typing import TYPE_CHECKING
@@ -11,7 +11,9 @@ import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.errors import RouteError
+from edoras_tools.io.topics.names import APART
 from edoras_tools.links import table
+from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.structs.shapes import Key
@@ -23,8 +25,48 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
+    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch
+
+
+@dataclass(frozen=True, slots=True)
+class SampleTopics:
+    """The samples of DDS on some topics, whether their types are known or not.
+
+    Attributes:
+        pattern: a shell pattern of the topics' names, as recordings have them.
+        taken: names of the mission's topics.
+        endpoints: what was announced so far.
+        announced: also the datagrams in which these topics were announced first.
+    """
+
+    pattern: str
+    taken: frozenset[str]
+    endpoints: Endpoints
+    announced: bool = False
+
+    @classmethod
+    def of(cls, topic: str, context: Context) -> SampleTopics:
+        """Return the samples of one topic of DDS."""
+        taken = frozenset(route.topic for route in context.mission.routes)
+        return cls(_recorded_as(topic, taken), taken, context.endpoints)
+
+    def holds(self, topic: str) -> bool:
+        """Tell whether a topic of DDS is one of them."""
+        return fits_topic(_recorded_as(topic, self.taken), self.pattern)
+
+    def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+        """Return which rows of a batch have such a sample."""
+        found = np.zeros(len(batch), bool)
+        rows = np.flatnonzero(columns.link == RTPS)
+        if len(rows):
+            found[RTPS.rows_on(batch, rows, self.endpoints, self.holds)] = True
+        if len(rows) and self.announced:
+            told = self.endpoints.announced.values()
+            numbers = [number for item, number in told if item.topic and self.holds(item.ros_topic)]
+            found[rows[np.isin(batch.number[rows], numbers)]] = True
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +77,25 @@ class PacketKinds:
         routes: indices of configured routes.
         keys: MsgIds, and the function codes of commands.
         kinds: a link's code, and its own message type, as ``links.table.message_kinds`` has it.
+        samples: topics of DDS.
     """
 
     routes: frozenset[int] = frozenset()
     keys: frozenset[Key] = frozenset()
     kinds: frozenset[tuple[int, int]] = frozenset()
+    samples: tuple[SampleTopics, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(self.routes or self.keys or self.kinds)
+        return bool(self.routes or self.keys or self.kinds or self.samples)
+
+    @property
+    def only_samples(self) -> bool:
+        """Whether topics of DDS are all that is meant."""
+        return bool(self.samples) and not (self.routes or self.keys or self.kinds)
+
+    def with_announcements(self) -> PacketKinds:
+        """Return these, and of topics of DDS also the datagrams that announce them."""
+        return replace(self, samples=tuple(replace(item, announced=True) for item in self.samples))
 
     @classmethod
     def any(cls, several: Iterable[PacketKinds]) -> PacketKinds:
@@ -52,6 +105,7 @@ class PacketKinds:
             frozenset().union(*(item.routes for item in found)),
             frozenset().union(*(item.keys for item in found)),
             frozenset().union(*(item.kinds for item in found)),
+            tuple(own for item in found for own in item.samples),
         )
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
@@ -69,6 +123,8 @@ class PacketKinds:
             own = table.message_kinds(columns, batch.length)
             for code, kind in self.kinds:
                 found |= (columns.link == code) & (own == kind) & (columns.msg_id == NO_MSG_ID)
+        for item in self.samples:
+            found |= item.mask(batch, columns)
         return found
 
     def takes(self, route: int, msg_id: int | None, kind: tuple[int, int] | None = None) -> bool:
@@ -76,9 +132,22 @@ class PacketKinds:
         own = kind in self.kinds and msg_id in {None, NO_MSG_ID}
         return route in self.routes or own or any(key.msg_id == msg_id for key in self.keys)
 
+    def has_sample_topic(self, topic: str) -> bool:
+        """Return whether samples on a topic of DDS are meant."""
+        return any(item.holds(topic) for item in self.samples)
+
+    def shares_samples(self, other: PacketKinds) -> bool:
+        """Return whether some topic of DDS that was announced is meant by both."""
+        topics = {name for item in self.samples for name in item.endpoints.topics()}
+        return any(self.has_sample_topic(name) and other.has_sample_topic(name) for name in topics)
+
     def msg_ids(self, mission: Mission) -> set[int]:
         """Return the MsgIds that are meant."""
         return {mission.routes[index].msg_id for index in self.routes} | {key.msg_id for key in self.keys}
+
+
+def _recorded_as(topic: str, taken: frozenset[str]) -> str:
+    return f"{APART}{topic}" if topic in taken else topic
 
 
 def fits_topic(topic: str, pattern: str) -> bool:
@@ -112,14 +181,17 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
         frozenset(keys),
         frozenset(kind for known, kind in _own_names() if known in own or fnmatchcase(known, name)),
     )
-    if found:
-        return found
     topics = [route.topic for route in routes]
-    topics += [item.topic for item in context.structs.all]
+    samples = SampleTopics(pattern, frozenset(topics), context.endpoints)
+    announced = [] if found else [*filter(samples.holds, context.announced_topics())]
+    if found or announced:
+        return replace(found, samples=(samples,))
+    topics += [*context.announced_topics(), *(item.topic for item in context.structs.all)]
     names = [*MSG_ID_NAMES.values(), *(known for known, _ in _own_names() if "0X" not in known)]
     near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1, 0.8)
     near = near or (did_you_mean(pattern, names, 1, 0.8) if pattern[:1] != "/" else "")
-    there = ", ".join(route.topic for route in routes) or "none; name a mission with -c"
+    named = [*(route.topic for route in routes), *context.announced_topics()]
+    there = listed(list(dict.fromkeys(named)), 12) if named else "none; name a mission with -c"
     raise RouteError(f"no configured topic matches {pattern!r}; {near or f'there are: {there}'}")
 
 

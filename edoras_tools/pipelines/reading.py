@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Iterator
 
+    from edoras_tools.decode.samples import LeftSamples
     from edoras_tools.io import Source
     from edoras_tools.io.frames.fragmented import FragmentedSamples
     from edoras_tools.model import Columns, PacketBatch
@@ -66,7 +67,7 @@ class ReadLoop:
         bench: mission, types and decoders.
         selection: which datagrams; already prepared for the bench.
         limits: when to end.
-        examined: datagrams outside this period are not even decoded.
+        examined: datagrams outside this period are not decoded; only what DDS announces there is learnt.
         keeps_failure: keep the error that ended the source in ``failure``, instead of raising it.
         conversations: of all that was read, if they are followed, else of what is on ports of no link; a
             batch is added before it is yielded.
@@ -94,6 +95,7 @@ class ReadLoop:
     outside: int = 0
     _ends_ns: int = 0
     _fragmented: FragmentedSamples | None = None
+    _left: LeftSamples | None = None
 
     @property
     def interrupted(self) -> bool:
@@ -149,6 +151,7 @@ class ReadLoop:
             if examined:
                 batch = whole.take(examined.holds(whole.time_ns - begin_ns))
                 self.outside += len(whole) - len(batch)
+                bench.columns.learn(whole)  # what is announced before the period names what is in it
             columns = decode(batch)
             if (columns.link == RTPS).any():
                 batch, columns = self._with_samples(batch, columns)
@@ -167,8 +170,9 @@ class ReadLoop:
                 if not hasattr(self.source, "stop"):
                     return
                 self.source.stop()  # what arrived until now is still read
-        if self._fragmented is not None:
-            self.bench.columns.context.notes += self._fragmented.notes()
+        if self._fragmented is not None and self._left is not None:
+            context = bench.columns.context
+            context.notes += self._fragmented.notes() + self._left.notes(context.types, context.endpoints)
         if self.first_ns is not None and self.first_ns < _NO_CLOCK_NS <= self.last_ns:
             self.bench.columns.context.notes.append(
                 "some times are before the year 2000 and others are not: a clock was not set, and spans and "
@@ -179,11 +183,15 @@ class ReadLoop:
 
     def _with_samples(self, batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]:
         """Return a batch with the samples of DDS that become whole in it."""
-        if self._fragmented is None:
+        if self._fragmented is None or self._left is None:
+            from edoras_tools.decode.samples import LeftSamples
             from edoras_tools.io.frames.fragmented import FragmentedSamples
 
-            self._fragmented = FragmentedSamples()
-        return self._fragmented.take(batch, columns, self.bench.columns)
+            self._fragmented, self._left = FragmentedSamples(), LeftSamples()
+        batch, columns = self._fragmented.take(batch, columns, self.bench.columns)
+        rows = np.flatnonzero(columns.link == RTPS)
+        self._left.add(batch, rows, self.bench.columns.context.endpoints)
+        return batch, columns
 
     def _follow(self, batch: PacketBatch, columns: Columns) -> None:
         if batch.recorded is not None:

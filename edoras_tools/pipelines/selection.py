@@ -159,6 +159,8 @@ class Selection:
         topics: only these topics, shell patterns, or names that tables show.
         notable: only datagrams with one of these finding bits.
         where: only datagrams that pass this filter; it is applied by what :meth:`over` returns.
+        announced: of topics of DDS, also the datagrams that announce them: without these a recording would
+            not name them.
     """
 
     links: Sequence[Link] = ()
@@ -166,6 +168,7 @@ class Selection:
     topics: Sequence[str] = ()
     notable: int = 0
     where: str = ""
+    announced: bool = False
     _filter: Where | None = field(default=None, repr=False, compare=False)
     _named: Sequence[PacketKinds] = field(default=(), repr=False, compare=False)
     _ready: bool = field(default=False, repr=False, compare=False)
@@ -195,6 +198,8 @@ class Selection:
             )
         groups = [[hex(item) if isinstance(item, int) else item for item in self.msg_ids], self.topics]
         named = [PacketKinds.any(find_packets(name, context) for name in names) for names in groups if names]
+        if self.announced:
+            named = [item.with_announcements() for item in named]
         chosen = replace(self, _named=named, _ready=True)
         if not self.where:
             return chosen
@@ -217,15 +222,18 @@ class Selection:
         """Return the routes that are named, of what :meth:`over` returns; None where none is."""
         return frozenset.intersection(*(item.routes for item in self._named)) if self._named else None
 
-    def about(self, link: str | None, msg_id: int | None, mission: Mission) -> bool:
+    def about(self, link: str | None, msg_id: int | None, mission: Mission, samples: str = "") -> bool:
         """Return whether a link's label and a MsgId are selected, without regard to the filter.
 
         Args:
             link: None if it is not about a single link.
             msg_id: None if it is not about a single MsgId.
+            samples: the topic, if it is about samples of DDS, which have no MsgId.
         """
         if self.links and link not in {item.label for item in self.links}:
             return False
+        if samples:
+            return all(packets.has_sample_topic(samples) for packets in self._named)
         return all(msg_id in packets.msg_ids(mission) for packets in self._named)
 
     def overlaps(self, packets: PacketKinds, mission: Mission) -> bool:
@@ -234,7 +242,10 @@ class Selection:
         if self.links and links and links.isdisjoint(self.links):
             return False
         ids = packets.msg_ids(mission)
-        return all(ids & item.msg_ids(mission) or packets.kinds & item.kinds for item in self._named)
+        return all(
+            ids & item.msg_ids(mission) or packets.kinds & item.kinds or packets.shares_samples(item)
+            for item in self._named
+        )
 
     def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
         """Return the indices of the selected rows; only what :meth:`over` returns can tell them."""

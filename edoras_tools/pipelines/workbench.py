@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.mission import Mission, load, loads
 from edoras_tools.ros import TypeStore
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Source
     from edoras_tools.io.frames.transfer import Unframer
+    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.model import SourceInfo
     from edoras_tools.wire.cfe import Headers
 
@@ -71,12 +74,13 @@ class Settings:
     options: Options = Options()  # noqa: RUF009  frozen, and the same for all
     structs: Sequence[Path] = ()
 
-    def workbench(self, info: SourceInfo | None = None) -> Workbench:
+    def workbench(self, info: SourceInfo | None = None, paths: Sequence[Path] = ()) -> Workbench:
         """Load the mission, the types and the layouts.
 
         Args:
             info: of the source. A recording's mission files and struct layouts are used if none are named,
                 its decoding options if none are given, its message definitions before the distribution's.
+            paths: of the source: topics of DDS that are asked for are looked up in these before it is read.
 
         Raises:
             ConfigError: a mission, a type folder or an option has errors.
@@ -104,6 +108,8 @@ class Settings:
             files = dict(zip(names or carried, (data for _, data in contents), strict=True))
             mission = replace(mission, files={**mission.files, **files})
         context = Context(mission, types, options, structs)
+        if paths and all(path.is_file() or path.is_dir() for path in paths):
+            context.look_ahead = partial(_announced_in, paths)
         return _bench(mission, types, context)
 
 
@@ -114,6 +120,15 @@ def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
 
         frames = Unframer(context.frames)
     return Workbench(mission, types, ColumnDecoder(context), Dissector(context), frames)
+
+
+def _announced_in(paths: Sequence[Path]) -> Endpoints:
+    """Return what DDS participants announce in captures; as much as can be read of them."""
+    decoder = ColumnDecoder(Context())
+    with suppress(CaptureError), closing(open_files(paths)) as source:
+        for batch in source.batches():
+            decoder.learn(batch)
+    return decoder.context.endpoints
 
 
 def open_files(paths: Sequence[Path]) -> Source:

@@ -35,7 +35,6 @@ from edoras_tools.links.rtps.reader import UserSubmessages, user_submessages
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 from edoras_tools.wire.rtps.headers import SubmessageKind
 from edoras_tools.wire.rtps.messages import guid_text
-from edoras_tools.wire.rtps.names import ros_name, ros_topic
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -65,7 +64,8 @@ class SampleWriter:
     Attributes:
         guid: of the writer.
         first_ns: time of its first captured sample; 0 before.
-        last_ns: time of its last one.
+        last_ns: time of its last one that had not come before.
+        longest_ns: longest time between two of these.
         first: the first number that was captured, which need not be the lowest; None before.
         last: the last number that is known to be written.
         seen: numbers of samples that were captured whole.
@@ -86,6 +86,7 @@ class SampleWriter:
     guid: bytes
     first_ns: int = 0
     last_ns: int = 0
+    longest_ns: int = 0
     first: int | None = None
     last: int = 0
     seen: KnownRanges = field(default_factory=KnownRanges)
@@ -207,6 +208,12 @@ def _within(ranges: KnownRanges, start: int, end: int) -> list[tuple[int, int]]:
     return found
 
 
+def topic_of(guid: bytes, endpoints: Endpoints) -> str:
+    """Return what the topic of a writer is called; its GUID where it was not announced."""
+    told = endpoints.find(guid)
+    return told.ros_topic if told and told.topic else f"writer {guid_text(guid)}"
+
+
 class SampleFollower:
     """Follows the samples of every writer.
 
@@ -227,8 +234,7 @@ class SampleFollower:
         for guid, writer in self.writers.items():
             told = endpoints.find(guid)
             if writer.first is not None and (told is None or told.topic != PRESENCE):
-                topic = ros_topic(told.topic) if told and told.topic else f"writer {guid_text(guid)}"
-                found.append(TopicWriter(topic, ros_name(told.type) if told else "", writer))
+                found.append(TopicWriter(topic_of(guid, endpoints), told.ros_type if told else "", writer))
         return tuple(found)
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
@@ -292,17 +298,20 @@ class _Pass:
         writer, times = self._writer, self._found.time_ns[data]
         if writer.first is None:
             writer.first = writer.floor = writer.last = int(numbers[0])
-            writer.first_ns = int(times[0])
+            writer.first_ns = writer.last_ns = int(times[0])
         for at in range(0, len(numbers), _MANY // 2):
             some = numbers[at : at + _MANY // 2]
-            some = some[some <= writer.last + _FARTHEST]
+            near = some <= writer.last + _FARTHEST
+            some, moments = some[near], times[at : at + _MANY // 2][near]
             new = np.full(len(some), writer.floor == writer.first) | (some >= writer.floor)
             writer.copies += int(np.count_nonzero(~new))
             fresh = writer.seen.fresh(some[new])
             writer.copies += int(np.count_nonzero(~fresh))
+            moments = np.append(writer.last_ns, moments[new][fresh])
+            writer.longest_ns = max(writer.longest_ns, int(np.diff(moments).max(initial=0)))
+            writer.last_ns = max(writer.last_ns, int(moments[-1]))
             writer.last = max(writer.last, int(some.max(initial=0)))
             writer.settle()
-        writer.last_ns = max(writer.last_ns, int(times[-1]))
         if writer.open:
             for number in set(numbers.tolist()) & writer.open.keys():
                 del writer.open[number]

@@ -75,21 +75,32 @@ class MessageFieldFinder:
     """
 
     def __init__(self, context: Context) -> None:
+        self._context = context
         self._routes: dict[str, list[int]] = {}
         self._definitions: dict[str, Definition] = dict(context.structs.definitions)
         self._own = frozenset(self._definitions)
         self._structs: dict[str, list[Bound]] = {}
         for bound in context.structs.all:
             self._structs.setdefault(bound.name, []).append(bound)
-        types = context.types
         for index, route in enumerate(context.mission.routes):
-            if types is None or not types.has(route.type):
-                continue
-            self._routes.setdefault(route.type, []).append(index)
-            for part in grammar.sections(route.type, types.definition(route.type)):
-                self._definitions[part.name] = grammar.parse_definition(
-                    part.name, part.text, part.name, part.line
-                )
+            self._add(route.type, index)
+
+    def _add(self, name: str, *routes: int) -> None:
+        """Add the fields of a type, if it is known."""
+        types = self._context.types
+        if types is None or not types.has(name):
+            return
+        known = self._routes.setdefault(name, [])
+        known += routes
+        for part in grammar.sections(name, types.definition(name)):
+            self._definitions[part.name] = grammar.parse_definition(
+                part.name, part.text, part.name, part.line
+            )
+
+    def look_ahead(self) -> None:
+        """Add the types of the topics of DDS that the input announces."""
+        for name in self._context.announced_topics().values():
+            self._add(name)
 
     def __bool__(self) -> bool:
         return bool(self._routes)

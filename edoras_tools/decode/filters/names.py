@@ -118,6 +118,9 @@ class Names:
             return messages or layers
         found = layers + self._messages.of_structs(name)
         if not found:
+            self._messages.look_ahead()
+            found = self._messages.find(name)
+        if not found:
             raise Unknown(partial(self._nothing, name))
         return found
 

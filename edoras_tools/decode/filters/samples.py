@@ -12,7 +12,6 @@ from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.rtps.reader import named_submessages
 from edoras_tools.wire.rtps.messages import guid_text
-from edoras_tools.wire.rtps.names import ros_topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -74,7 +73,7 @@ def _topics(rows: ColumnRows) -> Series:
     found = _found(rows)
     endpoints = rows.context.endpoints
     told = map(endpoints.find, found.writers)
-    texts = [ros_topic(item.topic) if item else "" for item in told]
+    texts = [item.ros_topic if item else "" for item in told]
     known = rows.datagram("number")[found.row] >= endpoints.since(found.writers)[found.writer]
     return Series(len(rows), found.writer[known].astype(INDEX_DTYPE), found.row[known], table=texts)
 

@@ -14,6 +14,7 @@ from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPI
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Finding, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.ros import TypeStore
@@ -34,6 +35,7 @@ class FoxgloveSink:
         levels: the level of each finding in the diagnostics: 0 OK, 1 warning, 2 error.
         statistics: the source's, for losses of the capture itself.
         structs: C structs in packets; None: only cFE's own.
+        endpoints: of DDS, as the decoder learns them; None: their samples are not sent.
 
     Attributes:
         server: the server; it listens from construction on.
@@ -54,10 +56,11 @@ class FoxgloveSink:
         levels: Mapping[Finding, int] | None = None,
         statistics: SourceStatistics | None = None,
         structs: Structs | None = None,
+        endpoints: Endpoints | None = None,
     ) -> None:
         self._mission, self._types, self._info = mission, types, info
         self._levels, self._counted = levels or {}, statistics
-        self._structs = structs
+        self._structs, self._endpoints = structs, endpoints
         self._begin()
         bound = [Topic(item.topic, item.type, item.metadata) for item in self._streams.structs.all]
         own = [DIAGNOSTICS, FAULTS]
@@ -139,6 +142,7 @@ class FoxgloveSink:
             add=self._offer,
             transforms=True,
         )
+        self._streams.endpoints = self._endpoints
         self._link = LinkState(self._types, self._counted)
         self._diagnostics = Diagnostics(
             self._mission, self._types, self._info.name, self._levels, self._counted

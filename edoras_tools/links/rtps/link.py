@@ -9,9 +9,12 @@ from edoras_tools.model import Decoded, PacketBatch, Transport
 from edoras_tools.wire.rtps import RTPS_MAGIC
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
     from numpy.typing import NDArray
 
+    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.links.reading import Reading
     from edoras_tools.wire.layout import Layout
 
@@ -68,6 +71,14 @@ class PublishSubscribeLink(LinkProtocol):
 
         del field
         return reader.submessage_places(layout, rows, self)
+
+    def rows_on(
+        self, batch: PacketBatch, rows: NDArray[np.intp], endpoints: Endpoints, holds: Callable[[str], bool]
+    ) -> NDArray[np.intp]:
+        """Return those of some rows that have a sample of a topic; see :func:`reader.rows_on`."""
+        from edoras_tools.links.rtps import reader
+
+        return reader.rows_on(batch, rows, endpoints, holds)
 
     def summary(self, decoded: Decoded) -> str:
         """Return what the submessages are, and of which topics."""

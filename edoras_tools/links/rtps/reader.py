@@ -37,10 +37,11 @@ from edoras_tools.wire.rtps.messages import (
     read_samples,
     sequence_set,
 )
-from edoras_tools.wire.rtps.names import ros_name, ros_topic
 from edoras_tools.wire.rtps.parameters import read_announcement
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from edoras_tools.links.protocol import BatchRows, Endpoints, Site
@@ -110,6 +111,24 @@ def topic_samples(data: NDArray[np.uint8], found: Submessages) -> tuple[list[byt
         samples.end[users],
         own.time_ns[users],
     )
+
+
+def rows_on(
+    batch: PacketBatch, rows: NDArray[np.intp], endpoints: Endpoints, holds: Callable[[str], bool]
+) -> NDArray[np.intp]:
+    """Return those of some rows that have a whole sample, of a topic that was announced before.
+
+    Args:
+        batch: the datagrams.
+        rows: those that hold RTPS.
+        endpoints: what was announced so far.
+        holds: tells of the ROS name of a topic whether it is meant.
+    """
+    writers, found = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
+    told = [endpoints.find(guid) for guid in writers]
+    own = np.array([item is not None and holds(item.ros_topic) for item in told], bool)
+    known = batch.number[rows[found.row]] >= endpoints.since(writers)[found.writer]
+    return rows[found.row[own[found.writer] & known]]
 
 
 def _whole_samples(data: NDArray[np.uint8], found: Submessages) -> tuple[SampleData, Submessages]:
@@ -246,15 +265,14 @@ def _submessage(
     place = at + layout.by_name["writer_id"].start
     known = endpoints.find(guid, reading.datagram.number)
     told_of = {"writer": (guid_text(guid), "GUID of the writer")}
-    topic = ros_topic(known.topic) if known is not None else ""
+    topic = known.ros_topic if known is not None else ""
     if known is not None and topic:
-        type_name = ros_name(known.type)
-        told_of |= {"topic": (topic, "as it announced"), "type": (type_name, "as it announced")}
+        told_of |= {"topic": (topic, "as it announced"), "type": (known.ros_type, "as it announced")}
     for name, (text, doc) in told_of.items():
         reading.extend(LayerField(name, text, place, place + ENTITY_BYTES, text, doc))
     sample = kind == SubmessageKind.DATA and flags & SubmessageFlag.DATA
     if known is not None and topic and sample and inside and inside[2]:
-        reading.sample(topic, ros_name(known.type), inside[0], inside[1])
+        reading.sample(topic, known.ros_type, inside[0], inside[1])
 
 
 def _numbers_text(numbers: list[int]) -> str:

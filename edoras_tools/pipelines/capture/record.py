@@ -326,6 +326,7 @@ def record(
         ConfigError: its filter has an error.
     """
     check_recorded(source, bench, target)
+    selection = replace(selection, announced=True) if selection else None
     with reading(source, bench, selection, limits, keeps_failure=True) as loop:
         sequences = SequenceCounts()
         topics = loop.selection.places() if bench.mission.recorded else None

@@ -21,14 +21,14 @@ from edoras_tools.pipelines.check.expectations import LOSS_KEYS
 from edoras_tools.pipelines.check.messages import examine_or_count
 from edoras_tools.pipelines.check.observation import Subject
 from edoras_tools.pipelines.check.run import NOTABLE_FINDINGS, Figures
-from edoras_tools.pipelines.names import PacketKinds
+from edoras_tools.pipelines.names import PacketKinds, SampleTopics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.decode.context import Context
     from edoras_tools.io import Source
-    from edoras_tools.mission import Mission
     from edoras_tools.pipelines.capture.ledger import Ledger
     from edoras_tools.pipelines.check.messages import Examined
     from edoras_tools.pipelines.doctor.scope import Scope
@@ -53,11 +53,11 @@ class Draft:
         findings: of the doctor.
     """
 
-    def __init__(self, ledger: Ledger, mission: Mission, findings: Examined, name: str) -> None:
+    def __init__(self, ledger: Ledger, context: Context, findings: Examined, name: str) -> None:
         self.findings = findings
         self._diagnosis = findings.diagnosis
         self.notes: list[str] = []
-        self._ledger, self._mission = ledger, mission
+        self._ledger, self._context, self._mission = ledger, context, context.mission
         self.text = "".join(f"{line}\n" for line in self._lines(name))
 
     def _lines(self, name: str) -> Iterator[str]:
@@ -105,19 +105,30 @@ class Draft:
         return [
             *(Subject(topic, PacketKinds(frozenset(own))) for topic, own in topics.items()),
             *map(Subject.of, others),
+            *self._sample_subjects(),
         ]
+
+    def _sample_subjects(self) -> Iterator[Subject]:
+        """Yield the ROS topics of DDS."""
+        if self._diagnosis is not None:
+            context = self._context
+            names = dict.fromkeys(item.topic for item in self._diagnosis.capture.samples)
+            for topic in names:
+                if topic.startswith("/"):
+                    samples = SampleTopics.of(topic, context)
+                    yield Subject(samples.pattern, PacketKinds(samples=(samples,)))
 
     def _topic(self, subject: Subject) -> Iterator[str]:
         figures = Figures.of(subject, self._ledger, self._diagnosis)
-        assert figures.size is not None, "it has messages"
         yield f"  {_key(subject.name)}:"
         yield "    count: at least 1"
         if figures.count >= _FEWEST and figures.rate:
             low, high = figures.rate * (1 - _ROOM), figures.rate * (1 + _ROOM)
             yield f"    rate: {_down(low)}..{_up(high)}"
             yield f"    silence: at most {_up(_TIMES * figures.silence + _LEAST_S)}s"
-        low, high = figures.size
-        yield f"    size: {low}" if low == high else f"    size: {low}..{high}"
+        if figures.size is not None:
+            low, high = figures.size
+            yield f"    size: {low}" if low == high else f"    size: {low}..{high}"
         if figures.latency is not None:
             yield f"    latency: at most {_up(_TIMES * figures.latency + _LEAST_S)}s"
         yield from self._losses(subject.name, figures, "    ")
@@ -150,7 +161,7 @@ def draft(
     """Read a source to its end and draft expectations from it; the source is closed."""
     counting = Counting(source, bench)
     findings = examine_or_count(source, bench, counting, profile=profile, scope=scope, progress=progress)
-    return Draft(counting.report.ledger, bench.mission, findings, source.info.name)
+    return Draft(counting.report.ledger, bench.columns.context, findings, source.info.name)
 
 
 def _down(value: float) -> float:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.check.observation import FilterCount, Subject
     from edoras_tools.pipelines.doctor.doctor import Pace
     from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.names import PacketKinds
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress
 
@@ -141,6 +142,8 @@ class Figures:
         ]
         waits: list[float | None] = []
         rows: list[Row] = []
+        if packets.only_samples and diagnosis is not None:
+            return cls._of_samples(packets, ledger, diagnosis)
         if diagnosis is not None:
             waits = [latency_ms(row) for row in diagnosis.routes if _is_about(row, subject, diagnosis)]
             rows = [row for row in diagnosis.balance if packets.takes(row.route, row.msg_id)]
@@ -151,6 +154,27 @@ class Figures:
             silence=max(silences, default=ledger.end_ns - ledger.start_ns) / SECOND,
             size=(min(item.bytes_min for item in own), max(item.bytes_max for item in own)) if own else None,
             latency=None if slowest is None else slowest / 1e3,
+            sent=sent(rows),
+            **_losses(rows),
+        )
+
+    @classmethod
+    def _of_samples(cls, packets: PacketKinds, ledger: Ledger, diagnosis: Diagnosis) -> Figures:
+        """Return the figures of samples of DDS, each counted once; their size and latency are not known."""
+        own = [item.writer for item in diagnosis.capture.samples if packets.has_sample_topic(item.topic)]
+        rows = [row for row in diagnosis.balance if packets.has_sample_topic(row.topic)]
+        spans = [(item.captured - 1, item.last_ns - item.first_ns) for item in own]
+        rates = [number * SECOND / span_ns for number, span_ns in spans if span_ns > 0]
+        silences = [
+            max(item.longest_ns, item.first_ns - ledger.start_ns, ledger.end_ns - item.last_ns)
+            for item in own
+        ]
+        return cls(
+            count=sum(item.captured for item in own),
+            rate=sum(rates) if rates else None,
+            silence=max(silences, default=ledger.end_ns - ledger.start_ns) / SECOND,
+            size=None,
+            latency=None,
             sent=sent(rows),
             **_losses(rows),
         )
@@ -260,9 +284,9 @@ def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckR
         share = number / figures.sent if figures.sent else 0.0
         shown = f"{number:,} of {figures.sent:,} ({share:.2%})"
         passed = bound.holds(share if bound.share else number) and (figures.sent > 0 or not figures.count)
-    elif key == "size":
-        passed = figures.size is not None and all(map(bound.holds, figures.size))
-        low, high = figures.size or (0, 0)
+    elif key == "size" and figures.size is not None:
+        passed = all(map(bound.holds, figures.size))
+        low, high = figures.size
         shown = unit.shown(high) if low == high else f"{low:,} to {unit.shown(high)}"
     else:
         value = figures.silence if key == "duration" else getattr(figures, key)
@@ -288,7 +312,9 @@ def _field(
     def told(place: tuple[int, int] | None) -> str:
         return f"first is {what} {place[0]:,} at {(place[1] - zero_ns) / SECOND:.3f} s" if place else ""
 
-    of, passed = plural(watch.seen, "message"), watch.seen > 0
+    # A datagram of DDS may be sent again, and may hold several samples.
+    of = plural(watch.seen, "datagram" if watch.subject.packets.only_samples else "message")
+    passed = watch.seen > 0
     found = f"{watch.hits:,} of {of}"
     if not watch.seen:
         found = "no message"

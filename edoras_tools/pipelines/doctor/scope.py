@@ -9,7 +9,10 @@ import numpy as np
 
 from edoras_tools.diagnosis.choice import Choice
 from edoras_tools.links import table
+from edoras_tools.links.rtps.link import RTPS
+from edoras_tools.links.rtps.reader import named_submessages
 from edoras_tools.pipelines.selection import Period, Selection
+from edoras_tools.sessions.dds import topic_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,7 +50,9 @@ class Chosen:
     def __init__(self, selection: Selection, bench: Workbench) -> None:
         self._selection = selection.over(bench)
         self._mission: Mission = bench.mission
+        self._endpoints = bench.columns.context.endpoints
         self._seen: set[tuple[str, int]] = set()
+        self._writers: set[bytes] = set()
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Add a batch; with a filter, routes are shown that have a packet which passes it."""
@@ -55,6 +60,7 @@ class Chosen:
             rows = self.rows(batch, columns)
             key = columns.link[rows].astype(np.int64) << 32 | columns.msg_id[rows]
             self._seen |= {(table.link(item >> 32).label, item & 0xFFFF) for item in np.unique(key).tolist()}
+            self._writers |= {*named_submessages(batch, rows[columns.link[rows] == RTPS]).writers}
 
     def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
         """Return which rows of a batch are selected."""
@@ -64,9 +70,12 @@ class Chosen:
         """Return what is shown; None for all."""
         return Choice(str(self._selection), self._takes) if self._selection else None
 
-    def _takes(self, link: str | None, msg_id: int | None) -> bool:
-        if not self._selection.about(link, msg_id, self._mission):
+    def _takes(self, link: str | None, msg_id: int | None, topic: str = "", /) -> bool:
+        of_samples = topic if link == RTPS.label else ""
+        if not self._selection.about(link, msg_id, self._mission, of_samples):
             return False
         if not self._selection.where:
             return True
+        if of_samples:
+            return any(topic == topic_of(guid, self._endpoints) for guid in self._writers)
         return any(msg_id == there and link in {None, label} for label, there in self._seen)

@@ -15,13 +15,14 @@ from edoras_tools.io.outputs import check_links, in_the_way, refuse_existing, re
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.streams import FAULTS, OWN_TOPICS
 from edoras_tools.pipelines.export.judged import JUDGED
-from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen_topics
+from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen_topics, has_field
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from edoras_tools.io.formats.table import Format
+    from edoras_tools.pipelines.export.block import TopicBlock
     from edoras_tools.pipelines.export.sources import TopicSource
     from edoras_tools.render.terminal.run import Progress
 
@@ -141,7 +142,7 @@ def export(
         source: the input.
         target: where tables go.
         patterns: of the topics. By default, a folder gets all topics except the datagrams and those that need
-            an examination; a file also leaves out this package's own.
+            an examination, also those that only the content names; a file also leaves out this package's own.
         form: the columns.
         progress: updated while the input is read.
 
@@ -152,15 +153,23 @@ def export(
     """
     with closing(source), ThreadPoolExecutor(1, "tables") as pool:
         usual = {*source.topics} - ({DATAGRAMS_TOPIC, *JUDGED} if target.folder else _OWN)
-        there = {
-            topic: [column.name for column in TableForm().columns(source.empty(topic), 0)]
-            for topic in chosen_topics(source, patterns, usual)
-        }
+        known = {*source.topics}
+        there = {topic: _names(source.empty(topic)) for topic in chosen_topics(source, patterns, usual)}
+        if (
+            not patterns
+            and form.fields
+            and not all(has_field([item], *there.values()) for item in form.fields)
+        ):
+            source.look()
+            there |= {topic: _names(source.empty(topic)) for topic in source.topics if topic not in known}
         wanted = check_fields(form.fields, there)
+        source.wants_new = not patterns
         make, made = _writer(target)
         report, tables = ExportReport(source), dict[str, TableFile]()
         try:
             for block in filter(len, source.blocks(wanted, progress)):
+                if block.topic not in there and not has_field(form.fields, _names(block)):
+                    continue
                 columns = form.columns(block, source.zero_ns)
                 if block.topic not in tables:
                     target.check_alone(block.topic, tables)
@@ -179,6 +188,11 @@ def export(
                     folder.rmdir()
             raise
     return report
+
+
+def _names(block: TopicBlock) -> list[str]:
+    """Return the names of a block's columns."""
+    return [column.name for column in TableForm().columns(block, 0)]
 
 
 def _writer(target: ExportTarget) -> tuple[Any, list[Path]]:

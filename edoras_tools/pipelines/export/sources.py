@@ -57,7 +57,9 @@ class TopicSource(ABC):
 
     Attributes:
         name: of the input.
-        topics: every topic that it can contain, with its type.
+        topics: every topic that it can contain, with its type; those that only the content names are added
+            while it is read.
+        wants_new: whether blocks of these are wanted, too.
         unread: other topics of a recording, and why their messages cannot be read.
         source: where its datagrams come from; None if it has none.
         zero_ns: the time that its times count from; -1 until it is known.
@@ -70,6 +72,7 @@ class TopicSource(ABC):
     """
 
     source: Source | None = None
+    wants_new = False
 
     def __init__(self, name: str, scope: Scope | None) -> None:
         self.name = name
@@ -164,10 +167,12 @@ class CaptureTopics(TopicSource):
         super().__init__(source.info.name, scope)
         self.source, self._source, self._bench, self._judge = source, source, bench, judge
         self._seek = seek
+        self._new: set[str] = set()
         self._structs = bench.columns.context.structs
         self._streams = Streams(
             bench.mission, bench.types, source.statistics, structs=self._structs, add=self._add
         )
+        self._streams.endpoints = bench.columns.context.endpoints
         self._places: list[Topic] = [*self._streams.topics, FAULTS]
         self.topics = {item.name: item.type for item in self._places}
         self.topics |= {item.topic: item.type for item in self._streams.structs.all}
@@ -179,7 +184,7 @@ class CaptureTopics(TopicSource):
         return [*self._bench.mission.warnings, *self._bench.columns.context.notes]
 
     def look(self) -> None:
-        """Add the topics of RACS2 and of files that were transferred."""
+        """Add the topics of RACS2, of DDS and of files that were transferred."""
         if self._seek is not None:
             self.topics = {**self._seek(), **self.topics}
             self._seek = None
@@ -227,6 +232,9 @@ class CaptureTopics(TopicSource):
                 self.failure = self.failure or error
 
     def _add(self, topic: Topic) -> int:
+        if topic.name not in self.topics:
+            self.topics[topic.name] = topic.type
+            self._new.add(topic.name)
         self._places.append(topic)
         return len(self._places) - 1
 
@@ -236,6 +244,8 @@ class CaptureTopics(TopicSource):
         routes = range(len(self._streams.topics) - len(self._bench.mission.routes), len(self._streams.topics))
         for messages in streams:
             places = by_value(np.broadcast_to(messages.channel_id, len(messages)))
+            if self.wants_new:
+                wanted = {*wanted, *self._new}
             chosen = [item for item in places if self._places[item[0]].name in wanted]
             if not chosen:
                 continue
@@ -359,6 +369,7 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
         bench = settings.workbench(again.info)
         structs = bench.columns.context.structs
         streams = Streams(bench.mission, bench.types, again.statistics, structs=structs, add=add)
+        streams.endpoints = bench.columns.context.endpoints
         with reading(again, bench, keeps_failure=True) as loop:
             for rows in loop:
                 streams.prepare(*rows.alone(), statistics=False)

@@ -115,11 +115,13 @@ def check_fields(patterns: Sequence[str], there: Mapping[str, Sequence[str]]) ->
         if not any(fits_field(name, pattern) for name in names):
             hint = did_you_mean(pattern, names, cutoff=0.5) or f"there are {', '.join(names[:12])}"
             raise ConfigError(f"--fields: {pattern!r} is no field of {', '.join(sorted(there))}; {hint}")
-    return [
-        topic
-        for topic, columns in there.items()
-        if not patterns or any(fits_field(name, item) for name in columns for item in patterns)
-    ]
+    return [topic for topic, columns in there.items() if has_field(patterns, columns)]
+
+
+def has_field(patterns: Sequence[str], *columns: Sequence[str]) -> bool:
+    """Return whether one of some columns is a requested field, or nothing is requested."""
+    names = [name for some in columns for name in some]
+    return not patterns or any(fits_field(name, item) for name in names for item in patterns)
 
 
 def exploded(columns: Sequence[TableColumn]) -> list[TableColumn]:

@@ -67,6 +67,7 @@ def attach(
         levels=LEVELS,
         statistics=statistics,
         structs=bench.columns.context.structs,
+        endpoints=bench.columns.context.endpoints,
     )
 
 

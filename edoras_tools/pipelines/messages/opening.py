@@ -51,7 +51,7 @@ def open_inputs(paths: Sequence[Path], settings: Settings) -> tuple[Source, Work
     except NoDatagramsError as error:
         return open_messages(paths, settings, error)
     try:
-        return source, settings.workbench(source.info)
+        return source, settings.workbench(source.info, paths)
     except BaseException:
         source.close()
         raise

@@ -10,6 +10,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Final, Literal
 
 from edoras_tools.wire.rtps.headers import GUID_BYTES
+from edoras_tools.wire.rtps.names import ros_name, ros_topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,6 +63,16 @@ class Announcement:
     reliable: bool | None = None
     durability: str = ""
     name: str = ""
+
+    @property
+    def ros_topic(self) -> str:
+        """What ROS calls the topic."""
+        return ros_topic(self.topic)
+
+    @property
+    def ros_type(self) -> str:
+        """What ROS calls the type."""
+        return ros_name(self.type)
 
 
 def read_parameters(data: bytes) -> Iterator[tuple[int, bytes, Literal["big", "little"]]]:

@@ -18,6 +18,10 @@ from edoras_tools.io.foxglove.sink import FoxgloveSink
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.links.ci import CI
 from edoras_tools.model import Endpoint, Finding, SourceStatistics
+from edoras_tools.pipelines.live.run import attach
+from edoras_tools.pipelines.reading import chosen
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.faults.fault import Fault
 
 ANY = ServerOptions(Endpoint("127.0.0.1", 0))
@@ -183,3 +187,26 @@ def test_a_batch_of_none_is_a_batch(serve, capture):
     sink = serve(rover)
     sink.write(rover.batches[0].take(slice(0, 0)), rover.columns[0].take(slice(0, 0)))
     sink.flush()
+
+
+def test_samples_of_dds_are_offered_and_sent():
+    source = open_files([ROOT / "samples/rtps/cyclone_sender.pcap.gz"])
+    bench = Settings().workbench(source.info)
+    read = [(rows.batch, rows.columns) for rows in chosen(source, bench, selection=Selection())]
+    sink = attach(bench, source.info, listen=ANY.listen)
+    try:
+        for batch, columns in read:
+            sink.write(batch, columns)
+        sink.restart()
+        own = {item["topic"]: item for item in sink.server._channels if item["topic"] == "/cmd_vel"}
+        assert own["/cmd_vel"]["schemaName"] == "geometry_msgs/msg/Twist"
+        with peer.Client(sink.server.url, len(sink.server._channels)) as client:
+            client.subscribe("/cmd_vel")
+            peer.wait(lambda: sink.server.wanted(own["/cmd_vel"]["id"]))
+            for batch, columns in read:
+                sink.write(batch, columns)
+            client.until(lambda: len(client.messages) == 100)
+        values = [bench.types.decode("geometry_msgs/msg/Twist", item.data) for item in client.messages]
+        assert sorted(item["linear"]["x"] for item in values) == [number / 10 for number in range(100)]
+    finally:
+        sink.close(SourceStatistics())

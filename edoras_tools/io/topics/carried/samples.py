@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.decode.samples import known_samples
+from edoras_tools.io.topics.names import APART
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
 from edoras_tools.links.protocol import MOST_ENDPOINTS
 from edoras_tools.links.rtps.link import RTPS
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 MOST_SAMPLE_TOPICS: Final = 1 << 10
 """Topics that are added; samples of others are left out."""
-_APART: Final = "/dds"
-"""Put before a topic that the mission has too, or that two types have: its messages are not mixed."""
 _LOW: Final = (1 << 32) - 1
 
 
@@ -67,9 +66,9 @@ class SampleMessages:
         if key not in self._names and len(self._names) < MOST_SAMPLE_TOPICS:
             name = topic
             if name in self._taken:
-                name = f"{_APART}{name}"
+                name = f"{APART}{name}"
             if name in self._names.values():
-                name = f"{_APART}/{type_name}{topic}"
+                name = f"{APART}/{type_name}{topic}"
             self._names[key] = name
         return self._names.get(key, "")
 
