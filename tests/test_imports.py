@@ -56,7 +56,10 @@ PUT_OFF = {
         "4 ms each, and only where a link is captured live, or there is RTPS",
     ),
     "pipelines/demo/router.py": ("zenoh", "an extra"),
-    "pipelines/reading.py": ("edoras_tools.io.frames.fragmented", "5 ms, and only where there is RTPS"),
+    "pipelines/reading.py": (
+        "edoras_tools.decode.samples edoras_tools.io.frames.fragmented",
+        "5 ms, and only where there is RTPS",
+    ),
     "pipelines/selection.py": (
         "edoras_tools.decode.filters.filter",
         "the filter language: only where there is a filter",
