@@ -8,6 +8,7 @@ import struct
 import time
 
 import pytest
+from waiting import until
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.linklayer import demux
@@ -18,6 +19,20 @@ from edoras_tools.model import Endpoint
 
 LOCAL = Endpoint("127.0.0.1", 0)
 LOCAL6 = Endpoint("::1", 0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _stamped():
+    """The kernel stamps what comes from a while after the first socket has asked for it, while one does."""
+    with contextlib.closing(Sockets([LOCAL])) as own:
+
+        def at_once():
+            send(own.endpoints[0], b"x")
+            after = time.time_ns()
+            return own.read().time_ns[0] <= after
+
+        until(at_once, "datagrams are stamped when they come")
+        yield
 
 
 @pytest.fixture
