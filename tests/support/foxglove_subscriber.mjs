@@ -3,8 +3,9 @@
 //     node foxglove_subscriber.mjs FOLDER SUBPROTOCOL...
 //
 // FOLDER has node_modules. Each line of standard input is `URL END COUNT`: connect, subscribe to whatever is offered,
-// and leave when the clock shows END (ns) and COUNT messages are there, those of NOT_COUNTED aside, or 5 s later. Each is
-// answered by a line of JSON: the subprotocol, the messages of each topic, and the errors that the library or the server reported.
+// and leave when the clock shows END (ns) and COUNT messages are there, those of NOT_COUNTED aside, or a minute
+// later. Each is answered by a line of JSON: the subprotocol, the messages of each topic, and the errors that the
+// library or the server reported.
 import { createRequire } from "node:module";
 import { createInterface } from "node:readline";
 
@@ -34,7 +35,7 @@ function visit(url, end, wanted) {
     leave();
   });
   client.on("time", ({ timestamp }) => {
-    if (!over && timestamp >= end) setTimeout(() => client.close(), 5000).unref();
+    if (!over && timestamp >= end) setTimeout(() => client.close(), 60000).unref();
     over ||= timestamp >= end;
     leave();
   });

@@ -25,6 +25,7 @@ from edoras_tools.middleware.local import open_graph
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.demo.run import Demo, DemoPlan
 from edoras_tools.ros import TypeStore
+from edoras_tools.units import SECOND
 
 DOMAINS = count(2000)
 TYPES = TypeStore()
@@ -132,7 +133,8 @@ def test_it_leaves_a_recording_and_a_layout(demos, scenario):
     assert demo.layout.parent == demo.plan.output.parent
 
 
-def test_the_ground_station_gives_way_to_who_else_commands(tmp_path):
+def test_the_ground_station_gives_way_to_who_else_commands(tmp_path, monkeypatch):
+    monkeypatch.setattr("edoras_tools.pipelines.demo.nodes._GIVES_WAY_NS", 3600 * SECOND)
     with running(plan("rover", tmp_path)) as demo:
         node = open_graph(TYPES, "somebody", domain=demo.plan.domain)
         publish = node.advertise("/cmd_vel", TWIST, Qos())
