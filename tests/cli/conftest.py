@@ -59,7 +59,7 @@ def edoras():
     def run(*arguments, **keywords):
         keywords = {"stdin": subprocess.DEVNULL, **keywords} if "input" not in keywords else keywords
         return subprocess.run(
-            [EDORAS, *map(str, arguments)], capture_output=True, timeout=60, check=False, **keywords
+            [EDORAS, *map(str, arguments)], capture_output=True, timeout=300, check=False, **keywords
         )
 
     return run

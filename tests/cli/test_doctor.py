@@ -446,7 +446,7 @@ def test_chromium_shows_the_report(width, scheme, report, captures, missions, tm
         ],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     found = json.loads(re.search(r"<title>(\{.*?\})</title>", done.stdout).group(1))

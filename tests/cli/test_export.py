@@ -103,7 +103,7 @@ def test_a_disk_that_fills_leaves_nothing_and_keeps_what_was_there(command, rove
         [command, "export", *map(str, rover), "-o", f"{tmp_path}/", "--format", suffix, "--force"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
     )
@@ -183,7 +183,7 @@ def test_without_pyarrow_the_way_out_is_told(rover, tmp_path):
         ],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)

@@ -134,7 +134,7 @@ def index(tmp_path_factory):
     """An index of one capture."""
     path = tmp_path_factory.mktemp("index") / "x.duckdb"
     words = ["archive", CAPTURE, "-c", ROVER, "--jobs", "1", "-q", "--index", path]
-    assert subprocess.run([EDORAS, *words], check=False, timeout=60).returncode == 0
+    assert subprocess.run([EDORAS, *words], check=False, timeout=300).returncode == 0
     return path
 
 

@@ -115,7 +115,7 @@ def test_head_is_no_error(options, command, captures):
     line = (
         f"'{command}' {' '.join(options)} '{captures('a_rover')}'{after} | head -n 1; echo ${{PIPESTATUS[0]}}"
     )
-    done = subprocess.run(["bash", "-c", line], capture_output=True, check=False, timeout=60)
+    done = subprocess.run(["bash", "-c", line], capture_output=True, check=False, timeout=300)
     assert done.stdout.splitlines()[-1] == b"0"
     assert done.stderr == b""
 
@@ -144,7 +144,7 @@ def test_closed_streams(command, captures):
         ("sniff -n 1 -r", ">&- 2>&-", b"0"),
     ):
         script = f"exec 3>&1; {line.format(options, closed)}"
-        done = subprocess.run(["bash", "-c", script], capture_output=True, check=False, timeout=60)
+        done = subprocess.run(["bash", "-c", script], capture_output=True, check=False, timeout=300)
         assert done.stdout.splitlines()[-1] == code
         assert b"Traceback" not in done.stderr
 

@@ -103,7 +103,7 @@ def test_headers_alone_and_in_cpp(tools, generated):
                 capture_output=True,
                 text=True,
                 check=False,
-                timeout=60,
+                timeout=300,
             )
             assert done.returncode == 0, done.stderr[:4000]
 

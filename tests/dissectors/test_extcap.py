@@ -29,7 +29,7 @@ def launcher(tmp_path_factory):
 
 
 def asked(launcher, *arguments, code=0):
-    done = subprocess.run([launcher, *arguments], capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run([launcher, *arguments], capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == code, done.stderr
     return done.stdout.splitlines() if not code else done.stderr.splitlines()
 

@@ -171,7 +171,7 @@ def test_a_wrong_crc_is_a_finding_of_both_readers_and_of_wireshark(inside, tmp_p
         capture = write(tmp_path / "x.pcap", [Udp(number, *at, item) for number, item in enumerate(made)])
         options = ["-d", "udp.port==5222,cfdp", "-r", capture, "-T", "fields", "-e", "cfdp.crc"]
         run = subprocess.run(
-            ["tshark", "-n", *options], capture_output=True, check=True, timeout=60, text=True
+            ["tshark", "-n", *options], capture_output=True, check=True, timeout=300, text=True
         )
         # It shows the CRC where the rest can be read, and does not judge it.
         sound = {raw[:-2] for raw, bad in with_crcs() if not bad}
@@ -219,7 +219,7 @@ def agreed(bench, found, script, capture):
     """Hold what tshark says of PDUs, a packet each, to our reading; return how many values were compared."""
     fields = [part for name in SAME for part in ("-e", f"cfdp.{name}")]
     command = ["tshark", "-n", "-X", f"lua_script:{script}", "-r", capture, "-T", "fields", *fields]
-    lines = subprocess.run(command, capture_output=True, check=True, timeout=60, text=True).stdout
+    lines = subprocess.run(command, capture_output=True, check=True, timeout=300, text=True).stdout
     compared = 0
     for index, line in enumerate(lines.splitlines()):
         layers = bench.dissector.dissect(found.batch[index]).layers
@@ -338,7 +338,7 @@ def test_wireshark_reads_pdus_in_packets_of_a_missions_msg_ids(tmp_path):
         "-e",
         "edoras.name",
     ]
-    names = subprocess.run(command, capture_output=True, check=True, timeout=60, text=True).stdout.split()
+    names = subprocess.run(command, capture_output=True, check=True, timeout=300, text=True).stdout.split()
     assert names == ["CFDP_PDU"] * len(KINDS)
 
 

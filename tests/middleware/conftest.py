@@ -3,9 +3,8 @@
 Cyclone DDS binds every interface that it finds.
 """
 
-import time
-
 import pytest
+import waiting
 from namespace import entered
 
 
@@ -21,13 +20,5 @@ def _apart(request):
 
 @pytest.fixture
 def until():
-    """Wait for a condition; fail where it does not come true in half a minute."""
-
-    def wait(condition, seconds=30):
-        end = time.monotonic() + seconds
-        while not (found := condition()):
-            assert time.monotonic() < end, "what was waited for did not happen"
-            time.sleep(0.005)
-        return found
-
-    return wait
+    """Wait for a condition."""
+    return waiting.until

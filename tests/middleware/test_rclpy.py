@@ -12,6 +12,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import PATIENCE_S
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import Qos, opening
@@ -220,7 +221,7 @@ def test_nothing_is_heard_once_closed(ros, graph, other):
 
     def slow(cdr):
         going.set()
-        assert release.wait(30)
+        assert release.wait(PATIENCE_S)
         heard.append(cdr)
 
     graph.subscribe("/pose", TWIST, Qos(), slow)
@@ -228,11 +229,11 @@ def test_nothing_is_heard_once_closed(ros, graph, other):
     own = graph.advertise("/pose", TWIST, Qos())
     for _ in range(5):
         publish(b"x")
-    assert going.wait(30)
+    assert going.wait(PATIENCE_S)
     closing = threading.Thread(target=graph.close)
     closing.start()
     release.set()
-    closing.join(30)
+    closing.join(PATIENCE_S)
     assert not closing.is_alive()
     count = len(heard)
     graph.close()

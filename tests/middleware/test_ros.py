@@ -17,7 +17,7 @@ from effort import LONG
 from namespace import ip
 from places import ROOT, SUPPORT
 from ros_round_trip import topics
-from waiting import until
+from waiting import PATIENCE_S, until
 
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.arbitrary import arbitrary
@@ -95,7 +95,7 @@ def peer(name, types, **variables):
 
         yield environ, seen
     finally:
-        _, complaints = process.communicate(timeout=30)
+        _, complaints = process.communicate(timeout=PATIENCE_S)
     assert not complaints
 
 
@@ -110,7 +110,7 @@ def round_trip(ros, name, types, environ, meanwhile=lambda: None):
         told = process.stdout.readline()
         meanwhile()
     finally:
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, said
     return json.loads(told), said
 
@@ -178,7 +178,7 @@ def test_every_message_is_what_rclpy_reads_and_writes(name):
     cdrs = {item: store.encode(item, values[item]).hex() for item in names}
     command = [python(name), SUPPORT / "ros_values.py"]
     done = subprocess.run(
-        command, input=json.dumps(cdrs), capture_output=True, text=True, check=False, timeout=60
+        command, input=json.dumps(cdrs), capture_output=True, text=True, check=False, timeout=300
     )
     assert done.returncode == 0, done.stderr
     for item, told in json.loads(done.stdout).items():

@@ -17,7 +17,7 @@ from edoras_tools.middleware.opening import usual_domain
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.arbitrary import arbitrary
 
-MOST_SECONDS = 20
+MOST_SECONDS = 120
 
 
 def topics(name):

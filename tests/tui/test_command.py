@@ -14,6 +14,7 @@ from termios import TIOCSWINSZ
 
 import pytest
 from places import ROOT
+from waiting import PATIENCE_S
 
 from edoras_tools.cli import main
 
@@ -65,7 +66,7 @@ class Terminal:
         os.close(slave)
 
     def until(self, text):
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE_S
         while text not in re.sub(rb"\x1b\[[0-9;?]*[a-zA-Z]", b"", self.seen):
             assert time.monotonic() < deadline, f"{text} never came: {self.seen[-2000:]}"
             if select.select([self._master], [], [], 0.1)[0]:
@@ -79,14 +80,14 @@ class Terminal:
         os.write(self._master, keys)
 
     def end(self):
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE_S
         while self.process.poll() is None:
             assert time.monotonic() < deadline, "it did not end"
             if select.select([self._master], [], [], 0.05)[0]:
                 try:
                     self.seen += os.read(self._master, 65536)
                 except OSError:
-                    self.process.wait(30)
+                    self.process.wait(PATIENCE_S)
         os.close(self._master)
         return self.process.returncode
 

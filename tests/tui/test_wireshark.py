@@ -3,9 +3,9 @@
 import os
 import struct
 import sys
-import time
 
 import pytest
+from waiting import until
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.tui import wireshark
@@ -54,10 +54,7 @@ def test_wireshark_gets_what_is_shown_and_goes_to_the_packet(drive, pretender):
     assert arguments[arguments.index("-g") + 1] == "3"
     assert blocks((pretender / "seen.pcapng").read_bytes()).count(6) == 57
     folder = os.path.dirname(arguments[arguments.index("-r") + 1])  # noqa: PTH120  a name, no file
-    deadline = time.monotonic() + 30
-    while os.path.exists(folder):  # noqa: PTH110
-        assert time.monotonic() < deadline, "the files are still there"
-        time.sleep(0.01)
+    until(lambda: not os.path.exists(folder), "the files are gone")  # noqa: PTH110
 
 
 def test_absent_is_said(monkeypatch):

@@ -67,7 +67,7 @@ def get(server, path="", **headers):
     """What a browser gets: status, body."""
     request = urllib.request.Request(server.page_url + path, headers=headers)
     try:
-        with urllib.request.urlopen(request, timeout=30) as answer:
+        with urllib.request.urlopen(request, timeout=waiting.PATIENCE_S) as answer:
             return answer.status, answer.read().decode()
     except HTTPError as error:
         return error.code, error.read().decode()

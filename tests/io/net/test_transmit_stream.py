@@ -58,7 +58,7 @@ class CfsSide:
 
     def close(self):
         self.listener.close()
-        self.thread.join(10)
+        self.thread.join(60)
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def capture(tmp_path):
 def replayed(capture, port, *more):
     words = [sys.executable, "-m", "edoras_tools", "replay", capture, "--to", "sbn", "--json"]
     words += ["--target", f"{HOST}:{port}", "--linger", "50ms", *more]
-    return subprocess.run(words, capture_output=True, timeout=60, text=True, check=False)
+    return subprocess.run(words, capture_output=True, timeout=300, text=True, check=False)
 
 
 def test_the_packets_leave_at_their_times_in_a_session(capture):

@@ -16,6 +16,7 @@ from dds_loopback import OPTIONS, URI
 from places import SUPPORT
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
+from waiting import PATIENCE_S
 
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware import Qos
@@ -92,8 +93,8 @@ class Peer:
 
     def close(self):
         self.process.stdin.close()
-        self.process.wait(30)
-        self.thread.join(30)
+        self.process.wait(PATIENCE_S)
+        self.thread.join(PATIENCE_S)
         self.process.stdout.close()
 
 

@@ -9,7 +9,7 @@ import time
 
 import pytest
 from places import SUPPORT
-from waiting import free_ports
+from waiting import PATIENCE_S, free_ports
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import Qos, opening
@@ -81,7 +81,7 @@ class Judge:
     def close(self):
         self.process.stdin.close()
         try:
-            self.process.wait(30)
+            self.process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             raise
@@ -311,7 +311,7 @@ def test_nothing_is_heard_once_closed(judge, graphs, jazzy, until):
     until(lambda: any("/MS/" in item for item in judge.tokens()))
     for _ in range(20):
         judge.order("put", f"0/cmd_vel/{TWIST_KEY}", MARKER)
-    assert going.wait(30)
+    assert going.wait(PATIENCE_S)
     graph.close()
     count = len(heard)
     assert count

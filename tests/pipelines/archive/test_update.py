@@ -325,7 +325,7 @@ with open_index(Path(index), write=True) as opened:
 def test_killed_it_goes_on(folder, updated, scheduler):
     index = folder / "x.duckdb"
     arguments = [index, scheduler, folder, MISSIONS / "rover_ground.yaml"]
-    done = subprocess.run([sys.executable, "-c", KILLED, *map(str, arguments)], check=False, timeout=60)
+    done = subprocess.run([sys.executable, "-c", KILLED, *map(str, arguments)], check=False, timeout=300)
     assert done.returncode == -signal.SIGKILL
     (count,) = rows(index, "SELECT count(*) FROM captures")[0]
     assert 1 <= count <= 2
@@ -373,7 +373,7 @@ def test_a_full_disk_is_told_and_leaves_an_index(tmp_path):
     with open_index(index, write=True):
         pass
     done = subprocess.run(
-        [sys.executable, "-c", FULL, str(index)], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", FULL, str(index)], capture_output=True, text=True, check=True, timeout=300
     )
     *numbers, told = done.stdout.splitlines()
     assert told.startswith(f"{index}: cannot be written: ")

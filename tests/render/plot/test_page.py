@@ -93,7 +93,7 @@ def test_dragging_zooms_again_and_again(width, figure, tmp_path):
     options = ["--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},900", "--dump-dom"]
     options += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=3000"]
     done = subprocess.run(
-        [CHROMIUM, *options, path.as_uri()], capture_output=True, text=True, timeout=60, check=False
+        [CHROMIUM, *options, path.as_uri()], capture_output=True, text=True, timeout=300, check=False
     )
     seen = json.loads(re.search(r"<title>(\{.*?\})</title>", done.stdout)[1])
     pixels = pytest.approx(np.array([[2, 6], [3, 5], [3, 5], [0, 10]]), abs=0.05)

@@ -69,4 +69,4 @@ writer.write(COLUMNS)
 writer.close()
 assert "pandas" not in sys.modules
 """
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=SUPPORT, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=SUPPORT, timeout=300)
