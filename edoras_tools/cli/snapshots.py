@@ -36,7 +36,7 @@ def trigger(text: str) -> tuple[str, str]:
     elif kind == "rule":
         from edoras_tools.diagnosis.rules import RULES
 
-        known = [rule.ID for rule in RULES]
+        known = list(RULES)
     else:
         from edoras_tools.model import Finding
 

@@ -18,19 +18,8 @@ from edoras_tools.diagnosis.chains import Chain, chains
 from edoras_tools.diagnosis.evidence.relays.proxied import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.missing import Missing, missing
-from edoras_tools.diagnosis.rules import (
-    OF_FILES,
-    OF_SAMPLES,
-    RULES,
-    SINGLE,
-    fprime_packets_lost,
-    frames_lost,
-    not_cfs,
-    not_examined,
-    older_losses,
-    out_of_order,
-    topic_never_seen,
-)
+from edoras_tools.diagnosis.rules import OTHERS, RULES, SINGLE
+from edoras_tools.diagnosis.rules.capture import too_many
 from edoras_tools.diagnosis.samples import sample_rows
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, Severity, Verdict
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
@@ -232,26 +221,22 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
         progress: told how many rules were asked, of how many.
     """
     if not len(case.rows):
-        return [
-            verdict
-            for rule in (not_examined, not_cfs, frames_lost, fprime_packets_lost, *OF_FILES, *OF_SAMPLES)
-            for verdict in rule.judge(case)
-        ]
+        return [verdict for rule in OTHERS for verdict in rule(case)]
     found: dict[str, list[Verdict]] = {}
-    for rule in (rule for rule in RULES if rule.ID in SINGLE):
+    for name in (name for name in RULES if name in SINGLE):
         progress(len(found), len(RULES))
-        found[rule.ID] = list(rule.judge(case))
+        found[name] = list(RULES[name](case))
     for item in (item for members in found.values() for item in members if item.lost):
         figures = item.start_ns, item.end_ns, item.lost or 0, item.of
         case.refused.append(Refused(item.rule, item.link, item.msg_id, item.hop, *figures))
     left = iter(map(case.commands.refusals, case.refused))
     for members in found.values():
         members[:] = [_lost_here(item, next(left)) if item.lost else item for item in members]
-    for rule in RULES:
-        if rule.ID not in found:
-            found[rule.ID] = list(rule.judge(case))
+    for name, rule in RULES.items():
+        if name not in found:
+            found[name] = list(rule(case))
             progress(len(found), len(RULES))
-        case.verdicts += found[rule.ID]
+        case.verdicts += found[name]
     return case.verdicts
 
 
@@ -329,7 +314,7 @@ class Examination:
         last = self._chapter(replace(capture, zero_ns=zero_ns), self.faults, keep=True)
         found = _joined([*(part() for part in self._before), last], capture) if self._before else last
         if self._scattered:
-            told = out_of_order.too_many(found.start_ns, found.end_ns, MOST_SCATTERED * CHAPTER)
+            told = too_many(found.start_ns, found.end_ns, MOST_SCATTERED * CHAPTER)
             found = replace(found, verdicts=(told, *found.verdicts))
         return found
 
@@ -398,7 +383,7 @@ def _sorted(verdicts: Any) -> tuple[Verdict, ...]:
 def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
     """Put chapters together: sums of what counts, every verdict of each."""
     verdicts = [item for part in parts for item in part.verdicts]
-    silent = [{item.topic for item in part.verdicts if item.rule == topic_never_seen.ID} for part in parts]
+    silent = [{item.topic for item in part.verdicts if item.rule == "topic_never_seen"} for part in parts]
     never = set.intersection(*silent)
     first = {id(item) for item in parts[0].verdicts}
     last = parts[-1]
@@ -407,9 +392,9 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
     kept = [
         item
         for item in verdicts
-        if (item.rule != older_losses.ID or id(item) in first)
-        and (item.rule != topic_never_seen.ID or (item.topic in never and id(item) in first))
-        and (item.rule not in {not_examined.ID, not_cfs.ID} or id(item) in whole)
+        if (item.rule != "older_losses" or id(item) in first)
+        and (item.rule != "topic_never_seen" or (item.topic in never and id(item) in first))
+        and (item.rule not in {"not_examined", "not_cfs"} or id(item) in whole)
     ]
     routes: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in (row for part in parts for row in part.routes):

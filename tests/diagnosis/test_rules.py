@@ -31,7 +31,7 @@ from edoras_tools.wire import cfe, envelope, sbn
 from edoras_tools.wire.cfdp import Directive
 from edoras_tools.wire.rtps.headers import SubmessageKind
 
-IDS = [rule.ID for rule in RULES]
+IDS = list(RULES)
 HABITS = {"checksum", "subscription_storm", "proto_storm", "superseded"}
 
 

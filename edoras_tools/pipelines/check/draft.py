@@ -13,7 +13,6 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs.names import message_name
-from edoras_tools.diagnosis.rules import not_examined
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.pipelines.capture.info import Counting
@@ -78,7 +77,7 @@ class Draft:
         findings = sorted(NOTABLE_FINDINGS & self._ledger.findings.keys())
         grave = {item.rule for item in diagnosis.verdicts if item.severity >= Severity.WARNING}
         if diagnosis.unnamed:
-            grave.discard(not_examined.ID)
+            grave.discard("not_examined")
             self.notes.append(
                 "this run does not meet the draft, which is incomplete: name the ports, and draft again"
             )

@@ -277,7 +277,7 @@ class _Reader:
             self.report.mistake(value.line, place, str(error))
 
     def _allowed(self, key: str, value: Tree) -> frozenset[str]:
-        known = [rule.ID for rule in RULES] if key == "verdicts" else [item.label for item in Finding]
+        known = list(RULES) if key == "verdicts" else [item.label for item in Finding]
         names = self._texts(value, key)
         for name, line in names:
             if name not in known:

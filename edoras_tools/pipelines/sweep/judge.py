@@ -11,15 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import command_ingest
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
-from edoras_tools.diagnosis.rules import (
-    app_pipe_limit,
-    ci_cut,
-    flight_bridge_length,
-    ground_bridge_buffer,
-    lost_after_cfs,
-    unattributed_loss,
-    unexplained_gap,
-)
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
@@ -33,9 +24,9 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Route
     from edoras_tools.pipelines.sweep.observer import Mark, Observer
 
-_PREDICTED: Final = frozenset({ci_cut.ID, ground_bridge_buffer.ID, flight_bridge_length.ID})
+_PREDICTED: Final = frozenset({"ci_cut", "ground_bridge_buffer", "flight_bridge_length"})
 """Rules about the size of a message alone: not a loss for a sweep, because it sees what gets through."""
-_GAPS_ONLY: Final = frozenset({lost_after_cfs.ID, unexplained_gap.ID})
+_GAPS_ONLY: Final = frozenset({"lost_after_cfs", "unexplained_gap"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +96,7 @@ class Judge:
         ours, others = self._divided(diagnosis)
         main = _main(ours)
         by_cfs = min(sent, sum(verdict.lost or 0 for verdict in ours))
-        if main is not None and main.rule == app_pipe_limit.ID and self._measures:
+        if main is not None and main.rule == "app_pipe_limit" and self._measures:
             period_ns = self._profile.sbn_wake_ns if self._route.link.peers else self._profile.ci_wake_ns
             taken = max(1, round((sent - by_cfs) / max(1, sent) * rate_hz * period_ns / SECOND))
             measured = replace(self._profile, app_msg_limit=taken)
@@ -118,7 +109,7 @@ class Judge:
             hop, reason = main.hop or "", main.reason
         elif altered:
             cut = after.differs_at == self._profile.ci_buffer
-            hop, reason = (cut and _said(diagnosis, ci_cut.ID)) or (
+            hop, reason = (cut and _said(diagnosis, "ci_cut")) or (
                 command_ingest.NAME,
                 f"the echo differs from byte {after.differs_at} on",
             )
@@ -196,7 +187,7 @@ class Judge:
         others = [item for item in errors if item not in ours and item.msg_id is not None]
         if not ours and not others:
             # No other messages were sent that could be lost.
-            ours = [item for item in errors if item.rule == unattributed_loss.ID]
+            ours = [item for item in errors if item.rule == "unattributed_loss"]
         return ours, tuple(others)
 
     def _event(self, diagnosis: Diagnosis) -> tuple[str, str] | None:

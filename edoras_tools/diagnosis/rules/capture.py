@@ -1,0 +1,397 @@
+"""What the capture itself holds, lacks or does wrong: this goes for everything below."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.decode.conversations import ConversationKind, foreign, unnamed
+from edoras_tools.diagnosis.balance import ON_PURPOSE
+from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links import table
+from edoras_tools.links.fprime import FPRIME
+from edoras_tools.links.frames import FRAMES
+from edoras_tools.model import Finding
+from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.words import plural, seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.case import Case
+
+_REMEDY = "what spans it says nothing of the link: examine before and after, --start and --end"
+AWAY = "is away: what has been sent since"
+
+
+def not_examined(case: Case) -> Iterator[Verdict]:
+    """What was left out: traffic whose port nobody names, and times in which the interface was away.
+
+    Say so first: what is below is not the whole link.
+    """
+    for item in unnamed(case.prepared.flows):
+        yield Verdict(
+            "not_examined",
+            Severity.ERROR,
+            item.told,
+            hop="capture",
+            start_ns=case.start_ns,
+            end_ns=case.end_ns,
+            evidence=("lengths, types and MsgIds in it agree as only that link's do",),
+            remedy=item.remedy,
+        )
+    missing = sum(case.telemetry.away.values()) if len(case.rows) and case.away else 0
+    counted = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"
+    for outage in case.capture.outages:
+        end_ns = outage.end_ns or max(case.end_ns, outage.start_ns)
+        lasted = f"was away {(end_ns - outage.start_ns) / 1e9:.1f} s: what was sent then"
+        yield Verdict(
+            "not_examined",
+            Severity.WARNING,
+            f"{outage.interface} {lasted if outage.end_ns else AWAY} is not examined",
+            hop="capture",
+            start_ns=outage.start_ns,
+            end_ns=end_ns,
+            evidence=(f"the recorder found it {outage.why}", *((counted,) if missing else ())),
+            remedy=_REMEDY,
+        )
+    for start_ns, end_ns in case.holes if len(case.rows) else ():
+        yield Verdict(
+            "not_examined",
+            Severity.WARNING,
+            f"the capture has a hole of {(end_ns - start_ns) / 1e9:.1f} s: traffic in it is not examined",
+            hop="capture",
+            start_ns=start_ns,
+            end_ns=end_ns,
+            evidence=(
+                "it shows no datagram of anybody; all sent before and after, and cFS went on counting",
+                *((counted,) if missing else ()),
+            ),
+            remedy=_REMEDY,
+        )
+
+
+def capture_drops(case: Case) -> Iterator[Verdict]:
+    """The capture itself lost packets: what it misses is not cFS's fault.
+
+    Say so before anything else is blamed.
+    """
+    drops = case.capture.drops
+    if drops:
+        yield Verdict(
+            "capture_drops",
+            Severity.ERROR,
+            f"the capture itself lost {drops:,} frames before they were written: what is missing below may "
+            "be among them",
+            hop="capture",
+            lost=drops,
+            of=drops + len(case.rows),
+            start_ns=case.start_ns,
+            end_ns=case.end_ns,
+            evidence=("the capture's own drop counter",),
+            remedy="capture on a faster or quieter host, with a filter on the links' ports, or to a faster "
+            "disk",
+        )
+
+
+def cut_frames(case: Case) -> Iterator[Verdict]:
+    """The capture kept only the beginnings of frames: what it cannot show is nobody's fault.
+
+    Say so before anything else.
+    """
+    cut = np.flatnonzero(case.rows.has(Finding.CAPTURE_CUT))
+    if len(cut):
+        yield Verdict(
+            "cut_frames",
+            Severity.WARNING,
+            f"{len(cut):,} of {len(case.rows):,} frames were cut by the capture: what their ends would show "
+            "(messages, events, counters) is not judged; datagrams are counted",
+            hop="capture",
+            start_ns=int(case.rows.time_ns[cut[0]]),
+            end_ns=int(case.rows.time_ns[cut[-1]]),
+            evidence=("the capture says that these frames were longer on the wire",),
+            remedy="capture whole frames, without -s or with -s 0",
+        )
+
+
+def stream_gap(case: Case) -> Iterator[Verdict]:
+    """Bytes of TCP streams are missing in the capture: TCP delivered them, so nobody lost what was in them.
+
+    Name each link whose streams have messages behind missing bytes.
+    """
+    rows = case.rows
+    behind = rows.has(Finding.STREAM_GAP) & ~rows.has(Finding.FRAGMENT)
+    for link in case.context.links:
+        members = np.flatnonzero(behind & (rows.link == link))
+        if not link.transport.tcp or not len(members):
+            continue
+        first = int(members[0])
+        yield Verdict(
+            "stream_gap",
+            Severity.WARNING,
+            f"{link.name} over TCP: bytes are missing in front of {plural(len(members), 'message')} of "
+            f"{int((rows.link == link).sum()):,}; what was in them is not judged",
+            link=link.label,
+            hop="capture",
+            start_ns=int(rows.time_ns[first]),
+            end_ns=int(rows.time_ns[members[-1]]),
+            evidence=(
+                f"packet {rows.number[first]}: the first message behind bytes that are missing or no message",
+                "TCP delivers every byte or ends the connection: the capture lacks them, the peer does not",
+            ),
+            remedy="capture whole frames, with a larger buffer, and from before the connections begin",
+        )
+
+
+def frames_lost(case: Case) -> Iterator[Verdict]:
+    """Transfer frames were lost or damaged on their way, and packets with them.
+
+    Name each virtual channel whose frame counts have gaps, or at whose borders packets are cut.
+    """
+    frames = case.capture.frames
+    for item in frames.channels if frames else ():
+        if not (item.lost or item.cut):
+            continue
+        evidence = [
+            f"frame counts: {item.lost:,} missing of {item.frames + item.lost:,}",
+            f"{plural(item.packets, 'packet')} came whole; at {plural(item.cut, 'place')} one was cut",
+        ]
+        evidence += [
+            f"{master.name}: {master.lost:,} missing of {master.frames + master.lost:,}"
+            for master in (frames.masters if frames else ())
+            if (master.source, master.destination) == (item.source, item.destination)
+            and master.spacecraft_id == item.spacecraft_id
+        ]
+        if frames and frames.damaged:
+            evidence.append(f"{plural(frames.damaged, 'frame')} of all came damaged, and count as lost")
+        yield Verdict(
+            "frames_lost",
+            Severity.ERROR,
+            f"{item.name}: {plural(item.lost, 'frame')} lost of {item.frames + item.lost:,}, packets cut at "
+            f"{plural(item.cut, 'place')}",
+            link=FRAMES.label,
+            hop=f"{item.source} to {item.destination}",
+            start_ns=case.start_ns,
+            end_ns=case.end_ns,
+            evidence=tuple(evidence),
+            remedy="look for the loss between the two ends: radio, modem, network, or a receiver's buffer",
+        )
+
+
+def fprime_packets_lost(case: Case) -> Iterator[Verdict]:
+    """Space packets between F Prime and its ground system were lost, by the sequence counts of their APIDs.
+
+    Name each APID of each sender whose counts have gaps.
+    """
+    for item in case.capture.ground:
+        lost = item.counts.gaps
+        if not lost:
+            continue
+        of = item.counts.packets - item.counts.duplicates + lost
+        way = "to" if item.command else "from"
+        evidence = [f"sequence counts: {lost:,} missing of {of:,}"]
+        if item.counts.restarts:
+            evidence.append(f"the count began anew {plural(item.counts.restarts, 'time')}")
+        yield Verdict(
+            "fprime_packets_lost",
+            Severity.ERROR,
+            f"{item.name} {way} F Prime: {plural(lost, 'packet')} lost of {of:,}",
+            link=FPRIME.label,
+            hop=f"{item.source} to {item.destination}",
+            lost=lost,
+            of=of,
+            start_ns=item.first_ns,
+            end_ns=item.last_ns,
+            evidence=tuple(evidence),
+            remedy="look for the loss between the two ends: radio, network, or a receiver's buffer",
+        )
+
+
+def not_cfs(case: Case) -> Iterator[Verdict]:
+    """Traffic on the links' ports that is not cFS's: left out; what reached a cFS is told by sender.
+
+    One line for each port, and one verdict for each stranger.
+    """
+    flows = case.prepared.flows
+    for line in foreign(flow for flow in flows if flow.kind is ConversationKind.FOREIGN):
+        yield Verdict(
+            "not_cfs",
+            Severity.NOTE,
+            line,
+            hop="capture",
+            start_ns=case.start_ns,
+            end_ns=case.end_ns,
+            remedy="none; another program uses this port, and no cFS gets it",
+        )
+    for flow in flows:
+        if flow.kind is ConversationKind.STRANGER:
+            yield Verdict(
+                "not_cfs",
+                Severity.WARNING,
+                f"{flow.datagrams:,} datagrams on port {flow.destination.port} do not look like cFS, left "
+                f"out: {flow.source} sends them to {flow.destination}, where {flow.link.name} is",
+                link=flow.link.label,
+                hop=str(flow.source),
+                start_ns=flow.first_ns,
+                end_ns=flow.last_ns,
+                evidence=("none of them is a packet whose length agrees, or has a MsgId that is known",),
+                remedy=f"let {flow.source.address} send elsewhere; what listens there reads every datagram",
+            )
+
+
+def captured_twice(case: Case) -> Iterator[Verdict]:
+    """The same datagrams are in the capture more than once: on ``any`` or at two taps.
+
+    Say how many were counted once.
+    """
+    copies = case.prepared.copies
+    if copies:
+        yield Verdict(
+            "captured_twice",
+            Severity.NOTE,
+            f"{copies:,} datagrams were captured twice, and are counted once",
+            hop="capture",
+            start_ns=case.start_ns,
+            end_ns=case.end_ns,
+            evidence=(
+                "the same bytes with the same IP identification, or at another place, within ms",
+                *(
+                    f"{other} is another name of {name}: the same datagrams are there within ms, "
+                    "and were only forwarded"
+                    for other, name in case.prepared.translated.items()
+                    if other != name
+                ),
+            ),
+            remedy="capture on one interface instead of any, or at one place",
+        )
+
+
+def too_many(start_ns: int, end_ns: int, most: int) -> Verdict:
+    """Return what has to be said first where they are too many to be sorted."""
+    return Verdict(
+        "out_of_order",
+        Severity.ERROR,
+        f"the whole capture is out of time order, and holds more than the {most:,} datagrams that can be "
+        "sorted: it is judged in parts, and what is said of loss, order and restarts is not right",
+        hop="capture",
+        start_ns=start_ns,
+        end_ns=end_ns,
+        remedy="put it in order first: reordercap IN OUT",
+    )
+
+
+def out_of_order(case: Case) -> Iterator[Verdict]:
+    """Records of the file that stand behind later ones.
+
+    Say that they were sorted.
+    """
+    count = case.prepared.disordered
+    if count:
+        yield Verdict(
+            "out_of_order",
+            Severity.NOTE,
+            f"{count:,} records of the capture stand behind later ones; all were put in order of time",
+            hop="capture",
+            start_ns=case.start_ns,
+            end_ns=case.end_ns,
+            evidence=("capture times run back, and the times in cFS's packets with them",),
+            remedy="none; reordercap writes such a file in order",
+        )
+
+
+def duplicated(case: Case) -> Iterator[Verdict]:
+    """The network delivered datagrams twice, or late.
+
+    Say so for each way between two endpoints.
+    """
+    rows, doubled = case.rows, case.prepared.duplicates
+    pair = rows.source[doubled].astype("i8") << 32 | rows.destination[doubled]
+    for _, members in by_value(pair):
+        own = doubled[members]
+        row = int(own[0])
+        sender, receiver = case.endpoints[rows.source[row]], case.endpoints[rows.destination[row]]
+        yield Verdict(
+            "duplicated",
+            Severity.NOTE,
+            f"{plural(len(own), 'datagram')} from {sender} to {receiver} "
+            f"{'was' if len(own) == 1 else 'were'} doubled by the network",
+            hop="network",
+            start_ns=int(rows.time_ns[own].min()),
+            end_ns=int(rows.time_ns[own].max()),
+            evidence=("the same bytes with the same IP identification, captured at one place",),
+            remedy="none; whoever receives them gets them twice",
+        )
+
+
+def clock_jump(case: Case) -> Iterator[Verdict]:
+    """A clock was set while the capture ran.
+
+    Name every clock that was set; all times of this diagnosis are as if it had not been.
+    """
+    for jump in case.jumps:
+        when = int(case.rows.time_ns[jump.row])
+        own = jump.clock == "capture"
+        whose = "the capture's own clock" if own else f"the clock of cFS {jump.clock}, and not the capture's,"
+        way = "back" if jump.by_ns < 0 else "ahead"
+        yield Verdict(
+            "clock_jump",
+            Severity.WARNING,
+            f"{whose} was set {way} by {seconds(abs(jump.by_ns) / SECOND)} at packet "
+            f"{case.rows.number[jump.row]}: times here are given as if it had not",
+            hop="capture" if own else "cFS",
+            start_ns=when,
+            end_ns=when,
+            evidence=(
+                "time runs back from one packet to the next"
+                if jump.by_ns < 0 and own
+                else "mission time and the capture's part ways here, and sequence counts go on: no restart",
+            ),
+            remedy="discipline the clock (chrony), and do not set it while capturing"
+            if own
+            else "see who sends TIME commands (0x1805); mission times before and after do not compare",
+            confidence="high" if own and jump.by_ns < 0 else "medium",
+        )
+
+
+def proxy_faults(case: Case) -> Iterator[Verdict]:
+    """A proxy, or a replay, did something wrong on purpose: the recording says so, and nobody is to blame.
+
+    Say what was done to each MsgId.
+    """
+    if case.prepared.relayed:
+        yield Verdict(
+            "proxy_faults",
+            Severity.NOTE,
+            f"{plural(case.prepared.relayed, 'datagram')} were captured in front of the proxy: they are its "
+            "own recording's once more, and not counted again",
+            hop=PROXY_HOP,
+            start_ns=case.start_ns,
+            end_ns=case.end_ns,
+            evidence=("what the proxy dropped is among them",),
+            remedy="none",
+        )
+    for (link, to_cfs, msg_id), item in case.proxied.items():
+        done = [
+            f"{number:,} {what}"
+            for what, number in (("dropped", len(item.dropped)), ("sent again", item.doubled))
+            if number
+        ]
+        done += [f"{number:,} struck by {kind}" for kind, number in item.others.items()]
+        way = "to cFS" if to_cfs else "from cFS"
+        yield Verdict(
+            "proxy_faults",
+            Severity.WARNING if item.dropped else Severity.NOTE,
+            f"datagrams on {case.name(msg_id)} {way}: {', '.join(done)} on purpose by the proxy",
+            msg_id=msg_id if msg_id >= 0 else None,
+            topic=case.topic(msg_id),
+            link=table.link(link).label,
+            hop=PROXY_HOP,
+            lost=len(item.dropped) or None,
+            start_ns=item.start_ns,
+            end_ns=item.end_ns,
+            evidence=(ON_PURPOSE, *(f"rule {rule}" for rule in item.rules)),
+            remedy="none: it was asked for",
+        )

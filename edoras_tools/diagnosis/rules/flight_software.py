@@ -1,0 +1,265 @@
+"""What cFS says of itself: restarts, errors, events that it suppresses; and what it cannot show."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.cfs.commands import ENABLE_OUTPUT
+from edoras_tools.cfs.event_services import SQUELCHED, EventType
+from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
+from edoras_tools.diagnosis.accounting.losses import LEAD_NS
+from edoras_tools.diagnosis.evidence.events import parse_loss_event
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
+from edoras_tools.model import Finding
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.accounting.losses import LossKind
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.payloads import EventRecord
+
+
+def cfs_restart(case: Case) -> Iterator[Verdict]:
+    """A cFS started anew while the capture ran: its clock, counts and counters began again.
+
+    Find boots of the same name, one after the other.
+    """
+    items, systems = case.instances.items, case.instances.systems
+    order = sorted(range(len(items)), key=lambda index: items[index].first_ns)
+    for at, index in enumerate(order):
+        later = items[index]
+        earlier = next(
+            (
+                items[before]
+                for before in reversed(order[:at])
+                if systems[before] == systems[index] and items[before].last_ns < later.first_ns
+            ),
+            None,
+        )
+        if earlier is None or not (earlier.name or later.name):
+            continue
+        down = [
+            loss
+            for loss in case.losses
+            if loss.kind == "down" and earlier.last_ns - SECOND <= loss.start_ns <= later.first_ns
+        ]
+        lost = sum(loss.lost for loss in down)
+        meanwhile = (
+            f"{plural(lost, 'command')} sent meanwhile reached nobody" if lost else "counts begin again"
+        )
+        yield Verdict(
+            "cfs_restart",
+            Severity.ERROR if lost else Severity.WARNING,
+            f"{case.label(index)} restarted between {case.at(earlier.last_ns)} and "
+            f"{case.at(later.first_ns)}: {meanwhile}",
+            msg_id=down[0].msg_id if len(down) == 1 else None,
+            topic=case.topic(down[0].msg_id) if len(down) == 1 else None,
+            link="ci" if down else None,
+            hop="cFS",
+            lost=lost or None,
+            of=sum(loss.of or 0 for loss in down) or None,
+            start_ns=earlier.last_ns,
+            end_ns=later.first_ns,
+            evidence=(
+                (
+                    "mission time against the capture's moved by "
+                    f"{(later.offset_ns - earlier.offset_ns) / SECOND:.1f} s"
+                ),
+                *(line for loss in down for line in loss.evidence),
+            ),
+            remedy="commands sent in between reached nobody; enable Telemetry Output again: "
+            f"{case.inject(ENABLE_OUTPUT)}",
+        )
+
+
+def not_observable(case: Case) -> Iterator[Verdict]:
+    """Commands went in, and nothing that cFS says is in the capture.
+
+    Say what cannot be known from here, and which capture point would tell.
+    """
+    rows = case.rows
+    cut = (rows.known_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) & rows.has(Finding.CAPTURE_CUT)
+    if not case.tracks and cut.any():
+        yield _not_shown(
+            case,
+            "the capture cut 0x803 off before its counters: how many messages the software bus lost is not "
+            "observable from here",
+            "capture whole frames, without -s or with -s 0",
+        )
+        return
+    commands = int((rows.link == CI).sum())
+    into = int(((rows.link == SBN) & (rows.function_code >= 0)).sum())
+    if not commands and not into:
+        if not case.tracks and (rows.link == TO).any():
+            yield _not_shown(
+                case,
+                "the counters of the software bus (0x803) are not in the capture: loss inside cFS shows "
+                "here only where a sequence count has a gap",
+                "add 0x803 and 0x808 to Telemetry Output's table",
+            )
+        return
+    if not case.has_telemetry:
+        yield _not_shown(
+            case,
+            f"what became of {commands + into:,} messages into cFS is not observable from here: no "
+            "telemetry of that cFS is in the capture",
+            (
+                "capture Telemetry Output's link too (UDP port 1235 on the ground's host): 0x803 counts, "
+                "0x808 names"
+            ),
+        )
+    elif not case.tracks:
+        yield _not_shown(
+            case,
+            "0x803 is not in the capture: how many messages the software bus lost is not observable from "
+            "here",
+            f"have Telemetry Output send it: {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
+        )
+
+
+def _not_shown(case: Case, reason: str, remedy: str) -> Verdict:
+    return Verdict(
+        "not_observable",
+        Severity.NOTE,
+        reason,
+        hop="capture",
+        start_ns=case.start_ns,
+        end_ns=case.end_ns,
+        remedy=remedy,
+    )
+
+
+_COUNTERS = {"limit": ("msg_limits", 17), "overflow": ("pipe_overflows", 25)}
+
+
+def event_suppression(case: Case) -> Iterator[Verdict]:
+    """An event about loss stops after 16; the loss goes on.
+
+    Compare events with counters.
+    """
+    for instance, track in case.tracks.items():
+        for kind, (name, number) in _COUNTERS.items():
+            said = [
+                told
+                for reported, told in case.reported_losses.items()
+                if reported.instance == instance and reported.kind == kind
+            ]
+            last_ns = max((told.last_ns for told in said), default=0)
+            events = sum(told.count for told in said)
+            if not said or track.growth(name, last_ns + LEAD_NS) < 2 or track.growth(name) <= events:
+                continue
+            yield Verdict(
+                "event_suppression",
+                Severity.NOTE,
+                f"{plural(events, 'event')} CFE_SB {number} came, the last at {case.at(last_ns)}, while "
+                f"its counter grew by {track.growth(name):,}: cFS stops this event after {STOPS_AFTER}, "
+                "until its filter is reset, and events may be lost themselves",
+                hop="event services",
+                start_ns=last_ns,
+                end_ns=track.times[-1],
+                evidence=((f"after the last of them +{track.growth(name, last_ns + LEAD_NS):,} in 0x803"),),
+                remedy=f"trust the counter; to hear of it again: {case.inject('evs-reset-filters', NAME)}",
+            )
+
+
+def event_squelch(case: Case) -> Iterator[Verdict]:
+    """Event Services squelched an application: it said more than 32 things at once, or 15 a second.
+
+    Name the application whose events are not all here.
+    """
+    seen = set()
+    for record in case.said(case.start_ns, case.end_ns, SQUELCHED.app, [SQUELCHED.event_id]):
+        found = SQUELCHED.pattern.search(record.message)
+        app = found["app"] if found else record.message
+        if (record.sender, app) in seen:
+            continue
+        seen.add((record.sender, app))
+        yield Verdict(
+            "event_squelch",
+            Severity.NOTE,
+            f"events of {app} on cFS {record.sender} are squelched: it says more than Event Services lets "
+            "through",
+            hop="event services",
+            start_ns=record.time_ns,
+            end_ns=record.time_ns,
+            evidence=(f"packet {record.number}, {case.at(record.time_ns)}: {record}",),
+            remedy=f"do not conclude from silence of {app}; its counters go on",
+        )
+
+
+_GOES_ON: Final = 5
+"""An error that is said so often is no single refusal."""
+_SHOWN: Final = 3
+
+
+def cfs_errors(case: Case) -> Iterator[Verdict]:
+    """What cFS itself calls an error, and no other rule has told of: quoted, one verdict for each event.
+
+    Go through the error and critical events; then the counters that grew without one.
+    """
+    told = {line for item in case.verdicts for line in item.evidence}
+    quoted = "\n".join(told)
+    groups: dict[tuple[str, str, int], list[EventRecord]] = {}
+    known = {(loss.kind, loss.msg_id, loss.instance) for loss in case.losses}
+    for record in case.payloads.events:
+        if record.event_type >= EventType.ERROR and not _is_told(case, record, quoted, known):
+            groups.setdefault((record.sender, record.app, record.event_id), []).append(record)
+    for members in groups.values():
+        yield _error(case, members)
+    named = (parse_loss_event(record) for record in case.payloads.events)
+    refused = sum(item is not None and item.kind in {"invalid", "too_big"} for item in named)
+    for instance, track in case.tracks.items():
+        errors = track.growth("send_errors")
+        losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
+        if errors > losses + refused and not any("sends failed" in line for line in told):
+            yield Verdict(
+                "cfs_errors",
+                Severity.WARNING,
+                f"{plural(errors - losses - refused, 'send')} on the software bus of {case.label(instance)} "
+                "failed, and neither a pipe nor an event says why",
+                hop="software bus",
+                start_ns=track.times[0],
+                end_ns=track.times[-1],
+                evidence=(f"0x803: MessageSendErrors +{errors:,}, of them {losses:,} at pipes",),
+                remedy="look at the console of cFS",
+                confidence="medium",
+            )
+
+
+def _is_told(case: Case, record: EventRecord, quoted: str, known: set[tuple[LossKind, int, int]]) -> bool:
+    """Tell whether a verdict quotes an event, or the balance has what it names."""
+    if record.message in quoted:
+        return True
+    instance = case.instances.saying(record)
+    reported = parse_loss_event(record, instance)
+    if reported is None:
+        return False
+    if not reported.at_pipe:
+        return any(item.msg_id == reported.msg_id and item.lost for item in case.verdicts)
+    track = case.tracks.get(instance)
+    older = track is not None and int(case.instances.made_ns[record.row]) <= track.times[0]
+    return older or (reported.kind, reported.msg_id, instance) in known
+
+
+def _error(case: Case, members: list[EventRecord]) -> Verdict:
+    first, last = members[0], members[-1]
+    texts = list(dict.fromkeys(item.message for item in members))
+    grave = len(members) >= _GOES_ON or any(item.event_type >= EventType.CRITICAL for item in members)
+    again = f" {len(members):,} times, the last at {case.at(last.time_ns)}" if len(members) > 1 else ""
+    return Verdict(
+        "cfs_errors",
+        Severity.ERROR if grave else Severity.WARNING,
+        f"cFS {first.sender} reports an error at {case.at(first.time_ns)}{again}: {first}",
+        hop=first.app,
+        start_ns=first.time_ns,
+        end_ns=last.time_ns,
+        evidence=tuple(f"event {first.app} {first.event_id}: {text}" for text in texts[1 : _SHOWN + 1]),
+        remedy="look at the console of cFS around that time, and at what was commanded just before",
+    )

@@ -1,0 +1,322 @@
+"""What is missing between links, behind cFS, or where nothing tells."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.cfs import sbn
+from edoras_tools.cfs.commands import ENABLE_OUTPUT
+from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.cfs.software_bus import NAME
+from edoras_tools.diagnosis.accounting.budget import limit
+from edoras_tools.diagnosis.accounting.closed import one_sided
+from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.model import NO_ROUTE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.accounting.fates import Fate
+    from edoras_tools.diagnosis.accounting.losses import Loss
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+
+def crossing_loss(case: Case) -> Iterator[Verdict]:
+    """Messages went into cFS and never came out, and nothing in the capture says why.
+
+    Say what is not accounted for, and what had nowhere to go.
+    """
+    for loss in case.losses:
+        if loss.kind == "away":
+            yield loss_verdict(
+                case,
+                "crossing_loss",
+                loss,
+                f"{lost_at(case, loss)}: they went into cFS while the peer that they go to was away",
+                link=loss.stream.link.label if loss.stream else None,
+                remedy="restart the peer; it is connected again with its first SUB or PROTO",
+            )
+        elif loss.kind == "sbn_socket":
+            yield loss_verdict(
+                case,
+                "crossing_loss",
+                loss,
+                f"{lost_at(case, loss)}: more came at once than SBN reads",
+                link=loss.stream.link.label if loss.stream else None,
+                remedy=f"send at most {sbn.DATAGRAMS_PER_WAKE} datagrams in "
+                f"{case.profile.sbn_wake_ns // 1_000_000} ms",
+            )
+    for fate in case.commands.fates.values():
+        if fate.unaccounted:
+            yield _lost_crossing(case, fate) if fate.seen else _unfollowed(case, fate)
+
+
+def _lost_crossing(case: Case, fate: Fate) -> Verdict:
+    stream = fate.stream
+    into = case.name(stream.msg_id)
+    ways = [
+        "to the robot" if hop.out.link == ROBOT else f"as {case.name(hop.out.msg_id)}" for hop in fate.hops
+    ]
+    missing = case.rows.time_ns[stream.rows][np.flatnonzero(fate.open)]
+    visible = bool(case.tracks)
+    evidence = [f"{int(fate.arrived.sum()):,} came out {', '.join(ways)} with the same values"]
+    if fate.superseded:
+        evidence.append(f"{fate.superseded:,} more gave way to a newer one, and are not counted here")
+    evidence.append(
+        "the counters of 0x803 and 0x884 explain no more than is told elsewhere"
+        if visible
+        else "0x803 is not in the capture, so the software bus cannot be cleared or blamed"
+    )
+    return Verdict(
+        "crossing_loss",
+        Severity.ERROR,
+        f"{fate.unaccounted:,} of {len(stream):,} messages that went into cFS on {into} are not accounted "
+        f"for: they never came out {' or '.join(ways)}, and nothing in the capture says why",
+        msg_id=stream.msg_id,
+        topic=case.topic(stream.msg_id),
+        link=stream.link.label,
+        hop="application",
+        of=len(stream),
+        start_ns=int(missing[0]),
+        end_ns=int(missing[-1]),
+        evidence=(*evidence, *case.drops_text()),
+        remedy="look at the application's own counters and console: it received them and did not pass them "
+        "on, or its task was not there",
+        confidence="medium" if visible else "low",
+    )
+
+
+def _unfollowed(case: Case, fate: Fate) -> Verdict:
+    """Say that nobody can follow what was sent after an application stopped."""
+    stream = fate.stream
+    times = case.rows.time_ns[stream.rows]
+    if fate.reached is not None:
+        why = f"the robot got {fate.reached:,}, and which they were is cut off"
+        evidence = ["datagrams counted: to CI, and on the robot link"]
+    elif fate.commanded is not None:
+        why = f"Telemetry Output counted {fate.commanded:,} commands meanwhile"
+        evidence = ["0x880: its counters of commands taken and refused, between the first and the last here"]
+    else:
+        why = "they were sent after an application was stopped, and nothing here shows whether one took them"
+        evidence = [fate.unfollowed_since]
+        times = times[fate.unfollowed]
+    return Verdict(
+        "crossing_loss",
+        Severity.WARNING,
+        f"{fate.unaccounted:,} of {len(stream):,} messages that went into cFS on {case.name(stream.msg_id)} "
+        f"are not accounted for: {why}",
+        msg_id=stream.msg_id,
+        topic=case.topic(stream.msg_id),
+        link=stream.link.label,
+        hop="application",
+        of=len(stream),
+        start_ns=int(times[0]),
+        end_ns=int(times[-1]),
+        evidence=(*evidence, *case.drops_text()),
+        remedy="capture what comes out of the application too: the robot link (UDP 8080 to 8585), SBN",
+        confidence="medium",
+    )
+
+
+def lost_after_cfs(case: Case) -> Iterator[Verdict]:
+    """Counts are missing while the software bus lost nothing: it happened between cFS and the capture.
+
+    Say that the counters clear cFS: a verdict a topic, and one for all housekeeping of a sender.
+    """
+    after = [loss for loss in case.losses if loss.kind == "after" and loss.stream is not None]
+    groups: dict[tuple[object, ...], list[Loss]] = {}
+    for loss in after:
+        assert loss.stream is not None
+        known = loss.msg_id in MSG_ID_NAMES and loss.stream.route == NO_ROUTE
+        key = (loss.stream.sender, loss.stream.link) if known else (id(loss),)
+        groups.setdefault(key, []).append(loss)
+    for members in groups.values():
+        yield _lost_after(case, members)
+
+
+def _lost_after(case: Case, members: list[Loss]) -> Verdict:
+    first = members[0]
+    assert first.stream is not None
+    lost, of = (sum(getattr(loss, name) or 0 for loss in members) for name in ("lost", "of"))
+    names = list(dict.fromkeys(case.name(loss.msg_id) for loss in members))
+    one = len(names) == 1
+    evidence = (
+        list(first.evidence) if one else [f"{case.name(loss.msg_id)}: {loss.lost:,}" for loss in members]
+    )
+    if not one:
+        # What the counters say of each is the same; of how many counts, each has its own.
+        evidence += [line for line in first.evidence[1:] if all(line in loss.evidence for loss in members)]
+    return Verdict(
+        "lost_after_cfs",
+        Severity.ERROR,
+        f"{lost:,} of {of:,} messages on {names[0] if one else f'{len(names)} MsgIds'} are missing, and the "
+        "software bus lost none of them: they were lost between cFS and the capture, or by the capture",
+        msg_id=first.msg_id if one else None,
+        topic=case.topic(first.msg_id) if one else None,
+        link=first.stream.link.label,
+        hop=first.hop,
+        lost=lost,
+        of=of,
+        start_ns=min(loss.start_ns for loss in members),
+        end_ns=max(loss.end_ns for loss in members),
+        evidence=(*evidence, *case.drops_text()),
+        remedy="capture on the cFS host itself: what is there and not here, the network lost",
+        confidence="low" if case.capture.drops else first.confidence,
+    )
+
+
+def unexplained_gap(case: Case) -> Iterator[Verdict]:
+    """Counts are missing, and nothing in the capture tells where they were lost.
+
+    Say which capture would tell.
+    """
+    for loss in case.losses:
+        if loss.kind != "unknown" or loss.stream is None:
+            continue
+        clean, pipe, why = limit(loss.stream.link, loss.msg_id, case.profile, to_cfs=False)
+        offered = loss.offered_hz
+        evidence = list(loss.evidence)
+        if offered > clean:
+            evidence.append(
+                f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
+            )
+        yield Verdict(
+            "unexplained_gap",
+            Severity.ERROR,
+            f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)} are missing behind the "
+            "point where they were counted; where is not observable from here",
+            msg_id=loss.msg_id,
+            topic=case.topic(loss.msg_id),
+            link=loss.stream.link.label,
+            hop=pipe if offered > clean else None,
+            lost=loss.lost,
+            of=loss.of,
+            start_ns=loss.start_ns,
+            end_ns=loss.end_ns,
+            evidence=(*evidence, *case.drops_text()),
+            remedy="capture Telemetry Output's link with 0x803 and 0x808 in TO's table: its counters and "
+            "events tell",
+            confidence="low",
+        )
+    for stream in case.streams:
+        if untold := case.telemetry.untold.get(id(stream), 0):
+            yield Verdict(
+                "unexplained_gap",
+                Severity.WARNING,
+                f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: "
+                f"{_why(case, stream)}",
+                msg_id=stream.msg_id,
+                topic=case.topic(stream.msg_id),
+                link=stream.link.label,
+                of=len(stream) + untold,
+                start_ns=int(case.rows.time_ns[stream.rows[0]]),
+                end_ns=int(case.rows.time_ns[stream.rows[-1]]),
+                evidence=case.drops_text(),
+                remedy=_remedy(case, stream),
+                confidence="low",
+            )
+
+
+def _why(case: Case, stream: Stream) -> str:
+    if not one_sided(case.known, stream):
+        return (
+            "the capture cut off when packets were made, so nothing tells whether they were lost, not sent, "
+            "or are another cFS's"
+        )
+    if stream.link.peers:
+        return (
+            "SBN sent that peer no message at all then, and nothing that the peer sends is in the capture, "
+            "so nothing tells whether they were lost or it was not connected"
+        )
+    return (
+        "Telemetry Output sent nothing at all then, and no command to cFS is in the capture, so nothing "
+        "tells whether they were lost or it was told not to send"
+    )
+
+
+def _remedy(case: Case, stream: Stream) -> str:
+    if not one_sided(case.known, stream):
+        return "capture whole frames, without -s or with -s 0"
+    return "capture what the peer sends, too" if stream.link.peers else "capture what is sent to CI, too"
+
+
+def unattributed_loss(case: Case) -> Iterator[Verdict]:
+    """The software bus counts losses that neither an event nor the traffic seen here explains.
+
+    Say how many, and what would tell which.
+    """
+    for loss in case.losses:
+        if loss.kind == "unknown" and loss.stream is None:
+            yield Verdict(
+                "unattributed_loss",
+                Severity.ERROR,
+                f"{loss.lost:,} messages lost on the software bus of {case.label(loss.instance)}; which "
+                "ones is not observable from here",
+                hop="software bus",
+                lost=loss.lost,
+                start_ns=loss.start_ns,
+                end_ns=loss.end_ns,
+                evidence=tuple(loss.evidence),
+                remedy=f"before the traffic starts: {case.inject(ENABLE_OUTPUT)}; "
+                f"{case.inject('evs-reset-filters', NAME)}; and capture CI, TO and SBN together: the "
+                "events then name MsgId, pipe and sender",
+                confidence="low",
+            )
+
+
+def superseded(case: Case) -> Iterator[Verdict]:
+    """An application that keeps only the newest command of each burst: the others never go on.
+
+    Count them apart from loss: this is how the two-robot application works.
+    """
+    for fate in case.commands.fates.values():
+        if not fate.superseded:
+            continue
+        stream = fate.stream
+        outs = " and ".join(case.name(hop.out.msg_id) for hop in fate.hops)
+        yield Verdict(
+            "superseded",
+            Severity.HABIT,
+            f"{fate.superseded:,} of {len(stream):,} messages on {case.name(stream.msg_id)} gave way to a "
+            f"newer one before the application sent {outs}: it takes them in bursts, and the last goes on",
+            msg_id=stream.msg_id,
+            topic=case.topic(stream.msg_id),
+            link=stream.link.label,
+            hop="application",
+            start_ns=int(case.rows.time_ns[stream.rows[0]]),
+            end_ns=int(case.rows.time_ns[stream.rows[-1]]),
+            evidence=(f"{int(fate.arrived.sum()):,} came out with the same values",),
+            remedy="send at most 2 Hz for every command to go on, or count on the newest alone",
+            confidence="medium",
+        )
+
+
+def older_losses(case: Case) -> Iterator[Verdict]:
+    """The counters already stood above zero in the first 0x803 of the capture.
+
+    Name what is older, so that nobody blames this traffic for it.
+    """
+    for instance, track in case.tracks.items():
+        limits, overflows = track.older.get("msg_limits", 0), track.older.get("pipe_overflows", 0)
+        if limits or overflows:
+            yield Verdict(
+                "older_losses",
+                Severity.NOTE,
+                f"{limits + overflows:,} losses that {case.label(instance)} counts are older than its first "
+                "0x803 in the capture: start-up, or earlier traffic",
+                hop="software bus",
+                start_ns=track.times[0],
+                end_ns=track.times[0],
+                evidence=(
+                    (
+                        f"the first 0x803, at {case.at(track.times[0])}: MsgLimit {limits:,}, PipeOverflow "
+                        f"{overflows:,}"
+                    ),
+                ),
+                remedy="none; not counted as loss of this capture",
+            )

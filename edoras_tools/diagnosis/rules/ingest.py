@@ -1,0 +1,273 @@
+"""What is lost on the way to Command Ingest, in its socket, and in an application behind it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs import command_ingest
+from edoras_tools.cfs.commands import ENABLE_OUTPUT
+from edoras_tools.cfs.executive_services import STARTS
+from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
+from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.ci import CI
+from edoras_tools.links.to import TO
+from edoras_tools.model import Finding
+from edoras_tools.units import SECOND
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.case import Case
+
+_LARGER: Final = "sudo sysctl -w net.core.rmem_default=4194304, then start that program again"
+
+
+def host_drops(case: Case) -> Iterator[Verdict]:
+    """The kernel of the recording host dropped datagrams: its own counters say so, whatever else can be seen.
+
+    Name each socket that was full, fragments that did not come, and frames that interfaces dropped.
+
+    ``ci_backlog`` tells of CI's socket: its own count is nearer, and the kernel's is evidence beside it.
+    """
+    for port, count in case.host.by_port.items():
+        link = _link(case, port)
+        ingests = [item for item in case.ingests if case.endpoints[item.endpoint].port == port]
+        if any(loss.cause == "socket" for item in ingests for loss in item.losses):
+            continue
+        sent = _sent_to(case, port)
+        of = f" of {sent:,}" if sent >= count else ""
+        whose = f"{link.upper()}'s socket" if link else "the socket"
+        yield Verdict(
+            "host_drops",
+            Severity.ERROR,
+            f"{plural(count, 'datagram')}{of} dropped in {whose} (UDP port {port}), which was full: "
+            "the kernel counted them",
+            link=link or None,
+            hop=f"socket of UDP port {port}",
+            lost=None if ingests else count,
+            of=sent if sent >= count else None,
+            start_ns=case.start_ns,
+            end_ns=case.end_ns,
+            evidence=("/edoras/host: the kernel's counter of that socket",),
+            remedy=f"send less at once, or make its buffer larger: {_LARGER}",
+        )
+    for count, what, remedy in (
+        (
+            case.host.reassembly_failures,
+            "IP packets were dropped because not all of their fragments came",
+            "send datagrams that fit a frame (1,472 bytes on Ethernet), or look for what loses frames",
+        ),
+        (
+            case.host.interface_drops,
+            "frames were dropped by the interfaces of this host before any program got them",
+            "look at the interface: ethtool -S, its ring sizes, the load of the host",
+        ),
+    ):
+        if count:
+            yield Verdict(
+                "host_drops",
+                Severity.WARNING,
+                f"{count:,} {what}; they may be others' than these links'",
+                hop="host",
+                start_ns=case.start_ns,
+                end_ns=case.end_ns,
+                evidence=("/edoras/host: the kernel's counters of the host",),
+                remedy=remedy,
+            )
+
+
+def _link(case: Case, port: int) -> str:
+    """Return the link of a port, where it is one link's only."""
+    claimants = case.context.claimants[case.context.claim[port]]
+    return claimants[0].label if len(claimants) == 1 else ""
+
+
+def _sent_to(case: Case, port: int) -> int:
+    """Return how many datagrams of the capture went to a port."""
+    to_port = np.array([item.port == port for item in case.endpoints], bool)
+    return int(to_port[case.rows.destination].sum()) if len(to_port) else 0
+
+
+def lost_before_ci(case: Case) -> Iterator[Verdict]:
+    """Commands that were sent and that CI never counted, at a rate that it can read: lost on the network.
+
+    Name the route; and what CI counted that is not in the capture.
+    """
+    for loss in case.losses:
+        if loss.kind == "network":
+            yield loss_verdict(
+                case,
+                "lost_before_ci",
+                loss,
+                f"{lost_at(case, loss, 'commands')}: CI counted fewer than were sent, and it reads so many",
+                link="ci",
+                remedy="look at the uplink: a capture on the cFS host shows which of them arrive there",
+            )
+    for fate in case.commands.fates.values():
+        if fate.uncounted:
+            stream = fate.stream
+            start_ns = int(case.rows.time_ns[stream.rows[0]])
+            counted = (item.first_ns for item in case.ingests if item.endpoint == stream.receiver)
+            yield Verdict(
+                "lost_before_ci",
+                Severity.WARNING,
+                f"{fate.uncounted:,} of {len(stream):,} commands on {case.name(stream.msg_id)} are not "
+                "accounted for: CI's first count has fewer than were sent before it",
+                msg_id=stream.msg_id,
+                topic=case.topic(stream.msg_id),
+                link="ci",
+                hop=command_ingest.NAME,
+                of=len(stream),
+                start_ns=start_ns,
+                end_ns=max(start_ns, *counted),
+                evidence=("lost on the way, or read by a CI that started again since: no count tells",),
+                remedy="capture from before the commands, and have Telemetry Output enabled first",
+                confidence="medium",
+            )
+    for account in case.ingests:
+        if account.not_captured:
+            yield Verdict(
+                "lost_before_ci",
+                Severity.NOTE,
+                f"CI counted {plural(account.not_captured, 'datagram')} more than the capture shows: the "
+                "capture missed some, or another sender's do not pass here",
+                link="ci",
+                hop="capture",
+                start_ns=account.first_ns,
+                end_ns=account.last_ns,
+                evidence=(f"0x884: CI took {account.taken + account.not_captured:,}",),
+                remedy="capture on the cFS host",
+                confidence="medium",
+            )
+
+
+def ci_backlog(case: Case) -> Iterator[Verdict]:
+    """CI's socket was full: more datagrams reach it than CI reads, and what it cannot hold is dropped unseen.
+
+    Name the route and the span; and what waits at the end, if it is more than a wake-up reads.
+    """
+    profile = case.profile
+    ceiling = profile.ci_datagrams_per_wake * SECOND / profile.ci_wake_ns
+    reads = f"CI reads {profile.ci_datagrams_per_wake} a wake-up, about {ceiling:.0f}/s"
+    remedy = f"send at most {ceiling:.0f} commands a second in all"
+    for loss in case.losses:
+        if loss.kind == "socket":
+            reason = f"{lost_at(case, loss, 'commands')}: {reads}, and its socket was full"
+            evidence = (*loss.evidence, *_counted(case))
+            yield loss_verdict(case, "ci_backlog", loss, reason, link="ci", remedy=remedy, evidence=evidence)
+    for account in case.ingests:
+        if account.waiting > profile.ci_datagrams_per_wake:
+            yield Verdict(
+                "ci_backlog",
+                Severity.WARNING,
+                f"{plural(account.waiting, 'datagram')} wait in CI's socket at its last count, or were "
+                f"dropped: {reads}",
+                link="ci",
+                hop=CI_SOCKET,
+                of=account.taken + account.lost + account.waiting,
+                start_ns=account.first_ns,
+                end_ns=account.last_ns,
+                evidence=(f"0x884: CI took {account.taken:,}",),
+                remedy=remedy,
+                confidence="medium",
+            )
+
+
+def _counted(case: Case) -> Iterator[str]:
+    """Yield what the kernel of the recording host counted in CI's sockets, if it was recorded."""
+    if any(account.by_kernel for account in case.ingests):
+        return  # the losses themselves are told by it
+    for port in sorted(case.host.ports):
+        if case.context.ports[CI][port] and not case.context.ports[TO][port]:
+            count = case.host.by_port.get(port, 0)
+            yield f"{count:,} dropped in CI's socket, UDP port {port} (kernel counter)"
+
+
+def ci_cut(case: Case) -> Iterator[Verdict]:
+    """Command Ingest receives into 768 bytes: what is longer is cut there, silently.
+
+    Name every MsgId whose commands are cut.
+    """
+    rows = case.rows
+    cut = (rows.link == CI) & rows.has(Finding.OVER_CI_BUFFER)
+    limit = case.profile.ci_buffer
+    for msg_id in np.unique(rows.msg_id[cut]).tolist():
+        members = np.flatnonzero(cut & (rows.msg_id == msg_id))
+        sizes = rows.length[members]
+        of = int(((rows.link == CI) & (rows.msg_id == msg_id)).sum())
+        packets = ", ".join(
+            f"packet {rows.number[row]} at {case.at(int(rows.time_ns[row]))}: {rows.length[row]:,} bytes"
+            for row in members[:4].tolist()
+        )
+        yield Verdict(
+            "ci_cut",
+            Severity.ERROR,
+            f"{len(members):,} of {of:,} commands on {case.name(msg_id)} are longer than CI's {limit} "
+            "bytes: CI cuts them there and accepts them silently",
+            msg_id=msg_id,
+            topic=case.topic(msg_id),
+            link="ci",
+            hop="CI_LAB_APP",
+            lost=len(members),
+            of=of,
+            start_ns=int(rows.time_ns[members[0]]),
+            end_ns=int(rows.time_ns[members[-1]]),
+            evidence=(packets, f"up to {int(sizes.max()):,} bytes; cFS says nothing of it"),
+            remedy=f"send less than {limit} bytes a command, header included; or build CI with a larger "
+            "buffer",
+        )
+
+
+_KINDS = {"restart": "CI_LAB_APP was restarted", "stopped": "the application was stopped"}
+
+
+def app_outage(case: Case) -> Iterator[Verdict]:
+    """CI or an application was stopped or restarted: what was sent to it meanwhile reached nobody.
+
+    Name every outage, and what was lost in it.
+    """
+    told = []
+    for loss in case.losses:
+        if loss.kind in _KINDS:
+            told.append(loss)
+            yield loss_verdict(
+                case,
+                "app_outage",
+                loss,
+                f"{lost_at(case, loss, 'commands')}: {_KINDS[loss.kind]}",
+                link="ci" if loss.stream is None else loss.stream.link.label,
+                remedy=_remedy(case, loss.hop),
+            )
+    for item in case.outages:
+        end_ns = item.end_ns if item.end_ns is not None else case.end_ns
+        if any(loss.hop == item.app and loss.start_ns <= end_ns + case.profile.ci_wake_ns for loss in told):
+            continue
+        back = (
+            f"started again at {case.at(item.end_ns)}"
+            if item.end_ns is not None
+            else "not started again here"
+        )
+        yield Verdict(
+            "app_outage",
+            Severity.WARNING,
+            f"{item.app} was stopped at {case.at(item.start_ns)}, {back}; no loss by it can be seen here",
+            hop=item.app,
+            start_ns=item.start_ns,
+            end_ns=end_ns,
+            evidence=(f"event {item.said}",),
+            remedy=f"enable it again after it restarts: {case.inject(ENABLE_OUTPUT)}"
+            if item.app.startswith("TO_")
+            else _remedy(case, item.app),
+        )
+
+
+def _remedy(case: Case, app: str | None) -> str:
+    """Return what helps: to start it again where it still does not run."""
+    last = next((item for item in reversed(case.outages) if item.app == app), None)
+    if app not in STARTS or last is None or last.end_ns is not None:
+        return "send nothing while an application is restarted"
+    return f"start it again: {case.inject('es-start-app', app)}"

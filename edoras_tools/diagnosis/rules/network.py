@@ -1,0 +1,270 @@
+"""Connections of the Software Bus Network."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs import sbn as facts
+from edoras_tools.cfs.sbn import NAME
+from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.sbn import SBN
+from edoras_tools.model import Finding, Peer
+from edoras_tools.units import SECOND
+from edoras_tools.wire import sbn
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.peers import Connection, PeerChange, PeerSilence
+
+
+def sbn_timeout(case: Case) -> Iterator[Verdict]:
+    """An SBN peer fell silent and timed out; what cFS sent to it meanwhile reached nobody.
+
+    Name every silence, how long it was, and what was lost in it.
+    """
+    for connection in case.network.connections.values():
+        for silence in connection.silences(case.end_ns):
+            yield (
+                _verdict(case, connection, silence) if silence.given_up else _still(case, connection, silence)
+            )
+        for change in connection.changes:
+            if change.why == UNSEEN:
+                yield _unseen(case, connection, change)
+
+
+def _unseen(case: Case, connection: Connection, silent: PeerChange) -> Verdict:
+    """Say that a peer is not dead, but out of sight."""
+    return Verdict(
+        "sbn_timeout",
+        Severity.NOTE,
+        f"nothing of SBN peer {connection.peer} is seen here after {case.at(silent.time_ns)}, yet "
+        f"{connection.observer} goes on sending to it: its datagrams do not cross this point any more",
+        link="sbn",
+        hop="capture",
+        start_ns=silent.time_ns,
+        end_ns=case.end_ns,
+        evidence=(f"{connection.observer} still sent at {case.at(int(connection.sent_ns[-1]))}",),
+        remedy="capture on the host of cFS, where both directions pass",
+        confidence="medium",
+    )
+
+
+def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
+    """Say that a peer is silent when the capture ends: nobody knows whether it is there."""
+    sent = connection.sent_in(silence)
+    seconds = (case.end_ns - silence.start_ns) / SECOND
+    return Verdict(
+        "sbn_timeout",
+        Severity.WARNING,
+        f"SBN peer {connection.peer} is silent since {case.at(silence.start_ns)}, {seconds:.1f} s to the "
+        f"end of the capture; {connection.observer} sent it {plural(len(sent), 'message')} since, and "
+        "nothing shows whether they were heard",
+        link="sbn",
+        hop=f"SBN peer {connection.peer}",
+        of=len(sent) or None,
+        start_ns=silence.start_ns,
+        end_ns=case.end_ns,
+        evidence=(f"last datagram of {connection.peer} at {case.at(silence.start_ns)}",),
+        remedy="capture longer: a peer that is gone is given up after 11 s",
+        confidence="medium",
+    )
+
+
+def _verdict(case: Case, connection: Connection, silent: PeerSilence) -> Verdict:
+    back_ns = silent.until_ns if silent.until_ns < case.end_ns else None
+    until = silent.until_ns
+    out_ns = connection.changes[silent.change + 1].time_ns
+    sent = connection.sent_in(silent)
+    evidence = [
+        f"last datagram of {connection.peer} at {case.at(silent.start_ns)}",
+        f"{connection.observer} sent it {plural(len(sent), 'message')} after that",
+    ]
+    if len(sent) and int(sent[-1]) > silent.start_ns:
+        evidence.append(f"the last of them at {case.at(int(sent[-1]))}: then it had given the peer up")
+    evidence += [
+        f"event at {case.at(record.time_ns)}: {record}"
+        for record in case.said(silent.start_ns, until + SECOND, facts.NAME)
+        if connection.peer in record.message
+        and any(event.phrase in record.message for event in (facts.TIMED_OUT, facts.DISCONNECTED))
+    ]
+    returned = (
+        f"back after {(back_ns - silent.start_ns) / SECOND:.1f} s" if back_ns else "not back in this capture"
+    )
+    return Verdict(
+        "sbn_timeout",
+        Severity.ERROR if len(sent) else Severity.WARNING,
+        f"SBN peer {connection.peer} fell silent at {case.at(silent.start_ns)} and timed out at "
+        f"{connection.observer} {(out_ns - silent.start_ns) // SECOND} s later; {returned}. It was "
+        "killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent",
+        link="sbn",
+        hop=f"SBN peer {connection.peer}",
+        lost=len(sent) or None,
+        of=len(sent) or None,
+        start_ns=silent.start_ns,
+        # It is lost until the peer is given up, however long it stays away.
+        end_ns=min(max(out_ns, int(sent[-1]) if len(sent) else 0), until),
+        evidence=tuple(evidence),
+        remedy="restart the peer; it is connected again with its first SUB or PROTO. Send DISCONNECT "
+        "before a planned stop",
+    )
+
+
+_WAIT_NS: Final = 12 * SECOND
+_LEAST_SECONDS: Final = 8
+
+
+def sbn_never_connected(case: Case) -> Iterator[Verdict]:
+    """Someone sends SBN datagrams and never gets an answer.
+
+    Look for a direction of a link on which nothing ever came.
+    """
+    rows = case.rows
+    network = (rows.link == SBN) & (rows.sbn_msg_type >= 0)
+    sources, targets = rows.source[network], rows.destination[network]
+    first, _ = numbered(sources, targets)
+    ways = set(zip(sources[first].tolist(), targets[first].tolist(), strict=True))
+    for source, target in sorted(ways):
+        if (target, source) in ways:
+            continue
+        there = np.flatnonzero(network & (rows.source == source) & (rows.destination == target))
+        first_ns, last_ns = int(rows.time_ns[there[0]]), int(rows.time_ns[there[-1]])
+        seconds = len(np.unique(rows.time_ns[there] // SECOND))
+        if last_ns - first_ns < _WAIT_NS or seconds < _LEAST_SECONDS:
+            continue  # cFS sends each new SUB to every peer of its table, there or not
+        who = case.network.identity_of.get(source, str(case.endpoints[source]))
+        kinds = np.unique(rows.sbn_msg_type[there]).tolist()
+        names = ", ".join(sbn.MSG_TYPE_NAMES.get(kind, hex(kind)) for kind in kinds)
+        yield Verdict(
+            "sbn_never_connected",
+            Severity.WARNING,
+            f"{who} sends to {case.endpoints[target]} and nothing comes back: the peers are not connected, "
+            "or the answers do not cross this capture point",
+            link="sbn",
+            hop="SBN",
+            start_ns=first_ns,
+            end_ns=last_ns,
+            evidence=(
+                (
+                    f"{plural(len(there), 'datagram')} ({names}) in {(last_ns - first_ns) / SECOND:.0f} s, "
+                    "no answer"
+                ),
+                (
+                    "stock SBN announces only to a peer whose spacecraft and processor both differ: "
+                    "between equal spacecraft numbers the first SUB or PROTO of either side has to come "
+                    "through"
+                ),
+            ),
+            remedy="see that the peer runs, listens at that port, and is in cFS's SBN table with this "
+            "identity; capture at the peer to see whether answers leave it",
+            confidence="medium",
+        )
+
+
+def sbn_disconnected(case: Case) -> Iterator[Verdict]:
+    """An SBN peer said goodbye, or cFS did to its peer.
+
+    Name every DISCONNECT, and when the peer came back.
+    """
+    yield from _by_cfs(case)
+    for connection in case.network.connections.values():
+        for at, change in enumerate(connection.changes):
+            if change.state != "disconnected" or change.why == SAID_GOODBYE:
+                continue
+            later = connection.changes[at + 1 :]
+            back = next((item for item in later if item.state == "connected"), None)
+            told = f"connected again at {case.at(back.time_ns)}" if back else "not back in this capture"
+            yield Verdict(
+                "sbn_disconnected",
+                Severity.NOTE,
+                f"SBN peer {connection.peer} disconnected from {connection.observer} at "
+                f"{case.at(change.time_ns)}, in order; {told}",
+                link="sbn",
+                hop=f"SBN peer {connection.peer}",
+                start_ns=change.time_ns,
+                end_ns=back.time_ns if back else case.end_ns,
+                evidence=(change.why,),
+                remedy="none",
+            )
+
+
+def _by_cfs(case: Case) -> Iterator[Verdict]:
+    """Name what a cFS says goodbye to: it does so when SBN is loaded anew, or ends."""
+    rows, network = case.rows, case.network
+    observers = {observer for _, observer in network.connections}
+    for row in np.flatnonzero(rows.sbn_msg_type == sbn.MsgType.DISCONNECT).tolist():
+        sender, target = (network.party(int(end[row])) for end in (rows.source, rows.destination))
+        if sender not in observers or (target in observers and (sender, target) in network.connections):
+            continue
+        who, peer = sender[0], target[0]
+        when = int(rows.time_ns[row])
+        sent = (rows.source == rows.source[row]) & (rows.time_ns > when + SECOND)
+        back = bool((sent & (rows.sbn_msg_type == sbn.MsgType.APP)).any())
+        yield Verdict(
+            "sbn_disconnected",
+            Severity.WARNING if back else Severity.ERROR,
+            f"{who} disconnected from its SBN peer {peer or 'there'} at {case.at(when)}"
+            + ("" if back else ", and sent no application message to anybody after that"),
+            link="sbn",
+            hop=f"SBN peer {peer}",
+            start_ns=when,
+            end_ns=case.end_ns,
+            evidence=(f"packet {rows.number[row]}: DISCONNECT from {who}",),
+            remedy="look at the events of SBN around that time; to restart it: "
+            f"{case.inject('es-restart-app', NAME)}",
+        )
+
+
+def sbn_table(case: Case) -> Iterator[Verdict]:
+    """SBN's table beside what SBN sends: peers of it that are silent, and senders that it does not name.
+
+    Compare who speaks on SBN with the table, if an image of it was given.
+    """
+    table = {item.peer: item for item in case.profile.sbn_table}
+    rows = case.rows
+    spoken = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(Finding.TRUNCATED))
+    if not table or not len(spoken):
+        return
+    identity = rows.spacecraft_id[spoken].astype(np.uint64) << 32 | rows.processor_id[spoken]
+    seen, first, counts = np.unique(identity, return_index=True, return_counts=True)
+    heard = {
+        Peer(who >> 32, who & 0xFFFFFFFF): (int(spoken[at]), number)
+        for who, at, number in zip(seen.tolist(), first.tolist(), counts.tolist(), strict=True)
+    }
+    for peer, (row, number) in heard.items():
+        start_ns = int(rows.time_ns[row])
+        if peer not in table:
+            yield Verdict(
+                "sbn_table",
+                Severity.WARNING,
+                f"{peer} sends on SBN, and the table that was given does not name it: a cFS with this table "
+                "refuses what it sends",
+                link="sbn",
+                hop="SBN",
+                start_ns=start_ns,
+                end_ns=case.end_ns,
+                evidence=(f"{plural(number, 'datagram')} of it, from {case.endpoints[rows.source[row]]}",),
+                remedy=f"add {peer} to sbn_conf_tbl, or give the bridge an identity that is in it",
+                confidence="medium",
+            )
+    for peer, place in table.items():
+        if peer not in heard:
+            yield Verdict(
+                "sbn_table",
+                Severity.NOTE,
+                f"{peer}, which the table that was given names at {place.address}:{place.port}, sends "
+                "nothing that was captured",
+                link="sbn",
+                hop="SBN",
+                start_ns=case.start_ns,
+                end_ns=case.end_ns,
+                evidence=(f"on SBN are {', '.join(map(str, heard))}",),
+                remedy="see whether it runs; capture where its datagrams pass",
+                confidence="high",
+            )

@@ -1,0 +1,330 @@
+"""Messages of the Software Bus Network that a peer refuses, or sends too often."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs import sbn as facts
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.sbn import SBN
+from edoras_tools.model import NO_MSG_ID, Finding, Peer
+from edoras_tools.units import SECOND
+from edoras_tools.wire import sbn
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from edoras_tools.cfs.event_services import EventText
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.payloads import EventRecord
+
+_ANSWERED_NS: Final = 2 * SECOND
+_ONE_BY_ONE: Final = 20
+_RESTARTS = "; its receive task ends and starts anew within 200 ms"
+
+
+@dataclass(frozen=True, slots=True)
+class BadMessageKind:
+    """A way in which an SBN datagram can be wrong.
+
+    Attributes:
+        what: what it is.
+        done: what the receiver does about it.
+        events: what it may say.
+        refused: whether it comes to nothing.
+    """
+
+    what: str
+    done: str
+    events: tuple[EventText, ...] = ()
+    refused: bool = True
+
+
+_SHORT: Final = BadMessageKind(
+    "shorter than an SBN header, or than what its header announces",
+    f"read together with what the last datagram left behind, then refused{_RESTARTS}",
+    (facts.BAD_MSG_ID, facts.NOT_UNPACKED, facts.UNKNOWN_PEER, facts.UNKNOWN_TYPE),
+)
+
+
+_TOO_LARGE: Final = BadMessageKind(
+    "MsgSz above 32,767, which reads as negative", f"refused{_RESTARTS}", (facts.NOT_UNPACKED,)
+)
+
+
+_WRONG_SIZE: Final = BadMessageKind(
+    "MsgSz is not the size of what follows", "ignored silently", refused=False
+)
+
+
+_UNKNOWN_TYPE: Final = BadMessageKind(
+    "MsgType that SBN does not know", f"refused{_RESTARTS}", (facts.UNKNOWN_TYPE,)
+)
+
+
+_LEGACY_HEADER: Final = BadMessageKind(
+    "7-byte header of older sources",
+    "the next 4 bytes are taken for a SpacecraftID: an unknown peer",
+    (facts.UNKNOWN_PEER,),
+)
+
+
+def bad_network_message(case: Case) -> Iterator[Verdict]:
+    """Malformed SBN datagrams, each with what the receiving SBN does about it.
+
+    Go through every SBN datagram with such a finding; identity and version have rules of their own.
+    """
+    rows = case.rows
+    wanted = (
+        Finding.TRUNCATED | Finding.SBN_SIZE_MISMATCH | Finding.SBN_UNKNOWN_TYPE | Finding.SBN_LEGACY_HEADER
+    )
+    wrong = (rows.link == SBN) & rows.has(wanted) & ~rows.has(Finding.CAPTURE_CUT)
+    # A message cut short inside a sound SBN datagram is the sender's application's business.
+    inside = (rows.sbn_msg_type == sbn.MsgType.APP) & rows.has(Finding.TRUNCATED) & (rows.msg_id != NO_MSG_ID)
+    wrong &= ~inside | rows.has(Finding.SBN_SIZE_MISMATCH | Finding.SBN_LEGACY_HEADER)
+    found: dict[tuple[str, int], list[int]] = {}
+    kinds: dict[str, BadMessageKind] = {}
+    for row in np.flatnonzero(wrong).tolist():
+        kind = _kind(case, row)
+        kinds[kind.what] = kind
+        found.setdefault((kind.what, int(rows.msg_id[row])), []).append(row)
+    for (what, _), members in found.items():
+        several = len(members) > _ONE_BY_ONE
+        for group in [members] if several else [[row] for row in members]:
+            yield _verdict(case, group, kinds[what])
+
+
+def _kind(case: Case, row: int) -> BadMessageKind:
+    findings = Finding(int(case.rows.findings[row]))
+    if Finding.SBN_LEGACY_HEADER in findings:
+        return _LEGACY_HEADER
+    if Finding.SBN_UNKNOWN_TYPE in findings:
+        return _UNKNOWN_TYPE
+    if Finding.SBN_SIZE_MISMATCH not in findings:
+        return _SHORT
+    said = case.said(int(case.rows.time_ns[row]), int(case.rows.time_ns[row]) + _ANSWERED_NS, facts.NAME)
+    # The table does not keep MsgSz; that it was refused says that it was negative.
+    if any(_has(record, [facts.NOT_UNPACKED.phrase]) for record in said):
+        return _TOO_LARGE
+    return _WRONG_SIZE
+
+
+def _verdict(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
+    rows, first = case.rows, members[0]
+    start_ns = int(rows.time_ns[first])
+    msg_id = int(rows.msg_id[first])
+    evidence = [f"packet {rows.number[first]} at {case.at(start_ns)}: {rows.length[first]} bytes"]
+    evidence += answers(case, start_ns, *(event.phrase for event in kind.events))
+    type_ = int(rows.sbn_msg_type[first])
+    name = sbn.MSG_TYPE_NAMES.get(type_, f"type 0x{type_:02x}") if type_ >= 0 else "SBN datagram"
+    which = f"packet {rows.number[first]}" if len(members) == 1 else f"{len(members):,} datagrams"
+    return Verdict(
+        "bad_network_message",
+        Severity.ERROR if kind.refused else Severity.WARNING,
+        f"{which} ({name}): {kind.what}; {kind.done}",
+        msg_id=msg_id if msg_id != NO_MSG_ID else None,
+        topic=case.topic(msg_id) if msg_id != NO_MSG_ID else None,
+        link="sbn",
+        hop="SBN",
+        lost=len(members) if kind.refused else None,
+        of=len(members),
+        start_ns=start_ns,
+        end_ns=int(rows.time_ns[members[-1]]),
+        evidence=tuple(evidence),
+        remedy="write the 11-byte header: MsgSz of the payload alone, a known MsgType, ProcessorID, "
+        "SpacecraftID",
+        confidence="high" if len(evidence) > 1 or not kind.events else "medium",
+    )
+
+
+def answers(case: Case, start_ns: int, *phrases: str) -> list[str]:
+    """Return what SBN said about a datagram: the first event with a phrase, and what followed from it."""
+    said = case.said(start_ns, start_ns + _ANSWERED_NS, facts.NAME)
+    fits = next((at for at, record in enumerate(said) if _has(record, phrases)), None)
+    if fits is None:
+        return []
+    consequences = ("failed", facts.RECEIVE_TASK_STARTED.phrase)
+    follow = [item for item in said[fits + 1 : fits + 3] if _has(item, consequences)]
+    return [f"cFS said: {record}" for record in (said[fits], *follow)]
+
+
+def _has(record: EventRecord, phrases: Iterable[str]) -> bool:
+    return any(phrase in record.message for phrase in phrases)
+
+
+def wrong_ident(case: Case) -> Iterator[Verdict]:
+    """SUB or UNSUB with another $Id than the receiver's: SBN refuses it.
+
+    Name every other $Id, once a sender.
+    """
+    rows = case.rows
+    found: dict[tuple[int, str], list[int]] = {}
+    listed, contents = case.payloads.subscriptions, case.payloads.contents
+    other = np.array([item.ident != sbn.IDENT for item in contents], bool)[listed["said"]]
+    for row, said in zip(listed["row"][other].tolist(), listed["said"][other].tolist(), strict=True):
+        found.setdefault((int(rows.source[row]), contents[said].ident), []).append(row)
+    for (source, ident), members in found.items():
+        first = members[0]
+        start_ns = int(rows.time_ns[first])
+        said = answers(case, start_ns, facts.OTHER_IDENT.phrase)
+        yield Verdict(
+            "wrong_ident",
+            Severity.ERROR,
+            f"{plural(len(members), 'subscription message')} of "
+            f"{case.network.identity_of.get(source, 'a peer')}: another $Id than cFS's: refused, and its "
+            "receive task ends and starts anew",
+            link="sbn",
+            hop="SBN",
+            lost=len(members),
+            of=len(members),
+            start_ns=start_ns,
+            end_ns=int(rows.time_ns[members[-1]]),
+            evidence=(
+                f"packet {rows.number[first]} at {case.at(start_ns)}: {ident!r}, wanted {sbn.IDENT!r}",
+                *said,
+            ),
+            remedy="build bridge and cFS from the same SBN sources, or copy its $Id",
+            confidence="high" if said else "medium",
+        )
+
+
+def wrong_protocol_version(case: Case) -> Iterator[Verdict]:
+    """PROTO with another protocol version than 11.
+
+    Name every sender of one.
+    """
+    rows = case.rows
+    wrong = (rows.link == SBN) & rows.has(Finding.SBN_VERSION_MISMATCH)
+    for source in np.unique(rows.source[wrong]).tolist():
+        members = np.flatnonzero(wrong & (rows.source == source))
+        first, start_ns = int(members[0]), int(rows.time_ns[members[0]])
+        said = answers(case, start_ns, facts.VERSION_MISMATCH.phrase)
+        yield Verdict(
+            "wrong_protocol_version",
+            Severity.ERROR,
+            f"{len(members):,} PROTO of {case.network.identity_of.get(source, 'a peer')} "
+            f"{'names' if len(members) == 1 else 'name'} another "
+            f"protocol version than {sbn.PROTOCOL_VERSION}: cFS reports an error and goes on",
+            link="sbn",
+            hop="SBN",
+            lost=len(members),
+            of=len(members),
+            start_ns=start_ns,
+            end_ns=int(rows.time_ns[members[-1]]),
+            evidence=(f"packet {rows.number[first]} at {case.at(start_ns)}", *said),
+            remedy="build both sides from the same SBN version",
+            confidence="high" if said else "medium",
+        )
+
+
+def unknown_peer(case: Case) -> Iterator[Verdict]:
+    """SBN datagrams of a spacecraft and processor that the receiver's table does not name.
+
+    Name every such sender: by cFS's own words, or by an endpoint that has another name.
+    """
+    rows = case.rows
+    listed = np.isin(rows.sbn_msg_type, (sbn.MsgType.SUB, sbn.MsgType.UNSUB))
+    foreign = (rows.link == SBN) & rows.has(Finding.SBN_ID_MISMATCH) & ~listed
+    network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(Finding.TRUNCATED))
+    times = rows.time_ns[network]
+    for record in case.said(case.start_ns, case.end_ns, facts.NAME):
+        named = facts.UNKNOWN_PEER.pattern.search(record.message)
+        if named:
+            spacecraft, processor = map(int, named.groups())
+            low, high = np.searchsorted(times, (record.time_ns - 2 * SECOND, record.time_ns), "right")
+            near = network[low:high]
+            same = (rows.spacecraft_id[near] == spacecraft) & (rows.processor_id[near] == processor)
+            foreign[near[same]] = True
+    identity = rows.spacecraft_id.astype(np.uint64) << 32 | rows.processor_id
+    for who in np.unique(identity[foreign]).tolist():
+        members = np.flatnonzero(foreign & (identity == who))
+        first, start_ns = int(members[0]), int(rows.time_ns[members[0]])
+        peer = Peer(who >> 32, who & 0xFFFFFFFF)
+        said = answers(case, start_ns, facts.UNKNOWN_PEER.text.format(**peer._asdict()))
+        yield Verdict(
+            "unknown_peer",
+            Severity.ERROR,
+            f"{plural(len(members), 'SBN datagram')} from {peer}, which is not the peer known at "
+            f"{case.endpoints[rows.source[first]]}: "
+            + ("cFS refuses them" if said else "a cFS whose table does not name it refuses them"),
+            link="sbn",
+            hop="SBN",
+            lost=len(members),
+            of=len(members),
+            start_ns=start_ns,
+            end_ns=int(rows.time_ns[members[-1]]),
+            evidence=(f"packet {rows.number[first]} at {case.at(start_ns)}", *said),
+            remedy="make spacecraft_id and processor_id of the bridge agree with cFS's SBN table "
+            "(sbn_conf_tbl)",
+            confidence="high" if said else "medium",
+        )
+
+
+_LEAST: Final = 6
+_OFTEN_NS: Final = 2 * SECOND
+
+
+def subscription_storm(case: Case) -> Iterator[Verdict]:
+    """The public flight bridge sends its subscriptions again every 500 ms, for good.
+
+    Find who repeats the same subscription.
+    """
+    rows, listed = case.rows, case.payloads.subscriptions
+    lists: dict[tuple[int, ...], int] = {(): 0}
+    wanted = [lists.setdefault(item.wanted, len(lists)) for item in case.payloads.contents]
+    wants = np.array(wanted, np.int64)[listed["said"]]
+    subs = (rows.sbn_msg_type[listed["row"]] == sbn.MsgType.SUB) & (wants > 0)
+    row = listed["row"][subs]
+    first, which = numbered(rows.source[row], wants[subs])
+    for source in np.unique(rows.source[row]).tolist():
+        numbers = np.flatnonzero(rows.source[row[first]] == source).tolist()
+        own = [rows.time_ns[row[which == number]] for number in numbers]
+        often = [when for when in own if len(when) >= _LEAST and float(np.median(np.diff(when))) < _OFTEN_NS]
+        if not often:
+            continue
+        total = sum(map(len, often))
+        period = float(np.median(np.concatenate([np.diff(when) for when in often])))
+        yield Verdict(
+            "subscription_storm",
+            Severity.HABIT,
+            f"{case.network.identity_of.get(source, 'a peer')} sends its "
+            f"{plural(len(often), 'subscription')} again every {period / 1e6:.0f} ms, {total:,} in all: the "
+            "public flight bridge does; cFS ignores repeats",
+            link="sbn",
+            hop="flight bridge",
+            start_ns=int(min(when[0] for when in often)),
+            end_ns=int(max(when[-1] for when in often)),
+            evidence=(f"from {case.endpoints[source]}",),
+            remedy="none needed; subscribing once after PROTO would do",
+        )
+
+
+def proto_storm(case: Case) -> Iterator[Verdict]:
+    """The public flight bridge answers every datagram with PROTO.
+
+    Find who sends about as many PROTO as it receives datagrams.
+    """
+    rows = case.rows
+    protos = (rows.link == SBN) & (rows.sbn_msg_type == sbn.MsgType.PROTO)
+    for source in np.unique(rows.source[protos]).tolist():
+        sent = np.flatnonzero(protos & (rows.source == source))
+        heard = int(((rows.link == SBN) & (rows.destination == source)).sum())
+        if len(sent) < _LEAST or 2 * len(sent) < heard:
+            continue
+        yield Verdict(
+            "proto_storm",
+            Severity.HABIT,
+            f"{case.network.identity_of.get(source, 'a peer')} answers every datagram with PROTO, "
+            f"{len(sent):,} in all: the public flight bridge does; cFS reports an event for each and goes on",
+            link="sbn",
+            hop="flight bridge",
+            start_ns=int(rows.time_ns[sent[0]]),
+            end_ns=int(rows.time_ns[sent[-1]]),
+            evidence=(f"{len(sent):,} PROTO for {heard:,} datagrams received",),
+            remedy="none needed; the events may squelch SBN's others (15 a second)",
+        )

@@ -1,0 +1,282 @@
+"""Telemetry Output: enabled, stopped, and where it sends."""
+
+from __future__ import annotations
+
+from ipaddress import AddressValueError, IPv4Address
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs.commands import ENABLE_OUTPUT
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.ci import CI
+from edoras_tools.links.to import TO
+from edoras_tools.units import SECOND
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.payloads import OutputCommand
+
+_WAIT_NS: Final = 3 * SECOND
+
+
+def to_not_enabled(case: Case) -> Iterator[Verdict]:
+    """Commands go to CI, and no telemetry comes: Telemetry Output was not enabled, or sends elsewhere.
+
+    Look for a ground link with one direction only.
+    """
+    rows = case.rows
+    commands = np.flatnonzero(rows.link == CI)
+    wanted = bool(len(commands)) or bool(case.mission.ground)
+    if not wanted or (rows.link == TO).any() or case.end_ns - case.start_ns < _WAIT_NS:
+        return
+    enables = [item for item in case.payloads.output if item.function_code == telemetry_output.ENABLE]
+    evidence = [f"{plural(len(commands), 'command')} to CI, no datagram from Telemetry Output"]
+    if enables:
+        evidence += [
+            f"enabled for {item.address!r} at {case.at(int(rows.time_ns[item.row]))}" for item in enables
+        ]
+        reason = (
+            f"Telemetry Output was enabled for {enables[-1].address!r} and nothing of it is seen here: it "
+            "sends elsewhere, or its datagrams do not cross this capture point"
+        )
+    else:
+        reason = "Telemetry Output sends nothing here, and no command in the capture enables it"
+    yield Verdict(
+        "to_not_enabled",
+        Severity.WARNING,
+        reason,
+        link="to",
+        hop="TO_LAB_APP",
+        start_ns=case.start_ns,
+        end_ns=case.end_ns,
+        evidence=tuple(evidence),
+        remedy=f"{case.inject(ENABLE_OUTPUT)}; to see telemetry, capture on the host that it is enabled for, "
+        "UDP port 1235",
+        confidence="medium",
+    )
+
+
+def to_destination(case: Case) -> Iterator[Verdict]:
+    """Telemetry Output sends to one address at a time: it was told another than where the ground listens.
+
+    Go through the enable commands: addresses that are none, and addresses that change.
+    """
+    rows = case.rows
+    enables = [
+        item
+        for item in case.payloads.output
+        if item.function_code == telemetry_output.ENABLE and rows.link[item.row] == CI
+    ]
+    for item in enables:
+        if not is_address(item.address):
+            yield _no_address(case, item)
+    by_target: dict[int, list[OutputCommand]] = {}
+    for item in enables:
+        if is_address(item.address):
+            by_target.setdefault(int(rows.destination[item.row]), []).append(item)
+    for members in by_target.values():
+        if len({item.address for item in members}) > 1:
+            yield _fight(case, members)
+
+
+def is_address(text: str) -> bool:
+    """Tell whether a text is an IPv4 address."""
+    try:
+        IPv4Address(text)
+    except AddressValueError:
+        return False
+    return True
+
+
+def _no_address(case: Case, item: OutputCommand) -> Verdict:
+    start_ns = int(case.rows.time_ns[item.row])
+    said = [
+        record
+        for record in case.said(start_ns, start_ns + 2 * SECOND, telemetry_output.NAME)
+        if telemetry_output.ENABLED.phrase in record.message
+    ]
+    return Verdict(
+        "to_destination",
+        Severity.WARNING,
+        f"Telemetry Output was enabled for {item.address!r}, which is no address: where it sends then is up "
+        "to the flight host",
+        msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
+        link="ci",
+        hop="TO_LAB_APP",
+        start_ns=start_ns,
+        end_ns=start_ns,
+        evidence=(
+            f"packet {case.rows.number[item.row]} at {case.at(start_ns)}, {case.rows.length[item.row]} bytes",
+            *(f"cFS said: {record}" for record in said[:1]),
+        ),
+        remedy="send the whole char[16]: 24 bytes in all",
+    )
+
+
+def _fight(case: Case, members: list[OutputCommand]) -> Verdict:
+    rows = case.rows
+    times = [int(rows.time_ns[item.row]) for item in members]
+    steps = [f"{case.at(time_ns)} {item.address}" for time_ns, item in zip(times, members, strict=True)]
+    senders = {case.endpoints[rows.source[item.row]].address for item in members}
+    changes = sum(a.address != b.address for a, b in pairwise(members))
+    fighting = changes > 1
+    return Verdict(
+        "to_destination",
+        Severity.WARNING,
+        (
+            f"two ground stations fight over Telemetry Output: it was redirected {changes} times, and sends "
+            "to one address at a time"
+            if fighting
+            else "Telemetry Output was redirected: the first ground station gets nothing from then on"
+        ),
+        msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
+        link="to",
+        hop="TO_LAB_APP",
+        start_ns=times[0],
+        end_ns=times[-1],
+        evidence=(
+            f"enabled from: {', '.join(sorted(senders))}",
+            "enabled for: " + ", ".join(steps[:8]) + (", ..." if len(steps) > 8 else ""),
+        ),
+        remedy="enable TO from one station only, and fan its telemetry out from there (edoras proxy)",
+    )
+
+
+def to_stopped(case: Case) -> Iterator[Verdict]:
+    """Telemetry Output was told to send less, or forgot where to: what was published meanwhile is missing.
+
+    Name each command that stops telemetry, and what sequence counts show to be missing for all of them.
+    """
+    rows = case.rows
+    lost = [loss for loss in case.losses if loss.closed]
+    missing = sum(case.telemetry.closed.get(id(stream), 0) for stream in case.streams if stream.link is TO)
+    missing += sum(loss.lost for loss in lost)
+    counted = f"{plural(missing, 'message')} that were published meanwhile were not sent"
+
+    def told(when: int) -> dict[str, Any]:
+        """Return the lost, of those that this stop explains first, and what is known of all."""
+        here = [loss for loss in lost if loss.start_ns - SECOND <= when <= loss.end_ns + SECOND]
+        for loss in here:
+            lost.remove(loss)
+        number = sum(loss.lost for loss in here)
+        known = [f"sequence counts: {counted}"] if missing else []
+        if number:
+            known.append(
+                f"0x803 counts {number:,} of them lost at {telemetry_output.PIPE}, which nobody emptied: "
+                "lost, though Telemetry Output would not have sent them either"
+            )
+        return {"lost": number or None, "evidence": tuple(known)}
+
+    for item in case.payloads.output:
+        if item.function_code not in telemetry_output.STOPS:
+            continue
+        when = int(rows.time_ns[item.row])
+        what = "every MsgId" if item.msg_id < 0 else case.name(item.msg_id)
+        known = told(when)
+        yield Verdict(
+            "to_stopped",
+            Severity.WARNING,
+            f"Telemetry Output was told to stop sending {what} at {case.at(when)}",
+            msg_id=item.msg_id if item.msg_id >= 0 else None,
+            topic=case.topic(item.msg_id) if item.msg_id >= 0 else None,
+            link="to",
+            hop=telemetry_output.NAME,
+            start_ns=when,
+            end_ns=when,
+            lost=known["lost"],
+            evidence=(
+                (
+                    f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
+                    f"{item.function_code}, from {case.endpoints[rows.source[item.row]].address}"
+                ),
+                *known["evidence"],
+            ),
+            remedy=f"add it again: {case.inject('to-add', f'0x{item.msg_id:04x}')}"
+            if item.msg_id >= 0
+            else f"add what is wanted again, e.g. {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
+        )
+    streams = [stream for stream in case.streams if stream.link is TO]
+    moved = sorted(
+        {
+            int(rows.time_ns[stream.rows[at + 1]])
+            for stream in streams
+            for at in (rows.source[stream.rows][1:] != rows.source[stream.rows][:-1]).nonzero()[0].tolist()
+        }
+    )
+    if moved:
+        yield Verdict(
+            "to_stopped",
+            Severity.WARNING,
+            f"Telemetry Output sends from another port at {case.at(moved[0])}: it was restarted, and forgot "
+            "that it was enabled",
+            link="to",
+            hop=telemetry_output.NAME,
+            start_ns=moved[0],
+            end_ns=moved[0],
+            **told(moved[0]),
+            remedy=f"enable it again: {case.inject(ENABLE_OUTPUT)}",
+        )
+    for sender, spans in case.telemetry.silences.items():
+        number = sum(case.telemetry.silenced.get(id(item), 0) for item in streams if item.sender == sender)
+        for start_ns, end_ns in spans if number else ():
+            failed = case.suppressed((start_ns, end_ns))
+            yield Verdict(
+                "to_stopped",
+                Severity.ERROR if failed else Severity.WARNING,
+                f"Telemetry Output sent nothing from {case.at(start_ns)} to {case.at(end_ns)}, until it was "
+                "enabled: "
+                + ("its socket failed" if failed else "its socket failed, or it sent to another address"),
+                link="to",
+                hop=telemetry_output.SOCKET,
+                lost=number if failed and len(spans) == 1 else None,
+                start_ns=start_ns,
+                end_ns=end_ns,
+                evidence=(
+                    f"sequence counts: {plural(number, 'message')} that the software bus did not lose",
+                    *((f"event {failed}",) if failed else ()),
+                ),
+                remedy="look at the address that it was enabled for; after an error of its socket Telemetry "
+                f"Output drops what comes until it is enabled again: {case.inject(ENABLE_OUTPUT)}",
+                confidence="high" if failed else "medium",
+            )
+
+
+def to_taken_over(case: Case) -> Iterator[Verdict]:
+    """Telemetry Output was sent elsewhere by somebody else than who enabled it.
+
+    Name every enable command that takes the telemetry away from whom another host enabled it for.
+    """
+    rows = case.rows
+    by_target: dict[int, list[OutputCommand]] = {}
+    for item in case.payloads.output:
+        if item.function_code == telemetry_output.ENABLE and rows.link[item.row] == CI:
+            by_target.setdefault(int(rows.destination[item.row]), []).append(item)
+    for members in by_target.values():
+        enables = [item for item in members if is_address(item.address)]
+        for before, after in pairwise(enables):
+            old, new = (case.endpoints[rows.source[item.row]].address for item in (before, after))
+            if before.address == after.address or old == new:
+                continue
+            time_ns = int(rows.time_ns[after.row])
+            yield Verdict(
+                "to_taken_over",
+                Severity.SECURITY,
+                f"{new} had all telemetry sent to {after.address}; {before.address}, for which {old} had "
+                "enabled it, gets none from then on",
+                msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
+                link="to",
+                hop=telemetry_output.NAME,
+                start_ns=time_ns,
+                end_ns=time_ns,
+                evidence=(
+                    f"packet {rows.number[after.row]} at {case.at(time_ns)}",
+                    f"before: packet {rows.number[before.row]} at {case.at(int(rows.time_ns[before.row]))}",
+                ),
+                remedy="let only the station reach CI's port, and enable TO again",
+            )

@@ -1,0 +1,257 @@
+"""What is lost at the pipes of the software bus."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from edoras_tools.cfs import command_ingest, telemetry_output
+from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.diagnosis.accounting.pipes import measured_depth
+from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at, published
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.sbn import SBN
+from edoras_tools.model import NO_ROUTE
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.diagnosis.accounting.losses import Loss
+    from edoras_tools.diagnosis.case import Case
+
+
+def app_pipe_limit(case: Case) -> Iterator[Verdict]:
+    """Too many of one MsgId waited in an application's pipe: the software bus dropped the rest.
+
+    Name the MsgId, the pipe and the rate that would be clean.
+    """
+    for loss in case.losses:
+        at_app = loss.hop != telemetry_output.PIPE and not loss.hop.startswith("SBN")
+        if loss.kind == "limit" and at_app:
+            yield _over_app_limit(case, loss)
+
+
+def _over_app_limit(case: Case, loss: Loss) -> Verdict:
+    profile = case.profile
+    over_network = loss.sender.startswith("SBN") or (loss.stream is not None and loss.stream.link is SBN)
+    who, period = ("SBN", profile.sbn_wake_ns) if over_network else ("CI", profile.ci_wake_ns)
+    limit = profile.app_msg_limit
+    clean = limit * SECOND / period
+    least = "at least " if loss.instance not in case.tracks else ""
+    if loss.sender and not loss.sender.startswith((command_ingest.NAME, "SBN")):
+        return loss_verdict(
+            case,
+            "app_pipe_limit",
+            loss,
+            f"{least}{lost_at(case, loss)}: {loss.sender} sent more than may wait, or nobody read the pipe",
+            link=None,
+            remedy="see whether the application that reads this pipe runs",
+        )
+    reason = (
+        f"{least}{lost_at(case, loss, 'commands')}: more than {limit} of one MsgId waiting while {who} "
+        f"delivers in {period // 1_000_000} ms bursts"
+    )
+    evidence = list(loss.evidence)
+    if loss.span is not None and loss.span.rate_hz:
+        evidence.append(f"sent at {loss.span.rate_hz:.1f} Hz; {clean:g} Hz is the highest clean rate")
+    return loss_verdict(
+        case,
+        "app_pipe_limit",
+        loss,
+        reason,
+        link="sbn" if over_network else "ci",
+        evidence=evidence,
+        remedy=f"send at most {clean:g} Hz ({limit} every {period // 1_000_000} ms), or have the application "
+        "subscribe with a higher message limit (CFE_SB_SubscribeEx)",
+    )
+
+
+def app_pipe_overflow(case: Case) -> Iterator[Verdict]:
+    """An application's pipe was full: its task does not keep up with all that it subscribes to.
+
+    Name the MsgId and the pipe.
+    """
+    for loss in case.losses:
+        if loss.kind != "overflow" or loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN"):
+            continue
+        yield loss_verdict(
+            case,
+            "app_pipe_overflow",
+            loss,
+            f"{lost_at(case, loss)}: the pipe was full",
+            link=loss.stream.link.label if loss.stream else None,
+            remedy="send less of everything that this pipe takes, make it deeper (CFE_SB_CreatePipe), or "
+            "have its task run more often",
+        )
+
+
+_FULL = 0.3
+
+
+def to_message_limit(case: Case) -> Iterator[Verdict]:
+    """Telemetry Output's table lets so many of a MsgId wait between two of its rounds; the rest is dropped.
+
+    Name the MsgId, and the rate that gets through, as measured where it can be.
+    """
+    for loss in case.losses:
+        if loss.kind == "limit" and loss.hop == telemetry_output.PIPE and not loss.closed:
+            yield _over_output_limit(case, loss)
+
+
+def _over_output_limit(case: Case, loss: Loss) -> Verdict:
+    limit, period, measured = clean_round(case, loss)
+    rate = limit * SECOND / period
+    reason = (
+        f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait and TO sends every "
+        f"{period / 1e6:.0f} ms, so {rate:.1f}/s get through"
+    )
+    evidence = list(loss.evidence)
+    if measured:
+        evidence.append(
+            f"at most {limit} came in one round, every {period / 1e6:.1f} ms: {rate:.1f} Hz is clean"
+        )
+    return loss_verdict(
+        case,
+        "to_message_limit",
+        loss,
+        reason,
+        link="to",
+        evidence=evidence,
+        remedy=f"publish at most {rate:.0f} Hz, or raise the MsgId's limit in TO's table (to_lab_sub), and "
+        f"until TO restarts: {_raised(case, loss.msg_id, 2 * limit)}",
+    )
+
+
+def _raised(case: Case, msg_id: int, limit: int) -> str:
+    """Return what to type so that more of a MsgId may wait: a MsgId that is there already keeps its limit."""
+    more = str(min(255, limit))
+    remove = case.inject("to-remove", f"0x{msg_id:04x}")
+    return f"{remove}; {case.inject('to-add', f'0x{msg_id:04x}', '--limit', more)}"
+
+
+def clean_round(case: Case, loss: Loss) -> tuple[int, int, bool]:
+    """Return how many get through a round, how long a round is, and whether that was measured."""
+    rounds, period = loss.comb, case.profile.to_wake_ns
+    if rounds and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
+        return rounds.most, rounds.period_ns, True
+    return case.profile.to_limits.get(loss.msg_id, case.profile.to_default_limit), period, False
+
+
+def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
+    """Telemetry Output's own pipe overflowed: it loses whatever comes last, the events about it included.
+
+    Name the MsgId that fills the pipe, and what else went down with it.
+    """
+    routes, others = _divided(case)
+    for loss in routes:
+        yield _output_overflow(case, loss, [item for item in others if _together(item, loss)])
+    for instance in dict.fromkeys(item.instance for item in others):
+        yield _with_them(case, [item for item in others if item.instance == instance])
+
+
+def _divided(case: Case) -> tuple[list[Loss], list[Loss]]:
+    """Return the losses that have a verdict each, and the rest."""
+    full = [
+        item
+        for item in case.losses
+        if item.kind == "overflow" and item.hop == telemetry_output.PIPE and not item.closed
+    ]
+    routes = [item for item in full if _is_route(item)]
+    if not routes and full:
+        routes = [max(full, key=lambda item: item.lost)]
+    return routes, [item for item in full if item not in routes]
+
+
+def _is_route(loss: Loss) -> bool:
+    configured = loss.stream is not None and loss.stream.route != NO_ROUTE
+    return configured or loss.msg_id not in MSG_ID_NAMES
+
+
+def _together(loss: Loss, other: Loss) -> bool:
+    return loss.instance == other.instance and loss.start_ns <= other.end_ns and other.start_ns <= loss.end_ns
+
+
+def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
+    """Return the verdict on what did not fill the pipe and was lost at it."""
+    lost: Counter[int] = Counter()
+    for item in others:
+        lost[item.msg_id] += item.lost
+    return Verdict(
+        "to_pipe_overflow",
+        Severity.ERROR,
+        f"{plural(lost.total(), 'message')} of cFS itself lost at {telemetry_output.PIPE}, of "
+        f"{plural(len(lost), 'MsgId')}: a pipe that is full takes nothing, whoever filled it",
+        link="to",
+        hop=telemetry_output.PIPE,
+        lost=lost.total(),
+        start_ns=min(item.start_ns for item in others),
+        end_ns=max(item.end_ns for item in others),
+        evidence=(", ".join(f"{case.name(msg_id)} {number:,}" for msg_id, number in lost.items()),),
+        remedy="as for the MsgId that fills it",
+        confidence=min((item.confidence for item in others), key=("low", "medium", "high").index),
+    )
+
+
+def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
+    profile = case.profile
+    depth, told = profile.to_pipe_depth, ""
+    if loss.stream is not None:
+        own = (case.rows.link == loss.stream.link) & (case.rows.source == loss.stream.sender)
+        measured = measured_depth(case.rows.time_ns[own], profile.to_wake_ns)
+        if measured < depth:
+            depth = measured
+            told = f"rounds of {measured} came often, and none was larger (is fs.mqueue.msg_max {measured}?)"
+    room = depth * 1e9 / profile.to_wake_ns
+    reason = (
+        f"{lost_at(case, loss)}: {published(loss)}and TO's pipe of {depth} is "
+        f"emptied every {profile.to_wake_ns // 1_000_000} ms: {room:.0f}/s of all telemetry together"
+    )
+    evidence = [*loss.evidence, *([told] if told else ())]
+    if beside:
+        listed = ", ".join(f"{case.name(item.msg_id)} {item.lost:,}" for item in beside)
+        evidence.append(f"lost with it: {listed}")
+    if any(item.msg_id == case.of_known(cfe.EVENT_MSG_ID) for item in beside):
+        evidence.append("events are among the lost: that none names the pipe proves nothing")
+    return loss_verdict(
+        case,
+        "to_pipe_overflow",
+        loss,
+        reason,
+        link="to",
+        evidence=evidence,
+        remedy=f"publish less: {room:.0f}/s of everything, housekeeping included; a lower limit of this "
+        "MsgId in TO's table keeps the others safe; or make TO's pipe deeper or its delay shorter",
+    )
+
+
+def sbn_peer_pipe(case: Case) -> Iterator[Verdict]:
+    """The pipe of an SBN peer takes eight of one MsgId between two rounds of 200 ms; the rest is dropped.
+
+    Name the MsgId, and the rate that gets through, as measured where it can be.
+    """
+    for loss in case.losses:
+        if loss.kind in {"limit", "overflow"} and loss.hop.startswith("SBN"):
+            yield _over_peer_limit(case, loss)
+
+
+def _over_peer_limit(case: Case, loss: Loss) -> Verdict:
+    limit, period = case.profile.sbn_msg_limit, case.profile.sbn_wake_ns
+    rounds = loss.comb
+    evidence = list(loss.evidence)
+    if rounds and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 5:
+        limit, period = rounds.most, rounds.period_ns
+        evidence.append(f"at most {limit} came in one round, every {period / 1e6:.1f} ms")
+    rate = limit * SECOND / period
+    return loss_verdict(
+        case,
+        "sbn_peer_pipe",
+        loss,
+        f"{lost_at(case, loss)}: {published(loss)}{limit} of one MsgId may wait and SBN serves "
+        f"the pipe every {period / 1e6:.0f} ms, so {rate:.0f}/s get through",
+        link="sbn",
+        evidence=evidence,
+        remedy=f"publish at most {rate:.0f} Hz on this MsgId towards the peer",
+    )
