@@ -4,13 +4,15 @@ Rules:
 
 1. The hops between the ground bridge and the robot are the rows of the balance, with their figures.
 2. A hop that nothing here counts is named all the same, without figures, and with what would show it.
-3. Where a command leaves cFS as another packet, on the Software Bus Network, that packet's hops follow.
+3. Where a command leaves cFS as another packet, on the Software Bus Network, that packet's hops follow. Of
+   what goes into the first of them, what no command of the capture became is told: it was under way when the
+   capture began, or the application made it by itself. So ``in = out of the hop before + entered``.
 4. The bridges' own hops are counted by bags of the ROS side: messages of the time that both recorded.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.diagnosis.balance import APPLICATION, BUS, CI_HOP, summed
@@ -59,6 +61,7 @@ class ChainHop:
         lost: how many were lost.
         out: how many came out.
         doubled: of those, how many more than once.
+        entered: of those that went in, how many did not come out of the hop before.
         rest: what became of the others: figures of the balance, those that are not 0.
         counted: where ``out`` was counted, or what would show it.
     """
@@ -68,6 +71,7 @@ class ChainHop:
     lost: int | None
     out: int | None
     doubled: int = 0
+    entered: int = 0
     rest: Mapping[str, int] = field(default_factory=dict)
     counted: str = ""
 
@@ -81,6 +85,7 @@ class ChainHop:
         return {
             "hop": self.hop,
             "in": self.came,
+            "entered": self.entered,
             "duplicated": self.doubled,
             "lost": self.lost,
             "out": self.out,
@@ -154,7 +159,10 @@ def _hops(
         yield ChainHop(TO_ROBOT, own[-1].out, None, None, counted=_CAPTURE_MORE)
     for way in own[-1].onward:
         further = [row for row in whole if (row.link, row.msg_id) == way and way[0] != _ROBOT]
-        yield from map(_of_row, further)
+        further = [row for row in further if row.instance == own[-1].instance] or further
+        for place, row in enumerate(further):
+            hop = _of_row(row)
+            yield hop if place else replace(hop, entered=max(0, row.came - own[-1].out))
         if way[0] == _SBN and further and further[-1].hop != BUS:  # else the peer is another cFS
             yield _bridge(PEER_TO_ROBOT, bridges.get(way), came=_last_out(whole, way))
 
@@ -180,6 +188,5 @@ def _of_row(row: Row) -> ChainHop:
     rest = {name: value for name in _REST if (value := getattr(row, name))}
     to_robot = row.hop == APPLICATION and any(label == _ROBOT for label, _ in row.onward)
     told = row.counted.get("out") or row.counted.get("lost", "")
-    return ChainHop(
-        TO_ROBOT if to_robot else row.hop, row.came, row.all_lost, row.out, row.duplicated, rest, told
-    )
+    name = TO_ROBOT if to_robot else row.hop
+    return ChainHop(name, row.came, row.all_lost, row.out, row.duplicated, rest=rest, counted=told)

@@ -61,6 +61,8 @@ class BeforeCi:
     def _before_ci(self, account: Ingest, before: Before) -> None:
         """Share out what was lost before CI: to what did not come out, else by how much was sent."""
         left, fates = before.lost, self._to(account)
+        if before.cause == "network" and left > self._missing(account, fates, before.end_ns):
+            return  # more than did not come out: its counts are late, as over a slow link, and tell no loss
         evidence = self._before_evidence(account, before)
         # What did not come out is the likelier; what is lost first may have been before the first count.
         seen = [fate for fate in fates if fate.seen]
@@ -71,6 +73,14 @@ class BeforeCi:
             left -= self._spread(those, before, since_ns, left, evidence)
         if left and before.cause != "unknown":
             self._nobodys(before, left, evidence)
+
+    def _missing(self, account: Ingest, fates: Sequence[Fate], end_ns: int) -> int:
+        """Return the most that can be lost of what was sent to a CI until a time: what did not come out."""
+        times = self._known.rows.time_ns[account.rows]
+        missing = int(np.searchsorted(times, end_ns, "right"))
+        for fate in fates:
+            missing -= int((~fate.open & (self._known.captured(fate.stream) <= end_ns)).sum())
+        return missing
 
     def _spread(
         self, fates: Sequence[Fate], before: Before, since_ns: int, number: int, evidence: list[str]

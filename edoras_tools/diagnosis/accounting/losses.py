@@ -231,7 +231,7 @@ class Known:
         if stream.link.only_from_cfs:
             return telemetry_output.PIPE
         spacecraft, _, processor = self.network.identity_of.get(stream.receiver, "").partition(":")
-        return sbn.peer_pipe(Peer(int(spacecraft), int(processor))) if processor else "SBN peer pipe"
+        return sbn.peer_pipe(Peer(int(spacecraft), int(processor))) if processor else "pipe of an SBN peer"
 
     def named(self, instance: int, msg_id: int, kind: str, *, output: bool) -> LossEvents | None:
         """Return the events that name a MsgId at Telemetry Output's pipe, or at a peer's."""

@@ -36,6 +36,7 @@ _ALREADY_NS: Final = SECOND
 _STILL_NS: Final = 3 * SECOND
 """After a time-out, nobody sends to a peer for longer than this."""
 _ANSWERS_NS: Final = 500 * MILLISECOND
+ALREADY: Final = "it was when the capture began"
 SAID_GOODBYE: Final = "the observer sent it DISCONNECT"
 UNSEEN: Final = "nothing of it is seen here since, yet the observer goes on sending to it"
 
@@ -87,6 +88,8 @@ class Connection:
     def state_at(self, time_ns: int) -> ObservedState | None:
         """Return the state at a time; None before anything was seen."""
         before = bisect_right(self.changes, time_ns, key=_TIME)
+        if not before and self.changes and self.changes[0].why == ALREADY:
+            before = 1  # its first datagram came a little later
         return self.changes[before - 1].state if before else None
 
     def broken_within(self, start_ns: int, end_ns: int) -> bool:
@@ -94,7 +97,8 @@ class Connection:
         if self.state_at(start_ns) != "connected":
             return True
         first, end = (bisect_right(self.changes, when, key=_TIME) for when in (start_ns, end_ns))
-        return any(change.state != "silent" for change in self.changes[first:end])
+        since = self.changes[first:end]
+        return any(change.state != "silent" and change.why != ALREADY for change in since)
 
     def silences(self, end_ns: int) -> Iterator[PeerSilence]:
         """Yield every silence that the observer noticed, and one that lasts to the end of the capture."""
@@ -244,7 +248,7 @@ class Network:
                 up = False
             elif not up:
                 first = not changes and now - begin_ns < _ALREADY_NS
-                why = "it was when the capture began" if first else f"its {_name(kind)} arrived"
+                why = ALREADY if first else f"its {_name(kind)} arrived"
                 changes.append(PeerChange(now, "connected", why))
                 up = True
             last = now

@@ -142,14 +142,15 @@ def chain_table(found: Sequence[Chain], width: int) -> RenderableType:
         for item in found
         for hop in item.hops
     ]
-    shown = {name for name in FIGURES if any(row[name] for row in rows)} | {"in", "out", "lost"}
+    figures = {"in": "In", "entered": "Entered", **dict(zip(FIGURES, HEADS, strict=True))}
+    shown = {name for name in figures if any(row[name] for row in rows)} | {"in", "out", "lost"}
     columns = [
         Column("MsgId", _msg_id, justify="left"),
         Column("Topic", route_text, justify="left", elastic=True),
         Column("Hop", lambda row: plain(row["hop"]), justify="left"),
         *(
             Column(head, _figure(name), rank=0 if name in {"in", "out", "lost"} else 1)
-            for head, name in zip(HEADS, FIGURES, strict=True)
+            for name, head in figures.items()
             if name in shown
         ),
         Column("Counted", lambda row: plain(row["counted"]), rank=2, justify="left"),
