@@ -159,6 +159,8 @@ TIMED_OUT: Final = EventText(NAME, 259, "disconnected peer {peer}")
 UNKNOWN_PEER: Final = EventText(
     NAME, 259, "ERROR: unknown peer {spacecraft_id:d}:{processor_id:d}", EventType.ERROR
 )
+UNKNOWN_PROCESSOR: Final = EventText(NAME, 10, "unknown peer (ProcessorID={processor_id:d})")
+"""What the newest public SBN says instead."""
 NOT_UNPACKED: Final = EventText(NAME, 259, "ERROR: could not unpack message", EventType.ERROR)
 BAD_MSG_ID: Final = EventText(NAME, 4097, "unable to set msgid", EventType.ERROR)
 

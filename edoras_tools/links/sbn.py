@@ -2,7 +2,8 @@
 
 Its TCP module (``modules/protocol/tcp`` of nasa/SBN) sends the same messages end to end, without anything
 between them. There is no handshake: the peer with the smaller ProcessorID connects to the other, and each is
-known from its first message. It has one message of its own, the heartbeat after 5 seconds without another.
+known from its first message. It has one message of its own, the heartbeat: after 6 seconds without another
+message several at each wake-up, until there is one.
 """
 
 from __future__ import annotations

@@ -331,6 +331,16 @@ def test_the_table_of_sbn_is_as_the_compiler_lays_it_out(call, network):
     assert network_peers(network)[2] == SbnPeerConfig(Peer(0x42, 3), 2236)
 
 
+def test_a_table_that_was_built_with_cfs_has_what_its_source_says(call):
+    """The source: SBN's own table, with its TCP module instead of UDP."""
+    value, _ = told(call, FILES / "sbn_conf_tbl.tbl")
+    assert (value["protocols"], value["filters"], value["load_bytes"]) == ("TCP", "Remap", 4968)
+    same = {"spacecraft_id": 0x42, "protocol": "TCP", "net": 0, "filters": "Remap", "tasks": "none (0)"}
+    assert value["entries"] == [
+        {"processor_id": number, "address": f"127.0.0.1:{2233 + number}", **same} for number in (1, 2, 3)
+    ]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "trap"),
     [

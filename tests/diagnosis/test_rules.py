@@ -364,6 +364,17 @@ def sbn_timeout(lab, tmp_path, msg_id):
 
 
 @case
+def sbn_tcp_overwritten(lab, tmp_path, msg_id):
+    """Of 60 commands by TCP the console of cFS counts 49; those lost met a message of the other peer."""
+    found = lab.read(ROOT / "samples/cfs_files/sbn_tcp.pcap.gz")
+    assert not {"sbn_timeout", "unexplained_gap"} & {item.rule for item in found.verdicts}
+    (told,) = [item for item in found.verdicts if item.rule == "sbn_tcp_overwritten"]
+    assert (told.hop, told.of, told.lost) == ("SBN of 66:1", 76, None)
+    assert "34 of 76 messages" in told.reason
+    return found
+
+
+@case
 def sbn_never_connected(lab, tmp_path, msg_id):
     sent, _ = lab.simulate("two-rovers", seconds=20)
     return lab.examine([item for item in sent if item.source.port == 2236])
@@ -798,6 +809,23 @@ def test_silent_on_sound_traffic(scenario, lab):
         diagnosis = lab.examine(sent, config)
         assert [item.reason for item in diagnosis.verdicts] == []
         assert {item.rule for item in diagnosis.habits} <= HABITS
+
+
+@pytest.mark.parametrize(
+    "said",
+    [(259, "ERROR: unknown peer 66:9"), (10, "unknown peer (ProcessorID=9)")],
+    ids=["measured", "newest SBN"],
+)
+def test_a_peer_that_cfs_does_not_know_is_named_by_its_words(lab, said):
+    stranger = lab.at(
+        10, Endpoint("10.0.0.9", 40000), lab.cfs, sbn.emit(sbn.MsgType.HEARTBEAT, Peer(0x42, 9))
+    )
+    sent = lab.merged(lab.simulate("two-rovers")[0], stranger)
+    assert "unknown_peer" not in {item.rule for item in lab.examine(sent).verdicts}
+    found = lab.examine(lab.merged(sent, lab.event(10.2, "SBN", *said)))
+    (told,) = [item for item in found.verdicts if item.rule == "unknown_peer"]
+    assert (told.lost, told.confidence, said[1] in told.evidence[1]) == (1, "high", True)
+    assert "crash" not in told.remedy
 
 
 def test_a_peer_that_is_only_out_of_sight_did_not_time_out(lab):

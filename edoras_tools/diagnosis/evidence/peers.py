@@ -1,6 +1,7 @@
 """The connections of the Software Bus Network over time, as each cFS sees them.
 
-A peer is connected from its first datagram until it sends DISCONNECT, or nothing for eleven seconds.
+A peer is connected from its first datagram until it sends DISCONNECT, or nothing for eleven seconds. Over TCP
+silence ends nothing: cFS has no time-out there, and who leaves closes the connection.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 ObservedState = Literal["connected", "silent", "timed_out", "disconnected"]
 _LEAST_ROWS: Final = 3
 _ALREADY_NS: Final = SECOND
+_NEVER: Final = np.iinfo(np.int64).max // 2
 _STILL_NS: Final = 3 * SECOND
 """After a time-out, nobody sends to a peer for longer than this."""
 _ANSWERS_NS: Final = 500 * MILLISECOND
@@ -224,6 +226,8 @@ class Network:
         """
         timeout = self._profile.sbn_timeout_s * SECOND
         silent = (self._profile.sbn_heartbeat_s + 1) * SECOND
+        if rows.streamed[heard].any():
+            timeout = silent = _NEVER
         begin_ns = int(rows.time_ns[0])
         changes: list[PeerChange] = []
         up, last = False, 0

@@ -1,4 +1,4 @@
-"""The columns that a diagnosis keeps of each datagram: 118 bytes, however large the datagram is."""
+"""The columns that a diagnosis keeps of each datagram: 119 bytes, however large the datagram is."""
 
 from __future__ import annotations
 
@@ -52,6 +52,7 @@ class Rows:
         tap: u64, fingerprint of what the frame holds in front of the IP header, and of the time to live:
             differs where one packet was captured at two places.
         life: u8, time to live, or hop limit.
+        streamed: bool, it came over TCP.
         bytes_print: u64, fingerprint of the whole datagram.
         counted: bool, the packet has a sequence count, and its sender counts.
         missing: i32, counts that never came right before the packet; this and the next three are as in
@@ -89,6 +90,7 @@ class Rows:
     identification: NDArray[np.uint16]
     tap: NDArray[np.uint64]
     life: NDArray[np.uint8]
+    streamed: NDArray[np.bool_]
     bytes_print: NDArray[np.uint64]
     counted: NDArray[np.bool_]
     missing: NDArray[np.int32]
@@ -212,6 +214,7 @@ class Recorder:
                 identification=identification,
                 tap=tap + life,
                 life=life,
+                streamed=np.zeros(len(batch), bool) if batch.streams is None else batch.streams,
                 bytes_print=of_bytes(batch.data, batch.offset, batch.length),
                 counted=told.stream >= 0,
                 missing=told.missing,
@@ -371,9 +374,9 @@ def _counting(rows: Rows, told: SequenceRows) -> Rows:
 
 
 def _none() -> Rows:
-    kinds = {"link": "u1", "header_length": "u1", "sequence_count": "u2", "findings": "u4", "counted": "?"}
+    kinds = {"link": "u1", "header_length": "u1", "sequence_count": "u2", "findings": "u4"}
     kinds |= dict.fromkeys(("processor_id", "spacecraft_id"), "u4")
-    kinds |= {"identification": "u2", "life": "u1"}
+    kinds |= {"identification": "u2", "life": "u1", "counted": "?", "streamed": "?"}
     prints = ("tap", "bytes_print", "packet_print", "value_print", "stamped_print", "shared_print")
     kinds |= dict.fromkeys(prints, "u8")
     return Rows(**{item.name: np.zeros(0, kinds.get(item.name, "i8")) for item in fields(Rows)})

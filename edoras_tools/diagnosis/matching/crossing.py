@@ -141,6 +141,8 @@ def _may_follow(into: Stream, out: Stream) -> bool:
     if into is out or (into.link.peers and out.link.peers and into.receiver != out.sender):
         return False
     if into.msg_id == out.msg_id:
+        if into.link.peers and out.link.peers:
+            return False  # SBN's pipes leave out what SBN itself has put on the bus
         return into.instance == out.instance or NOBODY in {into.instance, out.instance}
     return into.is_command != out.is_command
 

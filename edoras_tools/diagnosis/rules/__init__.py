@@ -51,7 +51,13 @@ from edoras_tools.diagnosis.rules.messages import (
     stale_tail,
     struct_overrun,
 )
-from edoras_tools.diagnosis.rules.network import sbn_disconnected, sbn_never_connected, sbn_table, sbn_timeout
+from edoras_tools.diagnosis.rules.network import (
+    sbn_disconnected,
+    sbn_never_connected,
+    sbn_table,
+    sbn_tcp_overwritten,
+    sbn_timeout,
+)
 from edoras_tools.diagnosis.rules.network_messages import (
     bad_network_message,
     proto_storm,
@@ -144,6 +150,7 @@ RULES: Final[Mapping[str, Rule]] = {
         no_subscriber,
         rate_over_limit,
         sbn_timeout,
+        sbn_tcp_overwritten,
         sbn_never_connected,
         sbn_disconnected,
         bad_network_message,

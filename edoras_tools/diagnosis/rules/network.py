@@ -12,13 +12,15 @@ from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Finding, Peer
-from edoras_tools.units import SECOND
+from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.peers import Connection, PeerChange, PeerSilence
@@ -114,6 +116,59 @@ def _verdict(case: Case, connection: Connection, silent: PeerSilence) -> Verdict
         remedy="restart the peer; it is connected again with its first SUB or PROTO. Send DISCONNECT "
         "before a planned stop",
     )
+
+
+def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
+    """Messages of several SBN peers over TCP that one read of cFS took together: only one of them remains.
+
+    A read of SBN's TCP module goes through all connections of a net into one buffer, and hands over what it
+    read last (``Recv`` in ``sbn_tcp_if.c`` of nasa/SBN). So a message is in danger if one of another
+    connection came in the same wake-up.
+    """
+    rows, names = case.rows, case.network.identity_of
+    heard = np.flatnonzero((rows.link == SBN) & rows.streamed & (rows.sbn_msg_type >= 0))
+    for observer in sorted(set(names.values())):
+        ends = [end for end, name in names.items() if name == observer]
+        own = heard[np.isin(rows.destination[heard], ends)]
+        peers = {names[end] for end in np.unique(rows.source[own]).tolist() if end in names}
+        app = own[rows.sbn_msg_type[own] == sbn.MsgType.APP]
+        beside = app[_beside(rows.time_ns, rows.source, app, own, case.profile.sbn_wake_ns)]
+        if len(peers) < 2 or not len(beside):
+            continue
+        yield Verdict(
+            "sbn_tcp_overwritten",
+            Severity.WARNING,
+            f"cFS {observer} hears {len(peers)} SBN peers over TCP, and {len(beside):,} of "
+            f"{plural(len(app), 'message')} to it came within {case.profile.sbn_wake_ns // MILLISECOND} ms "
+            "of another peer's: of messages that one wake-up finds on several connections, SBN's TCP module "
+            "keeps the last and drops the others, without an event or a counter",
+            link="sbn",
+            hop=f"SBN of {observer}",
+            of=len(app),
+            start_ns=int(rows.time_ns[beside[0]]),
+            end_ns=int(rows.time_ns[beside[-1]]),
+            evidence=(f"peers: {', '.join(sorted(peers))}",),
+            remedy="give each TCP peer a net of its own in sbn_conf_tbl (NetNum, and a port of this cFS for "
+            "it), or use UDP",
+            confidence="medium",
+        )
+
+
+def _beside(
+    time_ns: NDArray[np.int64],
+    source: NDArray[np.int32],
+    app: NDArray[np.intp],
+    every: NDArray[np.intp],
+    span_ns: int,
+) -> NDArray[np.bool_]:
+    """Tell which messages have one of another source within a span of time, before or after."""
+    near = np.zeros(len(app), bool)
+    for one in np.unique(source[app]).tolist():
+        mine = source[app] == one
+        others, when = time_ns[every[source[every] != one]], time_ns[app[mine]]
+        first = np.searchsorted(others, when - span_ns)
+        near[mine] = first < np.searchsorted(others, when + span_ns, "right")
+    return near
 
 
 _WAIT_NS: Final = 12 * SECOND

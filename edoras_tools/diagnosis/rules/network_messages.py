@@ -222,6 +222,10 @@ def wrong_protocol_version(case: Case) -> Iterator[Verdict]:
         )
 
 
+_UNKNOWN_PEER: Final = (facts.UNKNOWN_PEER, facts.UNKNOWN_PROCESSOR)
+_CRASH: Final = ". Its TCP module crashes cFS when a connection closes whose peer it does not know"
+
+
 def unknown_peer(case: Case) -> Iterator[Verdict]:
     """SBN datagrams of a spacecraft and processor that the receiver's table does not name.
 
@@ -233,19 +237,21 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
     network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(Finding.TRUNCATED))
     times = rows.time_ns[network]
     for record in case.said(case.start_ns, case.end_ns, facts.NAME):
-        named = facts.UNKNOWN_PEER.pattern.search(record.message)
-        if named:
-            spacecraft, processor = map(int, named.groups())
+        found = (event.pattern.search(record.message) for event in _UNKNOWN_PEER)
+        if named := next(filter(None, found), None):
+            *craft, processor = map(int, named.groups())
             low, high = np.searchsorted(times, (record.time_ns - 2 * SECOND, record.time_ns), "right")
             near = network[low:high]
-            same = (rows.spacecraft_id[near] == spacecraft) & (rows.processor_id[near] == processor)
+            same = (rows.processor_id[near] == processor) & np.isin(
+                rows.spacecraft_id[near], craft or rows.spacecraft_id[near]
+            )
             foreign[near[same]] = True
     identity = rows.spacecraft_id.astype(np.uint64) << 32 | rows.processor_id
     for who in np.unique(identity[foreign]).tolist():
         members = np.flatnonzero(foreign & (identity == who))
         first, start_ns = int(members[0]), int(rows.time_ns[members[0]])
         peer = Peer(who >> 32, who & 0xFFFFFFFF)
-        said = answers(case, start_ns, facts.UNKNOWN_PEER.text.format(**peer._asdict()))
+        said = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
         yield Verdict(
             "unknown_peer",
             Severity.ERROR,
@@ -260,7 +266,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             end_ns=int(rows.time_ns[members[-1]]),
             evidence=(f"packet {rows.number[first]} at {case.at(start_ns)}", *said),
             remedy="make spacecraft_id and processor_id of the bridge agree with cFS's SBN table "
-            "(sbn_conf_tbl)",
+            "(sbn_conf_tbl)" + (_CRASH if rows.streamed[members].any() else ""),
             confidence="high" if said else "medium",
         )
 

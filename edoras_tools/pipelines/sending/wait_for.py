@@ -97,26 +97,42 @@ def _peer(
 ) -> Condition:
     wanted = set(np.unique(out.msg_id[out.msg_id != NO_MSG_ID]).tolist())
 
-    event = sbn.UNKNOWN_PEER
-    told = f"{event.app} {event.event_id}: {event.text.format(**session.own._asdict())}"
+    own = session.own._asdict()
+    refusals = [
+        f"{event.app} {event.event_id}: {event.text.format(**own)}"
+        for event in (sbn.UNKNOWN_PEER, sbn.UNKNOWN_PROCESSOR)
+    ]
+    crash = (
+        ". Look whether cFS still runs: SBN's TCP module crashes it when a connection closes whose peer it "
+        "does not know"
+        if options.tcp
+        else ""
+    )
+
+    def said() -> str | None:
+        return next((told for told in refusals if told in responses.events), None)
 
     def unknown() -> bool:
-        return session.answered is None and told in responses.events
+        return session.answered is None and said() is not None
 
     def explain(seconds: float) -> str:
         if unknown():
             return (
-                f"no SBN peer answered at {options.target} within {seconds:.1f} s: cFS says {told!r}: its "
-                "SBN peer table has no such peer; set --as SC:CPU as in the table"
+                f"no SBN peer answered at {options.target} within {seconds:.1f} s: cFS says {said()!r}: its "
+                f"SBN peer table has no such peer; set --as SC:CPU as in the table{crash}"
             )
         if session.answered is None:
+            place = (
+                ": set --as SC:CPU"
+                if options.tcp
+                else f" at UDP {local.port}: set --as SC:CPU and --listen PORT"
+            )
             refusal = f"; {options.target} refuses: no program listens there"
             refused = refusal if wire.statistics.refused else ""
             return (
                 f"no SBN peer answered at {options.target} within {seconds:.1f} s{refused}; tried PROTO and "
                 f"SUB, once a second, as {session.own} from {local}; usually cFS is not running, or its SBN "
-                f"peer table has no {session.own} at UDP {local.port}: set --as SC:CPU and --listen PORT as "
-                "in the table"
+                f"peer table has no {session.own}{place} as in the table{crash}"
             )
         missing = sorted(wanted - session.subscribed)
         some = ", ".join(called(msg_id, mission) for msg_id in missing[:_MOST_NAMED])

@@ -106,6 +106,16 @@ def test_as_captured_and_twice_as_fast(capture):
     ]
 
 
+def test_a_target_that_does_not_answer_may_have_no_such_peer_and_crash(capture):
+    cfs = CfsSide(answers=False)
+    done = replayed(capture, cfs.port, "--tcp", "--as", "66:9", "--timeout", "50ms")
+    cfs.close()
+    assert done.returncode == 1
+    (line,) = (text for text in done.stderr.splitlines() if "no SBN peer answered" in text)
+    assert "has no 66:9: set --as SC:CPU as in the table. Look whether cFS still runs" in line
+    assert "--listen" not in line
+
+
 def test_a_target_that_hangs_up_or_is_not_there_is_one_line(capture):
     cfs = CfsSide(hang_up_after=6)
     done = replayed(capture, cfs.port, "--tcp")
