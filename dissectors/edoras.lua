@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "6097944429891cbf"
+local DIGEST = "15dab78248d0303c"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -316,145 +316,957 @@ D.layouts = {
 		},
 		place = {stamp_seconds = 1, stamp_nanoseconds = 2},
 	},
-	cfe_reset = {
-		name = "cfe_reset",
-		protocol = "reset",
-		title = "cFE Exception or Reset",
-		size = 392,
-		little = true,
+	tm_frame = {
+		name = "tm_frame",
+		protocol = "frames",
+		title = "CCSDS TM Transfer Frame",
+		size = 6,
 		fields = {
 			{
-				abbreviation = "cfe.reset.entry_type",
-				name = "entry_type",
+				abbreviation = "frames.tm_frame.transfer_frame_version_number",
+				name = "transfer_frame_version_number",
 				start = 0,
-				size = 4,
-				kind = "uint32",
-				names = {[1] = "core", [2] = "application"},
-				doc = "who made it",
+				size = 2,
+				kind = "uint16",
+				mask = 49152,
+				doc = "0 (132.0-B 4.1.2.2.2)",
 			},
 			{
-				abbreviation = "cfe.reset.reset_type",
-				name = "reset_type",
-				start = 4,
-				size = 4,
-				kind = "uint32",
-				names = {[1] = "processor", [2] = "power on"},
-				doc = "kind of reset",
-			},
-			{
-				abbreviation = "cfe.reset.reset_subtype",
-				name = "reset_subtype",
-				start = 8,
-				size = 4,
-				kind = "uint32",
-				names = {
-					[1] = "power cycle",
-					[2] = "push button",
-					[3] = "hardware special command",
-					[4] = "watchdog",
-					[5] = "reset command",
-					[6] = "exception",
-					[7] = "undefined",
-					[8] = "hardware debugging",
-					[9] = "bank switch",
-				},
-				doc = "what caused it",
-			},
-			{
-				abbreviation = "cfe.reset.boot_source",
-				name = "boot_source",
-				start = 12,
-				size = 4,
-				kind = "uint32",
-				doc = "where it booted from",
-			},
-			{
-				abbreviation = "cfe.reset.processor_resets",
-				name = "processor_resets",
-				start = 16,
-				size = 4,
-				kind = "uint32",
-				doc = "since the last power-on",
-			},
-			{
-				abbreviation = "cfe.reset.max_processor_resets",
-				name = "max_processor_resets",
-				start = 20,
-				size = 4,
-				kind = "uint32",
-				doc = "before a power-on reset is made",
-			},
-			{
-				abbreviation = "cfe.reset.debug",
-				name = "debug",
-				start = 24,
-				size = 16,
-				kind = "bytes",
-				doc = "debug variables of Executive Services",
-			},
-			{
-				abbreviation = "cfe.reset.seconds",
-				name = "seconds",
-				start = 40,
-				size = 4,
-				kind = "uint32",
-				doc = "mission time: whole seconds",
-			},
-			{
-				abbreviation = "cfe.reset.subseconds",
-				name = "subseconds",
-				start = 44,
-				size = 4,
-				kind = "uint32",
-				doc = "mission time: 1/2^32 s",
-			},
-			{
-				abbreviation = "cfe.reset.description",
-				name = "description",
-				start = 48,
-				size = 80,
-				kind = "string",
-				doc = "what happened",
-			},
-			{
-				abbreviation = "cfe.reset.context_bytes",
-				name = "context_bytes",
-				start = 128,
-				size = 4,
-				kind = "uint32",
-				doc = "bytes of the context that are valid",
-			},
-			{
-				abbreviation = "cfe.reset.application_id",
-				name = "application_id",
-				start = 132,
-				size = 4,
-				kind = "uint32",
+				abbreviation = "frames.tm_frame.spacecraft_id",
+				name = "spacecraft_id",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 16368,
 				hex = true,
-				doc = "0 for none",
+				doc = "of the spacecraft (132.0-B 4.1.2.2.3)",
 			},
 			{
-				abbreviation = "cfe.reset.context",
-				name = "context",
-				start = 136,
-				size = 256,
-				kind = "bytes",
-				doc = "of the processor",
+				abbreviation = "frames.tm_frame.virtual_channel_id",
+				name = "virtual_channel_id",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 14,
+				doc = "the channel of the frame (132.0-B 4.1.2.3)",
+			},
+			{
+				abbreviation = "frames.tm_frame.ocf_flag",
+				name = "ocf_flag",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 1,
+				doc = "an operational control field follows the data (132.0-B 4.1.2.4)",
+			},
+			{
+				abbreviation = "frames.tm_frame.master_channel_frame_count",
+				name = "master_channel_frame_count",
+				start = 2,
+				size = 1,
+				kind = "uint8",
+				doc = "counts all frames of the spacecraft (132.0-B 4.1.2.5)",
+			},
+			{
+				abbreviation = "frames.tm_frame.virtual_channel_frame_count",
+				name = "virtual_channel_frame_count",
+				start = 3,
+				size = 1,
+				kind = "uint8",
+				doc = "counts the frames of the channel (132.0-B 4.1.2.6)",
+			},
+			{
+				abbreviation = "frames.tm_frame.secondary_header_flag",
+				name = "secondary_header_flag",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 32768,
+				doc = "a secondary header follows (132.0-B 4.1.2.7.2)",
+			},
+			{
+				abbreviation = "frames.tm_frame.synchronization_flag",
+				name = "synchronization_flag",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 16384,
+				doc = "0: packets; 1: other data (132.0-B 4.1.2.7.3)",
+			},
+			{
+				abbreviation = "frames.tm_frame.packet_order_flag",
+				name = "packet_order_flag",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 8192,
+				doc = "0 with packets (132.0-B 4.1.2.7.4)",
+			},
+			{
+				abbreviation = "frames.tm_frame.segment_length_id",
+				name = "segment_length_id",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 6144,
+				doc = "3 with packets (132.0-B 4.1.2.7.5)",
+			},
+			{
+				abbreviation = "frames.tm_frame.first_header_pointer",
+				name = "first_header_pointer",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 2047,
+				hex = true,
+				names = {[2046] = "only idle data", [2047] = "no packet starts"},
+				special = {5, 11},
+				doc = "where in the data the first packet starts (132.0-B 4.1.2.7.6)",
 			},
 		},
 		place = {
-			entry_type = 1,
-			reset_type = 2,
-			reset_subtype = 3,
-			boot_source = 4,
-			processor_resets = 5,
-			max_processor_resets = 6,
-			seconds = 7,
-			subseconds = 8,
-			context_bytes = 9,
-			application_id = 10,
-			description = 11,
+			transfer_frame_version_number = 1,
+			spacecraft_id = 2,
+			virtual_channel_id = 3,
+			ocf_flag = 4,
+			master_channel_frame_count = 5,
+			virtual_channel_frame_count = 6,
+			secondary_header_flag = 7,
+			synchronization_flag = 8,
+			packet_order_flag = 9,
+			segment_length_id = 10,
+			first_header_pointer = 11,
 		},
+	},
+	aos_frame = {
+		name = "aos_frame",
+		protocol = "frames",
+		title = "CCSDS AOS Transfer Frame",
+		size = 6,
+		fields = {
+			{
+				abbreviation = "frames.aos_frame.transfer_frame_version_number",
+				name = "transfer_frame_version_number",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 192,
+				doc = "1 (732.0-B 4.1.2.2.2)",
+			},
+			{
+				abbreviation = "frames.aos_frame.spacecraft_id",
+				name = "spacecraft_id",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 16320,
+				hex = true,
+				doc = "of the spacecraft, its 8 low bits (732.0-B 4.1.2.2.3)",
+			},
+			{
+				abbreviation = "frames.aos_frame.virtual_channel_id",
+				name = "virtual_channel_id",
+				start = 1,
+				size = 1,
+				kind = "uint8",
+				mask = 63,
+				names = {[63] = "idle frames"},
+				special = {2, 6},
+				doc = "the channel of the frame (732.0-B 4.1.2.3)",
+			},
+			{
+				abbreviation = "frames.aos_frame.virtual_channel_frame_count",
+				name = "virtual_channel_frame_count",
+				start = 2,
+				size = 3,
+				kind = "uint24",
+				doc = "counts the frames of the channel (732.0-B 4.1.2.4)",
+			},
+			{
+				abbreviation = "frames.aos_frame.replay_flag",
+				name = "replay_flag",
+				start = 5,
+				size = 1,
+				kind = "uint8",
+				mask = 128,
+				doc = "played back (732.0-B 4.1.2.5.2)",
+			},
+			{
+				abbreviation = "frames.aos_frame.frame_count_usage_flag",
+				name = "frame_count_usage_flag",
+				start = 5,
+				size = 1,
+				kind = "uint8",
+				mask = 64,
+				doc = "the cycle is counted, too (732.0-B 4.1.2.5.3)",
+			},
+			{
+				abbreviation = "frames.aos_frame.spacecraft_id_high",
+				name = "spacecraft_id_high",
+				start = 5,
+				size = 1,
+				kind = "uint8",
+				mask = 48,
+				doc = "further bits of the spacecraft since issue 4; 0 before",
+			},
+			{
+				abbreviation = "frames.aos_frame.frame_count_cycle",
+				name = "frame_count_cycle",
+				start = 5,
+				size = 1,
+				kind = "uint8",
+				mask = 15,
+				doc = "how often the count began anew (732.0-B 4.1.2.5.5)",
+			},
+		},
+		place = {
+			transfer_frame_version_number = 1,
+			spacecraft_id = 2,
+			virtual_channel_id = 3,
+			virtual_channel_frame_count = 4,
+			replay_flag = 5,
+			frame_count_usage_flag = 6,
+			spacecraft_id_high = 7,
+			frame_count_cycle = 8,
+		},
+	},
+	tc_frame = {
+		name = "tc_frame",
+		protocol = "frames",
+		title = "CCSDS TC Transfer Frame",
+		size = 5,
+		fields = {
+			{
+				abbreviation = "frames.tc_frame.transfer_frame_version_number",
+				name = "transfer_frame_version_number",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 49152,
+				doc = "0 (232.0-B 4.1.2.2.2)",
+			},
+			{
+				abbreviation = "frames.tc_frame.bypass_flag",
+				name = "bypass_flag",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 8192,
+				doc = "1 (Type-B): not counted (232.0-B 4.1.2.2.3.1)",
+			},
+			{
+				abbreviation = "frames.tc_frame.control_command_flag",
+				name = "control_command_flag",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 4096,
+				doc = "1: a command to the frame's receiver itself (232.0-B 4.1.2.2.3.2)",
+			},
+			{
+				abbreviation = "frames.tc_frame.reserved",
+				name = "reserved",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 3072,
+				doc = "0",
+			},
+			{
+				abbreviation = "frames.tc_frame.spacecraft_id",
+				name = "spacecraft_id",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 1023,
+				hex = true,
+				doc = "of the spacecraft (232.0-B 4.1.2.4)",
+			},
+			{
+				abbreviation = "frames.tc_frame.virtual_channel_id",
+				name = "virtual_channel_id",
+				start = 2,
+				size = 2,
+				kind = "uint16",
+				mask = 64512,
+				doc = "the channel of the frame (232.0-B 4.1.2.5)",
+			},
+			{
+				abbreviation = "frames.tc_frame.frame_length",
+				name = "frame_length",
+				start = 2,
+				size = 2,
+				kind = "uint16",
+				mask = 1023,
+				doc = "bytes of the whole frame, less 1 (232.0-B 4.1.2.6)",
+			},
+			{
+				abbreviation = "frames.tc_frame.frame_sequence_number",
+				name = "frame_sequence_number",
+				start = 4,
+				size = 1,
+				kind = "uint8",
+				doc = "counts the Type-A frames of the channel (232.0-B 4.1.2.7)",
+			},
+		},
+		place = {
+			transfer_frame_version_number = 1,
+			bypass_flag = 2,
+			control_command_flag = 3,
+			reserved = 4,
+			spacecraft_id = 5,
+			virtual_channel_id = 6,
+			frame_length = 7,
+			frame_sequence_number = 8,
+		},
+	},
+	tm_secondary = {
+		name = "tm_secondary",
+		protocol = "frames",
+		title = "TM Secondary Header",
+		size = 1,
+		fields = {
+			{
+				abbreviation = "frames.tm_secondary.version_number",
+				name = "version_number",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 192,
+				doc = "0 (132.0-B 4.1.3.2.2)",
+			},
+			{
+				abbreviation = "frames.tm_secondary.secondary_header_length",
+				name = "secondary_header_length",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 63,
+				doc = "bytes that follow this one (132.0-B 4.1.3.2.3)",
+			},
+		},
+		place = {version_number = 1, secondary_header_length = 2},
+	},
+	aos_packets = {
+		name = "aos_packets",
+		protocol = "frames",
+		title = "AOS Packet Zone",
+		size = 2,
+		fields = {
+			{
+				abbreviation = "frames.aos_packets.reserved",
+				name = "reserved",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 63488,
+				doc = "0",
+			},
+			{
+				abbreviation = "frames.aos_packets.first_header_pointer",
+				name = "first_header_pointer",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 2047,
+				hex = true,
+				names = {[2046] = "only idle data", [2047] = "no packet starts"},
+				special = {5, 11},
+				doc = "where in the data the first packet starts (732.0-B 4.1.4.2.2.3)",
+			},
+		},
+		place = {reserved = 1, first_header_pointer = 2},
+	},
+	tc_segment = {
+		name = "tc_segment",
+		protocol = "frames",
+		title = "TC Segment",
+		size = 1,
+		fields = {
+			{
+				abbreviation = "frames.tc_segment.segment_sequence_flags",
+				name = "segment_sequence_flags",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 192,
+				names = {[0] = "continuing", [1] = "first", [2] = "last", [3] = "whole"},
+				doc = "which part of a packet it is (232.0-B 4.1.3.2.2.2)",
+			},
+			{
+				abbreviation = "frames.tc_segment.map_id",
+				name = "map_id",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				mask = 63,
+				doc = "parts of one packet have the same (232.0-B 4.1.3.2.2.3)",
+			},
+		},
+		place = {segment_sequence_flags = 1, map_id = 2},
+	},
+	fprime = {
+		name = "fprime",
+		protocol = "fprime",
+		title = "F Prime Frame",
+		size = 8,
+		fields = {
+			{
+				abbreviation = "fprime.start_word",
+				name = "start_word",
+				start = 0,
+				size = 4,
+				kind = "uint32",
+				hex = true,
+				doc = "always 0xdeadbeef",
+			},
+			{
+				abbreviation = "fprime.length",
+				name = "length",
+				start = 4,
+				size = 4,
+				kind = "uint32",
+				doc = "bytes of the packet",
+			},
+		},
+		place = {start_word = 1, length = 2},
+	},
+	fprime_tc = {
+		name = "fprime_tc",
+		protocol = "fprime",
+		title = "CCSDS TC Transfer Frame",
+		size = 5,
+		fields = {
+			{
+				abbreviation = "fprime.tc.transfer_frame_version_number",
+				name = "transfer_frame_version_number",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 49152,
+				doc = "0 (232.0-B 4.1.2.2.2)",
+			},
+			{
+				abbreviation = "fprime.tc.bypass_flag",
+				name = "bypass_flag",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 8192,
+				doc = "1 (Type-B): not counted (232.0-B 4.1.2.2.3.1)",
+			},
+			{
+				abbreviation = "fprime.tc.control_command_flag",
+				name = "control_command_flag",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 4096,
+				doc = "1: a command to the frame's receiver itself (232.0-B 4.1.2.2.3.2)",
+			},
+			{
+				abbreviation = "fprime.tc.reserved",
+				name = "reserved",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 3072,
+				doc = "0",
+			},
+			{
+				abbreviation = "fprime.tc.spacecraft_id",
+				name = "spacecraft_id",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 1023,
+				hex = true,
+				doc = "of the spacecraft (232.0-B 4.1.2.4)",
+			},
+			{
+				abbreviation = "fprime.tc.virtual_channel_id",
+				name = "virtual_channel_id",
+				start = 2,
+				size = 2,
+				kind = "uint16",
+				mask = 64512,
+				doc = "the channel of the frame (232.0-B 4.1.2.5)",
+			},
+			{
+				abbreviation = "fprime.tc.frame_length",
+				name = "frame_length",
+				start = 2,
+				size = 2,
+				kind = "uint16",
+				mask = 1023,
+				doc = "bytes of the whole frame, less 1 (232.0-B 4.1.2.6)",
+			},
+			{
+				abbreviation = "fprime.tc.frame_sequence_number",
+				name = "frame_sequence_number",
+				start = 4,
+				size = 1,
+				kind = "uint8",
+				doc = "counts the Type-A frames of the channel (232.0-B 4.1.2.7)",
+			},
+		},
+		place = {
+			transfer_frame_version_number = 1,
+			bypass_flag = 2,
+			control_command_flag = 3,
+			reserved = 4,
+			spacecraft_id = 5,
+			virtual_channel_id = 6,
+			frame_length = 7,
+			frame_sequence_number = 8,
+		},
+	},
+	fprime_tm = {
+		name = "fprime_tm",
+		protocol = "fprime",
+		title = "CCSDS TM Transfer Frame",
+		size = 6,
+		fields = {
+			{
+				abbreviation = "fprime.tm.transfer_frame_version_number",
+				name = "transfer_frame_version_number",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 49152,
+				doc = "0 (132.0-B 4.1.2.2.2)",
+			},
+			{
+				abbreviation = "fprime.tm.spacecraft_id",
+				name = "spacecraft_id",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 16368,
+				hex = true,
+				doc = "of the spacecraft (132.0-B 4.1.2.2.3)",
+			},
+			{
+				abbreviation = "fprime.tm.virtual_channel_id",
+				name = "virtual_channel_id",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 14,
+				doc = "the channel of the frame (132.0-B 4.1.2.3)",
+			},
+			{
+				abbreviation = "fprime.tm.ocf_flag",
+				name = "ocf_flag",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 1,
+				doc = "an operational control field follows the data (132.0-B 4.1.2.4)",
+			},
+			{
+				abbreviation = "fprime.tm.master_channel_frame_count",
+				name = "master_channel_frame_count",
+				start = 2,
+				size = 1,
+				kind = "uint8",
+				doc = "counts all frames of the spacecraft (132.0-B 4.1.2.5)",
+			},
+			{
+				abbreviation = "fprime.tm.virtual_channel_frame_count",
+				name = "virtual_channel_frame_count",
+				start = 3,
+				size = 1,
+				kind = "uint8",
+				doc = "counts the frames of the channel (132.0-B 4.1.2.6)",
+			},
+			{
+				abbreviation = "fprime.tm.secondary_header_flag",
+				name = "secondary_header_flag",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 32768,
+				doc = "a secondary header follows (132.0-B 4.1.2.7.2)",
+			},
+			{
+				abbreviation = "fprime.tm.synchronization_flag",
+				name = "synchronization_flag",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 16384,
+				doc = "0: packets; 1: other data (132.0-B 4.1.2.7.3)",
+			},
+			{
+				abbreviation = "fprime.tm.packet_order_flag",
+				name = "packet_order_flag",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 8192,
+				doc = "0 with packets (132.0-B 4.1.2.7.4)",
+			},
+			{
+				abbreviation = "fprime.tm.segment_length_id",
+				name = "segment_length_id",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 6144,
+				doc = "3 with packets (132.0-B 4.1.2.7.5)",
+			},
+			{
+				abbreviation = "fprime.tm.first_header_pointer",
+				name = "first_header_pointer",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				mask = 2047,
+				hex = true,
+				names = {[2046] = "only idle data", [2047] = "no packet starts"},
+				special = {5, 11},
+				doc = "where in the data the first packet starts (132.0-B 4.1.2.7.6)",
+			},
+		},
+		place = {
+			transfer_frame_version_number = 1,
+			spacecraft_id = 2,
+			virtual_channel_id = 3,
+			ocf_flag = 4,
+			master_channel_frame_count = 5,
+			virtual_channel_frame_count = 6,
+			secondary_header_flag = 7,
+			synchronization_flag = 8,
+			packet_order_flag = 9,
+			segment_length_id = 10,
+			first_header_pointer = 11,
+		},
+	},
+	fprime_space_packet = {
+		name = "fprime_space_packet",
+		protocol = "fprime",
+		title = "CCSDS Space Packet",
+		size = 6,
+		fields = {
+			{
+				abbreviation = "fprime.space_packet.packet_version_number",
+				name = "packet_version_number",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 57344,
+				doc = "always 0 on this link (133.0-B 4.1.3.2)",
+			},
+			{
+				abbreviation = "fprime.space_packet.packet_type",
+				name = "packet_type",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 4096,
+				names = {[0] = "telemetry", [1] = "telecommand"},
+				special = {-1, 1},
+				doc = "1 to F Prime (133.0-B 4.1.3.3.2)",
+			},
+			{
+				abbreviation = "fprime.space_packet.secondary_header_flag",
+				name = "secondary_header_flag",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 2048,
+				doc = "0: no other header follows (133.0-B 4.1.3.3.3)",
+			},
+			{
+				abbreviation = "fprime.space_packet.apid",
+				name = "apid",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				mask = 2047,
+				hex = true,
+				doc = "the packet type again; 0x7ff: idle (133.0-B 4.1.3.3.4)",
+			},
+			{
+				abbreviation = "fprime.space_packet.sequence_flags",
+				name = "sequence_flags",
+				start = 2,
+				size = 2,
+				kind = "uint16",
+				mask = 49152,
+				names = {[0] = "continuation", [1] = "first", [2] = "last", [3] = "unsegmented"},
+				doc = "3: a whole packet (133.0-B 4.1.3.4.2)",
+			},
+			{
+				abbreviation = "fprime.space_packet.packet_sequence_count",
+				name = "packet_sequence_count",
+				start = 2,
+				size = 2,
+				kind = "uint16",
+				mask = 16383,
+				doc = "counts the packets of one APID (133.0-B 4.1.3.4.3)",
+			},
+			{
+				abbreviation = "fprime.space_packet.packet_data_length",
+				name = "packet_data_length",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				doc = "bytes of the whole packet, less 7 (133.0-B 4.1.3.5)",
+			},
+		},
+		place = {
+			packet_version_number = 1,
+			packet_type = 2,
+			secondary_header_flag = 3,
+			apid = 4,
+			sequence_flags = 5,
+			packet_sequence_count = 6,
+			packet_data_length = 7,
+		},
+	},
+	fprime_packet = {
+		name = "fprime_packet",
+		protocol = "fprime",
+		title = "F Prime Packet",
+		size = 2,
+		fields = {
+			{
+				abbreviation = "fprime.packet.packet_type",
+				name = "packet_type",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				names = {
+					[0] = "command",
+					[1] = "telemetry",
+					[2] = "event",
+					[3] = "file",
+					[4] = "packetized telemetry",
+					[5] = "data product",
+					[6] = "idle",
+					[7] = "parameter",
+					[254] = "handshake",
+				},
+				doc = "what it holds",
+			},
+		},
+		place = {packet_type = 1},
+	},
+	fprime_command = {
+		name = "fprime_command",
+		protocol = "fprime",
+		title = "F Prime Command",
+		size = 4,
+		fields = {
+			{
+				abbreviation = "fprime.command.opcode",
+				name = "opcode",
+				start = 0,
+				size = 4,
+				kind = "uint32",
+				hex = true,
+				doc = "of the command",
+			},
+		},
+		place = {opcode = 1},
+	},
+	fprime_channel = {
+		name = "fprime_channel",
+		protocol = "fprime",
+		title = "F Prime Channel",
+		size = 15,
+		fields = {
+			{
+				abbreviation = "fprime.channel.channel_id",
+				name = "channel_id",
+				start = 0,
+				size = 4,
+				kind = "uint32",
+				hex = true,
+				doc = "of the channel",
+			},
+			{
+				abbreviation = "fprime.channel.time_base",
+				name = "time_base",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				names = {
+					[0] = "none",
+					[1] = "processor",
+					[2] = "workstation",
+					[3] = "spacecraft",
+					[65535] = "any",
+				},
+				doc = "which clock",
+			},
+			{
+				abbreviation = "fprime.channel.time_context",
+				name = "time_context",
+				start = 6,
+				size = 1,
+				kind = "uint8",
+				doc = "free for the mission",
+			},
+			{
+				abbreviation = "fprime.channel.seconds",
+				name = "seconds",
+				start = 7,
+				size = 4,
+				kind = "uint32",
+				doc = "of that clock",
+			},
+			{
+				abbreviation = "fprime.channel.microseconds",
+				name = "microseconds",
+				start = 11,
+				size = 4,
+				kind = "uint32",
+				doc = "beyond its seconds",
+			},
+		},
+		place = {channel_id = 1, time_base = 2, time_context = 3, seconds = 4, microseconds = 5},
+	},
+	fprime_event = {
+		name = "fprime_event",
+		protocol = "fprime",
+		title = "F Prime Event",
+		size = 15,
+		fields = {
+			{
+				abbreviation = "fprime.event.event_id",
+				name = "event_id",
+				start = 0,
+				size = 4,
+				kind = "uint32",
+				hex = true,
+				doc = "of the event",
+			},
+			{
+				abbreviation = "fprime.event.time_base",
+				name = "time_base",
+				start = 4,
+				size = 2,
+				kind = "uint16",
+				names = {
+					[0] = "none",
+					[1] = "processor",
+					[2] = "workstation",
+					[3] = "spacecraft",
+					[65535] = "any",
+				},
+				doc = "which clock",
+			},
+			{
+				abbreviation = "fprime.event.time_context",
+				name = "time_context",
+				start = 6,
+				size = 1,
+				kind = "uint8",
+				doc = "free for the mission",
+			},
+			{
+				abbreviation = "fprime.event.seconds",
+				name = "seconds",
+				start = 7,
+				size = 4,
+				kind = "uint32",
+				doc = "of that clock",
+			},
+			{
+				abbreviation = "fprime.event.microseconds",
+				name = "microseconds",
+				start = 11,
+				size = 4,
+				kind = "uint32",
+				doc = "beyond its seconds",
+			},
+		},
+		place = {event_id = 1, time_base = 2, time_context = 3, seconds = 4, microseconds = 5},
+	},
+	fprime_file = {
+		name = "fprime_file",
+		protocol = "fprime",
+		title = "F Prime File",
+		size = 5,
+		fields = {
+			{
+				abbreviation = "fprime.file.kind",
+				name = "kind",
+				start = 0,
+				size = 1,
+				kind = "uint8",
+				names = {[0] = "start", [1] = "data", [2] = "end", [3] = "cancel"},
+				doc = "part of the transfer",
+			},
+			{
+				abbreviation = "fprime.file.sequence_index",
+				name = "sequence_index",
+				start = 1,
+				size = 4,
+				kind = "uint32",
+				doc = "counts the packets of a transfer",
+			},
+		},
+		place = {kind = 1, sequence_index = 2},
+	},
+	fprime_telemetry = {
+		name = "fprime_telemetry",
+		protocol = "fprime",
+		title = "F Prime Telemetry Packet",
+		size = 13,
+		fields = {
+			{
+				abbreviation = "fprime.telemetry.packet_id",
+				name = "packet_id",
+				start = 0,
+				size = 2,
+				kind = "uint16",
+				doc = "of the packet of channels",
+			},
+			{
+				abbreviation = "fprime.telemetry.time_base",
+				name = "time_base",
+				start = 2,
+				size = 2,
+				kind = "uint16",
+				names = {
+					[0] = "none",
+					[1] = "processor",
+					[2] = "workstation",
+					[3] = "spacecraft",
+					[65535] = "any",
+				},
+				doc = "which clock",
+			},
+			{
+				abbreviation = "fprime.telemetry.time_context",
+				name = "time_context",
+				start = 4,
+				size = 1,
+				kind = "uint8",
+				doc = "free for the mission",
+			},
+			{
+				abbreviation = "fprime.telemetry.seconds",
+				name = "seconds",
+				start = 5,
+				size = 4,
+				kind = "uint32",
+				doc = "of that clock",
+			},
+			{
+				abbreviation = "fprime.telemetry.microseconds",
+				name = "microseconds",
+				start = 9,
+				size = 4,
+				kind = "uint32",
+				doc = "beyond its seconds",
+			},
+		},
+		place = {packet_id = 1, time_base = 2, time_context = 3, seconds = 4, microseconds = 5},
 	},
 	racs2_topic = {
 		name = "racs2_topic",
@@ -522,6 +1334,7 @@ D.layouts = {
 				kind = "uint16",
 				mask = 4096,
 				names = {[0] = "telemetry", [1] = "telecommand"},
+				special = {-1, 1},
 				doc = "decides which cFE header follows (133.0-B 4.1.3.3.2)",
 			},
 			{
@@ -604,6 +1417,7 @@ D.layouts = {
 				kind = "uint16",
 				mask = 1024,
 				names = {[0] = "big", [1] = "little"},
+				special = {3, 1},
 				doc = "payload byte order",
 			},
 			{
@@ -614,6 +1428,7 @@ D.layouts = {
 				kind = "uint16",
 				mask = 512,
 				names = {[0] = "original", [1] = "playback"},
+				special = {5, 1},
 				doc = "a recorded packet sent again",
 			},
 			{
@@ -1582,6 +2397,7 @@ D.links = {
 		headers = {},
 		header_bytes = 0,
 		sure = 1,
+		port_decides = true,
 		sender_port = false,
 		receive_buffer = 768,
 		over_receive_buffer = "over_ci_buffer",
@@ -1598,6 +2414,7 @@ D.links = {
 		headers = {},
 		header_bytes = 0,
 		sure = 1,
+		port_decides = true,
 		sender_port = false,
 		receive_buffer = 1024,
 		over_receive_buffer = "over_bridge_buffer",
@@ -1614,6 +2431,7 @@ D.links = {
 		headers = {"sbn", "sbn_sub", "sbn_proto"},
 		header_bytes = 11,
 		sure = 8,
+		port_decides = true,
 		sender_port = true,
 	},
 	{
@@ -1637,31 +2455,41 @@ D.links = {
 		sender_port = false,
 	},
 	{
-		label = "file",
-		code = 9,
-		name = "FILE",
-		doc = "packets in a file that cFS wrote (event log, Data Storage)",
-		title = "FILE link",
-		to_cfs = false,
+		label = "frames",
+		code = 6,
+		name = "FRAMES",
+		doc = "CCSDS transfer frames (TM, AOS, TC), which carry the packets of another link",
+		title = "FRAMES link",
+		to_cfs = true,
 		from_cfs = true,
-		packets = true,
-		headers = {},
+		packets = false,
+		headers = {"tm_frame", "aos_frame", "tc_frame", "tm_secondary", "aos_packets", "tc_segment"},
 		header_bytes = 0,
 		sure = 1,
 		sender_port = false,
 	},
 	{
-		label = "reset",
-		code = 11,
-		name = "RESET",
-		doc = "entries of an exception and reset log that cFS wrote to a file",
-		title = "RESET link",
-		to_cfs = false,
+		label = "fprime",
+		code = 7,
+		name = "FPRIME",
+		doc = "between F Prime and its ground data system (GDS), one frame a datagram",
+		title = "FPRIME link",
+		to_cfs = true,
 		from_cfs = true,
 		packets = false,
-		headers = {"cfe_reset"},
+		headers = {
+			"fprime",
+			"fprime_tc",
+			"fprime_tm",
+			"fprime_space_packet",
+			"fprime_packet",
+			"fprime_command",
+			"fprime_channel",
+			"fprime_event",
+			"fprime_file",
+			"fprime_telemetry",
+		},
 		header_bytes = 0,
-		forms = {[392] = {headers = {"cfe_reset"}}},
 		sure = 1,
 		sender_port = false,
 	},
@@ -1680,7 +2508,7 @@ D.links = {
 		sender_port = false,
 	},
 }
-D.left = {[5111] = "cfdp", [5222] = "cfdp", [50000] = "data", [50001] = "data"}
+D.left = {[5111] = "cfdp", [5222] = "cfdp"}
 D.sure = {by_content = 2, by_address = 4}
 D.doubles = {smallest = 767, largest = 1086}
 D.ports = {
@@ -1688,11 +2516,36 @@ D.ports = {
 	to = {1235},
 	sbn = {2234, 2235, 2236},
 	robot = {8080, 8585},
-	file = {0},
-	reset = {0},
+	frames = {},
+	fprime = {50000, 50001},
 	racs2 = {},
 }
-D.stream_ports = {sbn = {2234, 2235, 2236}, racs2 = {8765}}
+D.stream_ports = {sbn = {2234, 2235, 2236}, fprime = {50000, 50001}, racs2 = {8765}}
+D.frames = {}
+D.frame_limits = {
+	idle_apid = 2047,
+	no_packet = 2047,
+	only_idle = 2046,
+	aos_idle = 63,
+	ocf_bytes = 4,
+	fecf_bytes = 2,
+	first_part = 1,
+	tc_bias = 1,
+	late = 32,
+}
+D.fprime = {
+	start_word = 3735928559,
+	keep_alive = "sitting well",
+	tm_bytes = 1024,
+	time_bytes = 11,
+	entry_headers = {
+		[0] = "fprime_command",
+		[1] = "fprime_channel",
+		[2] = "fprime_event",
+		[3] = "fprime_file",
+		[4] = "fprime_telemetry",
+	},
+}
 D.bridge_ports = {2236}
 D.cfs_addresses = {"127.0.0.1"}
 D.identities = {{66, 1}, {66, 3}}
@@ -1912,22 +2765,236 @@ function D.read.robot_state(s, p)
 	return stamp_seconds, stamp_nanoseconds
 end
 
-function D.read.cfe_reset(s, p)
-	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14, b15, b16, b17, b18, b19, b20, b21, b22, b23 = byte(s, p + 0, p + 23)
-	local b40, b41, b42, b43, b44, b45, b46, b47 = byte(s, p + 40, p + 47)
-	local b128, b129, b130, b131, b132, b133, b134, b135 = byte(s, p + 128, p + 135)
-	local entry_type = ((b3 * 256 + b2) * 256 + b1) * 256 + b0
-	local reset_type = ((b7 * 256 + b6) * 256 + b5) * 256 + b4
-	local reset_subtype = ((b11 * 256 + b10) * 256 + b9) * 256 + b8
-	local boot_source = ((b15 * 256 + b14) * 256 + b13) * 256 + b12
-	local processor_resets = ((b19 * 256 + b18) * 256 + b17) * 256 + b16
-	local max_processor_resets = ((b23 * 256 + b22) * 256 + b21) * 256 + b20
-	local seconds = ((b43 * 256 + b42) * 256 + b41) * 256 + b40
-	local subseconds = ((b47 * 256 + b46) * 256 + b45) * 256 + b44
-	local context_bytes = ((b131 * 256 + b130) * 256 + b129) * 256 + b128
-	local application_id = ((b135 * 256 + b134) * 256 + b133) * 256 + b132
-	local description = D.text(s, p + 48, p + 127)
-	return entry_type, reset_type, reset_subtype, boot_source, processor_resets, max_processor_resets, seconds, subseconds, context_bytes, application_id, description
+function D.read.tm_frame(s, p)
+	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
+	local transfer_frame_version_number = b0
+	transfer_frame_version_number = (transfer_frame_version_number - transfer_frame_version_number % 64) / 64
+	local spacecraft_id = b0 * 256 + b1
+	spacecraft_id = (spacecraft_id - spacecraft_id % 16) / 16
+	spacecraft_id = spacecraft_id % 1024
+	local virtual_channel_id = b1
+	virtual_channel_id = (virtual_channel_id - virtual_channel_id % 2) / 2
+	virtual_channel_id = virtual_channel_id % 8
+	local ocf_flag = b1
+	ocf_flag = ocf_flag % 2
+	local master_channel_frame_count = b2
+	local virtual_channel_frame_count = b3
+	local secondary_header_flag = b4
+	secondary_header_flag = (secondary_header_flag - secondary_header_flag % 128) / 128
+	local synchronization_flag = b4
+	synchronization_flag = (synchronization_flag - synchronization_flag % 64) / 64
+	synchronization_flag = synchronization_flag % 2
+	local packet_order_flag = b4
+	packet_order_flag = (packet_order_flag - packet_order_flag % 32) / 32
+	packet_order_flag = packet_order_flag % 2
+	local segment_length_id = b4
+	segment_length_id = (segment_length_id - segment_length_id % 8) / 8
+	segment_length_id = segment_length_id % 4
+	local first_header_pointer = b4 * 256 + b5
+	first_header_pointer = first_header_pointer % 2048
+	return transfer_frame_version_number, spacecraft_id, virtual_channel_id, ocf_flag, master_channel_frame_count, virtual_channel_frame_count, secondary_header_flag, synchronization_flag, packet_order_flag, segment_length_id, first_header_pointer
+end
+
+function D.read.aos_frame(s, p)
+	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
+	local transfer_frame_version_number = b0
+	transfer_frame_version_number = (transfer_frame_version_number - transfer_frame_version_number % 64) / 64
+	local spacecraft_id = b0 * 256 + b1
+	spacecraft_id = (spacecraft_id - spacecraft_id % 64) / 64
+	spacecraft_id = spacecraft_id % 256
+	local virtual_channel_id = b1
+	virtual_channel_id = virtual_channel_id % 64
+	local virtual_channel_frame_count = (b2 * 256 + b3) * 256 + b4
+	local replay_flag = b5
+	replay_flag = (replay_flag - replay_flag % 128) / 128
+	local frame_count_usage_flag = b5
+	frame_count_usage_flag = (frame_count_usage_flag - frame_count_usage_flag % 64) / 64
+	frame_count_usage_flag = frame_count_usage_flag % 2
+	local spacecraft_id_high = b5
+	spacecraft_id_high = (spacecraft_id_high - spacecraft_id_high % 16) / 16
+	spacecraft_id_high = spacecraft_id_high % 4
+	local frame_count_cycle = b5
+	frame_count_cycle = frame_count_cycle % 16
+	return transfer_frame_version_number, spacecraft_id, virtual_channel_id, virtual_channel_frame_count, replay_flag, frame_count_usage_flag, spacecraft_id_high, frame_count_cycle
+end
+
+function D.read.tc_frame(s, p)
+	local b0, b1, b2, b3, b4 = byte(s, p + 0, p + 4)
+	local transfer_frame_version_number = b0
+	transfer_frame_version_number = (transfer_frame_version_number - transfer_frame_version_number % 64) / 64
+	local bypass_flag = b0
+	bypass_flag = (bypass_flag - bypass_flag % 32) / 32
+	bypass_flag = bypass_flag % 2
+	local control_command_flag = b0
+	control_command_flag = (control_command_flag - control_command_flag % 16) / 16
+	control_command_flag = control_command_flag % 2
+	local reserved = b0
+	reserved = (reserved - reserved % 4) / 4
+	reserved = reserved % 4
+	local spacecraft_id = b0 * 256 + b1
+	spacecraft_id = spacecraft_id % 1024
+	local virtual_channel_id = b2
+	virtual_channel_id = (virtual_channel_id - virtual_channel_id % 4) / 4
+	local frame_length = b2 * 256 + b3
+	frame_length = frame_length % 1024
+	local frame_sequence_number = b4
+	return transfer_frame_version_number, bypass_flag, control_command_flag, reserved, spacecraft_id, virtual_channel_id, frame_length, frame_sequence_number
+end
+
+function D.read.tm_secondary(s, p)
+	local b0 = byte(s, p + 0, p + 0)
+	local version_number = b0
+	version_number = (version_number - version_number % 64) / 64
+	local secondary_header_length = b0
+	secondary_header_length = secondary_header_length % 64
+	return version_number, secondary_header_length
+end
+
+function D.read.aos_packets(s, p)
+	local b0, b1 = byte(s, p + 0, p + 1)
+	local reserved = b0
+	reserved = (reserved - reserved % 8) / 8
+	local first_header_pointer = b0 * 256 + b1
+	first_header_pointer = first_header_pointer % 2048
+	return reserved, first_header_pointer
+end
+
+function D.read.tc_segment(s, p)
+	local b0 = byte(s, p + 0, p + 0)
+	local segment_sequence_flags = b0
+	segment_sequence_flags = (segment_sequence_flags - segment_sequence_flags % 64) / 64
+	local map_id = b0
+	map_id = map_id % 64
+	return segment_sequence_flags, map_id
+end
+
+function D.read.fprime(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7 = byte(s, p + 0, p + 7)
+	local start_word = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
+	local length = ((b4 * 256 + b5) * 256 + b6) * 256 + b7
+	return start_word, length
+end
+
+function D.read.fprime_tc(s, p)
+	local b0, b1, b2, b3, b4 = byte(s, p + 0, p + 4)
+	local transfer_frame_version_number = b0
+	transfer_frame_version_number = (transfer_frame_version_number - transfer_frame_version_number % 64) / 64
+	local bypass_flag = b0
+	bypass_flag = (bypass_flag - bypass_flag % 32) / 32
+	bypass_flag = bypass_flag % 2
+	local control_command_flag = b0
+	control_command_flag = (control_command_flag - control_command_flag % 16) / 16
+	control_command_flag = control_command_flag % 2
+	local reserved = b0
+	reserved = (reserved - reserved % 4) / 4
+	reserved = reserved % 4
+	local spacecraft_id = b0 * 256 + b1
+	spacecraft_id = spacecraft_id % 1024
+	local virtual_channel_id = b2
+	virtual_channel_id = (virtual_channel_id - virtual_channel_id % 4) / 4
+	local frame_length = b2 * 256 + b3
+	frame_length = frame_length % 1024
+	local frame_sequence_number = b4
+	return transfer_frame_version_number, bypass_flag, control_command_flag, reserved, spacecraft_id, virtual_channel_id, frame_length, frame_sequence_number
+end
+
+function D.read.fprime_tm(s, p)
+	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
+	local transfer_frame_version_number = b0
+	transfer_frame_version_number = (transfer_frame_version_number - transfer_frame_version_number % 64) / 64
+	local spacecraft_id = b0 * 256 + b1
+	spacecraft_id = (spacecraft_id - spacecraft_id % 16) / 16
+	spacecraft_id = spacecraft_id % 1024
+	local virtual_channel_id = b1
+	virtual_channel_id = (virtual_channel_id - virtual_channel_id % 2) / 2
+	virtual_channel_id = virtual_channel_id % 8
+	local ocf_flag = b1
+	ocf_flag = ocf_flag % 2
+	local master_channel_frame_count = b2
+	local virtual_channel_frame_count = b3
+	local secondary_header_flag = b4
+	secondary_header_flag = (secondary_header_flag - secondary_header_flag % 128) / 128
+	local synchronization_flag = b4
+	synchronization_flag = (synchronization_flag - synchronization_flag % 64) / 64
+	synchronization_flag = synchronization_flag % 2
+	local packet_order_flag = b4
+	packet_order_flag = (packet_order_flag - packet_order_flag % 32) / 32
+	packet_order_flag = packet_order_flag % 2
+	local segment_length_id = b4
+	segment_length_id = (segment_length_id - segment_length_id % 8) / 8
+	segment_length_id = segment_length_id % 4
+	local first_header_pointer = b4 * 256 + b5
+	first_header_pointer = first_header_pointer % 2048
+	return transfer_frame_version_number, spacecraft_id, virtual_channel_id, ocf_flag, master_channel_frame_count, virtual_channel_frame_count, secondary_header_flag, synchronization_flag, packet_order_flag, segment_length_id, first_header_pointer
+end
+
+function D.read.fprime_space_packet(s, p)
+	local b0, b1, b2, b3, b4, b5 = byte(s, p + 0, p + 5)
+	local packet_version_number = b0
+	packet_version_number = (packet_version_number - packet_version_number % 32) / 32
+	local packet_type = b0
+	packet_type = (packet_type - packet_type % 16) / 16
+	packet_type = packet_type % 2
+	local secondary_header_flag = b0
+	secondary_header_flag = (secondary_header_flag - secondary_header_flag % 8) / 8
+	secondary_header_flag = secondary_header_flag % 2
+	local apid = b0 * 256 + b1
+	apid = apid % 2048
+	local sequence_flags = b2
+	sequence_flags = (sequence_flags - sequence_flags % 64) / 64
+	local packet_sequence_count = b2 * 256 + b3
+	packet_sequence_count = packet_sequence_count % 16384
+	local packet_data_length = b4 * 256 + b5
+	return packet_version_number, packet_type, secondary_header_flag, apid, sequence_flags, packet_sequence_count, packet_data_length
+end
+
+function D.read.fprime_packet(s, p)
+	local b0, b1 = byte(s, p + 0, p + 1)
+	local packet_type = b0 * 256 + b1
+	return packet_type
+end
+
+function D.read.fprime_command(s, p)
+	local b0, b1, b2, b3 = byte(s, p + 0, p + 3)
+	local opcode = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
+	return opcode
+end
+
+function D.read.fprime_channel(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14 = byte(s, p + 0, p + 14)
+	local channel_id = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
+	local time_base = b4 * 256 + b5
+	local time_context = b6
+	local seconds = ((b7 * 256 + b8) * 256 + b9) * 256 + b10
+	local microseconds = ((b11 * 256 + b12) * 256 + b13) * 256 + b14
+	return channel_id, time_base, time_context, seconds, microseconds
+end
+
+function D.read.fprime_event(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14 = byte(s, p + 0, p + 14)
+	local event_id = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
+	local time_base = b4 * 256 + b5
+	local time_context = b6
+	local seconds = ((b7 * 256 + b8) * 256 + b9) * 256 + b10
+	local microseconds = ((b11 * 256 + b12) * 256 + b13) * 256 + b14
+	return event_id, time_base, time_context, seconds, microseconds
+end
+
+function D.read.fprime_file(s, p)
+	local b0, b1, b2, b3, b4 = byte(s, p + 0, p + 4)
+	local kind = b0
+	local sequence_index = ((b1 * 256 + b2) * 256 + b3) * 256 + b4
+	return kind, sequence_index
+end
+
+function D.read.fprime_telemetry(s, p)
+	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12 = byte(s, p + 0, p + 12)
+	local packet_id = b0 * 256 + b1
+	local time_base = b2 * 256 + b3
+	local time_context = b4
+	local seconds = ((b5 * 256 + b6) * 256 + b7) * 256 + b8
+	local microseconds = ((b9 * 256 + b10) * 256 + b11) * 256 + b12
+	return packet_id, time_base, time_context, seconds, microseconds
 end
 
 function D.read.racs2_topic(s, p)
@@ -2213,6 +3280,39 @@ local function checksum(s, first, last)
 	return bit.band(bit.bxor(word, bit.rshift(word, 8), 0xFF), 0xFF)
 end
 
+-- The steps of the CRCs by byte: CRC-16 of CCSDS, and CRC-32 of IEEE 802.3.
+local CRC16, CRC32 = {}, {}
+for octet = 0, 255 do
+	local left, right = octet * 256, octet
+	for _ = 1, 8 do
+		left = left >= 0x8000 and bit.bxor(left * 2 % 0x10000, 0x1021) or left * 2
+		right = right % 2 == 1 and bit.bxor((right - 1) / 2, 0xEDB88320) % 0x100000000 or right / 2
+	end
+	CRC16[octet], CRC32[octet] = left, right
+end
+
+local function crc16(s, first, last)
+	local crc, xor, byte = 0xFFFF, bit.bxor, string.byte
+	for p = first, last do
+		local low = crc % 256
+		crc = xor(low * 256, CRC16[xor((crc - low) / 256, byte(s, p))])
+	end
+	return crc
+end
+
+local function crc32(s, first, last)
+	local crc, xor, shift, byte = 0xFFFFFFFF, bit.bxor, bit.rshift, string.byte
+	for p = first, last do
+		crc = xor(shift(crc, 8), CRC32[xor(crc % 256, byte(s, p))])
+	end
+	return xor(crc, 0xFFFFFFFF) % 0x100000000
+end
+
+-- A line has no line ends; a format would end at a NUL.
+local function printable(text)
+	return text:find("%c") and text:gsub("%c", " ") or text
+end
+
 -- Tell whether any byte of a stretch is not 0.
 local function any_nonzero(s, first, last)
 	local found = first <= last and s:find("[^\0]", first)
@@ -2265,12 +3365,17 @@ local function new_field(protocol, abbreviation, kind, ...)
 	return record
 end
 
+-- Tell what a special value of a field means.
+local function mark(item, value, names)
+	if names[value] then item:append_text(" (" .. names[value] .. ")") end
+end
+
 -- Make a function that adds some slots of a layout, without a loop: (node, tvb, offset, the datagram's bytes).
 local function adder(layout, slots)
-	local text = {"local add, put, cut, text, fields = ...", "", "return function(node, tvb, at, s)", "local range"}
-	local fields, before = {}, {}
+	local text = {"local add, put, cut, text, mark, fields, names = ...", "", "return function(node, tvb, at, s)", "local range"}
+	local fields, names, before = {}, {}, {}
 	for index, slot in ipairs(slots) do
-		fields[index] = slot.record.field
+		fields[index], names[index] = slot.record.field, slot.names
 		text[2] = text[2] .. format("\nlocal field%d = fields[%d]", index, index)
 		if slot.start ~= before.start or slot.size ~= before.size then
 			text[#text + 1] = format("range = cut(tvb, at + %d, %d)", slot.start, slot.size)
@@ -2279,6 +3384,11 @@ local function adder(layout, slots)
 			text[#text + 1] = format(
 				"add(node, field%d, range, text(s, at + %d, at + %d))", index, slot.start + 1, slot.start + slot.size
 			)
+		elseif slot.special then
+			text[#text + 1] = format(
+				"mark(put(node, field%d, range), range:bitfield(%d, %d), names[%d])",
+				index, slot.special[1], slot.special[2], index
+			)
 		else
 			text[#text + 1] = format("put(node, field%d, range)", index)
 		end
@@ -2286,7 +3396,7 @@ local function adder(layout, slots)
 	end
 	text[#text + 1] = "end"
 	local function readable(...) return utf8_text(D.text(...)) end
-	return load(table.concat(text, "\n"))(add, layout.little and add_le or add, cut, readable, fields)
+	return load(table.concat(text, "\n"))(add, layout.little and add_le or add, cut, readable, mark, fields, names)
 end
 
 for _, layout in pairs(D.layouts) do
@@ -2296,7 +3406,7 @@ for _, layout in pairs(D.layouts) do
 		else
 			slot.record = new_field(
 				layout.protocol, slot.abbreviation, slot.kind, slot.name, slot.hex and base.HEX or base.DEC,
-				slot.names, slot.mask, slot.doc
+				not slot.special and slot.names or nil, slot.mask, slot.doc
 			)
 		end
 	end
@@ -2408,9 +3518,12 @@ local function likely_doubles(s, count, high, low)
 	return true
 end
 
+local RECOGNISED = {}  -- links whose bytes are asked by a function
+
 -- How sure a link is that a datagram is its own, 0 for not at all: as LinkProtocol.recognise.
-local function likeness(link, pinfo, s)
-	local sure = link.sure
+local function likeness(link, pinfo, s, length)
+	local sure, recognised = link.sure, RECOGNISED[link.label]
+	if recognised then return recognised(s, length) and D.sure.by_content or 0 end
 	if link.forms then
 		local form = link.forms[#s]
 		if not form then return 0 end
@@ -2431,43 +3544,30 @@ local function likeness(link, pinfo, s)
 	return sure
 end
 
--- Tell whether a message begins with a header of RACS2: a MsgId and zeros, or the name of a topic.
-local function is_racs2(s)
-	local size = D.layouts.racs2_message.size
-	if #s < size then return false end
-	local high, low = byte(s, 1, 2)
-	local msg_id = high * 256 + low
-	if msg_id > 0 and msg_id <= D.limits.highest_msg_id and not s:sub(3, size):find("[^\0]") then return true end
-	if high ~= 47 and high ~= 126 and (high <= 64 or high >= 123) then return false end
-	return not s:sub(1, size):find("[\128-\255]") and not s:sub(5, size):find('[ "]')
-end
-
 local TCP = 2  -- what pinfo.port_type says of TCP
-local RECOGNISED = {racs2 = is_racs2}
-
 -- Return the link of a message of a TCP stream, or nil for none.
-local function stream_link_of(pinfo, s)
+local function stream_link_of(pinfo, s, length)
 	for _, port in ipairs({pinfo.dst_port, pinfo.src_port}) do
 		for _, link in ipairs(D.links) do
 			local claimed = stream_ports[link.label]
 			if claimed and claimed[port] then
 				local recognised = RECOGNISED[link.label]
-				return (not recognised or recognised(s)) and link or nil
+				return (not recognised or recognised(s, length)) and link or nil
 			end
 		end
 	end
 end
 
--- Return the link of a datagram, or nil for none.
-local function link_of(pinfo, s)
-	if pinfo.port_type == TCP then return stream_link_of(pinfo, s) end
+-- Return the link of so many bytes, of which the capture may have cut some; nil for none.
+local function link_of(pinfo, s, length)
+	if pinfo.port_type == TCP then return stream_link_of(pinfo, s, length) end
 	local destination, source = pinfo.dst_port, pinfo.src_port
 	local best, found, ours = 0, nil, false
 	for _, link in ipairs(D.links) do
 		local claimed = ports[link.label]
 		if claimed[destination] then
 			ours = true
-			local sure = likeness(link, pinfo, s)
+			local sure = likeness(link, pinfo, s, length)
 			if sure > 0 and sure >= best then best, found = sure, link end
 		elseif claimed[source] then
 			ours = true
@@ -2478,7 +3578,7 @@ local function link_of(pinfo, s)
 	-- "Decode As": no port of ours has a say.
 	for _, link in ipairs(D.links) do
 		if link.to_cfs ~= link.from_cfs and #link.headers == 0 then
-			local sure = likeness(link, pinfo, s)
+			local sure = likeness(link, pinfo, s, length)
 			if sure >= best then best, found = sure, link end
 		end
 	end
@@ -2766,6 +3866,7 @@ function short_message(steps, s, p, start, big, whole)
 end
 
 
+local sequence = (function()
 -- Sequence counts, followed by the rules of edoras_tools.sessions.sequence, which say what is meant here.
 -- What a later packet shows to be no gap, or not late, is taken back: the second pass over a file knows more.
 
@@ -2921,12 +4022,18 @@ local function comes_late(stream, strands, packet, missed)
 	return false
 end
 
+-- It is one only where the count moves; its bytes are those of an earlier one in any case.
+local function comes_twice(stream, packet)
+	stream.again = true
+	if stream.moved then analysis[packet.frame] = "duplicate" end
+end
+
 local function comes_again(stream, strands, packet)
 	for _, strand in ipairs(strands) do
 		local position = position_of(strand, packet.count)
 		if position <= strand.last and position > strand.last - REPEATED and not hole_at(strand, position) then
 			if strand.bodies[position % REPEATED] == packet.body then
-				if stream.moved then analysis[packet.frame] = "duplicate" end
+				comes_twice(stream, packet)
 				return true
 			elseif not strand.moved and position == strand.last then
 				strand.bodies[position % REPEATED] = packet.body
@@ -2961,11 +4068,8 @@ local function follow_count(stream, packet)
 	stream.place = stream.place + 1
 	packet.place = stream.place
 	local again = stream.count == count and stream.body == packet.body
-	stream.count, stream.body = count, packet.body
-	if again then
-		if stream.moved then analysis[packet.frame] = "duplicate" end
-		return
-	end
+	stream.count, stream.body, stream.again = count, packet.body, false
+	if again then return comes_twice(stream, packet) end
 	local strands = {}
 	for _, strand in ipairs(stream.strands) do
 		if not boot or not strand.boot or math.abs(boot - strand.boot) <= BOOT_APART then
@@ -2985,9 +4089,12 @@ local function follow_count(stream, packet)
 	end
 end
 
+return {follow = follow_count}
+end)()
+
 -- The work on one datagram, and the headers of the links.
 
-local W = {serial = 0, layer = {}, at = {}, found = {}, is_found = {}}
+local W = {serial = 0, layer = {}, at = {}, inside = {}, found = {}, is_found = {}}
 local peers, sequences = {}, {}  -- what is known of senders, see init()
 local read, L = D.read, D.layouts
 local identities = {}
@@ -2996,14 +4103,14 @@ for _, pair in ipairs(D.identities) do
 	identities[pair[2]][pair[1]] = true
 end
 
--- `listed` tells whether anybody sees the columns.
-local function begin(s, link, pinfo, number, listed)
+-- `key` is of these bytes alone; `listed` tells whether anybody sees the columns, `cut_off` whether bytes are missing.
+local function begin(s, link, pinfo, key, listed, cut_off)
 	W.serial = W.serial + 1
-	W.s, W.link, W.pinfo, W.number, W.listed = s, link, pinfo, number, listed
+	W.s, W.link, W.pinfo, W.key, W.listed, W.cut = s, link, pinfo, key, listed, cut_off
 	W.layers, W.findings, W.entries, W.spacecraft, W.processor, W.bare = 0, 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
 	W.route, W.message, W.envelope, W.padding, W.known = nil, nil, nil, nil, nil
-	W.values, W.pdu = nil, nil
+	W.pdu, W.packets, W.entries_read = nil, nil, nil
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -3024,10 +4131,11 @@ local function has(label)
 	return W.is_found[FINDING[label]] == W.serial
 end
 
-local function add_layer(layout, at)
+-- Add a header that starts at an offset; `inside` shows what is told below it.
+local function add_layer(layout, at, inside)
 	local work = W
 	local count = work.layers + 1
-	work.layers, work.layer[count], work.at[count] = count, layout, at
+	work.layers, work.layer[count], work.at[count], work.inside[count] = count, layout, at, inside
 end
 
 -- Note that a header is cut. Offsets count from the datagram's first byte, from 0.
@@ -3092,10 +4200,10 @@ local function identify(spacecraft, processor, trusted)
 	local place, port = sender(peers)
 	local known = place[port]
 	if trusted and not known then
-		known = {spacecraft = spacecraft, processor = processor, since = W.number}
+		known = {spacecraft = spacecraft, processor = processor, since = W.pinfo.number}
 		place[port] = known
 	end
-	if known and known.since < W.number
+	if known and known.since < W.pinfo.number
 		and (known.spacecraft ~= spacecraft or known.processor ~= processor)
 		and not (identities[processor] and identities[processor][spacecraft]) then
 		note("sbn_id_mismatch")
@@ -3191,124 +4299,8 @@ local function read_headers(s, link)
 	return link.packets and at or nil
 end
 
-local body_values  -- below, in body.lua
-
--- Read a RACS2 message: a MsgId, or the name of a topic; then the values of its body.
-local function racs2(s)
-	local to_cfs = byte(s, 1) * 256 <= D.limits.highest_msg_id
-	if not take(to_cfs and L.racs2_message or L.racs2_topic, 0) then return nil end
-	if W.listed then
-		local target
-		if to_cfs then
-			target = format("0x%04x", (read.racs2_message(s, 1)))
-		else
-			target = read.racs2_topic(s, 1)
-		end
-		W.summary = format("%s: %d bytes", target, #s - L.racs2_message.size)
-	end
-	W.values = body_values(s, L.racs2_message.size)
-	return nil
-end
-
 -- Links whose headers hang on what they hold read them by themselves.
-local HEADER_READERS = {sbn = software_bus_network, racs2 = racs2}
-
--- The body of a RACS2 message, where it is a RACS2Bridge_std_msgs (Protocol Buffers), as the public examples have.
-
-local VALUES = {}  -- by field number
-for number, item in pairs(D.racs2.values) do
-	local format_of = ({int64 = base.DEC, uint64 = base.DEC})[item.kind]
-	VALUES[number] = {
-		kind = item.kind, array = item.array, width = ({float = 4, double = 8})[item.kind],
-		record = new_field("racs2", "racs2.body." .. item.name, item.kind, item.name, format_of),
-	}
-end
-
--- Read a varint at a place (from 1) of a string: its low and high 32 bits, and the place behind it; nil where it is cut.
-local function varint(s, p, last)
-	local low, high, shift = 0, 0, 0
-	while p <= last and shift < 70 do
-		local octet = byte(s, p)
-		local bits = octet % 128
-		for index = 0, 6 do
-			local place = shift + index
-			if math.floor(bits / 2 ^ index) % 2 == 1 then
-				if place < 32 then low = low + 2 ^ place elseif place < 64 then high = high + 2 ^ (place - 32) end
-			end
-		end
-		p, shift = p + 1, shift + 7
-		if octet < 128 then return low, high, p end
-	end
-	return nil
-end
-
--- Add the values of one field's bytes to a list; tell whether they are of its kind.
-local function take_values(found, field, s, p, last)
-	if field.kind == "string" then
-		local text = s:sub(p, last)
-		found[#found + 1] = {field = field, at = p - 1, size = last - p + 1, value = text}
-		return utf8_text(text) == text
-	elseif field.width then
-		if (last - p + 1) % field.width ~= 0 or not (field.array or last - p + 1 == field.width) then return false end
-		for at = p, last, field.width do
-			found[#found + 1] = {field = field, at = at - 1, size = field.width}
-		end
-		return true
-	end
-	local first = p
-	while p <= last do
-		local low, high, behind = varint(s, p, last)
-		if not low then return false end
-		local value = field.kind == "bool" and low + high > 0
-		if field.kind ~= "bool" then value = (field.kind == "int64" and Int64 or UInt64).new(low, high) end
-		found[#found + 1] = {field = field, at = p - 1, size = behind - p, value = value}
-		p = behind
-	end
-	return field.array or (#found > 0 and found[#found].at == first - 1)
-end
-
--- Return the values from a place (from 0) to the end, or nil where the bytes are something else. Zeros end them.
-function body_values(s, at)
-	local found, p, last = {}, at + 1, #s
-	while p <= last and any_nonzero(s, p, last) do
-		local key, _, behind = varint(s, p, last)
-		if not key then return nil end
-		local kind, field = key % 8, VALUES[math.floor(key / 8)]
-		if not field then return nil end
-		p = behind
-		local stop
-		if kind == 0 then
-			local _, _, next_place = varint(s, p, last)
-			stop = not (field.width or field.kind == "string") and next_place and next_place - 1
-		elseif kind == 2 then
-			local size, _, start = varint(s, p, last)
-			if not size then return nil end
-			p, stop = start, start + size - 1
-		elseif kind == 1 or kind == 5 then
-			stop = p + (kind == 1 and 8 or 4) - 1
-		end
-		if not stop or stop > last or not take_values(found, field, s, p, stop) then return nil end
-		p = stop + 1
-	end
-	return #found > 0 and found or nil
-end
-
--- Add the values of a message, the last of each that is no array.
-local function show_body(tree, tvb, visible)
-	local newest = {}
-	for _, item in ipairs(W.values) do newest[item.field] = item end
-	for _, item in ipairs(W.values) do
-		local field = item.field
-		if (field.array or newest[field] == item) and (visible or field.record.on) then
-			local range = item.size > 0 and cut(tvb, item.at, item.size) or cut(tvb, item.at - 1, 1)
-			if field.width then
-				add_le(tree, field.record.field, range)
-			else
-				add(tree, field.record.field, range, item.value)
-			end
-		end
-	end
-end
+local HEADER_READERS = {sbn = software_bus_network}
 
 -- Space packets: the primary header, cFE's headers, what cFE itself sends, and the EDORAS envelope.
 
@@ -3389,8 +4381,8 @@ local function follow(msg_id, count, start)
 		place, port = sender(endpoints)
 	end
 	place[port] = place[port] or {strands = {}, place = 0}
-	follow_count(place[port], {
-		count = count, frame = W.number, body = W.s:sub(start + 1),
+	sequence.follow(place[port], {
+		count = count, frame = W.key, body = W.s:sub(start + 1),
 		boot = W.time and W.time > 0 and W.pinfo.abs_ts - W.time or nil,
 	})
 end
@@ -3735,6 +4727,657 @@ function show_steps(node, steps, tvb, s, p, start, big, visible)
 	return p
 end
 
+-- RACS2 messages: the header, and the values of the body, where it is a RACS2Bridge_std_msgs (Protocol Buffers), as the
+-- public examples have.
+
+local VALUES = {}  -- by field number
+for number, item in pairs(D.racs2.values) do
+	local format_of = ({int64 = base.DEC, uint64 = base.DEC})[item.kind]
+	VALUES[number] = {
+		kind = item.kind, array = item.array, width = ({float = 4, double = 8})[item.kind],
+		record = new_field("racs2", "racs2.body." .. item.name, item.kind, item.name, format_of),
+	}
+end
+
+-- Read a varint at a place (from 1) of a string: its low and high 32 bits, and the place behind it; nil where it is cut.
+local function varint(s, p, last)
+	local low, high, shift = 0, 0, 0
+	while p <= last and shift < 70 do
+		local octet = byte(s, p)
+		local bits = octet % 128
+		for index = 0, 6 do
+			local place = shift + index
+			if math.floor(bits / 2 ^ index) % 2 == 1 then
+				if place < 32 then low = low + 2 ^ place elseif place < 64 then high = high + 2 ^ (place - 32) end
+			end
+		end
+		p, shift = p + 1, shift + 7
+		if octet < 128 then return low, high, p end
+	end
+	return nil
+end
+
+-- Add the values of one field's bytes to a list; tell whether they are of its kind.
+local function take_values(found, field, s, p, last)
+	if field.kind == "string" then
+		local text = s:sub(p, last)
+		found[#found + 1] = {field = field, at = p - 1, size = last - p + 1, value = text}
+		return utf8_text(text) == text
+	elseif field.width then
+		if (last - p + 1) % field.width ~= 0 or not (field.array or last - p + 1 == field.width) then return false end
+		for at = p, last, field.width do
+			found[#found + 1] = {field = field, at = at - 1, size = field.width}
+		end
+		return true
+	end
+	local first = p
+	while p <= last do
+		local low, high, behind = varint(s, p, last)
+		if not low then return false end
+		local value = field.kind == "bool" and low + high > 0
+		if field.kind ~= "bool" then value = (field.kind == "int64" and Int64 or UInt64).new(low, high) end
+		found[#found + 1] = {field = field, at = p - 1, size = behind - p, value = value}
+		p = behind
+	end
+	return field.array or (#found > 0 and found[#found].at == first - 1)
+end
+
+-- Return the values from a place (from 0) to the end, or nil where the bytes are something else. Zeros end them.
+local function body_values(s, at)
+	local found, p, last = {}, at + 1, #s
+	while p <= last and any_nonzero(s, p, last) do
+		local key, _, behind = varint(s, p, last)
+		if not key then return nil end
+		local kind, field = key % 8, VALUES[math.floor(key / 8)]
+		if not field then return nil end
+		p = behind
+		local stop
+		if kind == 0 then
+			local _, _, next_place = varint(s, p, last)
+			stop = not (field.width or field.kind == "string") and next_place and next_place - 1
+		elseif kind == 2 then
+			local size, _, start = varint(s, p, last)
+			if not size then return nil end
+			p, stop = start, start + size - 1
+		elseif kind == 1 or kind == 5 then
+			stop = p + (kind == 1 and 8 or 4) - 1
+		end
+		if not stop or stop > last or not take_values(found, field, s, p, stop) then return nil end
+		p = stop + 1
+	end
+	return #found > 0 and found or nil
+end
+
+-- Add the values of a message, the last of each that is no array.
+local function show_body(values, tree, tvb, visible)
+	local newest = {}
+	for _, item in ipairs(values) do newest[item.field] = item end
+	for _, item in ipairs(values) do
+		local field = item.field
+		if (field.array or newest[field] == item) and (visible or field.record.on) then
+			local range = item.size > 0 and cut(tvb, item.at, item.size) or cut(tvb, item.at - 1, 1)
+			if field.width then
+				add_le(tree, field.record.field, range)
+			else
+				add(tree, field.record.field, range, item.value)
+			end
+		end
+	end
+end
+
+-- Read a RACS2 message: a MsgId, or the name of a topic; then the values of its body.
+local function racs2(s)
+	local to_cfs = byte(s, 1) * 256 <= D.limits.highest_msg_id
+	if not take(to_cfs and L.racs2_message or L.racs2_topic, 0) then return nil end
+	if W.listed then
+		local target
+		if to_cfs then
+			target = format("0x%04x", (read.racs2_message(s, 1)))
+		else
+			target = read.racs2_topic(s, 1)
+		end
+		W.summary = format("%s: %d bytes", target, #s - L.racs2_message.size)
+	end
+	local values = body_values(s, L.racs2_message.size)
+	if values then
+		W.inside[1] = function(node, tvb, visible) show_body(values, node, tvb, visible) end
+	end
+	return nil
+end
+HEADER_READERS.racs2 = racs2
+
+-- Tell whether a message begins with a header of RACS2: a MsgId and zeros, or the name of a topic.
+local function is_racs2(s)
+	local size = D.layouts.racs2_message.size
+	if #s < size then return false end
+	local high, low = byte(s, 1, 2)
+	local msg_id = high * 256 + low
+	if msg_id > 0 and msg_id <= D.limits.highest_msg_id and not s:sub(3, size):find("[^\0]") then return true end
+	if high ~= 47 and high ~= 126 and (high <= 64 or high >= 123) then return false end
+	return not s:sub(1, size):find("[\128-\255]") and not s:sub(5, size):find('[ "]')
+end
+RECOGNISED.racs2 = is_racs2
+
+local frames = (function()
+-- CCSDS transfer frames and the packets in them, by the rules of edoras_tools.io.frames.transfer, which says what is
+-- meant here. What a frame needs of those before it is noted when it is read first.
+
+local LIMITS = D.frame_limits
+local channels, noted = {}, {}  -- what is known of senders, and what was noted, by W.key
+local form  -- how the frame that is read is made
+local check = new_field("frames", "frames.frame_error_control", "uint16", "frame_error_control", base.HEX)
+
+-- Return how the bytes that come to a port are framed, or nil: by the destination's, of a stream by either end's.
+local function format_at(pinfo)
+	local stream = pinfo.port_type == TCP
+	local found = D.frames[pinfo.dst_port]
+	if stream and not (found and found.stream) then found = D.frames[pinfo.src_port] end
+	return found and (found.stream or false) == stream and found or nil
+end
+
+-- Return the bytes of a frame that starts so, as its header has them; nil where none does.
+local function stated_length(found, s)
+	local layout = L[found.layout]
+	if #s < layout.size then return nil end
+	local values = {read[found.layout](s, 1)}
+	if values[1] ~= found.version then return nil end
+	local length = found.kind == "tc" and values[layout.place.frame_length] + LIMITS.tc_bias or found.length
+	return length >= found.smallest and length or nil
+end
+
+-- Tell whether so many bytes are a frame, and remember its form.
+local function is_frame(pinfo, s, length)
+	form = format_at(pinfo)
+	return form ~= nil and stated_length(form, s) == length
+end
+
+-- Read the headers of a frame: where its data starts and ends, where its first packet starts (nil for none), whether
+-- it is idle, whether it has a count, and its count, spacecraft, channel and MAP.
+local function read_headers_of(s)
+	local start, stop = form.start, #s - (form.fecf and LIMITS.fecf_bytes or 0)
+	local behind = s:sub(start + 1, start + 2) .. "\0\0"
+	local map, counted, idle, pointer, count, craft, channel = 0, true, false, 0, 0, 0, 0
+	local _, second, ocf
+	add_layer(L[form.layout], 0)
+	if form.kind == "tm" then
+		local other
+		_, craft, channel, ocf, _, count, second, other, _, _, pointer = read.tm_frame(s, 1)
+		if second == 1 then
+			take(L.tm_secondary, start)
+			start = start + 1 + select(2, read.tm_secondary(behind, 1))
+		end
+		idle = pointer == LIMITS.only_idle or other == 1
+	elseif form.kind == "aos" then
+		local high
+		_, craft, channel, count, _, _, high = read.aos_frame(s, 1)
+		craft, ocf = craft + high * 256, form.ocf and 1 or 0
+		take(L.aos_packets, start)
+		_, pointer = read.aos_packets(behind, 1)
+		start = start + L.aos_packets.size
+		idle = channel == LIMITS.aos_idle or pointer == LIMITS.only_idle
+	else
+		local bypass, control
+		_, bypass, control, _, craft, channel, _, count = read.tc_frame(s, 1)
+		counted, idle = bypass == 0, control == 1
+		if form.segments then
+			take(L.tc_segment, start)
+			local flags
+			flags, map = read.tc_segment(behind, 1)
+			pointer = flags % 2 == LIMITS.first_part and 0 or LIMITS.no_packet
+			start = start + L.tc_segment.size
+		end
+	end
+	if ocf == 1 then stop = stop - LIMITS.ocf_bytes end
+	local first = not idle and pointer ~= LIMITS.no_packet and start + pointer or nil
+	return start, stop, first, idle, counted, count, craft, channel, map
+end
+
+-- Follow the count of a channel; tell whether a frame came before with the same bytes.
+local function came_before(known, count, s)
+	local modulus = form.modulus
+	local late = modulus == 256 and LIMITS.late or modulus / 2
+	local step = (count - (known.last or count) + late) % modulus - late
+	if math.abs(step) > D.limits.sequence_modulus / 2 then step = D.limits.sequence_modulus / 2 end
+	known.last, known.position = count, (known.position + step) % D.limits.sequence_modulus
+	sequence.follow(known.counts, {count = known.position, frame = W.key, body = s})
+	return known.counts.again
+end
+
+-- Note what a frame needs of those before it: the rest of a packet, whether one was cut at its start, whether the
+-- frame came before.
+local function look_back(s, start, stop, first, counted, count, craft, channel, map)
+	local places, port = sender(channels)
+	local ends = nested(nested(places, port), tostring(W.pinfo.dst) .. " " .. W.pinfo.dst_port)
+	local name = format("%d %d %s", craft, channel, counted)
+	local known = ends[name]
+	if not known then
+		known = {position = 0, run = 0, counts = {strands = {}, place = 0}, maps = {}}
+		ends[name] = known
+	end
+	if counted then
+		if came_before(known, count, s) then return {again = true} end
+		if known.joined and (count - known.joined) % form.modulus > 1 then known.run = known.run + 1 end
+		known.joined = count
+	end
+	local parts, found = nested(known.maps, map), {rest = ""}
+	if start == stop and parts.run ~= known.run then return found end  -- nothing that could go on
+	if parts.run == known.run then
+		found.rest = parts.rest
+	elseif parts.run then
+		found.cut = parts.rest ~= "" or (first or stop) > start
+	end
+	parts.run, found.parts = known.run, parts
+	return found
+end
+
+-- Find the packets in the data of a frame behind the rest of one; idle ones are left out. Return where each starts and
+-- its bytes, what is left at the end, and whether a packet was cut.
+local function packets_in(data, pointers)
+	local found, rest, cut = {}, "", false
+	for index, place in ipairs(pointers) do
+		local limit = pointers[index + 1] or #data + 1
+		while place < limit and byte(data, place) < 32 do  -- another version is no space packet
+			local size = limit
+			if limit - place >= HEADER then
+				local _, _, _, apid, _, _, data_length = read.ccsds(data, place)
+				size = data_length + LENGTH_BIAS
+				if apid ~= LIMITS.idle_apid and place + size <= limit then found[#found + 1] = {place, size} end
+			end
+			if place + size > limit then
+				if index == #pointers then rest = data:sub(place) else cut = true end
+				break
+			end
+			place = place + size
+		end
+	end
+	return found, rest, cut
+end
+
+-- Read one frame; the packets that end in it are W.packets: {where in the frame, or nil; their bytes}.
+local function read_frame(s)
+	local start, stop, first, idle, counted, count, craft, channel, map = read_headers_of(s)
+	local fits = idle and form.kind == "tc" or start <= stop and (first or -1) < math.max(stop, start + 1)
+	if not fits then note("truncated") end
+	local wrong
+	if form.fecf and not W.cut then
+		local at = #s - LIMITS.fecf_bytes
+		local right = crc16(s, 1, at)
+		wrong = right ~= byte(s, at + 1) * 256 + byte(s, at + 2)
+		if wrong then note("checksum_bad") end
+		W.inside[W.layers] = function(node, tvb, visible)
+			if not (visible or check.on) then return end
+			local item = add(node, check.field, cut(tvb, at, LIMITS.fecf_bytes))
+			if wrong and visible then item:append_text(format(", but the frame has 0x%04x", right)) end
+		end
+	end
+	if W.listed then
+		W.summary = format("%s frame %d of channel %d", form.kind:upper(), count, channel)
+	end
+	if not fits or wrong or W.cut then return nil end
+	if not W.pinfo.visited then
+		noted[W.key] = look_back(s, start, idle and start or stop, first, counted, count, craft, channel, map)
+	end
+	local known = noted[W.key]
+	if not known or known.again then return nil end
+	local before = #known.rest
+	local data = known.rest .. s:sub(start + 1, idle and start or stop)
+	local pointers = {before > 0 and 1 or nil}
+	if first then pointers[#pointers + 1] = before + first - start + 1 end
+	local found, rest, cut_inside = packets_in(data, pointers)
+	if known.parts then known.parts.rest, known.parts = rest, nil end
+	if known.cut or cut_inside then note("stream_gap") end
+	for index, item in ipairs(found) do
+		local at = item[1] - before - 1 + start
+		found[index] = {item[1] > before and at or nil, data:sub(item[1], item[1] + item[2] - 1)}
+	end
+	W.packets = found
+	return nil
+end
+HEADER_READERS.frames = read_frame
+
+return {
+	is_frame = is_frame,
+	link = function() return link_by_label[form.link] end,
+	forget = function() channels, noted = {}, {} end,
+	head = function(pinfo)
+		local found = format_at(pinfo)
+		return found and L[found.layout].size
+	end,
+	length = function(s, pinfo) return stated_length(format_at(pinfo), s) end,
+}
+end)()
+
+local fprime = (function()
+-- The ground link of F Prime: frames, the packets in them, and with a dictionary the values in those, as
+-- edoras_tools.links.fprime reads them. Offsets count from the datagram's first byte, from 0.
+
+local PRIME = D.fprime
+local BOOK = PRIME.dictionary or {described = {}, entries = {}, structs = {}, enums = {}}
+local OWN, SPACE, TC_SHAPE, TM_SHAPE = 1, 2, 3, 4
+local SHAPES = {  -- the header in front, and the bytes of the check at the end
+	{L.fprime, "crc32", 4}, {L.fprime_space_packet, nil, 0}, {L.fprime_tc, "frame_error_control", 2},
+	{L.fprime_tm, "frame_error_control", 2},
+}
+local CHECKS = {
+	crc32 = new_field("fprime", "fprime.crc32", "uint32", "crc32", base.HEX),
+	frame_error_control = new_field("fprime", "fprime.frame_error_control", "uint16", "frame_error_control", base.HEX),
+}
+local ENTRIES = {}
+for kind, name in pairs(PRIME.entry_headers) do ENTRIES[kind] = L[name] end
+local BLANK = ("\0"):rep(16)
+
+-- Tell which shapes so many bytes may have: own, space packet, TC frame, TM frame. Not all of them may be there.
+local function shapes(s, length)
+	local have, head = #s, s:sub(1, 8) .. BLANK
+	local own = have >= 4 and read.fprime(head, 1) == PRIME.start_word
+	local version, _, secondary, apid, _, _, data_length = read.fprime_space_packet(head, 1)
+	local space = have >= 8 and version == 0 and secondary == 0 and apid == read.fprime_packet(head, 7)
+		and data_length + LENGTH_BIAS == length
+	local control, frame_length
+	version, _, control, _, _, _, frame_length = read.fprime_tc(head, 1)
+	local tc = have >= 4 and version == 0 and control == 0 and frame_length + D.frame_limits.tc_bias == length
+		and length >= L.fprime_tc.size + 2
+	local _, second, other, order, segments, first
+	version, _, _, _, _, _, second, other, order, segments, first = read.fprime_tm(head, 1)
+	local tm = have >= 5 and version == 0 and second == 0 and other == 0 and order == 0 and segments == 3
+		and length >= L.fprime_tm.size + 2 and (have < 6 or first < length or first >= D.frame_limits.only_idle)
+	return own, space, tc, tm
+end
+
+RECOGNISED.fprime = function(s, length)
+	local own, space, tc, tm = shapes(s, length)
+	return own or space or tc or tm
+end
+
+-- Return the bytes of the frame, or of what keeps the stream alive, that starts so; nil where none does.
+local function length_in_stream(s, pinfo)
+	if s == PRIME.keep_alive then return #s end
+	local framed = D.frames[pinfo.dst_port] or D.frames[pinfo.src_port]
+	local tm_bytes = framed and framed.length or PRIME.tm_bytes
+	local stated = select(7, read.fprime_tc(s, 1)) + D.frame_limits.tc_bias
+	local inside = select(7, read.fprime_space_packet(s, 1 + L.fprime_tc.size)) + LENGTH_BIAS
+	local is_tc = inside + L.fprime_tc.size + 2 == stated
+	local own, _, tc, tm = shapes(s, is_tc and stated or tm_bytes)
+	if own then return select(2, read.fprime(s, 1)) + L.fprime.size + 4 end
+	return tc and is_tc and stated or tm and tm_bytes or nil
+end
+
+-- Values of a dictionary: each entry gets a field for each of its values, named as its topic.
+
+local function add_records(records, members, prefix)
+	for _, member in ipairs(members) do
+		local name = prefix .. "." .. member.name
+		local struct, kind = BOOK.structs[member.kind], member.kind
+		if struct then
+			add_records(records, struct, name)
+		elseif kind == "string" or kind == "bool" or kind == "float" or kind == "double" then
+			records[name] = new_field("fprime", name, kind, member.name)
+		else
+			records[name] = new_field(
+				"fprime", name, kind, member.name, base.DEC, member.enum and BOOK.enums[member.enum]
+			)
+		end
+	end
+end
+
+for _, entries in pairs(BOOK.entries) do
+	for _, entry in pairs(entries) do
+		entry.prefix, entry.records = entry.topic:sub(2):gsub("/", "."), {}
+		add_records(entry.records, entry.members, entry.prefix)
+	end
+end
+
+local CODES = {
+	bool = ">B", uint8 = ">B", int8 = ">b", uint16 = ">I2", int16 = ">i2", uint32 = ">I4", int32 = ">i4",
+	uint64 = ">E", int64 = ">e", float = ">f", double = ">d",
+}
+local taking  -- of the entry that is read: itself, its items, and where it must end
+local take_member
+
+-- Take one value at a place; return the place behind it, its word and the value; nil where it does not fit.
+local function take_one(member, p, path, name)
+	local s, last = W.s, taking.last
+	local struct = BOOK.structs[member.kind]
+	if struct then
+		local told = {}
+		for index, part in ipairs(struct) do
+			local word
+			p, word = take_member(part, p, path .. "." .. part.name, name .. "." .. part.name)
+			if not p then return nil end
+			told[index] = part.name .. "=" .. word
+		end
+		return p, "{" .. table.concat(told, ", ") .. "}"
+	end
+	local item = {path = path, record = taking.entry.records[name], at = p - 1}
+	local word
+	taking.items[#taking.items + 1] = item
+	if member.kind == "string" then
+		if p + 1 > last then return nil end
+		local size = unpack(">I2", s, p)
+		local room = taking.entry.padded and member.most or size
+		if size > member.most or p + 1 + room > last then return nil end
+		local text = D.text(s, p + 2, p + 1 + size)
+		if utf8_text(text) ~= text then text = text:gsub("[\128-\255]", "?") end
+		item.size, item.value = size + 2, text
+		return p + 2 + room, item.value
+	end
+	if p + member.size - 1 > last then return nil end
+	item.size, item.value = member.size, (unpack(CODES[member.kind], s, p))
+	local value, names = item.value, member.enum and BOOK.enums[member.enum]
+	if member.kind == "bool" then
+		word = value ~= 0 and "True" or "False"
+	elseif member.kind == "float" or member.kind == "double" then
+		word = value ~= value and "nan" or format("%.9g", value)
+	else
+		word = names and names[tonumber(tostring(value))] or member.size < 8 and format("%d", value) or tostring(value)
+	end
+	return p + member.size, word, value
+end
+
+-- The same for one member, which may be an array.
+function take_member(member, p, path, name)
+	if not member.count then return take_one(member, p, path, name) end
+	local told = {}
+	for index = 1, member.count do
+		p, told[index] = take_one(member, p, format("%s[%d]", path, index - 1), name)
+		if not p then return nil end
+	end
+	return p, "[" .. table.concat(told, ", ") .. "]"
+end
+
+-- Say a number in a form of FPP, which is one of C; nil where it is not for it.
+local function formed(spec, value, kind)
+	local letter = spec:sub(-1)
+	if letter:find("[CDO]") then letter = letter:lower() end
+	local is_float = kind == "float" or kind == "double"
+	if kind == "bool" then value = value ~= 0 and 1 or 0 end
+	if letter:find("[efgEFG]") then
+		if type(value) ~= "number" then value = tonumber(tostring(value)) end
+	elseif is_float then
+		if letter:find("%a") then return nil end
+		spec, letter = spec .. "g", "g"
+	elseif not letter:find("%a") then
+		spec, letter = spec .. "d", "d"
+	end
+	if type(value) ~= "number" then  -- 64 bits
+		local text = tostring(value)
+		if letter:lower() == "x" then text = value:tohex():gsub("^0+(.)", "%1") end
+		if letter == "X" then text = text:upper() end
+		return (" "):rep((tonumber(spec:match("^%d+")) or 0) - #text) .. text
+	elseif letter == "c" then
+		return utf8_character(value)
+	elseif value < 0 and letter:find("[xXo]") then
+		return "-" .. format("%" .. letter, -value)
+	end
+	local done, text = pcall(format, "%" .. spec:sub(1, -2) .. letter, value)
+	return done and text or nil
+end
+
+-- The text of an event with its arguments: {} says the next of them, and a brace that is meant is written twice.
+local function event_text(entry, values, told)
+	if not entry.format then return table.concat(told, " ") end
+	local place = 0
+	return (entry.format:gsub("([{}])([^{}]*)([{}])", function(open, spec, close)
+		if open == close and spec == "" then return open end
+		if open .. close ~= "{}" or not spec:find("^%d*%.?%d*[cdxoefgCDXOEFG]?$") then return nil end
+		place = place + 1
+		local value, kind = values[place], place <= #entry.members and entry.members[place].kind
+		return spec ~= "" and value and CODES[kind] and formed(spec, value, kind) or told[place]
+	end))
+end
+
+-- Read the values of an entry that start behind its ID; return where they end, or nil where they do not fit.
+local function take_entry(entry, at, stop)
+	taking = {entry = entry, items = {}, last = stop}
+	local p = at + 1 + (entry.timed and PRIME.time_bytes or 0)
+	local told, pairs_told, values = {}, {}, {}
+	for index, member in ipairs(entry.members) do
+		p, told[index], values[index] = take_member(member, p, member.name, entry.prefix .. "." .. member.name)
+		if not p then return nil end
+		pairs_told[index] = member.name .. "=" .. told[index]
+	end
+	if p - 1 > stop then return nil end
+	local text = table.concat(entry.word == "channel" and told or pairs_told, " ")
+	if entry.severity then text = (entry.severity .. " " .. event_text(entry, values, told)):gsub("%s+$", "") end
+	return p - 1, entry.name .. (text ~= "" and ": " or "") .. text, taking.items
+end
+
+-- Show what was read, below the header that has its ID.
+local function values_shower(text, items)
+	return function(node, tvb, visible)
+		if visible then node:append_text(": " .. printable(text)) end
+		for _, item in ipairs(items) do
+			if visible or item.record.on then
+				local range = cut(tvb, item.at, item.size)
+				local made
+				if type(item.value) == "string" then
+					made = add(node, item.record.field, range, item.value)
+				else
+					made = add(node, item.record.field, range)
+				end
+				if visible and item.path:find("[.%[]") then
+					made.text = item.path .. made.text:gsub("^[^:]*", "", 1)
+				end
+			end
+		end
+	end
+end
+
+-- Read a header and what is told of it without a dictionary.
+local function tell_header(layout, at)
+	if not W.listed then return end
+	local slot = layout.fields[1]
+	local number = read[layout.name](W.s, at + 1)
+	local name = slot.names and slot.names[number]
+	local text = format(slot.hex and "0x%0" .. 2 * slot.size .. "x" or "%d", number)
+	local title = layout == L.fprime_packet and "" or layout.title:gsub("^F Prime ", ""):lower() .. " "
+	table.insert(W.told, title .. (name and format("%s (%s)", name, text) or text))
+end
+
+-- Read what a packet holds behind its type, by the dictionary.
+local function entries_of(kind, at, stop)
+	local layout, known = ENTRIES[kind], BOOK.entries[kind] or {}
+	local width = layout.fields[1].size
+	while true do
+		if at + width > stop then return note("length_mismatch") end
+		local entry = known[(unpack(">I" .. width, W.s, at + 1))]
+		local behind, text, items
+		if entry then behind, text, items = take_entry(entry, at + width, stop) end
+		if at + layout.size <= stop then
+			add_layer(layout, at, items and values_shower(text, items))
+			if not items then tell_header(layout, at) end
+		end
+		if not entry then return note("unknown_msg_id") end
+		if not behind then return note("struct_length") end
+		table.insert(W.entries_read, entry)
+		if W.listed then table.insert(W.told, text) end
+		if behind >= stop then return end
+		if entry.word ~= "channel" and entry.word ~= "event" then return note("length_mismatch") end
+		at = behind
+	end
+end
+
+-- Read one packet from a place to another; `space` is where the space packet around it starts. Tell whether it is whole.
+local function packet(space, at, stop, fits)
+	if space and space <= at - L.fprime_space_packet.size then add_layer(L.fprime_space_packet, space) end
+	if stop - at < L.fprime_packet.size then return false end
+	add_layer(L.fprime_packet, at)
+	local kind = read.fprime_packet(W.s, at + 1)
+	local behind, layout = at + L.fprime_packet.size, ENTRIES[kind]
+	local whole = stop - behind >= (layout and layout.size or 0)
+	if not (whole and fits and layout) then
+		tell_header(L.fprime_packet, at)
+	elseif BOOK.described[kind] then
+		entries_of(kind, behind, stop)
+	else
+		add_layer(layout, behind)
+		tell_header(layout, behind)
+	end
+	return whole and fits
+end
+
+-- Read the packets between two places of a CCSDS frame; idle ones are left out. Tell whether all are whole.
+local function space_packets(at, stop)
+	local all = true
+	while at < stop do
+		local inside, behind, idle = math.min(at + HEADER, stop), stop + 1, false
+		if stop - at >= HEADER then
+			local _, _, _, apid, _, _, data_length = read.ccsds(W.s, at + 1)
+			behind, idle = at + data_length + LENGTH_BIAS, apid == D.frame_limits.idle_apid
+		end
+		if not idle then all = packet(at, inside, math.min(behind, stop), behind <= stop) and all end
+		at = behind
+	end
+	return all
+end
+
+-- Read one frame and the packets in it.
+local function read_ground_frame(s)
+	W.told, W.entries_read = {}, {}
+	local own, space, tc = shapes(s, #s)
+	local shape = own and OWN or space and SPACE or tc and TC_SHAPE or TM_SHAPE
+	local header, name, check_bytes = SHAPES[shape][1], SHAPES[shape][2], SHAPES[shape][3]
+	if name and not take(header, 0) then return nil end
+	local size = own and select(2, read.fprime(s, 1)) + header.size + check_bytes or #s
+	if #s < header.size + check_bytes or size > #s then return truncated(header.name, 0, size) end
+	local check = size - check_bytes
+	if name then
+		local right = own and crc32(s, 1, check) or crc16(s, 1, check)
+		local wrong = right ~= unpack(">I" .. check_bytes, s, check + 1)
+		if wrong then note("checksum_bad") end
+		local record = CHECKS[name]
+		W.inside[W.layers] = function(node, tvb, visible)
+			if not (visible or record.on) then return end
+			local item = add(node, record.field, cut(tvb, check, check_bytes))
+			if wrong and visible then item:append_text(", which is wrong") end
+		end
+	end
+	local whole
+	if own then
+		whole = packet(nil, header.size, check, true)
+	else
+		local first, ocf = 0, 0
+		if shape == TM_SHAPE then
+			local _
+			_, _, _, ocf, _, _, _, _, _, _, first = read.fprime_tm(s, 1)
+		end
+		whole = space_packets((name and header.size or 0) + first, check - ocf * D.frame_limits.ocf_bytes)
+	end
+	if not whole then
+		note("truncated")
+	elseif size < #s then
+		note("length_mismatch")
+	end
+	if W.listed then W.summary = #W.told > 0 and table.concat(W.told, "; ") or "no packet" end
+	return nil
+end
+HEADER_READERS.fprime = read_ground_frame
+
+return {
+	length = length_in_stream, head = function() return #PRIME.keep_alive end,
+}
+end)()
+
 -- The dissector itself: read a datagram, fill the columns, and add to the tree what is asked for.
 
 local edoras = P.edoras
@@ -3753,7 +5396,7 @@ edoras.prefs.msg_ids_of_version_2 = Pref.bool(
 )
 
 local registered, streams = {}, {}
-local STREAMS = {sbn = "tcp.port", racs2 = "ws.port"}  -- where Wireshark looks for who reads what a stream holds
+local STREAMS = {sbn = "tcp.port", fprime = "tcp.port", racs2 = "ws.port"}  -- where Wireshark looks for who reads what a stream holds
 
 -- Let the links read what comes over TCP: the messages themselves, or what WebSocket frames hold.
 local function register_streams()
@@ -3765,6 +5408,12 @@ local function register_streams()
 		for port in pairs(STREAMS[label] and stream_ports[label] or {}) do
 			streams[#streams + 1] = {STREAMS[label], port, P[label]}
 			DissectorTable.get(STREAMS[label]):add(port, P[label])
+		end
+	end
+	for port, form in pairs(D.frames) do
+		if form.stream and not form.own then
+			streams[#streams + 1] = {"tcp.port", port, P.frames}
+			DissectorTable.get("tcp.port"):add(port, P.frames)
 		end
 	end
 end
@@ -3782,6 +5431,9 @@ local function register_ports()
 		local other = not registered[port] and Dissector.get(name)
 		if other then udp:add(port, other) end
 	end
+	for port, form in pairs(D.frames) do
+		if not form.stream then registered[port] = true end
+	end
 	for port in pairs(registered) do udp:add(port, edoras) end
 	register_streams()
 	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header, edoras.prefs.msg_ids_of_version_2)
@@ -3793,6 +5445,7 @@ end
 
 function edoras.init()
 	peers, sequences, analysis = {}, {}, {}
+	frames.forget()
 	asked.last, passes[true].last, passes[false].last = math.huge, math.huge, math.huge
 end
 
@@ -3832,11 +5485,6 @@ local function badges()
 	return text
 end
 
--- A line has no line ends; a format would end at a NUL.
-local function printable(text)
-	return text:find("%c") and text:gsub("%c", " ") or text
-end
-
 local function info()
 	local known, head = W.known, W.kind
 	local text = W.summary and printable(W.summary) or said_of(known)
@@ -3851,7 +5499,7 @@ local function info()
 	end
 	if W.findings > 0 then text = badges() .. text end
 	if head then text = text == "" and head or head .. "  " .. text end
-	local missing = analysis[W.number]
+	local missing = analysis[W.key]
 	if missing then
 		text = text .. (type(missing) == "number" and format("  [gap of %d]", missing) or "  [" .. missing .. "]")
 	end
@@ -3900,7 +5548,7 @@ local function show_findings(node, visible)
 		local finding = FINDINGS[W.found[index]]
 		add_expert(show_value(node, F.finding, finding.label, visible), finding.expert)
 	end
-	local missing = analysis[W.number]
+	local missing = analysis[W.key]
 	if missing then
 		local kind = type(missing) == "number" and "gap" or missing
 		add_expert(show_value(node, F[kind], kind == "gap" and missing or true, visible), EXPERT[kind])
@@ -3922,6 +5570,10 @@ local function show_facts(node, visible)
 		show_value(node, F.topic, route.topic, visible)
 		show_value(node, F.type, route.type, visible)
 	end
+	for _, entry in ipairs(W.entries_read or {}) do
+		show_value(node, F.topic, entry.topic, visible)
+		show_value(node, F.type, entry.type, visible)
+	end
 	if W.time then show_value(node, F.mission_time, W.time, visible) end
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
 end
@@ -3939,12 +5591,12 @@ local function show(tree, tvb, visible)
 			local header = show_layout(tree, layout, tvb, at, visible)
 			if layout == CDR then
 				show_message(header, tvb, visible)
-			elseif W.values and layout.protocol == "racs2" then
-				show_body(header, tvb, visible)
 			elseif layout == SUBSCRIPTIONS then
 				for entry = 0, W.entries - 1 do
 					show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
 				end
+			elseif W.inside[index] then
+				W.inside[index](header, tvb, visible)
 			end
 		end
 	end
@@ -3959,45 +5611,86 @@ end
 
 local reported_len, captured_len, raw = Tvb.reported_len, Tvb.captured_len, Tvb.raw
 
-local function dissect(tvb, pinfo, tree)
-	if pinfo.in_error_pkt then return 0 end  -- what an ICMP error quotes was not sent again
-	local s = captured_len(tvb) > 0 and raw(tvb) or ""
-	local link = link_of(pinfo, s)
-	if not link then return 0 end
-	local number = pinfo.number
-	local wanted = look_who_asks(tree, number)
-	local visible = wanted == "all"
-	begin(s, link.label, pinfo, number, has_columns(pinfo, visible, number))
+-- What tells the messages of one frame apart: a packet out of a transfer frame may begin where that does.
+local function key_of(number, tvb, inner)
+	return number + (2 * tvb:offset() + (inner and 1 or 0)) / 0x400000
+end
+
+-- Read what is of a link, and show it; return what the packet list says of it.
+local function dissect_as(link, s, tvb, pinfo, tree, wanted, inner)
+	local visible, number, cut_off = wanted == "all", pinfo.number, reported_len(tvb) > #s
+	begin(s, link.label, pinfo, key_of(number, tvb, inner), has_columns(pinfo, visible, number), cut_off)
 	if link.receive_buffer and #s > link.receive_buffer then note(link.over_receive_buffer) end
 	local start = (HEADER_READERS[link.label] or read_headers)(s, link)
 	if start then space_packet(start) end
-	if reported_len(tvb) > #s then forgive() end
-
+	if cut_off then forgive() end
 	show_findings(wanted and show(tree, tvb, visible) or tree, visible)
 	if W.pdu and W.pdu < #s then CFDP:call(cut(tvb, W.pdu):tvb(), pinfo, tree) end  -- it fills columns, too
-	if W.listed then
+	return W.listed and info()
+end
+
+local told = {}  -- what the list says of the last frame that had messages
+local MOST_SHOWN = 4096  -- characters of a column
+
+local function dissect(tvb, pinfo, tree)
+	if pinfo.in_error_pkt then return 0 end  -- what an ICMP error quotes was not sent again
+	local s = captured_len(tvb) > 0 and raw(tvb) or ""
+	local framed = frames.is_frame(pinfo, s, reported_len(tvb))
+	local link = framed and link_by_label.frames or link_of(pinfo, s, reported_len(tvb))
+	if not link then return 0 end
+	local wanted = look_who_asks(tree, pinfo.number)
+	local line = dissect_as(link, s, tvb, pinfo, tree, wanted)
+	local key = W.key
+	local inner = framed and frames.link()
+	for _, packet in ipairs(W.packets or {}) do
+		local at, bytes = packet[1], packet[2]
+		if inner.port_decides or likeness(inner, pinfo, bytes, #bytes) > 0 then
+			local own = at and cut(tvb, at, #bytes):tvb() or ByteArray.new(bytes, true):tvb("Packet over frames")
+			local more = dissect_as(inner, bytes, own, pinfo, tree, wanted, true)
+			line = line and line .. "; " .. more
+		end
+	end
+	if line then
+		if told.number == pinfo.number and told.key < key then  -- a further message of one segment
+			line = #told.line > MOST_SHOWN and told.line or told.line .. "; " .. line
+		end
+		told.number, told.key, told.line = pinfo.number, key, line
 		local columns = pinfo.cols
 		columns.protocol = link.name
-		columns.info = info()
+		columns.info = line
 	end
 	return #s
 end
 
--- The bytes of an SBN message that starts at an offset. A negative size is an error: what is left belongs to it.
-local function message_length(tvb, _, offset)
-	local size = tvb:range(offset, 2):int()
-	return size < 0 and tvb:reported_length_remaining(offset) or L.sbn.size + size
-end
+-- How messages that follow each other in a stream are told apart: bytes that tell the length of any, and the length
+-- of the one that starts at a place; nil where none does, and what is left is taken for one.
+local FRAMINGS = {
+	sbn = {
+		head = function() return L.sbn.size end,
+		length = function(s)
+			local size = read.sbn(s, 1)
+			return size >= 0 and L.sbn.size + size or nil
+		end,
+	},
+	frames = frames, fprime = fprime,
+}
 
--- SBN messages follow each other in a stream; Wireshark puts it in order.
-local function dissect_stream(tvb, _, tree)
-	dissect_tcp_pdus(tvb, tree, L.sbn.size, message_length, dissect)
-	return captured_len(tvb)
+-- Wireshark puts the stream in order.
+local function dissect_stream(framing)
+	local function message_length(tvb, pinfo, offset)
+		return framing.length(raw(tvb, offset, framing.head(pinfo)), pinfo) or tvb:reported_length_remaining(offset)
+	end
+	return function(tvb, pinfo, tree)
+		local head = framing.head(pinfo)
+		if not head then return 0 end
+		dissect_tcp_pdus(tvb, tree, head, message_length, dissect)
+		return captured_len(tvb)
+	end
 end
 
 for name, protocol in pairs(P) do
 	protocol.fields = members[name]
-	protocol.dissector = STREAMS[name] == "tcp.port" and dissect_stream or dissect
+	protocol.dissector = FRAMINGS[name] and dissect_stream(FRAMINGS[name]) or dissect
 end
 edoras.experts = experts
 register_ports()

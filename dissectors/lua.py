@@ -14,8 +14,11 @@ from edoras_tools.cfs import limits, names
 from edoras_tools.dissectors.lua_text import literal, quoted
 from edoras_tools.links.cfdp import PDU_NAME
 from edoras_tools.links.protocol import BY_ADDRESS, BY_CONTENT, LARGEST_DOUBLE, SMALLEST_DOUBLE
-from edoras_tools.wire import ccsds, cdr, cfe, racs2, sbn
+from edoras_tools.wire import ccsds, cdr, cfe, fprime, racs2, sbn
+from edoras_tools.wire.arrays.crc import CRC16_BYTES
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
+from edoras_tools.wire.transfer_frames import headers
+from edoras_tools.wire.transfer_frames.fields import FIRST_PART, FRAME_VERSIONS, LATE, count_modulus
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.wire.envelope import EnvelopeFormat
     from edoras_tools.wire.layout import Layout, Slot
+    from edoras_tools.wire.transfer_frames.fields import FrameFormat
 
 
 class Place(NamedTuple):
@@ -49,8 +53,8 @@ LAYOUTS: Final[dict[str, tuple[Layout, Place]]] = {
 """Headers by what the engine calls them; those of links and the envelopes in each format come to them."""
 
 ENGINE: Final = (
-    *("base", "fields", "links", "cdr", "words", "sequence", "network", "body", "packet", "show", "message"),
-    "dissector",
+    *("base", "fields", "links", "cdr", "words", "sequence", "network", "packet", "show", "message"),
+    *("racs2", "frames", "fprime", "dissector"),
 )
 """The parts of the engine, in the order in which they need each other."""
 GUARD: Final = "EDORAS_LUA"
@@ -108,6 +112,8 @@ class Knowledge:
         telemetry_header: 16 or 12.
         msg_id_version: how MsgIds are built, 1 or 2; 2 has the extended header.
         pdu_msg_ids: of packets that hold a CFDP PDU each, which Wireshark's own dissector reads.
+        frames: of ports with transfer frames, their format and the label of the link of the packets in them.
+        dictionary: of F Prime, as ``engine/fprime.lua`` reads it; empty for none.
         note: what the head of the file says of where the routes are from.
     """
 
@@ -126,15 +132,26 @@ class Knowledge:
     msg_id_version: int = 1
     stream_ports: Mapping[str, Sequence[int]] = field(default_factory=dict)
     pdu_msg_ids: Sequence[int] = ()
+    frames: Mapping[int, tuple[FrameFormat, str]] = field(default_factory=dict)
+    dictionary: Mapping[str, Any] = field(default_factory=dict)
     note: str = ""
 
 
 def generate(knowledge: Knowledge) -> str:
     """Return the Lua file."""
     parts = [_data(knowledge), _readers(knowledge)]
-    parts += [(files(__package__) / "engine" / f"{name}.lua").read_text("utf-8") for name in ENGINE]
+    parts += [_part(name) for name in ENGINE]
     body = "\n".join(parts)
     return _head(knowledge.note, digest(body)) + body
+
+
+def _part(name: str) -> str:
+    """Return a part of the engine; what one returns is known by its name, and its locals to itself alone.
+
+    Lua knows no more than 200 locals at a time.
+    """
+    text = (files(__package__) / "engine" / f"{name}.lua").read_text("utf-8")
+    return f"local {name} = (function()\n{text}end)()\n" if "\nreturn {" in text else text
 
 
 def digest(text: str) -> str:
@@ -236,6 +253,26 @@ def _data(knowledge: Knowledge) -> str:
             for item in _ours(knowledge)
             if knowledge.stream_ports.get(item.label)
         },
+        "frames": {port: _framed(form, label) for port, (form, label) in knowledge.frames.items()},
+        "frame_limits": {
+            "idle_apid": ccsds.IDLE_APID,
+            "no_packet": headers.NO_PACKET_STARTS,
+            "only_idle": headers.ONLY_IDLE_DATA,
+            "aos_idle": headers.AOS_IDLE_CHANNEL,
+            "ocf_bytes": headers.OCF_BYTES,
+            "fecf_bytes": CRC16_BYTES,
+            "first_part": FIRST_PART,
+            "tc_bias": headers.TC_LENGTH_BIAS,
+            "late": LATE,
+        },
+        "fprime": {
+            "start_word": fprime.START_WORD,
+            "keep_alive": fprime.KEEP_ALIVE.decode(),
+            "tm_bytes": fprime.TM_FRAME_BYTES,
+            "time_bytes": fprime.TIME_BYTES,
+            "entry_headers": {int(kind): layout.name for kind, layout in fprime.ENTRY_HEADERS.items()},
+            "dictionary": dict(knowledge.dictionary) or None,
+        },
         "bridge_ports": list(knowledge.bridge_ports),
         "cfs_addresses": list(knowledge.cfs_addresses),
         "identities": [list(pair) for pair in knowledge.identities],
@@ -258,18 +295,23 @@ def _data(knowledge: Knowledge) -> str:
 
 
 def _ours(knowledge: Knowledge) -> list[LinkProtocol]:
-    """Return the links that Wireshark has no dissector of its own for."""
-    return [link for link in knowledge.links if not link.wireshark]
+    """Return the links on a wire that Wireshark has no dissector of its own for; port 0 is that of files."""
+    return [link for link in knowledge.links if not link.wireshark and link.transport.ports != (0,)]
 
 
 def _layouts(knowledge: Knowledge) -> dict[str, tuple[Layout, Place]]:
     """Return every header, those of the links among them: each is named as its layout is."""
     own = {
-        layout.name: (layout, Place(link.label, layout.name.replace("_", ".")))
+        layout.name: (layout, Place(link.label, _prefix(link.label, layout.name)))
         for link in _ours(knowledge)
         for layout in link.layouts
     }
     return own | LAYOUTS
+
+
+def _prefix(label: str, name: str) -> str:
+    """Return what stands before a header's fields: its name, with the link's label in front."""
+    return name.replace("_", ".", 1) if name.split("_", maxsplit=1)[0] == label else f"{label}.{name}"
 
 
 def _link(link: LinkProtocol) -> dict[str, Any]:
@@ -296,9 +338,27 @@ def _link(link: LinkProtocol) -> dict[str, Any]:
         "forms": forms or None,
         "constants": dict(link.constants) or None,
         "sure": link.port_sure,
+        "port_decides": link.port_decides or None,
         "sender_port": link.sender_port,
         "receive_buffer": link.receive_buffer or None,
         "over_receive_buffer": link.over_receive_buffer.label if link.receive_buffer else None,
+    }
+
+
+def _framed(form: FrameFormat, label: str) -> dict[str, Any]:
+    return {
+        "kind": form.kind,
+        "layout": form.layout.name,
+        "version": FRAME_VERSIONS[form.kind],
+        "length": form.length,
+        "smallest": form.smallest,
+        "start": form.data_start,
+        "fecf": form.fecf or None,
+        "ocf": form.ocf or None,
+        "segments": form.segment_header or None,
+        "stream": form.stream or None,
+        "modulus": count_modulus(form.kind),
+        "link": label,
     }
 
 
@@ -342,6 +402,8 @@ def _field(slot: Slot, word: Slot, prefix: str) -> dict[str, Any]:
     shift = slot.shift + 8 * (
         word.end - slot.end
     )  # bits are numbered from the big end: no little one has any
+    # Where only the highest values have names, the others need none.
+    sparse = number and item.names and min(item.names) >= slot.mask * 3 // 4
     return {
         "abbreviation": f"{prefix}.{item.name}",
         "name": item.name,
@@ -351,6 +413,7 @@ def _field(slot: Slot, word: Slot, prefix: str) -> dict[str, Any]:
         "mask": slot.mask << shift if number and not whole else None,
         "hex": (item.base == 16 and number) or None,
         "names": dict(item.names) or None,
+        "special": [8 * size - shift - slot.shift - item.bits, item.bits] if sparse else None,
         "doc": f"{item.doc} ({item.clause})" if item.clause else item.doc,
     }
 

@@ -101,6 +101,39 @@ local function checksum(s, first, last)
 	return bit.band(bit.bxor(word, bit.rshift(word, 8), 0xFF), 0xFF)
 end
 
+-- The steps of the CRCs by byte: CRC-16 of CCSDS, and CRC-32 of IEEE 802.3.
+local CRC16, CRC32 = {}, {}
+for octet = 0, 255 do
+	local left, right = octet * 256, octet
+	for _ = 1, 8 do
+		left = left >= 0x8000 and bit.bxor(left * 2 % 0x10000, 0x1021) or left * 2
+		right = right % 2 == 1 and bit.bxor((right - 1) / 2, 0xEDB88320) % 0x100000000 or right / 2
+	end
+	CRC16[octet], CRC32[octet] = left, right
+end
+
+local function crc16(s, first, last)
+	local crc, xor, byte = 0xFFFF, bit.bxor, string.byte
+	for p = first, last do
+		local low = crc % 256
+		crc = xor(low * 256, CRC16[xor((crc - low) / 256, byte(s, p))])
+	end
+	return crc
+end
+
+local function crc32(s, first, last)
+	local crc, xor, shift, byte = 0xFFFFFFFF, bit.bxor, bit.rshift, string.byte
+	for p = first, last do
+		crc = xor(shift(crc, 8), CRC32[xor(crc % 256, byte(s, p))])
+	end
+	return xor(crc, 0xFFFFFFFF) % 0x100000000
+end
+
+-- A line has no line ends; a format would end at a NUL.
+local function printable(text)
+	return text:find("%c") and text:gsub("%c", " ") or text
+end
+
 -- Tell whether any byte of a stretch is not 0.
 local function any_nonzero(s, first, last)
 	local found = first <= last and s:find("[^\0]", first)

@@ -16,7 +16,7 @@ edoras.prefs.msg_ids_of_version_2 = Pref.bool(
 )
 
 local registered, streams = {}, {}
-local STREAMS = {sbn = "tcp.port", racs2 = "ws.port"}  -- where Wireshark looks for who reads what a stream holds
+local STREAMS = {sbn = "tcp.port", fprime = "tcp.port", racs2 = "ws.port"}  -- where Wireshark looks for who reads what a stream holds
 
 -- Let the links read what comes over TCP: the messages themselves, or what WebSocket frames hold.
 local function register_streams()
@@ -28,6 +28,12 @@ local function register_streams()
 		for port in pairs(STREAMS[label] and stream_ports[label] or {}) do
 			streams[#streams + 1] = {STREAMS[label], port, P[label]}
 			DissectorTable.get(STREAMS[label]):add(port, P[label])
+		end
+	end
+	for port, form in pairs(D.frames) do
+		if form.stream and not form.own then
+			streams[#streams + 1] = {"tcp.port", port, P.frames}
+			DissectorTable.get("tcp.port"):add(port, P.frames)
 		end
 	end
 end
@@ -45,6 +51,9 @@ local function register_ports()
 		local other = not registered[port] and Dissector.get(name)
 		if other then udp:add(port, other) end
 	end
+	for port, form in pairs(D.frames) do
+		if not form.stream then registered[port] = true end
+	end
 	for port in pairs(registered) do udp:add(port, edoras) end
 	register_streams()
 	settle(edoras.prefs.extended_header, edoras.prefs.short_telemetry_header, edoras.prefs.msg_ids_of_version_2)
@@ -56,6 +65,7 @@ end
 
 function edoras.init()
 	peers, sequences, analysis = {}, {}, {}
+	frames.forget()
 	asked.last, passes[true].last, passes[false].last = math.huge, math.huge, math.huge
 end
 
@@ -95,11 +105,6 @@ local function badges()
 	return text
 end
 
--- A line has no line ends; a format would end at a NUL.
-local function printable(text)
-	return text:find("%c") and text:gsub("%c", " ") or text
-end
-
 local function info()
 	local known, head = W.known, W.kind
 	local text = W.summary and printable(W.summary) or said_of(known)
@@ -114,7 +119,7 @@ local function info()
 	end
 	if W.findings > 0 then text = badges() .. text end
 	if head then text = text == "" and head or head .. "  " .. text end
-	local missing = analysis[W.number]
+	local missing = analysis[W.key]
 	if missing then
 		text = text .. (type(missing) == "number" and format("  [gap of %d]", missing) or "  [" .. missing .. "]")
 	end
@@ -163,7 +168,7 @@ local function show_findings(node, visible)
 		local finding = FINDINGS[W.found[index]]
 		add_expert(show_value(node, F.finding, finding.label, visible), finding.expert)
 	end
-	local missing = analysis[W.number]
+	local missing = analysis[W.key]
 	if missing then
 		local kind = type(missing) == "number" and "gap" or missing
 		add_expert(show_value(node, F[kind], kind == "gap" and missing or true, visible), EXPERT[kind])
@@ -185,6 +190,10 @@ local function show_facts(node, visible)
 		show_value(node, F.topic, route.topic, visible)
 		show_value(node, F.type, route.type, visible)
 	end
+	for _, entry in ipairs(W.entries_read or {}) do
+		show_value(node, F.topic, entry.topic, visible)
+		show_value(node, F.type, entry.type, visible)
+	end
 	if W.time then show_value(node, F.mission_time, W.time, visible) end
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
 end
@@ -202,12 +211,12 @@ local function show(tree, tvb, visible)
 			local header = show_layout(tree, layout, tvb, at, visible)
 			if layout == CDR then
 				show_message(header, tvb, visible)
-			elseif W.values and layout.protocol == "racs2" then
-				show_body(header, tvb, visible)
 			elseif layout == SUBSCRIPTIONS then
 				for entry = 0, W.entries - 1 do
 					show_layout(header, L.subscription, tvb, at + layout.size + entry * L.subscription.size, visible)
 				end
+			elseif W.inside[index] then
+				W.inside[index](header, tvb, visible)
 			end
 		end
 	end
@@ -222,45 +231,86 @@ end
 
 local reported_len, captured_len, raw = Tvb.reported_len, Tvb.captured_len, Tvb.raw
 
-local function dissect(tvb, pinfo, tree)
-	if pinfo.in_error_pkt then return 0 end  -- what an ICMP error quotes was not sent again
-	local s = captured_len(tvb) > 0 and raw(tvb) or ""
-	local link = link_of(pinfo, s)
-	if not link then return 0 end
-	local number = pinfo.number
-	local wanted = look_who_asks(tree, number)
-	local visible = wanted == "all"
-	begin(s, link.label, pinfo, number, has_columns(pinfo, visible, number))
+-- What tells the messages of one frame apart: a packet out of a transfer frame may begin where that does.
+local function key_of(number, tvb, inner)
+	return number + (2 * tvb:offset() + (inner and 1 or 0)) / 0x400000
+end
+
+-- Read what is of a link, and show it; return what the packet list says of it.
+local function dissect_as(link, s, tvb, pinfo, tree, wanted, inner)
+	local visible, number, cut_off = wanted == "all", pinfo.number, reported_len(tvb) > #s
+	begin(s, link.label, pinfo, key_of(number, tvb, inner), has_columns(pinfo, visible, number), cut_off)
 	if link.receive_buffer and #s > link.receive_buffer then note(link.over_receive_buffer) end
 	local start = (HEADER_READERS[link.label] or read_headers)(s, link)
 	if start then space_packet(start) end
-	if reported_len(tvb) > #s then forgive() end
-
+	if cut_off then forgive() end
 	show_findings(wanted and show(tree, tvb, visible) or tree, visible)
 	if W.pdu and W.pdu < #s then CFDP:call(cut(tvb, W.pdu):tvb(), pinfo, tree) end  -- it fills columns, too
-	if W.listed then
+	return W.listed and info()
+end
+
+local told = {}  -- what the list says of the last frame that had messages
+local MOST_SHOWN = 4096  -- characters of a column
+
+local function dissect(tvb, pinfo, tree)
+	if pinfo.in_error_pkt then return 0 end  -- what an ICMP error quotes was not sent again
+	local s = captured_len(tvb) > 0 and raw(tvb) or ""
+	local framed = frames.is_frame(pinfo, s, reported_len(tvb))
+	local link = framed and link_by_label.frames or link_of(pinfo, s, reported_len(tvb))
+	if not link then return 0 end
+	local wanted = look_who_asks(tree, pinfo.number)
+	local line = dissect_as(link, s, tvb, pinfo, tree, wanted)
+	local key = W.key
+	local inner = framed and frames.link()
+	for _, packet in ipairs(W.packets or {}) do
+		local at, bytes = packet[1], packet[2]
+		if inner.port_decides or likeness(inner, pinfo, bytes, #bytes) > 0 then
+			local own = at and cut(tvb, at, #bytes):tvb() or ByteArray.new(bytes, true):tvb("Packet over frames")
+			local more = dissect_as(inner, bytes, own, pinfo, tree, wanted, true)
+			line = line and line .. "; " .. more
+		end
+	end
+	if line then
+		if told.number == pinfo.number and told.key < key then  -- a further message of one segment
+			line = #told.line > MOST_SHOWN and told.line or told.line .. "; " .. line
+		end
+		told.number, told.key, told.line = pinfo.number, key, line
 		local columns = pinfo.cols
 		columns.protocol = link.name
-		columns.info = info()
+		columns.info = line
 	end
 	return #s
 end
 
--- The bytes of an SBN message that starts at an offset. A negative size is an error: what is left belongs to it.
-local function message_length(tvb, _, offset)
-	local size = tvb:range(offset, 2):int()
-	return size < 0 and tvb:reported_length_remaining(offset) or L.sbn.size + size
-end
+-- How messages that follow each other in a stream are told apart: bytes that tell the length of any, and the length
+-- of the one that starts at a place; nil where none does, and what is left is taken for one.
+local FRAMINGS = {
+	sbn = {
+		head = function() return L.sbn.size end,
+		length = function(s)
+			local size = read.sbn(s, 1)
+			return size >= 0 and L.sbn.size + size or nil
+		end,
+	},
+	frames = frames, fprime = fprime,
+}
 
--- SBN messages follow each other in a stream; Wireshark puts it in order.
-local function dissect_stream(tvb, _, tree)
-	dissect_tcp_pdus(tvb, tree, L.sbn.size, message_length, dissect)
-	return captured_len(tvb)
+-- Wireshark puts the stream in order.
+local function dissect_stream(framing)
+	local function message_length(tvb, pinfo, offset)
+		return framing.length(raw(tvb, offset, framing.head(pinfo)), pinfo) or tvb:reported_length_remaining(offset)
+	end
+	return function(tvb, pinfo, tree)
+		local head = framing.head(pinfo)
+		if not head then return 0 end
+		dissect_tcp_pdus(tvb, tree, head, message_length, dissect)
+		return captured_len(tvb)
+	end
 end
 
 for name, protocol in pairs(P) do
 	protocol.fields = members[name]
-	protocol.dissector = STREAMS[name] == "tcp.port" and dissect_stream or dissect
+	protocol.dissector = FRAMINGS[name] and dissect_stream(FRAMINGS[name]) or dissect
 end
 edoras.experts = experts
 register_ports()

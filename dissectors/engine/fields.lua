@@ -33,12 +33,17 @@ local function new_field(protocol, abbreviation, kind, ...)
 	return record
 end
 
+-- Tell what a special value of a field means.
+local function mark(item, value, names)
+	if names[value] then item:append_text(" (" .. names[value] .. ")") end
+end
+
 -- Make a function that adds some slots of a layout, without a loop: (node, tvb, offset, the datagram's bytes).
 local function adder(layout, slots)
-	local text = {"local add, put, cut, text, fields = ...", "", "return function(node, tvb, at, s)", "local range"}
-	local fields, before = {}, {}
+	local text = {"local add, put, cut, text, mark, fields, names = ...", "", "return function(node, tvb, at, s)", "local range"}
+	local fields, names, before = {}, {}, {}
 	for index, slot in ipairs(slots) do
-		fields[index] = slot.record.field
+		fields[index], names[index] = slot.record.field, slot.names
 		text[2] = text[2] .. format("\nlocal field%d = fields[%d]", index, index)
 		if slot.start ~= before.start or slot.size ~= before.size then
 			text[#text + 1] = format("range = cut(tvb, at + %d, %d)", slot.start, slot.size)
@@ -47,6 +52,11 @@ local function adder(layout, slots)
 			text[#text + 1] = format(
 				"add(node, field%d, range, text(s, at + %d, at + %d))", index, slot.start + 1, slot.start + slot.size
 			)
+		elseif slot.special then
+			text[#text + 1] = format(
+				"mark(put(node, field%d, range), range:bitfield(%d, %d), names[%d])",
+				index, slot.special[1], slot.special[2], index
+			)
 		else
 			text[#text + 1] = format("put(node, field%d, range)", index)
 		end
@@ -54,7 +64,7 @@ local function adder(layout, slots)
 	end
 	text[#text + 1] = "end"
 	local function readable(...) return utf8_text(D.text(...)) end
-	return load(table.concat(text, "\n"))(add, layout.little and add_le or add, cut, readable, fields)
+	return load(table.concat(text, "\n"))(add, layout.little and add_le or add, cut, readable, mark, fields, names)
 end
 
 for _, layout in pairs(D.layouts) do
@@ -64,7 +74,7 @@ for _, layout in pairs(D.layouts) do
 		else
 			slot.record = new_field(
 				layout.protocol, slot.abbreviation, slot.kind, slot.name, slot.hex and base.HEX or base.DEC,
-				slot.names, slot.mask, slot.doc
+				not slot.special and slot.names or nil, slot.mask, slot.doc
 			)
 		end
 	end

@@ -53,9 +53,12 @@ local function likely_doubles(s, count, high, low)
 	return true
 end
 
+local RECOGNISED = {}  -- links whose bytes are asked by a function
+
 -- How sure a link is that a datagram is its own, 0 for not at all: as LinkProtocol.recognise.
-local function likeness(link, pinfo, s)
-	local sure = link.sure
+local function likeness(link, pinfo, s, length)
+	local sure, recognised = link.sure, RECOGNISED[link.label]
+	if recognised then return recognised(s, length) and D.sure.by_content or 0 end
 	if link.forms then
 		local form = link.forms[#s]
 		if not form then return 0 end
@@ -76,43 +79,30 @@ local function likeness(link, pinfo, s)
 	return sure
 end
 
--- Tell whether a message begins with a header of RACS2: a MsgId and zeros, or the name of a topic.
-local function is_racs2(s)
-	local size = D.layouts.racs2_message.size
-	if #s < size then return false end
-	local high, low = byte(s, 1, 2)
-	local msg_id = high * 256 + low
-	if msg_id > 0 and msg_id <= D.limits.highest_msg_id and not s:sub(3, size):find("[^\0]") then return true end
-	if high ~= 47 and high ~= 126 and (high <= 64 or high >= 123) then return false end
-	return not s:sub(1, size):find("[\128-\255]") and not s:sub(5, size):find('[ "]')
-end
-
 local TCP = 2  -- what pinfo.port_type says of TCP
-local RECOGNISED = {racs2 = is_racs2}
-
 -- Return the link of a message of a TCP stream, or nil for none.
-local function stream_link_of(pinfo, s)
+local function stream_link_of(pinfo, s, length)
 	for _, port in ipairs({pinfo.dst_port, pinfo.src_port}) do
 		for _, link in ipairs(D.links) do
 			local claimed = stream_ports[link.label]
 			if claimed and claimed[port] then
 				local recognised = RECOGNISED[link.label]
-				return (not recognised or recognised(s)) and link or nil
+				return (not recognised or recognised(s, length)) and link or nil
 			end
 		end
 	end
 end
 
--- Return the link of a datagram, or nil for none.
-local function link_of(pinfo, s)
-	if pinfo.port_type == TCP then return stream_link_of(pinfo, s) end
+-- Return the link of so many bytes, of which the capture may have cut some; nil for none.
+local function link_of(pinfo, s, length)
+	if pinfo.port_type == TCP then return stream_link_of(pinfo, s, length) end
 	local destination, source = pinfo.dst_port, pinfo.src_port
 	local best, found, ours = 0, nil, false
 	for _, link in ipairs(D.links) do
 		local claimed = ports[link.label]
 		if claimed[destination] then
 			ours = true
-			local sure = likeness(link, pinfo, s)
+			local sure = likeness(link, pinfo, s, length)
 			if sure > 0 and sure >= best then best, found = sure, link end
 		elseif claimed[source] then
 			ours = true
@@ -123,7 +113,7 @@ local function link_of(pinfo, s)
 	-- "Decode As": no port of ours has a say.
 	for _, link in ipairs(D.links) do
 		if link.to_cfs ~= link.from_cfs and #link.headers == 0 then
-			local sure = likeness(link, pinfo, s)
+			local sure = likeness(link, pinfo, s, length)
 			if sure >= best then best, found = sure, link end
 		end
 	end

@@ -1,6 +1,6 @@
 -- The work on one datagram, and the headers of the links.
 
-local W = {serial = 0, layer = {}, at = {}, found = {}, is_found = {}}
+local W = {serial = 0, layer = {}, at = {}, inside = {}, found = {}, is_found = {}}
 local peers, sequences = {}, {}  -- what is known of senders, see init()
 local read, L = D.read, D.layouts
 local identities = {}
@@ -9,14 +9,14 @@ for _, pair in ipairs(D.identities) do
 	identities[pair[2]][pair[1]] = true
 end
 
--- `listed` tells whether anybody sees the columns.
-local function begin(s, link, pinfo, number, listed)
+-- `key` is of these bytes alone; `listed` tells whether anybody sees the columns, `cut_off` whether bytes are missing.
+local function begin(s, link, pinfo, key, listed, cut_off)
 	W.serial = W.serial + 1
-	W.s, W.link, W.pinfo, W.number, W.listed = s, link, pinfo, number, listed
+	W.s, W.link, W.pinfo, W.key, W.listed, W.cut = s, link, pinfo, key, listed, cut_off
 	W.layers, W.findings, W.entries, W.spacecraft, W.processor, W.bare = 0, 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
 	W.route, W.message, W.envelope, W.padding, W.known = nil, nil, nil, nil, nil
-	W.values, W.pdu = nil, nil
+	W.pdu, W.packets, W.entries_read = nil, nil, nil
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -37,10 +37,11 @@ local function has(label)
 	return W.is_found[FINDING[label]] == W.serial
 end
 
-local function add_layer(layout, at)
+-- Add a header that starts at an offset; `inside` shows what is told below it.
+local function add_layer(layout, at, inside)
 	local work = W
 	local count = work.layers + 1
-	work.layers, work.layer[count], work.at[count] = count, layout, at
+	work.layers, work.layer[count], work.at[count], work.inside[count] = count, layout, at, inside
 end
 
 -- Note that a header is cut. Offsets count from the datagram's first byte, from 0.
@@ -105,10 +106,10 @@ local function identify(spacecraft, processor, trusted)
 	local place, port = sender(peers)
 	local known = place[port]
 	if trusted and not known then
-		known = {spacecraft = spacecraft, processor = processor, since = W.number}
+		known = {spacecraft = spacecraft, processor = processor, since = W.pinfo.number}
 		place[port] = known
 	end
-	if known and known.since < W.number
+	if known and known.since < W.pinfo.number
 		and (known.spacecraft ~= spacecraft or known.processor ~= processor)
 		and not (identities[processor] and identities[processor][spacecraft]) then
 		note("sbn_id_mismatch")
@@ -204,24 +205,5 @@ local function read_headers(s, link)
 	return link.packets and at or nil
 end
 
-local body_values  -- below, in body.lua
-
--- Read a RACS2 message: a MsgId, or the name of a topic; then the values of its body.
-local function racs2(s)
-	local to_cfs = byte(s, 1) * 256 <= D.limits.highest_msg_id
-	if not take(to_cfs and L.racs2_message or L.racs2_topic, 0) then return nil end
-	if W.listed then
-		local target
-		if to_cfs then
-			target = format("0x%04x", (read.racs2_message(s, 1)))
-		else
-			target = read.racs2_topic(s, 1)
-		end
-		W.summary = format("%s: %d bytes", target, #s - L.racs2_message.size)
-	end
-	W.values = body_values(s, L.racs2_message.size)
-	return nil
-end
-
 -- Links whose headers hang on what they hold read them by themselves.
-local HEADER_READERS = {sbn = software_bus_network, racs2 = racs2}
+local HEADER_READERS = {sbn = software_bus_network}

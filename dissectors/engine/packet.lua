@@ -77,8 +77,8 @@ local function follow(msg_id, count, start)
 		place, port = sender(endpoints)
 	end
 	place[port] = place[port] or {strands = {}, place = 0}
-	follow_count(place[port], {
-		count = count, frame = W.number, body = W.s:sub(start + 1),
+	sequence.follow(place[port], {
+		count = count, frame = W.key, body = W.s:sub(start + 1),
 		boot = W.time and W.time > 0 and W.pinfo.abs_ts - W.time or nil,
 	})
 end

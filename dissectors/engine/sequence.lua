@@ -153,12 +153,18 @@ local function comes_late(stream, strands, packet, missed)
 	return false
 end
 
+-- It is one only where the count moves; its bytes are those of an earlier one in any case.
+local function comes_twice(stream, packet)
+	stream.again = true
+	if stream.moved then analysis[packet.frame] = "duplicate" end
+end
+
 local function comes_again(stream, strands, packet)
 	for _, strand in ipairs(strands) do
 		local position = position_of(strand, packet.count)
 		if position <= strand.last and position > strand.last - REPEATED and not hole_at(strand, position) then
 			if strand.bodies[position % REPEATED] == packet.body then
-				if stream.moved then analysis[packet.frame] = "duplicate" end
+				comes_twice(stream, packet)
 				return true
 			elseif not strand.moved and position == strand.last then
 				strand.bodies[position % REPEATED] = packet.body
@@ -193,11 +199,8 @@ local function follow_count(stream, packet)
 	stream.place = stream.place + 1
 	packet.place = stream.place
 	local again = stream.count == count and stream.body == packet.body
-	stream.count, stream.body = count, packet.body
-	if again then
-		if stream.moved then analysis[packet.frame] = "duplicate" end
-		return
-	end
+	stream.count, stream.body, stream.again = count, packet.body, false
+	if again then return comes_twice(stream, packet) end
 	local strands = {}
 	for _, strand in ipairs(stream.strands) do
 		if not boot or not strand.boot or math.abs(boot - strand.boot) <= BOOT_APART then
@@ -216,3 +219,5 @@ local function follow_count(stream, packet)
 		begin_strand(stream, new_strand(count, packet, {unknown(count)}))
 	end
 end
+
+return {follow = follow_count}

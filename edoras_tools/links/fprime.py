@@ -77,7 +77,6 @@ class GroundDataLink(LinkProtocol):
     port_decides = False
     dictionary = True
     several = True
-    wireshark = "data"
 
     def recognise(self, seen: Seen) -> Any:
         """Recognise a start word, or the header of a TC or TM frame that fits the datagram."""

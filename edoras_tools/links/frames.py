@@ -12,7 +12,7 @@ import numpy as np
 
 from edoras_tools.links.framing import Framing, prefixed
 from edoras_tools.links.protocol import BatchRows, LinkProtocol, Seen, Site
-from edoras_tools.model import Datagram, Decoded, LayerField, PacketBatch
+from edoras_tools.model import Datagram, Decoded, Finding, LayerField, PacketBatch
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16, crc16_rows
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
@@ -115,7 +115,6 @@ class TransferFramesLink(LinkProtocol):
         headers.AOS_PACKETS,
         headers.TC_SEGMENT,
     )
-    wireshark = "data"
     port_decides = False
 
     def recognise(self, seen: Seen) -> Any:
@@ -128,7 +127,7 @@ class TransferFramesLink(LinkProtocol):
         assert form is not None, "it is a frame"
         for layout, start in _headers(form, bool(form.kind == "tm" and data[_TM_FLAGS] >> 7)):
             reading.read(layout, start)
-        if form.fecf:
+        if form.fecf and Finding.CAPTURE_CUT not in reading.findings:
             start, end = len(data) - CRC16_BYTES, len(data)
             value, right = int.from_bytes(data[start:], "big"), crc16(data[:start])
             text = f"0x{value:04x}" + (f", but the frame has 0x{right:04x}" if value != right else "")

@@ -9,13 +9,15 @@ from xml.parsers import expat
 
 import pytest
 
+from edoras_tools.links.fprime import FPRIME
+from edoras_tools.links.frames import FRAMES
 from edoras_tools.model import OTHER
 from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.ros import TypeStore
 
-OURS = "ccsds_sp cfe sbn robot edoras ros2cdr"
+OURS = "ccsds_sp cfe sbn robot racs2 frames fprime edoras ros2cdr"
 PREFIXES = tuple(f"{name}." for name in (*OURS.split(), "ros2"))
 
 
@@ -86,8 +88,18 @@ LAYERS = {
     "robot_command": "robot.command",
     "robot_pose": "robot.pose",
     "robot_state": "robot.state",
+    "racs2_topic": "racs2.topic",
+    "racs2_message": "racs2.message",
+    "fprime": "fprime",
+    **{layout.name: f"fprime.{layout.name[7:]}" for layout in FPRIME.layouts[1:]},
+    **{layout.name: f"frames.{layout.name}" for layout in FRAMES.layouts},
 }
-RENAMED = {"ccsds_sp.msg_id": "edoras.msg_id", "sbn.sub.msg_ids": "sbn.subscription.msg_id"}
+RENAMED = {
+    "ccsds_sp.msg_id": "edoras.msg_id",
+    "sbn.sub.msg_ids": "sbn.subscription.msg_id",
+    "fprime.fprime.crc32": "fprime.crc32",
+}
+CHECK = "frame_error_control"
 CONTROLS = dict.fromkeys((*range(32), 127), " ")
 INDEX = re.compile(r"\[\d+\]")
 
@@ -97,17 +109,29 @@ def header_fields(packet):
     found = {}
     for layer in packet.layers:
         for item in layer.fields if layer.name in LAYERS else ():
-            name = f"{LAYERS[layer.name]}.{item.name}"
+            name = f"{packet.link.label if item.name == CHECK else LAYERS[layer.name]}.{item.name}"
             values = list(item.value) if isinstance(item.value, list) else [item.value]
             if values:
-                found[RENAMED.get(name, name)] = values
+                found.setdefault(RENAMED.get(name, name), []).extend(values)
+    return found
+
+
+def entry_fields(packet):
+    """Return Wireshark's field name to values, of what a dictionary of F Prime names."""
+    found = {}
+    entries = [layer for layer in packet.layers if layer.name == "cfs"] if packet.link is FPRIME else []
+    for layer, message in zip(entries, packet.messages if entries else (), strict=True):
+        prefix = message.topic[1:].replace("/", ".")
+        for item in layer.fields:
+            values = item.value if isinstance(item.value, list) else [item.value]
+            found.setdefault(f"{prefix}.{INDEX.sub('', item.name)}", []).extend(values)
     return found
 
 
 def ros_fields(packet, types):
     """Return Wireshark's field name to values, of the ROS message."""
     found = {}
-    if packet.message is not None:
+    if packet.message is not None and packet.message.cdr and packet.link is not FPRIME:
         prefix = "ros2." + packet.message.type.replace("/msg/", ".")
         for path, value, _, _ in types.spans(packet.message.type, packet.message.cdr):
             values = value if isinstance(value, list) else [value]
@@ -146,15 +170,40 @@ def read_ros(shown, raw, like, order):
     return int.from_bytes(data, "big" if order == ">" else "little", signed=like < 0)
 
 
-def agree_with_tshark(packet, frame, types):
-    """Hold a frame of tshark's to a packet of ours; all that one says the other must say."""
+def read_entry(shown, raw, like):
+    if isinstance(like, str):
+        return text(shown, like)
+    data = bytes.fromhex(raw)
+    if isinstance(like, float):
+        return struct.unpack(">f" if len(data) == 4 else ">d", data)[0]
+    return data != b"\0" if isinstance(like, bool) else int.from_bytes(data, "big", signed=like < 0)
+
+
+def joined(found):
+    """Return one dict of lists of many."""
+    whole = {}
+    for one in found:
+        for name, values in one.items():
+            whole.setdefault(name, []).extend(values)
+    return whole
+
+
+def agree_with_tshark(packets, frame, types):
+    """Hold a frame of tshark's to what we found in it; all that one says the other must say."""
     fields = dict(frame.fields)
-    if packet.link is OTHER or not packet.datagram.payload:
+    packets = [item for item in packets if item.link is not OTHER and item.datagram.payload]
+    if not packets:
         assert not fields
         return 0
-    headers, messages = header_fields(packet), ros_fields(packet, types)
+    headers = joined(map(header_fields, packets))
+    messages = joined(ros_fields(item, types) for item in packets)
+    entries = joined(map(entry_fields, packets))
     for name, values in headers.items():
-        assert [read_header(*item, values[0]) for item in fields[name]] == values, name
+        read = [read_header(*item, like) for item, like in zip(fields[name], values, strict=True)]
+        assert read == values, name
+    for name, values in entries.items():
+        read = [read_entry(*item, like) for item, like in zip(fields[name], values, strict=True)]
+        assert list(map(bits, read)) == list(map(bits, values)), name
     order = ">" if headers.get("ros2cdr.representation") == [0] else "<"
     for name, values in messages.items():
         there = fields[name]
@@ -163,34 +212,39 @@ def agree_with_tshark(packet, frame, types):
             continue
         read = [read_ros(*item, like, order) for item, like in zip(there, values, strict=True)]
         assert list(map(bits, read)) == list(map(bits, values)), name
-    said = {"edoras.link": [packet.link.label], "edoras.finding": packet.findings.labels}
-    if packet.message is not None:
-        said |= {"edoras.topic": [packet.message.topic], "edoras.type": [packet.message.type]}
+    found = [message for item in packets for message in item.messages]
+    said = {
+        "edoras.link": [item.link.label for item in packets],
+        "edoras.finding": [label for item in packets for label in item.findings.labels],
+        "edoras.topic": [message.topic for message in found],
+        "edoras.type": [message.type for message in found],
+    }
     for name, values in said.items():
-        assert [shown for shown, _ in fields.get(name, [])] == values, name
-    expert = {f"edoras.finding.{label}" for label in packet.findings.labels}
+        if values or name not in {"edoras.topic", "edoras.type"}:
+            assert [shown for shown, _ in fields.get(name, [])] == values, name
+    expert = {f"edoras.finding.{label}" for label in said["edoras.finding"]}
     assert {name for name in fields if name.startswith("edoras.finding.")} == expert
-    assert ("edoras.stop" in fields) == (packet.stop is not None)
-    more = {name for name in fields if name not in headers and name not in messages}
+    assert len(fields.get("edoras.stop", [])) == sum(item.stop is not None for item in packets)
+    more = {name for name in fields if name not in headers and name not in messages and name not in entries}
     ours = ("edoras.", "sbn.subscription.")
     left = {name for name in more if not name.startswith(ours) and not name.endswith(("._count", "._item"))}
-    types = {f"ros2.{packet.message.type.replace('/msg/', '.')}"} if packet.message else {"ros2cdr.body"}
-    assert left <= types
-    return len(headers) + len(messages)
+    kinds = {f"ros2.{item.type.replace('/msg/', '.')}" for item in found} or {"ros2cdr.body"}
+    assert left <= kinds
+    return len(headers) + len(messages) + len(entries)
 
 
-def agree_with_columns(packet, frame):
-    """Hold the packet list to ours: the same words."""
+def agree_with_columns(packet, frame, outer):
+    """Hold the packet list to ours: the same words, also of what is in a frame, behind its own."""
     if packet.link is OTHER or not packet.datagram.payload:
         return
-    assert frame.protocol == packet.link.name
+    assert frame.protocol == outer.link.name
     layers = {layer.name: layer.values() for layer in packet.layers}
     words = packet.summary.translate(CONTROLS)
     for finding in ranked(packet.findings, at_least=Level.WARNING):
         assert EXPLANATIONS[finding].short in frame.info
     if "ccsds" in layers:
         assert f"0x{layers['ccsds']['msg_id']:04x}" in frame.info
-    if packet.message:
+    if packet.message and packet.link is not FPRIME:
         assert packet.message.topic in frame.info
     info = re.sub(r"  \[(gap of \d+|duplicate|reordered)\]$", "", frame.info)
     assert words.strip() in info, (words, info)
@@ -198,12 +252,15 @@ def agree_with_columns(packet, frame):
 
 @pytest.fixture(scope="session")
 def judge():
-    """Hold a frame of tshark's to a packet of our own decoder: tree, findings and packet list."""
+    """Hold a frame of tshark's to the packets of our own decoder in it: tree, findings and packet list."""
     humble = TypeStore()
 
     def hold(packet, frame, types=humble):
-        agree_with_columns(packet, frame)
-        return agree_with_tshark(packet, frame, types)
+        packets = packet if isinstance(packet, list) else [packet]
+        known = [item for item in packets if item.link is not OTHER]
+        for item in known:
+            agree_with_columns(item, frame, known[0])
+        return agree_with_tshark(packets, frame, types)
 
     return hold
 

@@ -7,9 +7,12 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from fprime_session import DICTIONARY
 from places import ROOT
 
 from edoras_tools.io.formats.open import open_file
+from edoras_tools.pipelines.wireshark.lua import dissector
+from edoras_tools.pipelines.workbench import Settings
 
 LUAS = ["lua5.2", "lua5.4"]
 
@@ -17,8 +20,9 @@ LUAS = ["lua5.2", "lua5.4"]
 def rows():
     """Yield the datagrams of the captures, and some with bytes changed or cut."""
     chance = random.Random(9)
-    for name in ("a_rover", "e_ci_errors", "f_sbn_disconnect"):
-        with closing(open_file(ROOT / f"samples/captures/{name}.pcap")) as source:
+    names = "captures/a_rover", "captures/e_ci_errors", "captures/f_sbn_disconnect", "fprime/rover"
+    for name in names:
+        with closing(open_file(ROOT / f"samples/{name}.pcap")) as source:
             for batch in source.batches():
                 for row in range(len(batch)):
                     datagram = batch[row]
@@ -35,8 +39,11 @@ def test_both_luas_say_the_same(tmp_path):
     table = tmp_path / "datagrams.txt"
     lines = [f"{number} {source} {to} {data.hex()}" for number, (source, to, data) in enumerate(rows(), 1)]
     table.write_text("\n".join(lines) + "\n")
-    command = [Path(__file__).with_name("wslua.lua"), ROOT / "dissectors/edoras.lua", table]
+    script = tmp_path / "edoras.lua"
+    script.write_text(dissector(Settings(structs=[DICTIONARY]))[0])
+    command = [Path(__file__).with_name("wslua.lua"), script, table]
     old, new = (subprocess.run([lua, *command], capture_output=True, text=True, check=False) for lua in LUAS)
     assert (old.stderr, old.returncode) == (new.stderr, new.returncode) == ("", 0)
     assert old.stdout == new.stdout
     assert old.stdout.count("ros2.geometry_msgs.Twist.linear.x") > 600
+    assert old.stdout.count("fprime.events.Rover.drive.ModeChanged.mode") >= 2

@@ -102,10 +102,14 @@ end
 Tvb = {}
 local tvb_meta = {__index = Tvb}
 function Tvb.raw(self) return self.s end
+function Tvb.offset() return 42 end
 function Tvb.len(self) return #self.s end
 Tvb.captured_len, Tvb.reported_len = Tvb.len, Tvb.len
 local range_meta = {__index = {
 	uint64 = function(r) return shown(number(r.s, r.at + 1, r.at + r.size, true)) end,
+	bitfield = function(r, first, bits)
+		return math.floor(number(r.s, r.at + 1, r.at + r.size, true) / 2 ^ (8 * r.size - first - bits)) % 2 ^ bits
+	end,
 	le_uint64 = function(r) return shown(number(r.s, r.at + 1, r.at + r.size, false)) end,
 }}
 function Tvb.range(self, at, size)
@@ -125,12 +129,13 @@ local function item(field, range, value, text, order)
 		field.abbreviation, order, bytes and string.format("%d+%d", range.at, range.size) or "-",
 		value == nil and "" or shown(value), text or "",
 	}, " ")
-	return setmetatable({visible = true}, item_meta)
+	return setmetatable({visible = true, text = field.abbreviation .. ": "}, item_meta)
 end
 function TreeItem.add(_, ...) local f, r, v, t = ... return item(f, r, v, t, "be") end
 function TreeItem.add_le(_, ...) local f, r, v, t = ... return item(f, r, v, t, "le") end
 function TreeItem.set_generated(i) out[#out + 1] = "  generated" return i end
 function TreeItem.set_text(i, text) out[#out + 1] = "  text " .. text return i end
+function TreeItem.append_text(i, text) out[#out + 1] = "  more " .. text return i end
 function TreeItem.add_proto_expert_info(i, e) out[#out + 1] = "  expert " .. e.expert return i end
 function TreeItem.referenced() return true end
 
@@ -144,7 +149,8 @@ for line in io.lines(arg[2]) do
 		out[#out + 1] = "column " .. name .. " " .. text
 	end})
 	local pinfo = {number = tonumber(frame), visited = false, src = "127.0.0.1", dst = "127.0.0.1",
-		src_port = tonumber(from), dst_port = tonumber(to), cols = cols, in_error_pkt = false}
+		src_port = tonumber(from), dst_port = tonumber(to), cols = cols, in_error_pkt = false, port_type = 3,
+		abs_ts = 1.8e9 + tonumber(frame)}
 	out = {}
 	local done = handed.dissector(setmetatable({s = s}, tvb_meta), pinfo, setmetatable({visible = true}, item_meta))
 	print(frame, done)

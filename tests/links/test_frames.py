@@ -23,7 +23,6 @@ from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.reading import reading
-from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings
 
 MAKERS = {
@@ -195,10 +194,3 @@ def test_the_doctor_names_the_lost_frames_and_info_the_damaged(rover):
 
 def _broken(item):
     return Udp(item.time_ns, item.source, item.destination, item.payload[:-1] + bytes([item.payload[-1] ^ 1]))
-
-
-def test_the_lua_leaves_frames_to_others(tmp_path):
-    script, _ = dissector(Settings([mission(tmp_path, MAKERS["tm"])]))
-    assert "tm_frame" not in script
-    left = script[script.index("D.left = ") :]
-    assert f'[{GROUND[1]}] = "data"' in left[: left.index("D.sure")]

@@ -34,7 +34,13 @@ from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStre
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
-from edoras_tools.wire.transfer_frames.fields import FrameFields, FrameFormat, count_modulus, read_frames
+from edoras_tools.wire.transfer_frames.fields import (
+    LATE,
+    FrameFields,
+    FrameFormat,
+    count_modulus,
+    read_frames,
+)
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -48,8 +54,6 @@ MOST_NOTES: Final = 8
 """Channels that notes tell of."""
 MOST_CHANNELS: Final = 1 << 10
 """Random bytes could name any number of channels; frames of more than these are left alone."""
-_LATE: Final = 32
-"""How many counts of 8 bits back a frame is late, and not ahead."""
 _UNSOUND: Final = np.uint32(Finding.TRUNCATED | Finding.CHECKSUM_BAD | Finding.CAPTURE_CUT)
 _NONE: Final = -1
 
@@ -116,7 +120,7 @@ class FrameChannel:
     def unwrapped(self, count: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
         """Return counts that go on where the count of frames begins anew, modulo ``MODULUS``; u16 (n,)."""
         modulus = count_modulus(self.kind) if self.virtual_channel_id is not None else 1 << 8
-        late = _LATE if modulus == 1 << 8 else modulus // 2
+        late = LATE if modulus == 1 << 8 else modulus // 2
         before = np.concatenate([[count[0] if self._last == _NONE else self._last], count[:-1]])
         step = (count.astype(np.int64) - before + late) % modulus - late
         # A leap of half of what the follower counts to is a new beginning to it; so is a greater one.
@@ -417,10 +421,15 @@ class _Laid:
         rest_at = self._end.copy()
         behind = np.flatnonzero(self._last & self._open)
         rest_at[self._segment[behind]] = self._stop[behind]
+        filled = np.flatnonzero(self._frames.end > self._frames.start)
         for index, (state, head) in enumerate(zip(self._states, self._heads.tolist(), strict=True)):
             run = int(self._frames.run[head])
+            if self._begin[index] == self._end[index]:
+                continue  # idle frames alone: nothing that could go on
             if state.run not in {run, _NONE}:
-                cut[head] |= bool(state.rest) or bool(first_pointer[index] > self._begin[index])
+                cut[filled[np.searchsorted(filled, head)]] |= bool(state.rest) or bool(
+                    first_pointer[index] > self._begin[index]
+                )
             state.run = run
             state.rest = self.buffer[rest_at[index] : self._end[index]].tobytes()
         return cut

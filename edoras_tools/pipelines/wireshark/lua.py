@@ -16,13 +16,16 @@ import numpy as np
 from edoras_tools.decode import Context
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.dissectors.lua import FindingText, Knowledge, RouteText, generate
-from edoras_tools.links.frames import FRAMES
 from edoras_tools.mission import load, loads
-from edoras_tools.model import NO_ROUTE, Finding, Link
+from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.render.severity import EXPLANATIONS, Level
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.cdr.plan import PrimitiveRun, Repeat, Text
 from edoras_tools.ros.types.schema import PLACEHOLDER, full_name
+from edoras_tools.structs import Structs
+from edoras_tools.structs.files import load_layout
+from edoras_tools.structs.fprime.table import DESCRIBED
+from edoras_tools.structs.messages import parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -30,6 +33,8 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.ros.cdr.plan import CdrPlan
+    from edoras_tools.structs.fprime.table import EntryTable
+    from edoras_tools.structs.shapes import Struct, StructLayout
 
 DEMOS: Final = (
     ("rover_ground",),
@@ -58,7 +63,9 @@ def dissector(settings: Settings) -> tuple[str, list[str]]:
         why = types.check(name)
         if why is not None:
             warnings.append(f"{name} is left as bytes: {why}")
-    contexts = [Context(mission, types, settings.options) for mission in missions]
+    layouts = [load_layout(path) for path in settings.structs]
+    structs = Structs(layouts) if layouts else None
+    contexts = [Context(mission, types, settings.options, structs) for mission in missions]
     return generate(replace(_knowledge(contexts, types), note=note)), warnings
 
 
@@ -86,7 +93,9 @@ def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
         findings=[_finding(item) for item in Finding],
         links=contexts[0].links,
         ports={
-            link.label: sorted({int(port) for context in contexts for port in _ports(context, link)})
+            link.label: sorted(
+                {int(port) for context in contexts for port in np.flatnonzero(context.ports[link])}
+            )
             for link in contexts[0].links
         },
         stream_ports={
@@ -112,6 +121,12 @@ def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
         telemetry_header=headers.telemetry_bytes,
         msg_id_version=headers.msg_ids.version,
         pdu_msg_ids=sorted({int(item) for context in contexts for item in context.pdu_msg_ids}),
+        frames={
+            item.port: (item.format, item.link.label)
+            for context in contexts
+            for item in context.mission.frames
+        },
+        dictionary=_dictionary(contexts[0].structs.dictionary),
     )
 
 
@@ -121,11 +136,62 @@ def _claim(claims: dict[int, list[int]], route_of: Iterable[int], first: int) ->
         claims.setdefault(msg_id, []).append(first + int(table[msg_id]))
 
 
-def _ports(context: Context, link: Link) -> Iterable[int]:
-    """Return the ports of a link; those with transfer frames are of the link of frames alone."""
-    if link == FRAMES:
-        return context.frames
-    return (port for port in np.flatnonzero(context.ports[link]).tolist() if port not in context.frames)
+def _dictionary(table: EntryTable | None) -> dict[str, Any]:
+    """Return what an F Prime dictionary says, as ``engine/fprime.lua`` reads it; empty for none."""
+    if table is None:
+        return {}
+    entries: dict[int, dict[int, Any]] = {}
+    structs: dict[str, Any] = {}
+    enums: dict[str, Any] = {}
+    for bound in table.bounds:
+        entry = bound.entry
+        entries.setdefault(int(entry.kind), {})[entry.id] = {
+            "name": entry.name,
+            "word": entry.word,
+            "topic": entry.topic,
+            "type": bound.type,
+            "severity": entry.severity.name if entry.severity else None,
+            "format": entry.format or None,
+            "timed": entry.timed or None,
+            "padded": entry.padded or None,
+            "members": _members(bound.layout, bound.struct, structs, enums)[int(entry.timed) :],
+        }
+    return {
+        "described": dict.fromkeys(sorted(DESCRIBED), True),
+        "entries": entries,
+        "structs": structs,
+        "enums": enums,
+    }
+
+
+def _members(
+    layout: StructLayout, struct: Struct, structs: dict[str, Any], enums: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Return the values of a struct of a dictionary; note the structs and enumerations in it."""
+    found = []
+    for name, member, _ in parts(layout, struct, whole=False):
+        inner, enum, basic = layout.structs.get(str(member.type)), layout.enumeration(member), None
+        if inner is not None:
+            structs[inner.name] = _members(layout, inner, structs, enums)
+        else:
+            basic = layout.basic(member)
+        if enum is not None:
+            enums[enum.name] = dict(enum.names)
+        kind = "string" if member.text else inner.name if inner else _KINDS.get(str(basic), str(basic))
+        found.append(
+            {
+                "name": name,
+                "kind": kind,
+                "size": basic.size if basic else None,
+                "count": member.count if member.array else None,
+                "most": member.dims[-1] if member.text else None,
+                "enum": enum.name if enum else None,
+            }
+        )
+    return found
+
+
+_KINDS: Final = {"float32": "float", "float64": "double"}
 
 
 def _finding(item: Finding) -> FindingText:

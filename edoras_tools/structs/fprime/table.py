@@ -36,12 +36,13 @@ class EntryTable:
         bounds: by packet type, then ID; the key of each is its place.
 
     Attributes:
+        bounds: as given.
         unknown: key of an ID that the dictionary has not.
         odd: key of bytes behind the last value that are not an ID.
     """
 
     def __init__(self, bounds: Sequence[BoundEntry]) -> None:
-        self._bounds = bounds
+        self.bounds = bounds
         codes = [int(item.entry.kind) << 32 | item.entry.id for item in bounds]
         self._codes = np.array([*codes, np.iinfo(np.int64).max])
         self._fixed = np.array([-1 if item.texts else item.struct.size for item in bounds] + [0])
@@ -50,7 +51,7 @@ class EntryTable:
 
     def __getitem__(self, key: int) -> BoundEntry:
         """Return the entry of a key."""
-        return self._bounds[key - FPRIME_KEY]
+        return self.bounds[key - FPRIME_KEY]
 
     def whole(self, found: StructPayloads) -> StructPayloads:
         """Return those of payloads that are entries and not cut."""

@@ -24,6 +24,8 @@ FRAME_VERSIONS: Final = {"tm": 0, "aos": 1, "tc": 0}
 """The transfer frame version number of each kind."""
 FIRST_PART: Final = 1
 """The bit of a segment's sequence flags that says that a packet starts in it."""
+LATE: Final = 32
+"""How many counts of 8 bits back a frame is late, and not ahead."""
 NO_FIRST: Final = -1
 """``FrameFields.first`` of a frame in which no packet starts."""
 

@@ -1,4 +1,5 @@
--- The body of a RACS2 message, where it is a RACS2Bridge_std_msgs (Protocol Buffers), as the public examples have.
+-- RACS2 messages: the header, and the values of the body, where it is a RACS2Bridge_std_msgs (Protocol Buffers), as the
+-- public examples have.
 
 local VALUES = {}  -- by field number
 for number, item in pairs(D.racs2.values) do
@@ -53,7 +54,7 @@ local function take_values(found, field, s, p, last)
 end
 
 -- Return the values from a place (from 0) to the end, or nil where the bytes are something else. Zeros end them.
-function body_values(s, at)
+local function body_values(s, at)
 	local found, p, last = {}, at + 1, #s
 	while p <= last and any_nonzero(s, p, last) do
 		local key, _, behind = varint(s, p, last)
@@ -79,10 +80,10 @@ function body_values(s, at)
 end
 
 -- Add the values of a message, the last of each that is no array.
-local function show_body(tree, tvb, visible)
+local function show_body(values, tree, tvb, visible)
 	local newest = {}
-	for _, item in ipairs(W.values) do newest[item.field] = item end
-	for _, item in ipairs(W.values) do
+	for _, item in ipairs(values) do newest[item.field] = item end
+	for _, item in ipairs(values) do
 		local field = item.field
 		if (field.array or newest[field] == item) and (visible or field.record.on) then
 			local range = item.size > 0 and cut(tvb, item.at, item.size) or cut(tvb, item.at - 1, 1)
@@ -94,3 +95,36 @@ local function show_body(tree, tvb, visible)
 		end
 	end
 end
+
+-- Read a RACS2 message: a MsgId, or the name of a topic; then the values of its body.
+local function racs2(s)
+	local to_cfs = byte(s, 1) * 256 <= D.limits.highest_msg_id
+	if not take(to_cfs and L.racs2_message or L.racs2_topic, 0) then return nil end
+	if W.listed then
+		local target
+		if to_cfs then
+			target = format("0x%04x", (read.racs2_message(s, 1)))
+		else
+			target = read.racs2_topic(s, 1)
+		end
+		W.summary = format("%s: %d bytes", target, #s - L.racs2_message.size)
+	end
+	local values = body_values(s, L.racs2_message.size)
+	if values then
+		W.inside[1] = function(node, tvb, visible) show_body(values, node, tvb, visible) end
+	end
+	return nil
+end
+HEADER_READERS.racs2 = racs2
+
+-- Tell whether a message begins with a header of RACS2: a MsgId and zeros, or the name of a topic.
+local function is_racs2(s)
+	local size = D.layouts.racs2_message.size
+	if #s < size then return false end
+	local high, low = byte(s, 1, 2)
+	local msg_id = high * 256 + low
+	if msg_id > 0 and msg_id <= D.limits.highest_msg_id and not s:sub(3, size):find("[^\0]") then return true end
+	if high ~= 47 and high ~= 126 and (high <= 64 or high >= 123) then return false end
+	return not s:sub(1, size):find("[\128-\255]") and not s:sub(5, size):find('[ "]')
+end
+RECOGNISED.racs2 = is_racs2
