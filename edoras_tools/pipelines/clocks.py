@@ -167,6 +167,12 @@ def open_aligned(
             (0, None),
         )
         if found is None:
+            if is_cfe_file(path):
+                source, name = _of_cfe(path)
+                most = max(len(boot_offsets(tables[other], name)) for other in set_back)
+                sources.append(source)
+                notes.append(_not_placed(path, name, most))
+                continue
             if not _overlap(tables[0], table):
                 sources.append(open_file(path))
                 continue
@@ -195,9 +201,7 @@ def _placed(
     path: Path, paths: Sequence[Path], tables: Sequence[Recorder], set_back: dict[int, list[ClockLine]]
 ) -> tuple[Source, str]:
     """Put a reset log on the clock of the first capture that has one boot of its cFS; say how."""
-    source = open_file(path)
-    header = source.header  # type: ignore[attr-defined]  # of a file of cFE
-    name = f"{header['spacecraft_id']}:{header['processor_id']}"
+    source, name = _of_cfe(path)
     most = 0
     for to, lines in set_back.items():
         offsets = boot_offsets(tables[to], name)
@@ -210,15 +214,25 @@ def _placed(
                 f"started, before that time began, at {START_S} s of it"
             )
             return Aligned(source, [line, *lines], np.zeros(0, np.int64)), note
-    why = (
-        f"its cFS {name} was started {most} times there, and mission time begins anew each time"
-        if most
-        else f"no packet of its cFS {name} with a time is there"
-    )
-    return (
-        source,
-        f"{path}: its entries keep their mission times: {why}; 'edoras info {path}' shows them alone",
-    )
+    return source, _not_placed(path, name, most)
+
+
+def _of_cfe(path: Path) -> tuple[Source, str]:
+    """Return a file of cFE opened, and the name of its cFS."""
+    source = open_file(path)
+    header = source.header  # type: ignore[attr-defined]  # of a file of cFE
+    return source, f"{header['spacecraft_id']}:{header['processor_id']}"
+
+
+def _not_placed(path: Path, name: str, boots: int) -> str:
+    """Tell why a file of a cFS is not on the clock of any capture; ``boots`` is how many of it one shows."""
+    if boots > 1:
+        why = f"its cFS {name} was started {boots} times there, which fit equally"
+    elif boots:
+        why = f"nothing tells at which time of its cFS {name} it was made"
+    else:
+        why = f"no packet of its cFS {name} with a time is there"
+    return f"{path}: not placed, its mission times are kept: {why}; 'edoras info {path}' shows it alone"
 
 
 def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Recorder:

@@ -11,6 +11,7 @@ from rewriting import datagrams, write
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.wire.cfe_file import FILE_HEADER
 
 CONFIG = [MISSIONS / "two_rovers_ground.yaml", MISSIONS / "two_rovers_flight.yaml"]
 SBN = {2234, 2235, 2236}
@@ -171,3 +172,27 @@ def test_a_third_capture_is_aligned_by_the_one_it_shares_packets_with(tmp_path):
     assert f"ahead of that of {second} by 4.000 s" in notes[1]
     whole, _ = diagnosed(write(tmp_path / "d.pcap", flight))
     assert (found.lost, found.datagrams) == (whole.lost, whole.datagrams)
+
+
+@pytest.mark.parametrize("boot", [0, 1])
+@pytest.mark.parametrize("same", [True, False], ids=["its packets are captured", "others of it"])
+def test_a_file_of_a_cfs_is_put_on_its_own_boot_or_on_none(tmp_path, boot, same):
+    """Of n3, whose cFS was started twice: both boots have packets at every mission time of the file."""
+    capture = ROOT / "tests/captures/n3_cfs_restart.pcap.zst"
+    sent = [item for item in datagrams(capture) if item.destination[1] == 1235]
+    again = next(at for at in range(1, len(sent)) if sent[at].time_ns - sent[at - 1].time_ns > 5 * 10**9)
+    kept = (sent[:again], sent[again:])[boot][:5]
+    # A byte of cFE's spare ones makes them packets that nobody captured.
+    packets = [item.payload if same else item.payload[:15] + b"\1" + item.payload[16:] for item in kept]
+    path = tmp_path / "stored.log"
+    header = (ROOT / "samples/cfs_files/events.log").read_bytes()[: FILE_HEADER.size]
+    path.write_bytes(header + b"".join(packets))
+    source, (note,) = open_aligned([capture, path], Settings())
+    placed = [item.time_ns for batch in source.batches() for item in batch if item.source.port == 0]
+    if same:
+        assert "told by the mission time of one cFS in both" in note
+        assert placed[0] == pytest.approx(kept[0].time_ns, abs=10**9)
+    else:
+        assert "not placed" in note
+        assert "was started 2 times there, which fit equally" in note
+        assert max(placed) < min(item.time_ns for item in kept) - 10**18

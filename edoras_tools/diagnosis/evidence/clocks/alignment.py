@@ -9,6 +9,8 @@ as intervals. They come from one of these, in this order:
 2. Streams of which each capture has a part: a packet with the next sequence count is captured later.
 3. The mission time in the headers of one boot of one cFS, seen in both: capture time minus mission time is
    the same except for the shortest delay, which is below the wake-up period of the tasks that forward it.
+   Where several boots fit, the one is meant of which both have packets, else the one that most pairs of
+   boots agree with; if that leaves several, nothing is told.
 4. Cause and effect (``causality``): messages and answers of which each capture has one end.
 
 The first that exists is used, and the last narrows it. If the bounds are too wide to show a drift, none is
@@ -282,15 +284,28 @@ def _mission_times(first: Side, second: Side) -> _Told | None:
     if not pairs:
         return None
     steps = np.array([theirs.items[j].offset_ns - ours.items[i].offset_ns for i, j in pairs])
-    weights = [min(int((ours.of_row == i).sum()), int((theirs.of_row == j).sum())) for i, j in pairs]
+    # How many packets a boot has says nothing of which boot it is: that both hold the same ones does.
+    same_packets = [_same_packets(first, second, pair) for pair in pairs]
+    weights = same_packets if any(same_packets) else [1] * len(pairs)
     order = np.argsort(steps, kind="stable")
     group = np.concatenate(([0], np.cumsum(np.diff(steps[order]) > 2 * _WAKE_NS)))
     votes = np.bincount(group, np.array(weights)[order])
+    if (votes == votes.max()).sum() > 1:
+        return None  # several boots fit equally
     # Boots of one cFS follow each other: only pairs of the same boot agree with each other.
     same = [pairs[at] for at in order[group == int(votes.argmax())].tolist()]
     told = _Told.of([_of_boot(first, second, pair) for pair in same], "the mission time of one cFS in both")
     alike = [step for pair in same for step in _same_ways(first, second, pair)]
     return replace(told, near=[int(np.median(alike))]) if told and alike else told
+
+
+def _same_packets(first: Side, second: Side, pair: tuple[int, int]) -> int:
+    """Return how many packets of a boot both captured, whatever carried them."""
+    ours, theirs = (
+        side.rows.bytes_print[side.instances.of_row == index]
+        for side, index in zip((first, second), pair, strict=True)
+    )
+    return len(matches(ours, theirs)[0])
 
 
 def _of_boot(first: Side, second: Side, pair: tuple[int, int]) -> Ordered:
